@@ -20,7 +20,7 @@ import os
 import struct
 import tempfile
 import zlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
@@ -83,10 +83,13 @@ _MARK_CONTENT = struct.Struct("<8sQB")
 _MARK_NAME = b"humansim"
 #: Bytes of the index that are kept in memory; the rest goes to a file without name in the folder of the bag.
 _INDEX_IN_MEMORY = 1 << 22
-#: Most buffers of a single write.
-_MAX_BUFFERS = 1024
 #: Errors of file systems that cannot write directly.
 _REFUSALS = (errno.EINVAL, errno.EOPNOTSUPP)
+#: Readers of the records that describe topics; they raise one of ``_DAMAGES`` if the content is damaged.
+_TOPIC_RECORDS: dict[int, Callable[[ReadDataStream], Schema | Channel]] = {
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+}
 #: Errors of reading damaged records.
 _DAMAGES = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowError, MemoryError)
 
@@ -118,11 +121,29 @@ def _after(views: Sequence[memoryview], written: int) -> list[memoryview]:
     """What is left of buffers when so many bytes of them are written; none is empty."""
     left = []
     for view in views:
-        skipped = min(written, view.nbytes)
-        written -= skipped
-        if skipped < view.nbytes:
-            left.append(view[skipped:])
+        if written < view.nbytes:
+            left.append(view[written:])
+        written = max(0, written - view.nbytes)
     return left
+
+
+def _chunk_index(chunk: Chunk, position: int) -> ChunkIndex:
+    """The record of the summary for a chunk at a position."""
+    offsets, offset = {}, position + chunk.chunk_length
+    for topic, length in chunk.index_lengths():
+        offsets[topic + 1] = offset
+        offset += length
+    return ChunkIndex(
+        chunk_length=chunk.chunk_length,
+        chunk_start_offset=position,
+        compression=chunk.compression,
+        compressed_size=chunk.compressed_size,
+        message_end_time=chunk.end,
+        message_index_length=chunk.index_length,
+        message_index_offsets=offsets,
+        message_start_time=chunk.start,
+        uncompressed_size=chunk.uncompressed_size,
+    )
 
 
 class DirectFile:
@@ -282,7 +303,7 @@ class McapFile:
                 os.lseek(self._descriptor, self.size + written, os.SEEK_SET)
                 views = _after(views, written)
             while views:
-                views = _after(views, os.writev(self._descriptor, views[:_MAX_BUFFERS]))
+                views = _after(views, os.writev(self._descriptor, views[:1024]))
         except BaseException:
             self._cut(self.size)
             raise
@@ -330,22 +351,7 @@ class McapFile:
         self._count(chunk, position)
 
     def _count(self, chunk: Chunk, position: int) -> None:
-        offsets, offset = {}, position + chunk.chunk_length
-        for topic, length in chunk.index_lengths():
-            offsets[topic + 1] = offset
-            offset += length
-        index = ChunkIndex(
-            chunk_length=chunk.chunk_length,
-            chunk_start_offset=position,
-            compression=chunk.compression,
-            compressed_size=chunk.compressed_size,
-            message_end_time=chunk.end,
-            message_index_length=chunk.index_length,
-            message_index_offsets=offsets,
-            message_start_time=chunk.start,
-            uncompressed_size=chunk.uncompressed_size,
-        )
-        self._index.write(_encoded(index))
+        self._index.write(_encoded(_chunk_index(chunk, position)))
         self._chunks += 1
         self.content.add(chunk.counts, chunk.start, chunk.end)
 
@@ -430,8 +436,7 @@ def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
 class Unit(NamedTuple):
     """A chunk with its mark, from ``start`` to ``end`` in the file; ``chunk`` has no bytes.
 
-    Its ``counts`` have the numbers of channels less one. ``group`` is -1 without a mark, as in files of other
-    programs. A Message record outside of chunks is a unit of one message.
+    ``group`` is -1 without a mark, as in files of other programs. A message outside of chunks is a unit, too.
     """
 
     chunk: Chunk
@@ -471,53 +476,46 @@ class McapScan:
         if self._is_foreign:
             raise BagError("this file was not written by humansim: it cannot be continued", path=self._path)
         if self.damaged:
-            raise BagError(f"the record at byte {self.damaged[0]} is damaged", path=self._path)
+            text = f"the record at byte {self.damaged[0]} is damaged; the file cannot be continued"
+            raise BagError(text, path=self._path)
         return [unit for unit in self.units if unit.group >= 0]
 
     def _read(self) -> None:
-        pending: Unit | None = None  # a chunk, which its MessageIndex records and its mark follow
+        chunk: Unit | None = None  # its MessageIndex records and its mark follow
         counts: dict[int, int] = {}
         for opcode, position, end, head in self._records():
             try:
-                if opcode == MESSAGE_INDEX and pending is not None:
+                if opcode == MESSAGE_INDEX and chunk is not None:
                     topic, number = read_index_head(head)
                     counts[topic] = number
                     continue
-                if pending is not None:
-                    mark_end = end if opcode == _MARK else None
-                    self._add_chunk(pending, counts, mark_end, head)
-                    pending = None
-                    if mark_end is not None:
+                if chunk is not None:
+                    unit = Unit(replace(chunk.chunk, counts=counts), chunk.start, end, *_group(opcode, head))
+                    self.units.append(unit)
+                    self._is_foreign |= unit.group < 0
+                    chunk = None
+                    if opcode == _MARK:
                         continue
                 if opcode == CHUNK:
-                    pending, counts = Unit(read_chunk_head(head), position, end), {}
+                    chunk, counts = Unit(read_chunk_head(head), position, end), {}
                 elif opcode == MESSAGE:
                     self._is_foreign = True
                     topic, stamp, _, _ = message_of(memoryview(head)[RECORD.size :])
                     one = Chunk((), end - position, stamp, stamp, "", 0, 0, {topic: 1})
                     self.units.append(Unit(one, position, end))
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                elif opcode in _TOPIC_RECORDS:
                     self._file.seek(position + RECORD.size)
                     content = self._file.read(end - position - RECORD.size)
-                    self.topics.append((end, _topic_record(opcode, content)))
+                    self.topics.append((end, _TOPIC_RECORDS[opcode](ReadDataStream(BytesIO(content)))))
                 elif opcode not in (Opcode.HEADER, _PADDING):
                     self._is_foreign = True
             except (BagError, *_DAMAGES):
                 self.damaged.append(position)
-            if not self.units and pending is None and opcode != _PADDING:
+            if not self.units and chunk is None and opcode != _PADDING:
                 self.head_end = end
-        if pending is not None:  # its MessageIndex records may not be whole
-            self.units.append(pending)
+        if chunk is not None:  # its MessageIndex records may not be whole
+            self.units.append(chunk)
             self._is_foreign |= self._has_end
-
-    def _add_chunk(self, unit: Unit, counts: dict[int, int], mark_end: int | None, mark_head: bytes) -> None:
-        unit = unit._replace(chunk=replace(unit.chunk, counts=counts))
-        if mark_end is not None:
-            name, group, ends_group = _MARK_CONTENT.unpack_from(mark_head, RECORD.size)
-            if name == _MARK_NAME:
-                unit = unit._replace(end=mark_end, group=group, ends_group=bool(ends_group))
-        self.units.append(unit)
-        self._is_foreign |= unit.group < 0
 
     def _records(self) -> Iterator[tuple[int, int, int, bytes]]:
         """Opcode, position, end and first bytes of the whole records, up to the end of the data."""
@@ -541,12 +539,13 @@ class McapScan:
             position = end
 
 
-def _topic_record(opcode: int, content: Buffer) -> Schema | Channel:
-    """Read the content of a Schema or Channel record. Raises one of ``_DAMAGES`` if it is damaged."""
-    stream = ReadDataStream(BytesIO(content))
-    record: Schema | Channel
-    record = Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
-    return record
+def _group(opcode: int, head: bytes) -> tuple[int, bool]:
+    """Number of the group of the chunk before a record, and whether it is the last; -1 without a mark."""
+    if opcode == _MARK:
+        name, group, ends_group = _MARK_CONTENT.unpack_from(head, RECORD.size)
+        if name == _MARK_NAME:
+            return group, bool(ends_group)
+    return -1, True
 
 
 def _topic_of(channel: Channel, schemas: Mapping[int, Schema]) -> BagTopic:
@@ -576,21 +575,18 @@ class McapInput:
         self.path = path
         self.content = Content()
         self.whole = True
-        self._units: list[Unit] = []
+        self._chunks: list[ChunkIndex] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._file: BinaryIO = open_file(path, BagError, "bag", ANY_SIZE)
         try:
             if not self._read_summary():
                 self._scan()
-        except OSError as reason:
-            self.close()
-            raise BagError(f"cannot be read: {reason.strerror or reason}", path=path) from None
         except BaseException:
             self.close()
             raise
         #: Index of the topic of each channel.
-        self._indices = {number - 1: index for index, number in enumerate(self._channels)}
+        self._indices = {number: index for index, number in enumerate(self._channels)}
         self.topics = [_topic_of(channel, self._schemas) for channel in self._channels.values()]
         counts = self.content.counts.items()
         self.content.counts = {self._indices[n]: number for n, number in counts if n in self._indices}
@@ -608,28 +604,16 @@ class McapInput:
         found = summary.statistics
         if found.message_count and not summary.chunk_indexes:
             return False
-        units = []
         for index in summary.chunk_indexes:
-            start, channels = index.chunk_start_offset, index.message_index_offsets.keys()
-            if index.chunk_length < RECORD.size or start + index.chunk_length > size:
+            channels = index.message_index_offsets.keys()
+            if index.chunk_length < RECORD.size or index.chunk_start_offset + index.chunk_length > size:
                 return False
             if not channels or not channels <= summary.channels.keys():
                 return False
-            chunk = Chunk(
-                buffers=(),
-                chunk_length=index.chunk_length,
-                start=index.message_start_time,
-                end=index.message_end_time,
-                compression=index.compression,
-                compressed_size=index.compressed_size,
-                uncompressed_size=index.uncompressed_size,
-                counts={number - 1: 0 for number in channels},
-            )
-            units.append(Unit(chunk, start, start + index.chunk_length))
-        self._units, self._schemas, self._channels = units, summary.schemas, summary.channels
+        self._chunks = summary.chunk_indexes
+        self._schemas, self._channels = summary.schemas, summary.channels
         if found.message_count:
-            counts = {number - 1: each for number, each in found.channel_message_counts.items()}
-            self.content.add(counts, found.message_start_time, found.message_end_time)
+            self.content.add(found.channel_message_counts, found.message_start_time, found.message_end_time)
         return True
 
     def _scan(self) -> None:
@@ -640,26 +624,26 @@ class McapInput:
         for _, record in scan.topics:
             self._add_topic_record(record)
         for unit in scan.units:
+            chunk = unit.chunk
             try:
-                counts = unit.chunk.counts or self._counts_in(unit)
-                if any(number + 1 not in self._channels for number in counts):
-                    counts = self._counts_in(unit)
-            except (BagError, *_DAMAGES):
+                if not chunk.counts or any(topic + 1 not in self._channels for topic in chunk.counts):
+                    chunk = replace(chunk, counts=self._counts_in(_chunk_index(chunk, unit.start)))
+            except (BagError, OSError, *_DAMAGES):
                 self._warn_about_damage(unit.start)
                 continue
-            self._units.append(unit._replace(chunk=replace(unit.chunk, counts=counts)))
-            times = (unit.chunk.start, unit.chunk.end) if counts else (None, None)
-            self.content.add(counts, *times)
+            self._chunks.append(_chunk_index(chunk, unit.start))
+            counts = {topic + 1: number for topic, number in chunk.counts.items()}
+            self.content.add(counts, *((chunk.start, chunk.end) if counts else (None, None)))
         size = self._file.seek(0, os.SEEK_END)
-        self._file.seek(max(0, size - len(MAGIC)))
-        self.whole = self._file.read() == MAGIC and size > 2 * len(MAGIC)
+        self._file.seek(max(len(MAGIC), size - len(MAGIC)))
+        self.whole = self._file.read() == MAGIC
 
-    def _counts_in(self, unit: Unit) -> dict[int, int]:
-        """Read a chunk without index, or with topics in it: messages by their channel, less one."""
+    def _counts_in(self, index: ChunkIndex) -> dict[int, int]:
+        """Read a chunk without index, or with topics in it: messages by the index of their topic."""
         counts: dict[int, int] = {}
-        for opcode, content in chunk_records(self._record(unit)):
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._add_topic_record(_topic_record(opcode, content))
+        for opcode, content in chunk_records(self._record(index)):
+            if opcode in _TOPIC_RECORDS:
+                self._add_topic_record(_TOPIC_RECORDS[opcode](ReadDataStream(BytesIO(content))))
             elif opcode == MESSAGE:
                 topic = message_of(content).topic
                 counts[topic] = counts.get(topic, 0) + 1
@@ -671,9 +655,9 @@ class McapInput:
         else:
             self._channels[record.id] = record
 
-    def _record(self, unit: Unit) -> bytes:
-        self._file.seek(unit.start)
-        return self._file.read(unit.chunk.chunk_length)
+    def _record(self, index: ChunkIndex) -> bytes:
+        self._file.seek(index.chunk_start_offset)
+        return self._file.read(index.chunk_length)
 
     def _warn_about_damage(self, position: int) -> None:
         warn_about(self.path, f"the record at byte {position} is damaged; its messages are left out")
@@ -687,28 +671,29 @@ class McapInput:
             end: Log time after the last one.
         """
         wanted = {number for number, index in self._indices.items() if index in topics}
-        units = [unit for unit in self._units if not wanted.isdisjoint(unit.chunk.counts)]
         pending: list[tuple[int, int, BagMessage]] = []
         number = count()
-        for unit in sorted(units, key=lambda each: each.chunk.start):
-            if unit.chunk.start >= end or unit.chunk.end < start:
+        for chunk in sorted(self._chunks, key=lambda each: each.message_start_time):
+            if wanted.isdisjoint(chunk.message_index_offsets):
                 continue
-            while pending and pending[0][0] < unit.chunk.start:
+            if chunk.message_start_time >= end or chunk.message_end_time < start:
+                continue
+            while pending and pending[0][0] < chunk.message_start_time:
                 yield heapq.heappop(pending)[2]
-            for message in self._messages(unit):
-                if message.topic in wanted and start <= message.stamp < end:
-                    found = message._replace(topic=self._indices[message.topic])
+            for message in self._messages(chunk):
+                if message.topic + 1 in wanted and start <= message.stamp < end:
+                    found = message._replace(topic=self._indices[message.topic + 1])
                     heapq.heappush(pending, (message.stamp, next(number), found))
         while pending:
             yield heapq.heappop(pending)[2]
 
-    def _messages(self, unit: Unit) -> list[BagMessage]:
+    def _messages(self, index: ChunkIndex) -> list[BagMessage]:
         """Messages of a chunk, or of a Message record; none with a warning if it is damaged."""
-        record = self._record(unit)
+        record = self._record(index)
         try:
             if record[:1] == bytes([MESSAGE]):
                 return [message_of(memoryview(record)[RECORD.size :])]
             return chunk_messages(record)
         except BagError:
-            self._warn_about_damage(unit.start)
+            self._warn_about_damage(index.chunk_start_offset)
             return []

@@ -11,12 +11,11 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from humansim_ros.bags import needs_libraries
 from humansim_ros.bags.chunks import COMPRESSIONS, Chunk, Compression
@@ -61,36 +60,6 @@ def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
     return McapFile if storage == "mcap" else SqliteFile
 
 
-@dataclass
-class _OpenBag:
-    """A bag that is being written: finished files, the one that grows, and the number of whole groups.
-
-    ``prefix`` is the beginning of the names of all files.
-    """
-
-    folder: Path
-    storage: Storage
-    prefix: str
-    file: McapFile | SqliteFile
-    done: list[tuple[str, Content]] = field(default_factory=list)
-    groups: int = 0
-    custom: dict[str, str] = field(default_factory=dict)
-
-    def write_metadata(self) -> None:
-        """Bring metadata.yaml up to date. Raises OSError."""
-        files = [*self.done, (self.file.path.name, self.file.content)]
-        write_metadata(self.folder, metadata_text(self.storage, self.file.topics, files, self.custom))
-
-    def split(self) -> None:
-        """Finish the file, and begin the next. Raises OSError."""
-        self.file.finish()
-        name = f"{self.prefix}_{len(self.done) + 1}{SUFFIXES[self.storage]}"
-        following = _file_class(self.storage).create(self.folder / name, self.file.topics)
-        self.done.append((self.file.path.name, self.file.content))
-        self.file = following
-        self.write_metadata()
-
-
 def _lock_bag(folder: Path) -> int:
     """Lock a bag for this process; close the descriptor that is returned to unlock it.
 
@@ -109,45 +78,6 @@ def _lock_bag(folder: Path) -> int:
     return descriptor
 
 
-def _reopen_bag(folder: Path, *, spare: int = 0) -> _OpenBag:
-    """Open a bag to continue it, finished or not; what is not whole is removed from the end of its files.
-
-    Args:
-        folder: Folder of the bag.
-        spare: Bytes of groups to remove from the end as well, at least.
-
-    Raises:
-        BagError: The folder holds no bag of humansim, or the bag is damaged.
-        OSError: A file cannot be written.
-    """
-    information = read_metadata(folder)
-    storage: Storage = "sqlite3" if information.get("storage_identifier") == "sqlite3" else "mcap"
-    prefix, paths = _files(folder, SUFFIXES[storage])
-    kind = _file_class(storage)
-    for path in folder.glob(".*.new"):
-        path.unlink()
-    while True:
-        file, groups = kind.reopen(paths[-1], spare=spare)
-        if groups is not None:
-            break
-        # without messages: perhaps not even its topics are whole
-        file.close()
-        paths[-1].unlink()
-        if len(paths) == 1:
-            listed = topics_in(information)
-            topics = file.topics if len(file.topics) >= len(listed) else listed
-            file = kind.create(paths[0], [described(topic) for topic in topics])
-            break
-        paths.pop()
-        spare = 0
-    try:
-        done = [(path.name, kind.content_of(path)) for path in paths[:-1]]
-    except BaseException:
-        file.close()
-        raise
-    return _OpenBag(folder, storage, prefix, file, done, groups or 0, custom_in(information))
-
-
 def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
     """Common beginning of the names, and files of a bag in their order. Raises BagError if there are none."""
     found: dict[str, dict[int, Path]] = {}
@@ -160,30 +90,17 @@ def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
     raise BagError("there is no bag to continue here; remove the folder, and record again", path=folder)
 
 
-def _finish_bag(folder: Path, custom: Mapping[str, str]) -> _OpenBag:
-    """Finish an interrupted bag after its last whole group, and close its file.
+@contextmanager
+def _unwritable(folder: Path) -> Iterator[None]:
+    """Convert errors of the system to BagError."""
+    try:
+        yield
+    except OSError as reason:
+        raise BagError(_text(reason), path=folder) from None
 
-    On a full disk, groups are removed from the end until there is space for the rest.
 
-    Raises:
-        BagError: The folder holds no bag of humansim, or the bag is damaged.
-        OSError: A file cannot be written.
-    """
-    spare = 0
-    while True:
-        bag = _reopen_bag(folder, spare=spare)
-        try:
-            bag.custom = dict(custom)
-            bag.file.finish()
-            bag.write_metadata()
-            return bag
-        except OSError as reason:
-            if reason.errno not in _FULL or bag.groups == 0:
-                raise
-            spare = max(_SPARE, 2 * spare)
-        finally:
-            with suppress(OSError):
-                bag.file.close()
+def _text(reason: OSError) -> str:
+    return f"cannot be written: {reason.strerror or reason}"
 
 
 class BagWriter:
@@ -203,6 +120,10 @@ class BagWriter:
         max_duration: Duration in seconds after which the next group begins a new file; 0: never.
         custom: Texts for ``custom_data`` of metadata.yaml; ``writer.custom`` can change until the end.
 
+    Attributes:
+        folder: Absolute path of the folder.
+        groups: Number of groups in the bag that are whole.
+
     Raises:
         BagError: The folder exists, cannot be created, or an option or a topic is wrong.
     """
@@ -218,8 +139,7 @@ class BagWriter:
         max_duration: float = 0.0,
         custom: Mapping[str, str] | None = None,
     ) -> None:
-        path = Path(folder).resolve()
-        kind = _file_class(storage)
+        self._file_class = _file_class(storage)
         if compression not in COMPRESSIONS:
             raise BagError(
                 f"{compression!r} is no compression of chunks; choose one of {', '.join(COMPRESSIONS)}"
@@ -228,22 +148,22 @@ class BagWriter:
             raise BagError("files of sqlite3 are not compressed; choose the storage mcap", path=folder)
         check_topics(topics)
         topics = [described(topic) for topic in topics]
-        self._set_limits(storage, max_size, max_duration)
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            raise BagError("this path exists; choose another name for the bag", path=folder) from None
-        except OSError as reason:
-            raise _unwritable(path, reason) from None
-        try:
-            lock = _lock_bag(path)
-            file = kind.create(path / f"{path.name}_0{SUFFIXES[storage]}", topics)
-            self._begin(_OpenBag(path, storage, path.name, file, custom=dict(custom or {})), lock)
-        except BaseException as reason:
-            shutil.rmtree(path, ignore_errors=True)
-            if isinstance(reason, OSError):
-                raise _unwritable(path, reason) from None
-            raise
+        self._set_limits(max_size, max_duration)
+        self.folder, self._storage = Path(folder).resolve(), storage
+        self._prefix, self.groups, self.custom = self.folder.name, 0, dict(custom or {})
+        with _unwritable(self.folder):
+            try:
+                self.folder.mkdir(parents=True)
+            except FileExistsError:
+                raise BagError("this path exists; choose another name for the bag", path=folder) from None
+            try:
+                self._lock = _lock_bag(self.folder)
+                self._done: list[tuple[str, Content]] = []
+                self._file = self._file_class.create(self._path(0), topics)
+                self._begin()
+            except BaseException:
+                shutil.rmtree(self.folder, ignore_errors=True)
+                raise
 
     @classmethod
     def resume(
@@ -262,67 +182,92 @@ class BagWriter:
         Raises:
             BagError: There is no bag of humansim, another process writes it, or it is damaged.
         """
-        path = Path(folder).resolve()
-        if not path.is_dir():
-            raise BagError("there is no bag to continue here", path=folder)
         writer = cls.__new__(cls)
-        try:
-            lock = _lock_bag(path)
+        writer.folder = Path(folder).resolve()
+        if not writer.folder.is_dir():
+            raise BagError("there is no bag to continue here", path=folder)
+        with _unwritable(writer.folder):
+            writer._lock = _lock_bag(writer.folder)
             try:
-                bag = _reopen_bag(path)
-                writer._set_limits(bag.storage, max_size, max_duration)
-                writer._begin(bag, lock)
+                writer._reopen()
+                writer._set_limits(max_size, max_duration)
+                writer._begin()
             except BaseException:
-                os.close(lock)
+                os.close(writer._lock)
                 raise
-        except OSError as reason:
-            raise _unwritable(path, reason) from None
         return writer
 
-    def _set_limits(self, storage: Storage, max_size: int, max_duration: float) -> None:
-        smallest = _file_class(storage).smallest
+    def _set_limits(self, max_size: int, max_duration: float) -> None:
+        smallest = self._file_class.smallest
         if max_size != 0 and max_size < smallest:
             raise BagError(f"must be 0 (never split) or at least {smallest} bytes", key="max_size")
         if not max_duration >= 0:
             raise BagError("must be 0 (never split) or a number of seconds", key="max_duration")
         self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
 
-    def _begin(self, bag: _OpenBag, lock: int) -> None:
-        self._bag, self._lock = bag, lock
+    def _begin(self) -> None:
         self._in_group = self._closed = self._torn = False
         self._renewed = time.monotonic()
-        bag.write_metadata()
+        self._write_metadata()
 
-    @property
-    def folder(self) -> Path:
-        """Folder of the bag."""
-        return self._bag.folder
+    def _reopen(self, spare: int = 0) -> None:
+        """Open the files to continue them; what is not whole is removed from their end.
 
-    @property
-    def custom(self) -> dict[str, str]:
-        """Texts for ``custom_data`` of metadata.yaml."""
-        return self._bag.custom
+        ``spare``: bytes of groups to remove as well, at least.
+
+        Raises:
+            BagError: The folder holds no bag of humansim, or the bag is damaged.
+            OSError: A file cannot be written.
+        """
+        information = read_metadata(self.folder)
+        self.custom = custom_in(information)
+        self._storage = "sqlite3" if information.get("storage_identifier") == "sqlite3" else "mcap"
+        self._prefix, paths = _files(self.folder, SUFFIXES[self._storage])
+        self._file_class = _file_class(self._storage)
+        for path in self.folder.glob(".*.new"):
+            path.unlink()
+        while True:
+            self._file, groups = self._file_class.reopen(paths[-1], spare=spare)
+            if groups is not None:
+                break
+            # without messages: perhaps not even its topics are whole
+            self._file.close()
+            paths[-1].unlink()
+            if len(paths) == 1:
+                topics = max(self._file.topics, topics_in(information), key=len)
+                self._file = self._file_class.create(paths[0], [described(topic) for topic in topics])
+                break
+            paths.pop()
+            spare = 0
+        self.groups = groups or 0
+        try:
+            self._done = [(path.name, self._file_class.content_of(path)) for path in paths[:-1]]
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{self._prefix}_{number}{SUFFIXES[self._storage]}"
+
+    def _write_metadata(self) -> None:
+        files = [*self._done, (self._file.path.name, self._file.content)]
+        write_metadata(self.folder, metadata_text(self._storage, self._file.topics, files, self.custom))
 
     @property
     def topics(self) -> Sequence[BagTopic]:
         """Topics of the bag."""
-        return tuple(self._bag.file.topics)
-
-    @property
-    def groups(self) -> int:
-        """Number of groups in the bag that are whole."""
-        return self._bag.groups
+        return tuple(self._file.topics)
 
     @property
     def end(self) -> int | None:
         """Newest log time in nanoseconds; None in an empty bag."""
-        contents = [*(content for _, content in self._bag.done), self._bag.file.content]
+        contents = [*(content for _, content in self._done), self._file.content]
         return max((content.end for content in contents if content.end is not None), default=None)
 
     @property
     def size(self) -> int:
         """Size in bytes of the file that is being written."""
-        return self._bag.file.size
+        return self._file.size
 
     def add_topic(self, topic: BagTopic) -> int:
         """Add a topic; return its index for messages.
@@ -332,7 +277,8 @@ class BagWriter:
         """
         check_topics([*self.topics, topic])
         topic = described(topic)
-        self._write(lambda: self._bag.file.add_topic(topic))
+        with self._writing():
+            self._file.add_topic(topic)
         self.sync()
         return len(self.topics) - 1
 
@@ -347,44 +293,45 @@ class BagWriter:
         Raises:
             BagError: The disk is full. The bag is finished with the groups before.
         """
-        self._write(lambda: self._append(chunk, ends_group))
+        with self._writing():
+            if not self._in_group and self._is_full(chunk.end):
+                self._split()
+            self._file.append(chunk, self.groups, ends_group)
+            self._in_group = not ends_group
+            self.groups += ends_group
         if time.monotonic() - self._renewed > _RENEWAL:
             self.sync()
 
-    def _append(self, chunk: Chunk, ends_group: bool) -> None:
-        if not self._in_group and self._is_full(chunk.end):
-            self._bag.split()
-        self._bag.file.append(chunk, self._bag.groups, ends_group)
-        self._in_group = not ends_group
-        self._bag.groups += ends_group
-
     def _is_full(self, end: int) -> bool:
-        content = self._bag.file.content
-        if content.start is None:
+        start = self._file.content.start
+        if start is None:
             return False
-        too_long = 0 < self._max_duration < end - content.start
-        return too_long or 0 < self._max_size <= self._bag.file.size
+        return 0 < self._max_duration < end - start or 0 < self._max_size <= self._file.size
 
-    def _write(self, write: Callable[[], None]) -> None:
+    def _split(self) -> None:
+        """Finish the file, and begin the next."""
+        self._file.finish()
+        following = self._file_class.create(self._path(len(self._done) + 1), self._file.topics)
+        self._done.append((self._file.path.name, self._file.content))
+        self._file = following
+        self._write_metadata()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
         """Write to the files; if that fails, finish the bag with what is whole."""
         if self._closed:
             raise BagError("the bag is closed", path=self.folder)
         try:
-            write()
+            yield
         except OSError as reason:
-            self._give_up(reason)
+            self._torn = True
+            with suppress(BagError):
+                self.close()
+            text = f"{_text(reason)}; the bag ends after {self.groups} whole groups of messages"
+            raise BagError(text, path=self.folder) from None
         except BaseException:  # such as KeyboardInterrupt
             self._torn = True
             raise
-
-    def _give_up(self, reason: OSError) -> NoReturn:
-        self._torn = True
-        with suppress(BagError):
-            self.close()
-        what = _unwritable(self.folder, reason).message
-        raise BagError(
-            f"{what}; the bag ends after {self.groups} whole groups of messages", path=self.folder
-        ) from None
 
     def sync(self) -> None:
         """Bring metadata.yaml up to date; this happens every second while chunks come.
@@ -393,7 +340,8 @@ class BagWriter:
             BagError: The disk is full. The bag is finished with the groups before.
         """
         self._renewed = time.monotonic()
-        self._write(self._bag.write_metadata)
+        with self._writing():
+            self._write_metadata()
 
     def close(self) -> None:
         """Finish the bag. More calls do nothing. An interrupt meanwhile leaves a bag for :meth:`resume`.
@@ -405,27 +353,39 @@ class BagWriter:
             return
         self._closed = True
         try:
-            self._finish()
-        except OSError as reason:
-            raise _unwritable(self.folder, reason) from None
+            with _unwritable(self.folder):
+                if self._torn:
+                    self._finish_again()
+                    return
+                try:
+                    self._finish()
+                except OSError:
+                    self._finish_again()
+                    raise
         finally:
             os.close(self._lock)
 
     def _finish(self) -> None:
-        if self._torn:
-            self._finish_again()
-            return
-        try:
-            self._bag.file.finish()
-            self._bag.write_metadata()
-        except OSError as reason:
-            self._finish_again()
-            raise _unwritable(self.folder, reason) from None
+        self._file.finish()
+        self._write_metadata()
 
     def _finish_again(self) -> None:
-        """Finish the bag from what its files hold."""
-        self._bag.file.close()
-        self._bag = _finish_bag(self.folder, self.custom)
+        """Finish the bag from what its files hold; on a full disk with so few groups that there is space."""
+        custom, spare = self.custom, 0
+        while True:
+            self._file.close()
+            self._reopen(spare)
+            self.custom = custom
+            try:
+                self._finish()
+                return
+            except OSError as reason:
+                if reason.errno not in _FULL or self.groups == 0:
+                    raise
+                spare = max(_SPARE, 2 * spare)
+            finally:
+                with suppress(OSError):
+                    self._file.close()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -434,7 +394,3 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _unwritable(folder: Path, reason: OSError) -> BagError:
-    return BagError(f"cannot be written: {reason.strerror or reason}", path=folder)

@@ -105,7 +105,7 @@ def test_short_writes_are_completed(most: int, tmp_path: Path, monkeypatch: pyte
     descriptor_of = {}
     monkeypatch.setattr(os, "pwritev", pwritev)
     with BagWriter(tmp_path / "short" / "bag", TOPICS) as writer:
-        descriptor_of["plain"] = writer._bag.file._descriptor  # type: ignore[attr-defined]
+        descriptor_of["plain"] = writer._file._descriptor  # type: ignore[attr-defined]
         for frame, size in enumerate(SIZES):
             append_frame(writer, frame, size=size)
     assert (tmp_path / "short" / "bag" / "bag_0.mcap").read_bytes() == expected

@@ -25,6 +25,9 @@ from humansim_ros.errors import BagError
 PROGRAM = Path(__file__).with_name("write_until_error.py")
 
 
+OTHER_DISKS = (("mcap", 3000), ("mcap", 600_000), ("sqlite3", 3000), ("sqlite3", 1_100_000))
+
+
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
     """Limit the size of files that this process writes; the system reports it as it does a full disk."""
@@ -114,8 +117,14 @@ def may_mount() -> bool:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not may_mount(), reason="a file system of its own needs the right to mount (root)")
-@pytest.mark.parametrize("image", [3000, 600_000, 1_100_000])
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize(
+    ("storage", "image"),
+    [
+        ("mcap", 1_100_000),
+        ("sqlite3", 600_000),
+        *(pytest.param(*each, marks=pytest.mark.nightly) for each in OTHER_DISKS),
+    ],
+)
 def test_a_real_full_disk(image: int, storage: Storage, tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()

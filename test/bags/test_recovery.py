@@ -26,6 +26,8 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimWarning
 
 PROGRAM = Path(__file__).with_name("write_endlessly.py")
+#: Sizes of images, and whether direct writing is refused.
+LARGE_IMAGES = ((200_000, False), (1_500_000, False), (1_500_000, True))
 #: Bytes of an image that take long enough to write that a random kill hits it.
 LARGE = 2_000_000
 
@@ -86,9 +88,15 @@ def test_a_killed_bag_is_read_and_finished(storage: Storage, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("size", "refused"), [(200_000, False), (1_500_000, False), (1_500_000, True)])
+@pytest.mark.parametrize(
+    ("size", "refused", "attempts"),
+    [
+        (200_000, False, 2),
+        *(pytest.param(*each, 6, marks=pytest.mark.nightly) for each in LARGE_IMAGES),
+    ],
+)
 def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(
-    size: int, refused: bool, tmp_path: Path
+    size: int, refused: bool, attempts: int, tmp_path: Path
 ) -> None:
     dice, frames = random.Random(2), 60
     whole = tmp_path / "whole" / "bag"
@@ -96,7 +104,7 @@ def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(
         for frame in range(frames):
             append_frame(writer, frame, size=size)
     folder = tmp_path / "bag"
-    for _ in range(6):
+    for _ in range(attempts):
         writing = WritingProcess(folder, size=size, max_size=10 * size, refused=refused)
         writing.wait_for_frame(dice.randrange(1, 40))
         time.sleep(dice.uniform(0, 0.02))  # the kill comes anywhere within the writing of a frame
@@ -130,7 +138,7 @@ def test_a_bag_that_was_cut_is_continued_to_the_same_bytes(compression: Compress
         assert (folder / "metadata.yaml").read_text() == metadata
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sqlite3_bags_are_continued_after_any_kill(tmp_path: Path) -> None:
     dice, size = random.Random(6), 200_000
     for attempt in range(6):
@@ -210,7 +218,7 @@ def test_an_interrupted_direct_write_does_not_reach_the_bag(
     folder = tmp_path / "bag"
 
     def half(file: DirectFile, buffers: list[memoryview], position: int) -> int:
-        os.pwrite(writer._bag.file._descriptor, buffers[0][:100], position)  # type: ignore[attr-defined]
+        os.pwrite(writer._file._descriptor, buffers[0][:100], position)  # type: ignore[attr-defined]
         raise KeyboardInterrupt
 
     with BagWriter(folder, TOPICS) as writer:

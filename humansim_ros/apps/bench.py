@@ -13,6 +13,7 @@ from statistics import median
 from typing import Any
 
 from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.messages.frames import Frames
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.processes.node_processes import TimeOptions, cores, scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
@@ -23,6 +24,8 @@ from humansim_ros.scene import Scene
 _RATE = 200.0
 #: Share of the measured rate that the machine holds for a long time, beside some other work.
 _SHARE = 0.9
+#: Frames that are held until all their images have arrived.
+_MAX_INCOMPLETE = 1000
 #: Seconds before a measurement, after the first frame of all cameras.
 _SETTLING = 1.0
 #: Seconds in which another topic must have sent its first message.
@@ -185,6 +188,7 @@ class _Subscriber:
 
     def __init__(self, topics: Sequence[str]) -> None:
         self._topics = list(topics)
+        self._frames: Frames[None] = Frames(topics, max_frames=_MAX_INCOMPLETE)
 
     def __enter__(self) -> _Subscriber:
         import rclpy
@@ -208,8 +212,9 @@ class _Subscriber:
             def on_image(data: bytes) -> None:
                 stamp = serialised_stamp(data)
                 self._silent.discard(topic)
-                self._arrived[stamp] += 1
-                self.complete += self._arrived[stamp] == len(self._topics)
+                if self._frames.add(topic, stamp, None):
+                    self.complete += 1
+                    self._frames.pop(stamp)
 
             return on_image
 
@@ -227,7 +232,7 @@ class _Subscriber:
 
     def reset(self) -> None:
         """Forget all messages."""
-        self._arrived: dict[int, int] = defaultdict(int)
+        self._frames.clear()
         self._diagnostics.clear()
         self.complete = 0
 

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from humansim_ros.drawing import canvas, views
 from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.messages.frames import Frames
 from humansim_ros.ros.processes.node_processes import TimeOptions, scene_processes
 from humansim_ros.ros.processes.supervisor import EndedProcess, Supervisor
 from humansim_ros.ros.runtime import prepare_transport
@@ -160,13 +161,12 @@ class _Recorder:
         self.types: dict[str, str] = {}
         self.bytes: Counter[str] = Counter()
         self.messages: Counter[str] = Counter()
-        self._incomplete: dict[int, dict[str, NDArray[Any]]] = {}
         #: Images and joints of the latest stamp that is complete, by topic.
         self.sheet: dict[str, NDArray[Any]] = {}
-        #: Scaled images as JPEG by stamp and camera.
-        self.thumbnails: dict[int, dict[str, Any]] = {}
         #: Cameras of the pictures.
         self.cameras = list(scene.cameras)[:_MAX_CAMERAS]
+        #: Scaled images as JPEG by stamp and camera.
+        self.thumbnails: Frames[Any] = Frames(self.cameras)
         #: Stamps of frames by camera whose clock is wrong, and stamp of its image.
         self._frame_stamps: dict[str, dict[int, int]] = {
             name: {} for name in self.cameras if _has_wrong_clock(scene, name)
@@ -179,6 +179,12 @@ class _Recorder:
         self._sheet_topics = [
             f"/{camera}/{kind}" for camera in self.cameras for kind in ("image_raw", *_ENCODINGS, "joints")
         ]
+        self._for_sheet: Frames[NDArray[Any]] = Frames(
+            self._sheet_topics,
+            max_frames=_MAX_INCOMPLETE,
+            max_size=_MAX_BYTES,
+            size_of=lambda content: content.nbytes,
+        )
         self._message_types = {f"/{topic.name}": topic.type for topic in topics}
         for topic, kind in self._message_types.items():
             self.types[topic] = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
@@ -214,11 +220,11 @@ class _Recorder:
 
     def complete_stamps(self) -> tuple[int, int]:
         """Number of stamps with images of all cameras, and of any, from the first of them to the last."""
-        complete = [stamp for stamp, images in self.thumbnails.items() if len(images) == len(self.cameras)]
+        complete = self.thumbnails.whole()
         if not complete:
             return 0, len(self.thumbnails)
         # the first and the last frame of the recording were on their way
-        return len(complete), sum(min(complete) <= stamp <= max(complete) for stamp in self.thumbnails)
+        return len(complete), sum(complete[0] <= stamp <= complete[-1] for stamp in self.thumbnails.stamps())
 
     def _callback(self, topic: str) -> Callable[[bytes], None]:
         """Create the callback for serialised messages of a topic; few of them are deserialised."""
@@ -234,11 +240,12 @@ class _Recorder:
                 stamp = self._frame_stamps[camera].get(serialised_stamp(data))
             if topic in self._sheet_topics and stamp is not None:
                 content = self._joints(topic, data) if topic.endswith("/joints") else self._image(topic, data)
-                self._store_for_sheet(stamp, topic, content)
+                if self._for_sheet.add(topic, stamp, content):
+                    self.sheet = self._for_sheet.frame(stamp)
                 if topic.endswith("/image_raw"):
                     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
                     picture = cv2.imencode(".jpg", _fitted(content, _VIDEO_SIZE), quality)[1]
-                    self.thumbnails.setdefault(stamp, {})[camera] = picture
+                    self.thumbnails.add(camera, stamp, picture)
             self.messages[topic] += 1
             self.bytes[topic] += len(data)
 
@@ -284,18 +291,6 @@ class _Recorder:
             raise RosError("these are not the joints of the humans of the scene")
         return points
 
-    def _store_for_sheet(self, stamp: int, topic: str, content: NDArray[Any]) -> None:
-        """Hold contents of the stamps that came last until one stamp is complete."""
-        self._incomplete.setdefault(stamp, {})[topic] = content
-        if len(self._incomplete[stamp]) == len(self._sheet_topics):
-            self.sheet = self._incomplete[stamp]
-        held = sum(part.nbytes for parts in self._incomplete.values() for part in parts.values())
-        # the first to come, not the smallest stamp: stamps of another clock must not replace all others
-        for old in [each for each in self._incomplete if each != stamp]:
-            if len(self._incomplete) <= _MAX_INCOMPLETE and held <= _MAX_BYTES:
-                break
-            held -= sum(part.nbytes for part in self._incomplete.pop(old).values())
-
 
 def _has_wrong_clock(scene: Scene, camera: str) -> bool:
     faults = scene.scene_cameras[camera].faults
@@ -334,9 +329,10 @@ def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
     """Frames with all cameras at one stamp in a grid; each is repeated until the next stamp."""
     names, thumbnails = recorder.cameras, recorder.thumbnails
     columns = round(np.ceil(np.sqrt(len(names))))
-    complete = [stamp for stamp in sorted(thumbnails) if len(thumbnails[stamp]) == len(names)]
+    complete = thumbnails.whole()
     for stamp, following in zip(complete, [*complete[1:], None], strict=True):
-        images: list[Any] = [cv2.imdecode(thumbnails[stamp][name], cv2.IMREAD_UNCHANGED) for name in names]
+        pictures = thumbnails.frame(stamp)
+        images: list[Any] = [cv2.imdecode(pictures[name], cv2.IMREAD_UNCHANGED) for name in names]
         images += [np.zeros_like(images[0])] * (-len(images) % columns)
         rows = [np.concatenate(images[i : i + columns], axis=1) for i in range(0, len(images), columns)]
         periods = 1 if following is None else round((following - stamp) * 1e-9 / scene.period)

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from operator import itemgetter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from humansim_ros.errors import EvaluationError, printable
 from humansim_ros.evaluate.pose_sequence import Arrivals, PoseSequence, SequenceBuilder
+from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.people import MAX_PEOPLE, Pose, PoseFrame
 
 #: Most different joint names of an estimate, and most characters of a name: they come from other programs.
 MAX_JOINTS, MAX_NAME = 1024, 256
 
 
-@dataclass
-class _Frame:
-    """Estimate of one stamp. ``arrival``: that of its last part, nanoseconds; ``latency``: seconds."""
+class _Part(NamedTuple):
+    """People of a stamp on one topic, with the arrival of the last message in nanoseconds, and its latency in
+    seconds.
+    """
 
-    people: dict[str, Pose] = field(default_factory=dict)
-    topics: set[str] = field(default_factory=set)
-    arrival: int = 0
-    latency: float | None = None
+    people: Mapping[str, Pose]
+    arrival: int
+    latency: float | None
+
+    @property
+    def points(self) -> int:
+        """Number of joint positions."""
+        return sum(len(pose.names) for pose in self.people.values())
 
 
 class EstimateStream:
@@ -39,18 +45,21 @@ class EstimateStream:
 
     def __init__(self, source: str, max_points: int | None = None, max_frames: int | None = None) -> None:
         self.source = source
-        self._max_points, self._max_frames = max_points, max_frames
-        self._frames: dict[int, _Frame] = {}
+        self._frames: Frames[_Part] = Frames(
+            max_frames=max_frames, max_size=max_points, size_of=lambda part: part.points
+        )
         self._joints: set[str] = set()
-        self._points = 0
         self._has_identities = True
         self._newest: dict[str, int] = {}
         self._messages = self._duplicates = self._out_of_order = 0
-        #: Number of frames that were forgotten.
-        self.forgotten = 0
 
     def __len__(self) -> int:
         return len(self._frames)
+
+    @property
+    def forgotten(self) -> int:
+        """Number of frames that were forgotten."""
+        return self._frames.forgotten
 
     @property
     def newest(self) -> int:
@@ -86,19 +95,19 @@ class EstimateStream:
         self._messages += 1
         self._out_of_order += frame.stamp < self._newest.get(topic, 0)
         self._newest[topic] = max(frame.stamp, self._newest.get(topic, 0))
-        kept = self._frames.get(frame.stamp, _Frame())
-        before = len(kept.people)
-        if before + len(frame.people) > MAX_PEOPLE:
+        parts = self._frames.frame(frame.stamp)
+        known = _people_of(parts)
+        if len(known) + len(frame.people) > MAX_PEOPLE:
             raise EvaluationError(f"more than {MAX_PEOPLE} people at {frame.stamp * 1e-9:.6f} s")
+        new: dict[str, Pose] = {}
         for pose in frame.people:
-            self._add_person(kept, pose, person, alone=len(frame.people) == 1)
-        if len(kept.people) == before and topic in kept.topics:
+            if name := self._new_name(known, pose, person, alone=len(frame.people) == 1):
+                known[name] = new[name] = pose
+        if not new and topic in parts:
             self._duplicates += 1
             return False
-        self._frames[frame.stamp] = kept
-        kept.topics.add(topic)
-        kept.arrival, kept.latency = arrival, latency
-        self._forget()
+        before = parts[topic].people if topic in parts else {}
+        self._frames.add(topic, frame.stamp, _Part({**before, **new}, arrival, latency))
         return True
 
     def _check_names(self, people: Sequence[Pose]) -> None:
@@ -112,30 +121,27 @@ class EstimateStream:
             )
         self._joints |= new
 
-    def _add_person(self, frame: _Frame, pose: Pose, topic_person: str | None, alone: bool) -> None:
-        """Add a person to a frame if it is not there yet. ``alone``: nobody else is in its message."""
+    def _new_name(
+        self, known: Mapping[str, Pose], pose: Pose, topic_person: str | None, alone: bool
+    ) -> str | None:
+        """Name of a person in a frame; None if the person is there already.
+
+        Args:
+            known: People of the frame.
+            pose: The person.
+            topic_person: Name of the person that the topic has.
+            alone: Nobody else is in the message.
+        """
         name = pose.person
         if topic_person is not None:
             name = topic_person if name is None else f"{topic_person}/{name}"
         if name is None:
-            if any(_is_same(pose, other) for other in frame.people.values()):
-                return
+            if any(_is_same(pose, other) for other in known.values()):
+                return None
             # one person a message: the first of a stamp is always the same
-            self._has_identities = self._has_identities and alone and not frame.people
-            name = str(len(frame.people) + 1)
-        if name not in frame.people:
-            frame.people[name] = pose
-            self._points += len(pose.names)
-
-    def _forget(self) -> None:
-        """Forget the oldest frames beyond the limits."""
-        while len(self._frames) > 1 and (
-            (self._max_frames is not None and len(self._frames) > self._max_frames)
-            or (self._max_points is not None and self._points > self._max_points)
-        ):
-            oldest = self._frames.pop(next(iter(self._frames)))
-            self._points -= sum(len(pose.names) for pose in oldest.people.values())
-            self.forgotten += 1
+            self._has_identities = self._has_identities and alone and not known
+            name = str(len(known) + 1)
+        return None if name in known else name
 
     def sequence(self, since: int = 0) -> PoseSequence:
         """The poses of frames with stamps from ``since`` on, nanoseconds; also while messages are added.
@@ -144,16 +150,17 @@ class EstimateStream:
             EvaluationError: There is no pose, or no position is finite.
         """
         builder = SequenceBuilder(self.source, self._has_identities)
-        # copies: other threads may call add
-        frames = sorted((each for each in list(self._frames.items()) if each[0] >= since), key=itemgetter(0))
-        for stamp, frame in frames:
-            builder.add_frame(stamp)
-            for person, pose in list(frame.people.items()):
+        last = []
+        for stamp in self._frames.stamps():
+            parts = self._frames.frame(stamp) if stamp >= since else {}
+            if parts:  # another thread may have forgotten it
+                builder.add_frame(stamp)
+                last.append(list(parts.values())[-1])
+            for person, pose in _people_of(parts).items():
                 builder.add(stamp, person, pose.names, pose.positions, pose.score)
-        kept = [frame for _, frame in frames]
-        latencies = [frame.latency for frame in kept if frame.latency is not None]
+        latencies = [part.latency for part in last if part.latency is not None]
         arrivals = Arrivals(
-            np.array([frame.arrival for frame in kept], np.int64),
+            np.array([part.arrival for part in last], np.int64),
             np.array(latencies, float),
             self._messages,
             self._duplicates,
@@ -164,3 +171,8 @@ class EstimateStream:
 
 def _is_same(one: Pose, other: Pose) -> bool:
     return one.names == other.names and np.array_equal(one.positions, other.positions, equal_nan=True)
+
+
+def _people_of(parts: Mapping[str, _Part]) -> dict[str, Pose]:
+    """People of a stamp on all topics, by name."""
+    return {name: pose for part in parts.values() for name, pose in part.people.items()}

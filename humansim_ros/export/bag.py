@@ -38,6 +38,7 @@ from humansim_ros.export.scene import ExportCamera, ExportScene
 from humansim_ros.export.source import versions
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.messages.cdr import deserialised
+from humansim_ros.messages.frames import Frames
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.scene import CameraPose, Frame
@@ -323,22 +324,22 @@ class _Survey:
     def _frames(self, topics: Sequence[str]) -> list[_Place]:
         """Stamps at which all topics have a message. Warns of those that lack one."""
         names = [topic.name for topic in self._reader.topics]
-        found: dict[int, dict[str, int]] = {}
+        found: Frames[int] = Frames(topics)
         for message in self._reader.messages(topics):
             name = names[message.topic]
             with _reading(self._reader.path, name):
                 stamp = messages.serialised_stamp(bytes(message.data[:12]))
-            found.setdefault(stamp, {}).setdefault(name, message.stamp)
-        whole = {stamp: times for stamp, times in sorted(found.items()) if len(times) == len(topics)}
+            if name not in found.frame(stamp):
+                found.add(name, stamp, message.stamp)
+        whole = found.whole()
         if len(whole) < len(found):
-            lacking = {topic: sum(topic not in times for times in found.values()) for topic in topics}
-            listed = [topic for topic, count in lacking.items() if count]
             text = f"{len(found) - len(whole)} of {len(found)} frames lack a message on "
-            text += some_of(listed, _MAX_LISTED)
+            text += some_of(found.lacking(), _MAX_LISTED)
             if not whole:
                 raise ExportError(f"no frame is whole: {text}", path=self._reader.path)
             warn_about(self._reader.path, f"{text}: they are left out")
-        return [_Place(stamp, min(times.values()), max(times.values())) for stamp, times in whole.items()]
+        times = [found.frame(stamp).values() for stamp in whole]
+        return [_Place(stamp, min(logs), max(logs)) for stamp, logs in zip(whole, times, strict=True)]
 
     def _hash(self) -> str:
         """Hash of the topics, numbers of messages, sizes and times of the bag."""

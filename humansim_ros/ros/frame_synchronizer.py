@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.messages.cdr import deserialised
-from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
+from humansim_ros.messages.frames import GivenUpFrame, PacedFrames
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
@@ -95,7 +95,7 @@ class FrameSynchronizer:
             self._subscribe(PoseStamped, f"{name}/pose", messages.read_pose)
         for name in moving:
             self._subscribe(TwistStamped, f"{name}/twist", messages.read_twist)
-        self._buffer = FrameBuffer(self._topics, self._scene.period * 1e9)
+        self._frames = PacedFrames(self._topics, self._scene.period * 1e9)
         noisy = any(camera.sensor.config.noise for camera in self._scene.scene_cameras.values())
         #: Whether a publisher of the scene time is known.
         self._has_scene_time = False
@@ -145,8 +145,8 @@ class FrameSynchronizer:
 
     def _require_scene_time(self, required: bool) -> None:
         """Set whether frames wait for their scene time. If nothing moves, it is all that they wait for."""
-        self._buffer.require(SCENE_TIME, required or not self._topics)
-        if not required and self._buffer.has_complete:
+        self._frames.require(SCENE_TIME, required or not self._topics)
+        if not required and self._frames.has_whole:
             self._schedule_next_frame()
 
     def _on_joints(self, topic: str, data: bytes) -> None:
@@ -172,9 +172,9 @@ class FrameSynchronizer:
         steady = time.monotonic()
         if self._first_message is None:
             self._first_message = steady
-        if self._buffer.add(topic, stamp, content, steady):
+        if self._frames.add(topic, stamp, content, steady):
             self._schedule_next_frame()
-        elif frame := self._buffer.give_up(self._node.now(), steady):
+        elif frame := self._frames.give_up(self._node.now(), steady):
             self._report_given_up(frame)
 
     def _report_given_up(self, frame: GivenUpFrame) -> None:
@@ -205,7 +205,7 @@ class FrameSynchronizer:
         if all are.
         """
         paced = self._done.get_subscription_count() > 0
-        frame = self._buffer.take(not paced, self._node.now(), time.monotonic())
+        frame = self._frames.take(not paced, self._node.now(), time.monotonic())
         if frame is None:
             return
         self._has_frames = True
@@ -235,7 +235,7 @@ class FrameSynchronizer:
         report = messages.header(frame.stamp, self._reporter)
         self._done.publish(report)
         self._alive.publish(report)
-        if self._buffer.has_complete:
+        if self._frames.has_whole:
             self._schedule_next_frame()
 
     def _await_first_frame(self) -> None:

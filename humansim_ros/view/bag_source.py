@@ -6,7 +6,6 @@ import os
 import warnings
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from humansim_ros.bags.reader import BagReader
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.humans import Human
+from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.types import Indices
 from humansim_ros.view.pictures import IMAGE_WIDTH
@@ -23,24 +23,11 @@ from humansim_ros.view.seen_topics import SeenTopics, seen_topics
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
-from humansim_ros.view.topic_store import place_at
 
 #: Nanoseconds between log times of messages that are read together.
 _TOGETHER = 250_000_000
 #: Bytes of messages that are kept.
 _MAX_KEPT = 256 << 20
-
-
-@dataclass(frozen=True)
-class _Times:
-    """Messages of a topic in the order of their stamps: stamps and log times (N,), nanoseconds.
-
-    ``lasts``: a message holds until the next one, however long that takes.
-    """
-
-    stamps: Indices
-    logs: Indices
-    lasts: bool
 
 
 class BagViewSource(TopicSource):
@@ -86,11 +73,11 @@ class BagViewSource(TopicSource):
             #: Messages that were read last, by topic and log time.
             self._kept: OrderedDict[tuple[str, int], bytes] = OrderedDict()
             self._size = 0
-            self._times = self._survey()
+            #: Log times of the messages.
+            self._logs = self._survey()
             self._stamps = self._frame_stamps()
             self._last = 0
-            data = {topic: self._message(topic, 0) for topic in self._times}
-            self._shown.see(self._topics, {topic: content for topic, content in data.items() if content})
+            self._shown.see(self._topics, self._read(self._logs.first()))
             for name in self._shown.skinless:
                 self._shown.add_skin(name, self._samples(name))
             self._note_missing()
@@ -146,9 +133,10 @@ class BagViewSource(TopicSource):
 
     # --- messages
 
-    def _survey(self) -> dict[str, _Times]:
-        """Times of the messages of all topics that can be shown."""
-        found: dict[str, tuple[list[int], list[int]]] = {}
+    def _survey(self) -> Frames[int]:
+        """Log times of the messages of all topics that can be shown."""
+        found: Frames[int] = Frames()
+        lasting = self._topics.lasting
         stamped = {name: _has_stamp(self._topics.types[name]) for name in self._topics.topics}
         for message in self._reader.messages(self._topics.topics):
             name = self._number[message.topic]
@@ -165,19 +153,16 @@ class BagViewSource(TopicSource):
                 except HumansimError as error:
                     self._shown.note(f"{name}: {error.message}")
                     continue
-            stamps, logs = found.setdefault(name, ([], []))
-            stamps.append(stamp)
-            logs.append(message.stamp)
-        lasting = self._topics.lasting
-        return {name: _times(*both, name in lasting) for name, both in found.items()}
+            (found.keep if name in lasting else found.add)(name, stamp, message.stamp)
+        return found
 
     def _frame_stamps(self) -> Indices:
         """Stamps of the frames; one frame at least."""
-        people = [topics["joints"] for topics in self._topics.people.values()]
-        found = [self._times[topic].stamps for topic in people if topic in self._times]
+        found = self._logs.stamps([topics["joints"] for topics in self._topics.people.values()])
         if not found:
-            found = sorted((times.stamps for times in self._times.values()), key=len)[-1:]
-        return np.unique(np.concatenate([*found])) if found else np.zeros(1, np.int64)
+            stamps = [self._logs.stamps([topic]) for topic in self._logs.first()]
+            found = max(reversed(stamps), key=len, default=[])
+        return np.array(found or [0], np.int64)
 
     def _frame(self, index: int, cameras: Collection[str], channels: Collection[str]) -> TopicFrame:
         """Messages of a frame, with the images of some channels and cameras."""
@@ -189,35 +174,22 @@ class BagViewSource(TopicSource):
                 camera = topics.cameras[name]
                 left_out -= {topic for channel, topic in camera.images.items() if channel in wanted}
                 left_out -= {camera.joints}
-        half = self.period // 2
-        places = {
-            topic: place
-            for topic, times in self._times.items()
-            if topic not in left_out
-            and (place := place_at(times.stamps, stamp, half, times.lasts)) is not None
-        }
-        data = self._read({topic: int(self._times[topic].logs[place]) for topic, place in places.items()})
-        return TopicFrame(index, stamp, int(self._stamps[0]), data)
+        shown = [topic for topic in topics.topics if topic not in left_out]
+        logs = self._logs.near(stamp, shown, self.period // 2)
+        return TopicFrame(index, stamp, int(self._stamps[0]), self._read(logs))
 
     def _samples(self, name: str) -> list[tuple[bytes, bytes]]:
         """Joints and vertices of a person in some frames."""
         topics = self._topics.people[name]
         pair = [topics["joints"], topics["vertices"]]
-        joints, vertices = (self._times[topic] for topic in pair)
-        common = np.intersect1d(joints.stamps, vertices.stamps)
+        common = sorted(set(self._logs.stamps(pair[:1])) & set(self._logs.stamps(pair[1:])))
         found = []
-        for stamp in np.unique(common[np.linspace(0, len(common) - 1, SAMPLES).astype(int)]):
-            logs = {
-                topic: int(times.logs[np.searchsorted(times.stamps, stamp)])
-                for topic, times in zip(pair, (joints, vertices), strict=True)
-            }
-            data = self._read(logs)
+        places = np.unique(np.linspace(0, len(common) - 1, SAMPLES).astype(int)) if common else ()
+        for place in places:
+            data = self._read(self._logs.near(common[place], pair, 0))
             if data.keys() == set(pair):
                 found.append((data[pair[0]], data[pair[1]]))
         return found
-
-    def _message(self, topic: str, number: int) -> bytes | None:
-        return self._read({topic: int(self._times[topic].logs[number])}).get(topic)
 
     def _read(self, places: Mapping[str, int]) -> dict[str, bytes]:
         """Messages by topic, from their log times; damaged ones are left out."""
@@ -251,11 +223,6 @@ class BagViewSource(TopicSource):
         self._size += len(content)
         while self._size > _MAX_KEPT and len(self._kept) > 1:
             self._size -= len(self._kept.popitem(last=False)[1])
-
-
-def _times(stamps: list[int], logs: list[int], lasts: bool) -> _Times:
-    order = np.argsort(np.array(stamps, np.int64), kind="stable")
-    return _Times(np.array(stamps, np.int64)[order], np.array(logs, np.int64)[order], lasts)
 
 
 def _has_stamp(kind: str) -> bool:

@@ -24,6 +24,7 @@ from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import topic_pattern
 from humansim_ros.humans import Human
 from humansim_ros.messages.cdr import check_serialised, deserialised
+from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.people import read_people
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.graph import absolute
@@ -35,7 +36,6 @@ from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopic
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
-from humansim_ros.view.topic_store import TopicStore
 
 #: Seconds between two looks at what is wanted, and at the graph.
 _LOOK_EVERY, _DISCOVER_EVERY = 0.05, 0.5
@@ -62,6 +62,9 @@ _MAX_BYTES = {
     TF: 1 << 20,
 }
 _MAX_OTHER = 256 << 10
+#: Most bytes of all messages that are kept, most messages of a topic, and nanoseconds by which stamps go back
+#: when a new run begins.
+_MAX_KEPT, _MAX_MESSAGES, _NEW_RUN = 512 << 20, 90, 10**9
 #: Most topics whose problems are told.
 _MAX_PROBLEMS = 5
 _MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -162,12 +165,12 @@ class RosViewSource(TopicSource):
         elif not topics.cameras:
             yield "The graph has no cameras: no topic is a camera_info."
         if self._receiver.estimate is not None:
-            silence = store.silence(list(topics.estimate))
+            silence = store.silence(list(topics.estimate), time.monotonic())
             if not topics.estimate:
                 yield f"Nothing publishes the estimate, {self._receiver.estimate}."
             elif silence is None or silence > _SILENT:
                 yield f"No estimate arrives on {self._receiver.estimate}."
-        silence = store.silence(self._clock())
+        silence = store.silence(self._clock(), time.monotonic())
         if silence is not None and silence > _SILENT:
             yield f"No frame has arrived for {silence:.0f} s."
         yield from self._receiver.problems
@@ -238,7 +241,7 @@ class RosViewSource(TopicSource):
         stamp = max(common, default=None)
         if stamp is None or any(abs(stamp - other) < _SAMPLE_EVERY for other in samples):
             return
-        data = store.messages_of(stamp, dict.fromkeys(pair, False), 0)
+        data = store.near(stamp, pair, 0)
         if data.keys() == set(pair):
             samples[stamp] = data[pair[0]], data[pair[1]]
         if len(samples) >= SAMPLES:
@@ -273,12 +276,11 @@ class RosViewSource(TopicSource):
         needed = [*people, *images, *topics.estimate]
         patience = _ESTIMATE_PATIENCE if topics.estimate else _PATIENCE
         if stamp is None:
-            stamp = store.whole_frame(clock, needed, patience)
+            stamp = store.newest_whole(clock, needed, patience, time.monotonic())
         if stamp is None:
             return None
-        wanted = dict.fromkeys(set(topics.topics) - topics.on_demand | set(images), False)
-        wanted |= dict.fromkeys(topics.lasting, True)
-        data = store.messages_of(stamp, wanted, self.period // 2)
+        wanted = set(topics.topics) - topics.on_demand | {*images, *topics.lasting}
+        data = store.near(stamp, wanted, self.period // 2)
         if self._first is None or stamp < self._first:
             self._first = stamp
         if self._last is None or self._last[0].stamp != stamp:
@@ -304,7 +306,9 @@ class _Receiver:
         self.estimate, self._reading = estimate, reading
         self._below = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
         self._pattern = topic_pattern(estimate) if estimate is not None else None
-        self.store = TopicStore()
+        self.store: Frames[bytes] = Frames(
+            max_of_topic=_MAX_MESSAGES, max_size=_MAX_KEPT, size_of=len, new_run=_NEW_RUN
+        )
         self.topics = SeenTopics()
         self.changes = 0
         self._problems: dict[str, str] = {}
@@ -472,7 +476,10 @@ class _Receiver:
                 return
         if topic not in self.topics.types:
             return
-        self.store.add(topic, stamp, data, topic in self._lasting)
+        if stamp is None or topic in self._lasting:
+            self.store.keep(topic, stamp, data, time.monotonic())
+        else:
+            self.store.add(topic, stamp, data, time.monotonic())
         self._note_first(topic, again=not stamped)
 
     def _note_first(self, topic: str, again: bool = False) -> None:

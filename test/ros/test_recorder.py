@@ -273,51 +273,16 @@ def test_a_name_that_is_no_topic_is_an_error(name: str) -> None:
 # Frames of lockstep
 
 
-class FakeMessages:
-    """Messages of topics ``a`` and ``b``, which have one for each frame, and of others."""
-
-    def __init__(self) -> None:
-        from humansim_ros.ros.received_frames import ReceivedFrames
-
-        self.frames = ReceivedFrames(["a", "b"], ["tracker"])
-
-    def add(self, topic: str, stamp: int, data: bytes = b"") -> bool:
-        return self.frames.add(topic, stamp, data)
-
-
-def test_a_frame_is_whole_when_all_topics_have_delivered_it() -> None:
-    given = FakeMessages()
-    for topic in ("a", "tracker"):
-        assert given.add(topic, 1)
-        assert given.frames.take_whole() is None
-    assert given.frames.missing == ["b"]
-    assert given.add("b", 1)
-    assert given.frames.take_whole() == 1
-    assert given.frames.take_whole() is None
-    assert given.frames.is_finished(1)
-
-
-def test_a_repeated_stamp_is_kept_once_per_topic() -> None:
-    given = FakeMessages()
-    assert [given.add("a", 5), given.add("a", 5), given.add("a", 4), given.add("a", 6)] == [1, 0, 0, 1]
-
-
-def test_another_topic_may_have_several_messages_of_a_stamp() -> None:
-    given = FakeMessages()
-    sent = [(5, b"first"), (5, b"second"), (5, b"first"), (6, b"first"), (5, b"late"), (6, b"first")]
-    assert [given.add("tracker", *each) for each in sent] == [1, 1, 0, 1, 1, 0]
-
-
 def test_copies_that_a_faulty_camera_sends_are_kept_and_those_of_a_frame_that_comes_again_are_not() -> None:
+    from humansim_ros.messages.frames import RecordedFrames
     from humansim_ros.ros.nodes.recorder import ImageCopies
-    from humansim_ros.ros.received_frames import ReceivedFrames
     from humansim_ros.scene.fault_config import FaultsConfig
     from humansim_ros.scene.faults import FaultSchedule
 
     config = FaultsConfig.model_validate({"duplicate": 0.5, "clock": 0.25})
     schedule, rate = FaultSchedule(config, "left", 10.0), 10
     copies = ImageCopies({"/left/image_raw": schedule})
-    frames = ReceivedFrames([], [], copies)
+    frames = RecordedFrames([], [], copies)
     expected = [len(schedule.at(index).sent) for index in range(20)]
     assert set(expected) == {1, 2}
     for index, count in enumerate(expected):
@@ -326,32 +291,6 @@ def test_copies_that_a_faulty_camera_sends_are_kept_and_those_of_a_frame_that_co
         sent = [frames.add("/left/image_raw", schedule.at(index).stamp(stamp), b"image") for _ in range(4)]
         assert sum(sent) == count
         assert sum(frames.add("/left/other", stamp, b"image") for _ in range(2)) == 1
-
-
-def test_a_topic_whose_node_is_gone_is_not_awaited_until_it_delivers_again() -> None:
-    given = FakeMessages()
-    for topic in ("a", "b", "tracker"):
-        given.add(topic, 1)
-    given.frames.begin(2)
-    given.add("a", 2)
-    given.add("tracker", 2)
-    assert given.frames.missing == ["b"]
-    given.frames.begin(3)  # the player has given the node up
-    given.add("a", 3)
-    given.add("tracker", 3)
-    assert given.frames.take_whole() == 3
-    given.add("b", 4)
-    given.frames.begin(5)
-    given.add("a", 5)
-    given.add("tracker", 5)
-    assert given.frames.missing == ["b"]
-
-
-def test_nothing_is_given_up_before_the_first_frame() -> None:
-    given = FakeMessages()
-    given.frames.begin(1)
-    assert given.frames.missing == ["a", "b", "tracker"]
-    assert given.frames.take_whole() is None
 
 
 # A slow or full disk

@@ -26,6 +26,7 @@ from humansim_ros.bags.topics import BagTopic, check_topics
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of
 from humansim_ros.messages import header, serialised_stamp, to_nanoseconds
+from humansim_ros.messages.frames import RecordedFrames
 from humansim_ros.messages.topics import Topic, scene_topics
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.render.channels import CHANNEL_TABLE
@@ -34,7 +35,6 @@ from humansim_ros.ros.graph import TopicChoice, absolute, similar
 from humansim_ros.ros.guarded_node import ANY_SIZE
 from humansim_ros.ros.node import SuiteNode, loaded_scene
 from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME, recorded_qos, subscription_profile
-from humansim_ros.ros.received_frames import ReceivedFrames
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.faults import FaultSchedule
@@ -143,14 +143,14 @@ class RecorderNode(SuiteNode):
         self._choice = TopicChoice.of([*names, *awaited], space)
         #: Types of the topics of the scene.
         self._types = {absolute(topic.name, space): topic.type_name for topic in topics}
-        self._frames: ReceivedFrames | None = None
+        self._frames: RecordedFrames | None = None
         self._copies = ImageCopies({})
         if lockstep:
             per_frame = [absolute(topic.name, space) for topic in topics if has_message_per_frame(topic)]
             chosen = [topic for topic in (*per_frame, "/clock") if self._choice.has(topic)]
             if scene is not None:
                 self._copies = _copies(scene, {absolute(topic.name, space): topic for topic in topics})
-            self._frames = ReceivedFrames(chosen, TopicChoice.of(awaited, space).patterns, self._copies)
+            self._frames = RecordedFrames(chosen, TopicChoice.of(awaited, space).patterns, self._copies)
         self._done = self.create_publisher(Header, FRAME_DONE, DONE) if lockstep else None
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
         #: Log time of the last message, and nanoseconds by which the clock has been set back.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
+from humansim_ros.messages.frames import GivenUpFrame, PacedFrames
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 20
@@ -29,7 +29,7 @@ class Receiver:
     given_up: list[GivenUpFrame] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.buffer = FrameBuffer(self.topics, PERIOD)
+        self.buffer = PacedFrames(self.topics, PERIOD)
 
     @property
     def now(self) -> int:
@@ -230,7 +230,7 @@ def test_a_topic_holds_frames_only_while_it_is_required(receiver: Receiver) -> N
     assert frame is not None
     assert frame.contents["scene_time"] == 7
     (later,) = receiver.play(1, START + 2 * PERIOD)
-    assert not receiver.buffer.has_complete
+    assert not receiver.buffer.has_whole
     receiver.buffer.require("scene_time", False)
     frame = receiver.buffer.take(False, receiver.now, receiver.seconds)
     assert frame is not None
@@ -239,7 +239,7 @@ def test_a_topic_holds_frames_only_while_it_is_required(receiver: Receiver) -> N
 
 def test_the_last_frame_may_come_again_whole_or_in_part_and_none_counts_as_skipped() -> None:
     """In lockstep a frame is sent again for nodes that have joined."""
-    buffer = FrameBuffer(("a", "b"), PERIOD)
+    buffer = PacedFrames(("a", "b"), PERIOD)
 
     def arrives(topic: str, stamp: int) -> bool:
         return buffer.add(topic, stamp, topic, 0.0)

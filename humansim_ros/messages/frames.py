@@ -1,0 +1,549 @@
+"""Frames from messages: the one place that decides which frames are whole.
+
+A frame is the messages of one stamp. :class:`Frames` collects messages and says which frames are whole, which
+topics a frame lacks, and which messages belong to a stamp. :class:`PacedFrames` gives the frames of a running
+graph to a node, one after the other. :class:`RecordedFrames` keeps account of the frames of a recording in
+lockstep. Stamps are nanoseconds; arrival times are seconds of a monotonic clock of the caller.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right, insort
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from threading import RLock
+from typing import Any, Generic, TypeVar
+
+Content = TypeVar("Content")
+
+#: Stamp of a message that has none.
+_NO_STAMP = -1
+#: Nanoseconds after which a message that is not replaced belongs to no frame: images, and people.
+_OLDEST = 10**9
+#: Seconds without a message after which frames do not wait for a topic.
+_SILENT = 1.0
+
+
+def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool) -> int | None:
+    """Find the message that belongs to a frame: its number, or None if there is none.
+
+    The message of the stamp of the frame; else the nearest one within half a period; else the last one before
+    it, unless that is old. Where messages last: the last one up to the stamp, or the first one.
+
+    Args:
+        stamps: Stamps of the messages in ascending order.
+        stamp: Stamp of the frame.
+        half: Half a period of the frames, nanoseconds.
+        lasts: A message holds until the next one, however long that takes.
+    """
+    after = bisect_right(stamps, stamp)
+    before = after - 1
+    if lasts:
+        return max(before, 0) if stamps else None
+    near = [number for number in (before, after) if 0 <= number < len(stamps)]
+    nearest = min(near, key=lambda number: abs(stamps[number] - stamp), default=None)
+    if nearest is not None and abs(stamps[nearest] - stamp) <= half:
+        return nearest
+    return before if before >= 0 and stamp - stamps[before] <= _OLDEST else None
+
+
+class Frames(Generic[Content]):
+    """Messages by stamp and topic; a frame is whole when each required topic has a message.
+
+    Beyond a limit, the frames whose last message arrived first are forgotten. Threads may add and read at the
+    same time.
+
+    Args:
+        required: Topics of which a whole frame has a message.
+        max_frames: Most frames that are held; None: any number.
+        max_of_topic: Most messages of a topic that are held; the smallest stamps go. None: any number.
+        max_size: Greatest sum of sizes that is held; None: any.
+        size_of: Size of a content.
+        new_run: Nanoseconds by which a stamp of a topic goes back when a new run begins: all frames are
+            forgotten then. None: stamps may go back.
+
+    Attributes:
+        size: Sum of the sizes of all contents.
+        forgotten: Number of frames that were forgotten because of a limit.
+    """
+
+    def __init__(
+        self,
+        required: Iterable[str] = (),
+        *,
+        max_frames: int | None = None,
+        max_of_topic: int | None = None,
+        max_size: int | None = None,
+        size_of: Callable[[Content], int] = lambda _: 0,
+        new_run: int | None = None,
+    ) -> None:
+        self._required = dict.fromkeys(required)
+        self._max_frames, self._max_of_topic, self._max_size = max_frames, max_of_topic, max_size
+        self._size_of, self._new_run = size_of, new_run
+        self._lock = RLock()
+        #: Messages by stamp and topic; the frame with the newest message last.
+        self._frames: dict[int, dict[str, Content]] = {}
+        #: Messages that last, by topic and stamp. They belong to no frame alone, and have no limit of size.
+        self._lasting: dict[str, dict[int, Content]] = {}
+        #: Stamps of the messages of each topic in ascending order.
+        self._stamps: dict[str, list[int]] = {}
+        #: Stamp of the message of each topic that arrived last, and its arrival.
+        self._heard: dict[str, tuple[int, float]] = {}
+        self.size = self.forgotten = 0
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def require(self, topic: str, required: bool = True) -> None:
+        """Set whether frames are whole only with a message of a topic."""
+        with self._lock:
+            if required:
+                self._required[topic] = None
+            else:
+                self._required.pop(topic, None)
+
+    # --- messages
+
+    def add(self, topic: str, stamp: int, content: Content, arrival: float = 0.0) -> bool:
+        """Add a message; of several with one topic and stamp, the last is held.
+
+        Args:
+            topic: Topic of the message, required or not.
+            stamp: Stamp of the message.
+            content: Content of the message.
+            arrival: Time of its arrival.
+
+        Returns:
+            Whether its frame is whole now.
+        """
+        with self._lock:
+            if topic in self._lasting:
+                self.forget(topic)
+            self._heard[topic] = stamp, arrival
+            stamps = self._stamps.setdefault(topic, [])
+            if self._new_run is not None and stamps and stamp < stamps[-1] - self._new_run:
+                self.clear()
+            frame = self._frames[stamp] = self._frames.pop(stamp, {})
+            if topic in frame:
+                self.size -= self._size_of(frame.pop(topic))
+            else:
+                insort(stamps, stamp)
+            frame[topic] = content
+            self.size += self._size_of(content)
+            self._limit(topic)
+            return self.is_whole(stamp)
+
+    def keep(self, topic: str, stamp: int | None, content: Content, arrival: float = 0.0) -> None:
+        """Add a message that lasts until the next one of its topic, however long that takes.
+
+        Args:
+            topic: Topic of the message; all its messages last.
+            stamp: Stamp of the message; None if it has none: it replaces the last one.
+            content: Content of the message.
+            arrival: Time of its arrival.
+        """
+        key = _NO_STAMP if stamp is None else stamp
+        with self._lock:
+            if topic not in self._lasting:
+                self.forget(topic)
+            self._heard[topic] = key, arrival
+            held = self._lasting.setdefault(topic, {})
+            if key not in held:
+                insort(self._stamps.setdefault(topic, []), key)
+            held[key] = content
+            self._limit(topic)
+
+    def _limit(self, topic: str) -> None:
+        stamps = self._stamps[topic]
+        while self._max_of_topic is not None and len(stamps) > self._max_of_topic:
+            self._remove(topic, stamps[0])
+        while len(self._frames) > 1 and (
+            (self._max_frames is not None and len(self._frames) > self._max_frames)
+            or (self._max_size is not None and self.size > self._max_size)
+        ):
+            self.pop(next(iter(self._frames)))
+            self.forgotten += 1
+
+    def _remove(self, topic: str, stamp: int) -> None:
+        """Remove a message, and its frame if nothing else is in it."""
+        stamps = self._stamps[topic]
+        del stamps[bisect_left(stamps, stamp)]
+        if topic in self._lasting:
+            del self._lasting[topic][stamp]
+            return
+        frame = self._frames[stamp]
+        self.size -= self._size_of(frame.pop(topic))
+        if not frame:
+            del self._frames[stamp]
+
+    def pop(self, stamp: int) -> dict[str, Content]:
+        """Remove a frame and return its messages by topic."""
+        with self._lock:
+            frame = dict(self._frames[stamp])
+            for topic in frame:
+                self._remove(topic, stamp)
+            return frame
+
+    def forget(self, topic: str) -> None:
+        """Remove all messages of a topic."""
+        with self._lock:
+            for stamp in list(self._stamps.get(topic, ())):
+                self._remove(topic, stamp)
+            self._heard.pop(topic, None)
+            self._lasting.pop(topic, None)
+
+    def clear(self) -> None:
+        """Remove all frames; messages that last are kept."""
+        with self._lock:
+            for stamp in list(self._frames):
+                self.pop(stamp)
+
+    # --- frames
+
+    def frame(self, stamp: int) -> dict[str, Content]:
+        """Return the messages of a stamp by topic, in the order of their arrival; none without a frame."""
+        with self._lock:
+            return dict(self._frames.get(stamp, {}))
+
+    def stamps(self, topics: Collection[str] | None = None) -> list[int]:
+        """Return the stamps of frames in ascending order; only frames with a message of some topics."""
+        with self._lock:
+            if topics is None:
+                return sorted(self._frames)
+            found = {stamp for topic in topics for stamp in self._stamps.get(topic, ())}
+            return sorted(found - {_NO_STAMP})
+
+    def is_whole(self, stamp: int) -> bool:
+        """Return whether a frame has a message of each required topic."""
+        return stamp in self._frames and self._required.keys() <= self._frames[stamp].keys()
+
+    def whole(self) -> list[int]:
+        """Return the stamps of whole frames in ascending order."""
+        with self._lock:
+            return sorted(filter(self.is_whole, self._frames))
+
+    def lacking(self) -> dict[str, int]:
+        """Return the required topics that some frames lack, with the number of these frames."""
+        with self._lock:
+            counts = {topic: len(self) - len(self._stamps.get(topic, ())) for topic in self._required}
+        return {topic: count for topic, count in counts.items() if count}
+
+    def behind(self, stamp: int) -> list[str]:
+        """Return the required topics whose newest message is older than a stamp."""
+        return [topic for topic in self._required if (self._stamps.get(topic) or [_NO_STAMP])[-1] < stamp]
+
+    def newest_whole(
+        self, clock: Collection[str], needed: Collection[str], patience: int, now: float
+    ) -> int | None:
+        """Return the stamp of the newest frame with a message of all needed topics that are not silent.
+
+        Args:
+            clock: Topics whose stamps are frames.
+            needed: Topics that a whole frame has; silent ones are not waited for.
+            patience: Nanoseconds that a whole frame may be older than the newest frame.
+            now: Present time, as the arrival of messages.
+
+        Returns:
+            A stamp; of the newest frame if no frame is whole and new enough. None without frames.
+        """
+        with self._lock:
+            stamps = self.stamps(clock)
+            alive = {
+                topic for topic in needed if self._stamps.get(topic) and now - self._heard[topic][1] < _SILENT
+            }
+            for stamp in reversed(stamps):
+                if stamps[-1] - stamp > patience:
+                    break
+                if alive <= self._frames.get(stamp, {}).keys():
+                    return stamp
+            return stamps[-1] if stamps else None
+
+    def near(self, stamp: int, topics: Iterable[str], half: int) -> dict[str, Content]:
+        """Return the messages that belong to a frame by topic, as :func:`place_at` finds them.
+
+        Args:
+            stamp: Stamp of the frame.
+            topics: Topics that are wanted.
+            half: Half a period of the frames, nanoseconds.
+        """
+        with self._lock:
+            found = {}
+            for topic in topics:
+                stamps = self._stamps.get(topic, [])
+                place = place_at(stamps, stamp, half, topic in self._lasting)
+                if place is not None:
+                    found[topic] = self._content(topic, stamps[place])
+            return found
+
+    def first(self) -> dict[str, Content]:
+        """Return the message with the smallest stamp of each topic."""
+        with self._lock:
+            return {
+                topic: self._content(topic, stamps[0]) for topic, stamps in self._stamps.items() if stamps
+            }
+
+    def newest(self) -> dict[str, Content]:
+        """Return the message with the greatest stamp of each topic."""
+        with self._lock:
+            return {
+                topic: self._content(topic, stamps[-1]) for topic, stamps in self._stamps.items() if stamps
+            }
+
+    def _content(self, topic: str, stamp: int) -> Content:
+        return self._lasting[topic][stamp] if topic in self._lasting else self._frames[stamp][topic]
+
+    def silence(self, topics: Collection[str], now: float) -> float | None:
+        """Return the seconds since the last message of some topics; None if none has arrived."""
+        with self._lock:
+            heard = [self._heard[topic][1] for topic in topics if topic in self._heard]
+        return now - max(heard) if heard else None
+
+
+# --- of a running graph
+
+#: Incomplete frames that are held.
+_MAX_INCOMPLETE = 8
+#: Intervals between frames from which the period is estimated.
+_INTERVALS = 5
+#: Periods behind the newest frame after which a frame is late.
+_MAX_PERIODS_LATE = 1.5
+#: Distance from the present, in nanoseconds and in periods, from which a stamp is of another clock.
+_FAR, _FAR_PERIODS = 1_000_000_000, 4
+#: Seconds for which the last frame and the last message of a topic tell the present time.
+_RECENT = 1.0
+
+
+@dataclass(frozen=True)
+class WholeFrame:
+    """Frame with the messages of all topics.
+
+    Attributes:
+        stamp: Nanoseconds.
+        contents: Content by topic.
+        skipped: Number of earlier frames that are given up for it.
+    """
+
+    stamp: int
+    contents: Mapping[str, Any]
+    skipped: int
+
+
+@dataclass(frozen=True)
+class GivenUpFrame:
+    """Frame that is given up because too many are incomplete.
+
+    Attributes:
+        missing: Topics without a message of its stamp.
+        offsets: Seconds by which the stamps of a topic are ahead of the other topics, by topic; only topics
+            whose stamps are of another clock.
+    """
+
+    missing: list[str]
+    offsets: dict[str, float]
+
+
+class PacedFrames(Frames[Any]):
+    """Frames that a node takes one after the other, whatever else arrives.
+
+    At most eight incomplete frames are held. The first that are given up are far from the present: they have
+    stamps of another clock, such as a host whose clock is ahead, and would never be whole. The present is the
+    stamp of a frame that has just been whole. Without one, it is the time of the node's clock if a held frame
+    agrees with it, and else the median of the topics' newest stamps, as while a recording is played.
+
+    A whole frame far before the last one means that the clock was set back (a recording is played again). No
+    single message means that: one old stamp does not remove the present frames. The last frame may be whole
+    again: in lockstep it is sent again for nodes that have joined.
+
+    ``now`` is the time of the node's clock in nanoseconds.
+    """
+
+    def __init__(self, topics: Collection[str], period: float) -> None:
+        """``topics``: required topics. ``period``: expected nanoseconds between frames."""
+        super().__init__(topics)
+        self._newest_whole = 0
+        # nanoseconds between whole frames: the player's rate may differ from the scene's
+        self._intervals: deque[float] = deque([period] * _INTERVALS, maxlen=_INTERVALS)
+        # last frame that was taken: its stamp, and the node's clock and the monotonic seconds at that time
+        self._last: tuple[int, int, float] | None = None
+
+    @property
+    def has_whole(self) -> bool:
+        """Whether a whole frame can be taken."""
+        return bool(self.whole())
+
+    @property
+    def _period(self) -> float:
+        return sorted(self._intervals)[1]  # robust to few reordered or lost frames
+
+    @property
+    def _far(self) -> float:
+        return max(_FAR, _FAR_PERIODS * self._period)
+
+    def add(self, topic: str, stamp: int, content: Any, arrival: float = 0.0) -> bool:
+        """Add a message that is not shortly before the last frame.
+
+        Args:
+            topic: Topic of the message, required or not.
+            stamp: Stamp of the message.
+            content: Content of the message.
+            arrival: Time of its arrival.
+
+        Returns:
+            Whether its frame is whole now.
+        """
+        if self._last is not None and self._last[0] - self._far <= stamp < self._last[0]:
+            self._heard[topic] = stamp, arrival
+            return False
+        if not super().add(topic, stamp, content, arrival):
+            return False
+        if 0 < stamp - self._newest_whole <= self._far:
+            self._intervals.append(stamp - self._newest_whole)
+        self._newest_whole = stamp
+        return True
+
+    def take(self, newest_if_late: bool, now: int, steady: float) -> WholeFrame | None:
+        """Remove and return the oldest whole frame, if there is one.
+
+        ``newest_if_late``: the oldest frame that is not late, or the newest one if all are.
+        """
+        whole = self.whole()
+        if not whole:
+            return None
+        stamp, limit, far = whole[0], _MAX_PERIODS_LATE * self._period, self._far
+        if newest_if_late:
+            stamp = next(s for s in whole if not any(limit < later - s <= far for later in whole))
+        contents = self.pop(stamp)
+        past = [each for each in self._frames if stamp - far <= each < stamp]
+        for each in past:
+            self.pop(each)
+        # the last frame again, of which not every message came: it is not lost
+        repeated = self._last is not None and self._last[0] in past
+        self._last = (stamp, now, steady)
+        return WholeFrame(stamp, contents, len(past) - repeated)
+
+    def give_up(self, now: int, steady: float) -> GivenUpFrame | None:
+        """Remove and return an incomplete frame if there are too many.
+
+        It is the one that has waited longest for a message, of the frames far from the present if there are
+        any.
+        """
+        incomplete = [stamp for stamp in self._frames if not self.is_whole(stamp)]
+        if len(incomplete) <= _MAX_INCOMPLETE:
+            return None
+        present, far = self._present(now, steady), self._far
+        stamp = next((each for each in incomplete if abs(each - present) > far), incomplete[0])
+        frame = self.pop(stamp)
+        missing = [topic for topic in self._required if topic not in frame]
+        if abs(stamp - present) > far:
+            offsets = dict.fromkeys(frame, (stamp - present) * 1e-9)
+        else:
+            offsets = {
+                topic: (newest - present) * 1e-9
+                for topic, (newest, heard) in self._heard.items()
+                if topic in missing and steady - heard <= _RECENT and abs(newest - present) > far
+            }
+        return GivenUpFrame(missing, offsets)
+
+    def _present(self, now: int, steady: float) -> int:
+        """Stamp of a frame that is sent now."""
+        if self._last is not None:
+            stamp, then, taken = self._last
+            if steady - taken <= _RECENT:
+                return stamp + now - then
+        if any(abs(stamp - now) <= self._far for stamp in self._frames):
+            return now
+        stamps = sorted(stamp for stamp, heard in self._heard.values() if steady - heard <= _RECENT)
+        return stamps[(len(stamps) - 1) // 2]
+
+
+# --- of a recording in lockstep
+
+#: Bytes of a digest of a message.
+_DIGEST = 16
+
+
+class RecordedFrames:
+    """Account of the frames of a recording in lockstep, whose stamps never go back.
+
+    The player sends a frame again for nodes that have joined, so messages come twice. A frame is whole when
+    every awaited topic has delivered its stamp or a newer one. A topic that was missing in a frame that the
+    player has left is not awaited until it delivers again: its node is gone.
+
+    Args:
+        per_frame: Topics of the scene, which have one message for each stamp.
+        awaited: Other topics that have to deliver each stamp.
+        copies: Returns how often a message of another topic and stamp is sent.
+
+    Attributes:
+        newest: Stamp of the newest frame; 0 before the first.
+    """
+
+    def __init__(
+        self,
+        per_frame: Collection[str],
+        awaited: Collection[str] = (),
+        copies: Callable[[str, int], int] = lambda *_: 1,
+    ) -> None:
+        self._per_frame, self._awaited = frozenset(per_frame), frozenset([*per_frame, *awaited])
+        self._copies = copies
+        #: The newest message of each topic: digests of the messages of its stamp, with their number.
+        self._messages: Frames[Counter[bytes]] = Frames(self._awaited, max_of_topic=1)
+        self.newest = 0
+        self._is_whole = False
+
+    @property
+    def missing(self) -> list[str]:
+        """Awaited topics that have not delivered the newest frame."""
+        return sorted(self._messages.behind(self.newest))
+
+    def begin(self, stamp: int) -> None:
+        """Note that the player has sent a frame."""
+        if stamp > self.newest:
+            for topic in self.missing if self.newest else ():  # before the first frame, nobody had the time
+                self._messages.require(topic, False)
+            self.newest = stamp
+            self._is_whole = False
+
+    def is_finished(self, stamp: int) -> bool:
+        """Return whether :meth:`take_whole` has returned this stamp."""
+        return self._is_whole and stamp == self.newest
+
+    def add(self, topic: str, stamp: int, data: bytes) -> bool:
+        """Note a message; return whether it is new.
+
+        Messages of topics per frame are repeated if their stamp is, messages of other topics if the same
+        bytes have come as often as they are sent.
+
+        Args:
+            topic: Topic of the message.
+            stamp: Stamp of its header.
+            data: The serialised message.
+        """
+        last = max(self._messages.stamps([topic]), default=-1)
+        digests = Counter[bytes]()
+        if topic in self._per_frame:
+            if stamp <= last:
+                return False
+            self.begin(stamp)
+        elif stamp < last:
+            return True
+        else:
+            if stamp == last:
+                digests = self._messages.frame(stamp)[topic]
+            digest = blake2b(data, digest_size=_DIGEST).digest()
+            digests[digest] += 1
+            if digests[digest] > self._copies(topic, stamp):
+                return False
+        self._messages.add(topic, stamp, digests)
+        if topic in self._awaited:
+            self._messages.require(topic)
+        return True
+
+    def take_whole(self) -> int | None:
+        """Return the stamp of the newest frame if it has become whole since the last call."""
+        if self._is_whole or not self.newest or self.missing:
+            return None
+        self._is_whole = True
+        return self.newest

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import queue
-import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -18,15 +17,13 @@ from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.panels.commands import CommandsPanel
 from humansim_ros.view.panels.editor import EditorPanel
-from humansim_ros.view.panels.images import ImagesPanel
-from humansim_ros.view.panels.numbers import NumbersPanel
+from humansim_ros.view.panels.images import ImagesPanel, NumbersPanel
+from humansim_ros.view.panels.page import Player, plain_markdown
 from humansim_ros.view.panels.photographs import PhotographsPanel
-from humansim_ros.view.panels.show import ALL, ShowPanel
-from humansim_ros.view.panels.through import ThroughPanel
-from humansim_ros.view.panels.timeline import TimelinePanel
+from humansim_ros.view.panels.show import ALL, ShowPanel, ThroughPanel, TimelinePanel
 from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.picking import hit_person, person_info
-from humansim_ros.view.player import Player
+from humansim_ros.view.scene_file import file_signature
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import PageServer
 from humansim_ros.view.source import ViewFrame, ViewSource
@@ -46,7 +43,7 @@ _FIRST_IMAGES = 60.0
 class ViewApp:
     """A page that shows a source.
 
-    All of it runs in the thread that calls :meth:`run`; callbacks of the page :meth:`post` what they want.
+    All of it runs in the thread that calls :meth:`run`; callbacks of the page :meth:`post` functions to it.
 
     Args:
         source: What is shown.
@@ -88,7 +85,7 @@ class ViewApp:
         self._wanted = threading.Event()
         self._stopped = threading.Event()
         self._reload, self._path = reload, path
-        self._modified = _signature(path)
+        self._modified = file_signature(path)
         self._looked = 0.0
         self._notice: Any = None
         self._broken: str | None = None
@@ -141,7 +138,7 @@ class ViewApp:
     def post(self, function: Callable[[], None]) -> None:
         """Run a function in the thread of the page.
 
-        Its errors are shown as a notification; those that are no HumansimError are also logged.
+        Errors are shown as a notification; errors other than HumansimError are also logged.
         """
         self._posted.put(function)
         self._wanted.set()
@@ -220,7 +217,7 @@ class ViewApp:
 
     def saved(self, path: Path) -> None:
         """The scene has been saved as a file, which is watched from now on."""
-        self._path, self._modified = path, _signature(path)
+        self._path, self._modified = path, file_signature(path)
 
     def notify(self, title: str, text: str) -> None:
         """Show a notification in all browsers."""
@@ -261,7 +258,7 @@ class ViewApp:
 
     def _tell(self, messages: Sequence[str]) -> None:
         """Show what the user should know about the source."""
-        text = "\n\n".join(_plain(message) for message in messages)
+        text = "\n\n".join(plain_markdown(message) for message in messages)
         if text != self._messages.content:
             self._messages.content, self._messages.visible = text, bool(text)
 
@@ -343,7 +340,7 @@ class ViewApp:
         if make is None or self._path is None or now - self._looked < _LOOK:
             return
         self._looked = now
-        signature = _signature(self._path)
+        signature = file_signature(self._path)
         if signature == self._modified:
             return
         self._modified = signature
@@ -359,7 +356,7 @@ class ViewApp:
             self.editor.refresh()
 
     def _say_broken(self, problem: str | None) -> None:
-        """Show what is wrong at the top of the page; None: nothing any more."""
+        """Show an error at the top of the page; None removes it."""
         if problem == self._broken:
             return
         self._broken = problem
@@ -371,17 +368,3 @@ class ViewApp:
                 f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
             )
             self._notice = self.gui.add_markdown(text, order=-2)
-
-
-def _plain(text: str) -> str:
-    """A text for Markdown whose characters mean nothing: it may come from other programs."""
-    return re.sub(r"([\\`*_{}\[\]()#+!|<>~&])", r"\\\1", text)
-
-
-def _signature(path: Path | None) -> tuple[int, int] | None:
-    """Time and size of a file; None if there is none."""
-    try:
-        status = path.stat() if path is not None else None
-    except OSError:
-        return None
-    return None if status is None else (status.st_mtime_ns, status.st_size)

@@ -18,9 +18,8 @@ from humansim_ros.humans import Human
 from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.types import Indices
-from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import SeenTopics, seen_topics
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import copy
 import os
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -17,10 +16,10 @@ from pydantic import ValidationError
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section
-from humansim_ros.io.files import atomic_path, exists, expand_user, read_bytes
+from humansim_ros.io.files import exists, expand_user
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_errors
-from humansim_ros.io.yaml import MAX_BYTES, parse_yaml
+from humansim_ros.io.yaml import parse_yaml
 from humansim_ros.io.yaml_edit import YamlKey, remove_value, rename_key, set_value
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
 from humansim_ros.motion.keyframes import read_keyframes
@@ -37,41 +36,31 @@ from humansim_ros.scene.config import (
 )
 from humansim_ros.scene.rig import rig_placement
 from humansim_ros.scene.scene import Scene
-from humansim_ros.scene.source import SceneSource
-from humansim_ros.view.history import History, Step, changed_lines
-from humansim_ros.view.placing import (
+from humansim_ros.view.scene_file import NEW_SCENE, SceneFile
+from humansim_ros.view.scene_keys import (
     ItemPose,
     SectionKeys,
     camera_keys,
     camera_pose,
+    check_name,
+    find_key,
     free_place,
     human_keys,
     human_pose,
+    metres,
     object_keys,
     object_pose,
+    plain,
     rig_keys,
+    split_key,
 )
-from humansim_ros.view.scene_keys import check_name, find_key, metres, plain, split_key
 
 #: Sections whose members have a place; ``rig`` is the whole rig, and its name is ``rig``.
 SectionName = Literal["humans", "objects", "cameras", "rig"]
 
-NEW_SCENE = """\
-# A new scene: one person who walks, and one camera.
-rate: 30
-room:
-  size: [7.0, 6.4, 2.8]
-humans:
-  person: {body: adult_woman, motion: {file: walk, position: [0, -1.59], loop: continue}}
-cameras:
-  camera_1: {size: [640, 480], position: [3.1, 2.8, 2.2], look_at: [0, 0, 0.8], fov_deg: 62}
-"""
-
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
 #: Height of new cameras, and of the point at which they look, metres.
 _EYE, _CHEST = 1.8, 0.9
-#: Largest other file that a step writes, bytes.
-_MOST = 64 << 20
 
 
 class SceneFault(NamedTuple):
@@ -82,7 +71,7 @@ class SceneFault(NamedTuple):
     message: str
 
 
-class SceneDocument:
+class SceneDocument(SceneFile):
     """A scene file that is edited.
 
     Each edit changes the lines of its key only: comments, order, anchors and quotes of all other lines stay.
@@ -93,7 +82,7 @@ class SceneDocument:
     Args:
         text: Content of the scene file.
         path: The file; None for a new scene.
-        folder: Folder that relative file names start from; that of the file if None.
+        folder: Folder that relative file names start from; the folder of the file if None.
 
     Example:
         >>> document = SceneDocument()
@@ -114,18 +103,9 @@ class SceneDocument:
         path: str | os.PathLike[str] | None = None,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.path = None if path is None else Path(path)
-        self.folder = Path(folder or ("." if self.path is None else self.path.parent)).resolve()
-        self._text = text
-        self._saved = text if path is not None else ""
-        self._on_disk: bytes | None = None
-        self._encoding = "utf-8"
-        self.version = 0
-        self._history = History()
-        self._lock = threading.RLock()
-        self._files: dict[Path, tuple[bytes | None, bytes | None]] | None = None
+        super().__init__(text, path, folder)
         self._parsed: tuple[str, dict[str, Any]] | None = None
-        self._built: tuple[str, list[SceneFault], Scene | None] | None = None
+        self._built: tuple[object, list[SceneFault], Scene | None] | None = None
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SceneDocument:
@@ -142,21 +122,12 @@ class SceneDocument:
 
     # --- the text and its values
 
-    def text(self) -> str:
-        """The scene file as it would be saved."""
-        return self._text
-
-    @property
-    def changed(self) -> bool:
-        """Whether there is something to save."""
-        return self._text != self._saved
-
     def data(self) -> dict[str, Any]:
         """Values of the text, with anchors and merge keys applied. Raises SceneError if it is not valid."""
         return copy.deepcopy(self._values())
 
     def _values(self) -> dict[str, Any]:
-        """The same, to read only."""
+        """Values of :meth:`data`, to read only."""
         with self._lock:
             if self._parsed is None or self._parsed[0] != self._text:
                 data, _ = parse_yaml(self._text, SceneError, self._name)
@@ -329,7 +300,7 @@ class SceneDocument:
             name: Name in it.
             position: (3,) in ``map``, metres; (2,) for the same height. A person stays on the floor.
             yaw_deg: Heading in ``map``, degrees from +x to the left.
-            quaternion: Rotation (4,) xyzw in place of it, as of :meth:`pose`.
+            quaternion: Rotation (4,) xyzw instead of ``yaw_deg``, as :meth:`pose` gives it.
             seconds: Scene time at which keyframes have moved it there.
             continues: The same undo step as the last placing.
 
@@ -380,79 +351,15 @@ class SceneDocument:
         placement = rig_placement(config, self.source)
         return ItemPose(placement.position, placement.rotation)
 
-    # --- undo
-
-    @contextmanager
-    def step(self, label: str, command: str = "", *, continues: bool = False) -> Iterator[None]:
-        """Make several edits one step; an error takes them all back.
-
-        Args:
-            label: What it does, for the list of steps.
-            command: Command that does the same; the changed lines if empty.
-            continues: Part of the last step if that has the same label.
-        """
-        with self._lock:
-            if self._files is not None:  # within a step
-                yield
-                return
-            before, self._files = self._text, {}
-            try:
-                yield
-                if self._text != before or self._files:
-                    done = command or changed_lines(before, self._text)
-                    step = Step(label, before, self._text, done, dict(self._files))
-                    self._history.add(step, continues=continues)
-                    self._touch()
-            except BaseException:
-                self._text = before
-                self._restore({path: pair[0] for path, pair in self._files.items()})
-                raise
-            finally:
-                self._files = None
-
     def own_pose(self, kind: SectionName, name: str) -> ItemPose:
         """Pose of a person or an object in the space that its keyframes move; see :meth:`pose`."""
         config = self.config(kind, name)
         return human_pose(config) if kind == "humans" else object_pose(config)
 
-    def undo(self) -> str | None:
-        """Take the last step back; returns its label, None if there is none."""
-        with self._lock:
-            if not self._history.done:
-                return None
-            step = self._history.done.pop()
-            self._restore({path: pair[0] for path, pair in step.files.items()})
-            self._text = step.before
-            self._history.undone.append(step)
-            return step.label
-
-    def redo(self) -> str | None:
-        """Do the step again that was taken back last; returns its label, None if there is none."""
-        with self._lock:
-            if not self._history.undone:
-                return None
-            step = self._history.undone.pop()
-            self._restore({path: pair[1] for path, pair in step.files.items()})
-            self._text = step.after
-            self._history.done.append(step)
-            return step.label
-
-    def steps(self) -> tuple[list[str], list[str]]:
-        """Labels of the steps that undo takes back, and of those that redo does again; the next is last."""
-        with self._lock:
-            return [s.label for s in self._history.done], [s.label for s in self._history.undone]
-
-    def command(self) -> str:
-        """The command, or the lines of the scene file, that do the last step outside of the page."""
-        with self._lock:
-            if self._history.done:
-                return self._history.done[-1].command
-        return "" if self.path is None else f"humansim run {self.path}"
-
     # --- the scene of the text
 
     def errors(self) -> list[SceneFault]:
-        """What is wrong in the text, by the check of scene files; empty if the scene loads. Never raises."""
+        """Errors of the text, by the check of scene files; empty if the scene loads. Never raises."""
         return list(self._build()[0])
 
     def scene(self) -> Scene:
@@ -464,7 +371,7 @@ class SceneDocument:
         return scene
 
     def findings(self) -> list[SceneFault]:
-        """What is probably a mistake in a scene that loads, as ``humansim check`` says; takes about 1 s."""
+        """Probable mistakes in a scene that loads, as ``humansim check`` finds them; takes about 1 s."""
         scene = self._build()[1]
         if scene is None:
             return []
@@ -472,8 +379,9 @@ class SceneDocument:
 
     def _build(self) -> tuple[list[SceneFault], Scene | None]:
         with self._lock:
-            if self._built is None or self._built[0] != self._text:
-                self._built = self._text, *self._checked()
+            state = self._text, self.version, self.path
+            if self._built is None or self._built[0] != state:
+                self._built = state, *self._checked()
             return self._built[1:]
 
     def _checked(self) -> tuple[list[SceneFault], Scene | None]:
@@ -491,79 +399,7 @@ class SceneDocument:
             message = str(error) if elsewhere else error.message
             return [SceneFault(error.key or "", None if elsewhere else error.line, message)], None
 
-    # --- files
-
-    def save(self, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False) -> Path:
-        """Save the text.
-
-        Relative file names that exist keep their files if the scene is saved in another folder.
-
-        Args:
-            path: File to write; that of the document if None.
-            overwrite: Replace a file that has been changed by others, or that is not this document's.
-
-        Returns:
-            The file.
-
-        Raises:
-            HumansimError: There is no path; the file exists or was changed; it cannot be written.
-        """
-        with self._lock:
-            target = self.path if path is None else Path(path)
-            if target is None:
-                raise SceneError("a new scene has no file: give one")
-            if target.suffix.lower() not in (".yaml", ".yml"):
-                raise SceneError("a scene is a .yaml file: give it this suffix", path=target)
-            same = self.path is not None and target.resolve() == self.path.resolve()
-            if not overwrite and same and self.changed_on_disk():
-                raise SceneError(
-                    "another program has changed this file: reload it, or overwrite it", path=target
-                )
-            if not overwrite and not same and exists(target):
-                raise SceneError("this file exists: choose another name, or overwrite it", path=target)
-            moved = self._moved_to(target.resolve().parent)
-            data = self._encoded(moved)
-            with atomic_path(target) as temporary:
-                temporary.write_bytes(data)
-            if moved != self._text:
-                with self.step(f"Save as {target.name}"):
-                    self._edit(moved)
-            self.path, self.folder = target, target.resolve().parent
-            self._on_disk, self._saved, self._built = data, self._text, None
-            return target
-
-    def changed_on_disk(self) -> bool:
-        """Whether another program has changed the file since it was loaded or saved."""
-        if self.path is None or self._on_disk is None or not exists(self.path):
-            return False
-        try:
-            return read_bytes(self.path, SceneError, "scene", MAX_BYTES) != self._on_disk
-        except SceneError:  # it is empty now, or too large
-            return True
-
-    def reload(self) -> None:
-        """Take the text of the file on disk, as a step. Raises SceneError if it cannot be read."""
-        with self.step("Reload the file"):
-            self._read()
-
-    def _read(self) -> None:
-        assert self.path is not None
-        data = read_bytes(self.path, SceneError, "scene", MAX_BYTES)
-        if b"\0" in data:
-            raise SceneError("this is a binary file, not a scene text file", path=self.path)
-        for encoding in ("utf-8-sig" if data.startswith(b"\xef\xbb\xbf") else "utf-8", "latin-1"):
-            try:
-                text = data.decode(encoding)
-            except UnicodeDecodeError:
-                continue
-            self._text, self._saved, self._encoding, self._on_disk = text, text, encoding, data
-            return
-
-    def _encoded(self, text: str) -> bytes:
-        try:
-            return text.encode(self._encoding)
-        except UnicodeEncodeError:
-            return text.encode("utf-8")
+    # --- parts
 
     def _moved_to(self, folder: Path) -> str:
         """Text whose relative file names start from another folder."""
@@ -576,55 +412,6 @@ class SceneDocument:
             given = self._written_keys(data, keys)
             text = set_value(text, given, os.path.relpath(self.folder / name, folder), self._name)
         return text
-
-    # --- parts
-
-    @property
-    def _name(self) -> str:
-        return "scene" if self.path is None else str(self.path)
-
-    @property
-    def source(self) -> SceneSource:
-        """Finds the files of the scene."""
-        return SceneSource(self.path, self.folder, text=self._text)
-
-    def _edit(self, text: str) -> None:
-        """Take an edited text; within a step."""
-        size = len(text.encode("utf-8", "surrogatepass"))
-        if size > MAX_BYTES:
-            raise SceneError(
-                f"a scene file has at most {MAX_BYTES} bytes, and would have {size}", path=self.path
-            )
-        self._text = text
-
-    def write_file(self, path: Path, write: Callable[[Path], None]) -> None:
-        """Write another file of the scene within a step, which takes it back with it.
-
-        Args:
-            path: The file.
-            write: Writes it.
-        """
-        if self._files is None:
-            raise SceneError("files are written within a step", path=path)
-        before = read_bytes(path, SceneError, "keyframe", _MOST) if exists(path) else None
-        write(path)
-        after = read_bytes(path, SceneError, "keyframe", _MOST)
-        self._files[path] = self._files.get(path, (before, after))[0], after
-        self._touch()
-
-    def _restore(self, files: Mapping[Path, bytes | None]) -> None:
-        for path, data in files.items():
-            if data is None:
-                path.unlink(missing_ok=True)
-            else:
-                with atomic_path(path) as temporary:
-                    temporary.write_bytes(data)
-        self._touch()
-
-    def _touch(self) -> None:
-        """The scene is another one now."""
-        self.version += 1
-        self._built = None
 
     def _expand(self, keys: Sequence[YamlKey]) -> None:
         """Write sections on a path that are a text alone as mappings."""
@@ -700,7 +487,7 @@ class SceneDocument:
         return ([first] if position is not None else []) + ([second] if turned else [])
 
     def _names(self) -> AbstractSet[str]:
-        """All names: of humans, objects and cameras, those of the rig included if the scene loads."""
+        """Names of all humans, objects and cameras; also the cameras of the rig if the scene loads."""
         built = self._built[2] if self._built is not None else None
         rig = frozenset[str]() if built is None else frozenset(built.cameras)
         return rig.union(self.names("humans"), self.names("objects"), self.names("cameras"))

@@ -18,8 +18,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Image
-from humansim_ros.view.pictures import fitted
-from humansim_ros.view.source import JOINTS
+from humansim_ros.view.source import JOINTS, fitted
 
 #: Channels that joints with their visibility need.
 _JOINT_CHANNELS = ("depth", "instance", "part")

@@ -1,4 +1,4 @@
-"""What ``humansim view`` opens, told by its content: scene, bag, motion, human, calibration, photographs."""
+"""Open scenes, bags, motions, humans, calibrations and photographs for ``humansim view``, by content."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.camera import Camera, read_calibration
 from humansim_ros.camera.rigs import Optics, ring
 from humansim_ros.errors import HumansimError, PhotographError, SceneError, did_you_mean
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import is_bag
-from humansim_ros.humans import load_human
+from humansim_ros.humans import Human, load_human
 from humansim_ros.io.assets import built_in_names, find_asset
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.yaml import read_yaml
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
 from humansim_ros.resources import resource_path
 from humansim_ros.scene.config import check_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.empty_source import EmptySource
 from humansim_ros.view.photo_document import PhotoDocument
 from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.source import ViewSource
+from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, Wanted
 
 #: Cameras around a motion or a human: their number, distance and height in metres, and target.
 _COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
@@ -219,7 +219,7 @@ def _around(human: Mapping[str, Any], title: str) -> ViewSource:
 
 
 def _cameras(path: Path) -> ViewSource:
-    """The cameras of a calibration in the world of its file; those without poses at its origin."""
+    """The cameras of a calibration in the world of its file; cameras without poses are at its origin."""
     try:
         scene = Scene.from_dict({"room": None, "rig": {"file": str(path.resolve())}})
     except HumansimError:
@@ -228,3 +228,34 @@ def _cameras(path: Path) -> ViewSource:
             raise
         scene = Scene.build(cameras=dict(cameras), room=None)
     return SceneViewSource(scene, path.stem)
+
+
+class EmptySource(ViewSource):
+    """Nothing, until the file of the page is mended.
+
+    Args:
+        title: Title of the page.
+    """
+
+    title: str = ""
+    people: Mapping[str, Human] = {}
+    objects: Mapping[str, Mesh] = {}
+    static: Mapping[str, Mesh] = {}
+    cameras: Mapping[str, Camera] = {}
+    period: int = 33_333_333
+    frames: int | None = 2
+    channels: tuple[str, ...] = ("rgb",)
+    messages: Sequence[str] = ()
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+
+    def show(self, wanted: Wanted) -> ViewFrame:
+        return ViewFrame(index=0, stamp=0, scene_time=0)
+
+    def describe(self, camera: str, x: int, y: int) -> PixelInfo:
+        """Raises SceneError: there are no cameras."""
+        raise SceneError(f"no camera {camera!r}: the scene could not be read")
+
+    def close(self) -> None:
+        """Nothing to free."""

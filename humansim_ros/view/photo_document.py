@@ -1,4 +1,4 @@
-"""The photographs of a page and what is edited in them: points and solutions, undo and redo, their files."""
+"""Photographs that are edited in a page: points and solutions, undo and redo, files, outlines."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +25,7 @@ from humansim_ros.photographs.views import (
     write_points,
 )
 from humansim_ros.types import Array
-from humansim_ros.view.body_outlines import outlines
-from humansim_ros.view.history import MAX_STEPS
+from humansim_ros.view.scene_file import MAX_STEPS, file_signature
 
 #: Name of the fit beside the views file.
 FIT_NAME = "fit.yaml"
@@ -54,7 +54,7 @@ class PhotoState:
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """What is drawn over the photographs of a frame, in pixels, by view.
+    """Drawings over the photographs of a frame, in pixels, by view.
 
     Attributes:
         points: (V, K, 3) the given points with their confidences, 0 for absent ones.
@@ -90,7 +90,7 @@ class PhotoDocument:
         self._saved = self._states[0]
         self._written = points
         self._targets = {name: self._target(name) for name in photos.names}
-        self._signatures = {path: _signature(path) for path in (*self._targets.values(), self.fit_path)}
+        self._signatures = {path: file_signature(path) for path in (*self._targets.values(), self.fit_path)}
         self._locator: tuple[object, KeypointLocator] | None = None
         self._overlay: tuple[PhotoState, int, Overlay] | None = None
 
@@ -116,7 +116,7 @@ class PhotoDocument:
             raise PhotographError(f"its bones are not those of {fit.human}", path=file, key="bones")
         return cls(photos, fit)
 
-    # --- what is shown
+    # --- state and drawings
 
     @property
     def state(self) -> PhotoState:
@@ -163,7 +163,7 @@ class PhotoDocument:
         return self.photos.frames[self._frame(frame)][self._view(view)]
 
     def overlay(self, frame: int) -> Overlay:
-        """What is drawn over the photographs of a frame."""
+        """Drawings over the photographs of a frame."""
         kept = self._overlay
         if kept is None or kept[:2] != (self.state, frame):
             kept = self._overlay = (self.state, frame, self._draw(self._frame(frame)))
@@ -315,7 +315,7 @@ class PhotoDocument:
     def accept(self) -> list[str]:
         """Write the points of the views that were edited, and the fit; each file at once or not at all.
 
-        Files of detectors (COCO, OpenPose) and those of several views stay: edited points then go to a file
+        Files of detectors (COCO, OpenPose) and files of several views stay: edited points then go to a file
         of their own.
 
         Returns:
@@ -326,7 +326,7 @@ class PhotoDocument:
         """
         state, targets = self.state, self._pending()
         for path in (*targets.values(), *([] if state.fit is None else [self.fit_path])):
-            if _signature(path) != self._signatures[path]:
+            if file_signature(path) != self._signatures[path]:
                 raise HumansimError(
                     f"{path}: another program has changed it since the page has read it; move it away, or "
                     "open the page again",
@@ -335,7 +335,7 @@ class PhotoDocument:
         for row, path in targets.items():
             name = self.photos.names[row]
             write_points(path, self.keypoints, [points[row] for points in state.points])
-            self._signatures[path] = _signature(path)
+            self._signatures[path] = file_signature(path)
             named = self._below(path)
             own = path == self.photos.points_files[name]
             lines.append(
@@ -347,7 +347,7 @@ class PhotoDocument:
         self._written = state.points
         if state.fit is not None:
             write_fit(self.fit_path, self._updated(state.fit))
-            self._signatures[self.fit_path] = _signature(self.fit_path)
+            self._signatures[self.fit_path] = file_signature(self.fit_path)
             lines.append(f"wrote {FIT_NAME}")
         self._saved = state
         return lines
@@ -373,7 +373,7 @@ class PhotoDocument:
         return file
 
     def _differs(self, row: int) -> bool:
-        """Whether the points of a view are others than those in its file."""
+        """Whether the points of a view differ from its file."""
         return any(
             now is not before and not np.array_equal(now[row], before[row])
             for now, before in zip(self.state.points, self._written, strict=True)
@@ -414,10 +414,37 @@ def _is_own(file: Path) -> bool:
     return isinstance(content, dict) and "frames" in content
 
 
-def _signature(path: Path) -> tuple[int, int] | None:
-    """Time and size of a file; None if there is none."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size
+# --- outlines of bodies
+
+#: Largest width of the picture that outlines are found in, and bits behind the point of its coordinates.
+_WIDTH, _BITS = 960, 4
+#: Outlines with fewer pixels than this are left out; a line may be off by this number of pixels.
+_LEAST, _TOLERANCE = 12, 0.6
+#: Triangles that reach farther from the picture than this many times its size are left out.
+_FAR = 4.0
+
+
+def outlines(pixels: Array, triangles: NDArray[np.integer], size: tuple[int, int]) -> tuple[Array, ...]:
+    """Closed lines (N, 2) around what triangles cover in an image.
+
+    Args:
+        pixels: (V, 2) vertices in the image; NaN for vertices that are not seen.
+        triangles: (T, 3) numbers of vertices.
+        size: Width and height of the image.
+    """
+    scale = min(1.0, _WIDTH / size[0])
+    width, height = (max(1, round(side * scale)) for side in size)
+    corners = (pixels[triangles] + 0.5) * scale - 0.5  # (T, 3, 2)
+    reach = _FAR * max(width, height)
+    with np.errstate(invalid="ignore"):
+        seen = (np.abs(corners) < reach).all(axis=(1, 2))
+    fixed = np.round(corners[seen] * (1 << _BITS)).astype(np.int32)
+    mask = np.zeros((height, width), np.uint8)
+    for triangle in fixed:
+        cv2.fillConvexPoly(mask, triangle, (255,), cv2.LINE_8, _BITS)
+    found, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return tuple(
+        (cv2.approxPolyDP(line, _TOLERANCE, True)[:, 0].astype(float) + 0.5) / scale - 0.5
+        for line in found
+        if len(line) >= _LEAST
+    )

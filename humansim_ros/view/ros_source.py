@@ -31,9 +31,8 @@ from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
-from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
 

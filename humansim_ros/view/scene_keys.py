@@ -1,4 +1,8 @@
-"""Keys of scene files: what each may hold, from the schema; values that a file can hold."""
+"""Keys of scene files: their values by the schema, and the poses of people, objects, cameras and rigs.
+
+A pose is a position (3,) in ``map``, metres, and a rotation (3, 3): the axes of a human (x forward, z up),
+of an object, of the optical frame (z forward, y down), or of the world of the rig's file.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,20 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
+from scipy.spatial.transform import Rotation
 
+from humansim_ros.camera import Camera
+from humansim_ros.camera.placement import RigPlacement
 from humansim_ros.errors import SceneError, printable
 from humansim_ros.io.schema_errors import needed, show_value, unknown_key
 from humansim_ros.io.yaml_edit import YamlKey
-from humansim_ros.scene.config import SceneConfig
+from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.scene.config import CameraConfig, HumanConfig, ObjectConfig, SceneConfig
+from humansim_ros.types import Array
 
 #: Longest name of a human, object or camera, which becomes part of topics; longest text of a value.
 MAX_NAME, MAX_TEXT = 100, 10_000
@@ -186,3 +196,184 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     for part in alternatives(annotation):
         if isinstance(part, type) and issubclass(part, BaseModel):
             yield part
+
+
+# --- poses
+
+#: Distance of the point that a turned camera looks at, metres, if it has none.
+_AHEAD = 3.0
+#: Cosine of the angle below which the horizontal axis of an image counts as horizontal (0.05 degrees).
+_LEVEL = 1e-3
+#: Cosine of the smallest angle between the axis of a camera and the vertical for which z is up in the image.
+_VERTICAL = 0.999
+
+#: Keys and values of a section to write; None removes a key.
+SectionKeys = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ItemPose:
+    """``position`` (3,) in ``map``, metres; ``rotation`` (3, 3)."""
+
+    position: Array
+    rotation: Array
+
+    @property
+    def quaternion(self) -> Array:
+        """(4,) xyzw."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_quat())
+
+    def changed(
+        self,
+        position: ArrayLike | None,
+        yaw_deg: float | None = None,
+        quaternion: ArrayLike | None = None,
+        forward: int = 0,
+    ) -> ItemPose:
+        """The pose with another position or rotation.
+
+        Args:
+            position: (3,), or (2,) on the floor plane of the pose; the same if None.
+            yaw_deg: Heading of the forward axis from +x to the left, degrees; the same if None.
+            quaternion: (4,) xyzw instead of ``yaw_deg``.
+            forward: Number of the forward axis: 0 is x, 2 is z.
+
+        Raises:
+            SceneError: A number is not finite or of another count.
+        """
+        moved = self.position
+        if position is not None:
+            given = _numbers(position, (2, 3), "a position")
+            moved = np.array([*given, *self.position[len(given) :]])
+        turned = self.rotation
+        if quaternion is not None:
+            xyzw = _numbers(quaternion, (4,), "a quaternion")
+            if np.linalg.norm(xyzw) < 1e-6:
+                raise SceneError("a quaternion cannot be 0 0 0 0")
+            turned = np.asarray(Rotation.from_quat(xyzw).as_matrix())
+        elif yaw_deg is not None:
+            angle = np.radians(_numbers([yaw_deg], (1,), "an angle")[0]) - heading(self.rotation, forward)
+            turned = Rotation.from_rotvec([0, 0, angle]).as_matrix() @ self.rotation
+        return ItemPose(moved, turned)
+
+
+def heading(rotation: Array, forward: int = 0) -> float:
+    """Heading of an axis of a rotation (3, 3) from +x to the left, radians; 0 if it is vertical."""
+    x, y, _ = rotation[:, forward]
+    return float(np.arctan2(y, x)) if np.hypot(x, y) > 1e-9 else 0.0
+
+
+def human_pose(config: HumanConfig, track: KeyframeTrack | None = None, seconds: float = 0.0) -> ItemPose:
+    """Pose of the anchor of a human's motion; in the space of its keyframes at a scene time."""
+    yaw = Rotation.from_euler("z", config.motion.yaw_deg, degrees=True).as_matrix()
+    return _in_space(ItemPose(np.array([*config.motion.position, 0.0]), yaw), track, seconds)
+
+
+def human_keys(pose: ItemPose, track: KeyframeTrack | None = None, seconds: float = 0.0) -> SectionKeys:
+    """Keys of a human's motion that place its anchor: on the floor, upright."""
+    own = _from_space(pose, track, seconds)
+    yaw = degrees(np.degrees(heading(own.rotation)))
+    return {"position": metres(own.position[:2]), "yaw_deg": yaw}
+
+
+def object_pose(config: ObjectConfig, track: KeyframeTrack | None = None, seconds: float = 0.0) -> ItemPose:
+    """Pose of an object; with keyframes, at a scene time."""
+    rotation = RigPlacement.from_degrees(config.rotation_deg).rotation
+    return _in_space(ItemPose(np.array(config.position), rotation), track, seconds)
+
+
+def object_keys(pose: ItemPose, track: KeyframeTrack | None = None, seconds: float = 0.0) -> SectionKeys:
+    """Keys of an object that place it."""
+    own = _from_space(pose, track, seconds)
+    angles = RigPlacement(own.rotation).rotation_deg
+    return {"position": metres(own.position), "rotation_deg": degrees(angles)}
+
+
+def rig_keys(pose: ItemPose) -> SectionKeys:
+    """Keys of a rig that place the world of its file."""
+    angles = degrees(RigPlacement(pose.rotation).rotation_deg)
+    return {"position": metres(pose.position), "rotation_deg": angles, "look_at": None}
+
+
+def camera_pose(camera: Camera) -> ItemPose:
+    """Pose of the optical frame of a camera."""
+    return ItemPose(np.asarray(camera.center), np.asarray(camera.R).T)
+
+
+def camera_keys(config: CameraConfig, camera: Camera, pose: ItemPose, turned: bool) -> SectionKeys:
+    """Keys of a camera that place it, in the form that it has: R and t, P, or position and look_at.
+
+    Keys override the pose of a calibration file.
+
+    Args:
+        config: Section of the camera.
+        camera: The camera as it stands.
+        pose: New pose of its optical frame.
+        turned: Whether its rotation changes. Otherwise, a camera with ``look_at`` still looks there.
+
+    Raises:
+        SceneError: A trajectory moves the camera.
+    """
+    if config.trajectory is not None:
+        raise SceneError("its trajectory moves this camera: remove the key `trajectory` to place it by hand")
+    r = pose.rotation.T
+    t = -r @ pose.position
+    if config.P is not None:
+        return {"P": [[float(f"{x:.9g}") for x in row] for row in camera.K @ np.column_stack([r, t])]}
+    if config.R is not None:
+        return {"R": (np.round(r, 7) + 0.0).tolist(), "t": metres(t)}
+    if config.look_at is not None and not turned:
+        return {"position": metres(pose.position)}
+    distance = _AHEAD
+    if config.look_at is not None and config.position is not None:
+        distance = max(1.0, float(np.linalg.norm(np.subtract(config.look_at, config.position))))
+    position = np.array(metres(pose.position))
+    keys: SectionKeys = {"position": metres(position), "look_at": metres(position + distance * r[2])}
+    level = abs(r[0, 2]) < _LEVEL and r[1, 2] < 0 and abs(r[2, 2]) < _VERTICAL
+    # y of the image points down
+    keys["up"] = None if level else (np.round(-r[1], 6) + 0.0).tolist()
+    return keys
+
+
+def _in_space(pose: ItemPose, track: KeyframeTrack | None, seconds: float) -> ItemPose:
+    """Pose in ``map`` of a pose in the space that keyframes move."""
+    if track is None:
+        return pose
+    key = track.at(seconds)
+    turn = Rotation.from_quat(key.quaternion).as_matrix()
+    return ItemPose(key.position + turn @ (key.size * pose.position), turn @ pose.rotation)
+
+
+def _from_space(pose: ItemPose, track: KeyframeTrack | None, seconds: float) -> ItemPose:
+    """Pose in the space that keyframes move of a pose in ``map``."""
+    if track is None:
+        return pose
+    key = track.at(seconds)
+    turn = Rotation.from_quat(key.quaternion).as_matrix()
+    return ItemPose(turn.T @ (pose.position - key.position) / key.size, turn.T @ pose.rotation)
+
+
+def _numbers(values: ArrayLike, counts: tuple[int, ...], what: str) -> Array:
+    """Finite numbers. Raises SceneError."""
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.ndim != 1 or len(array) not in counts or not np.isfinite(array).all():
+        numbers = " or ".join(map(str, counts))
+        raise SceneError(f"{what} needs {numbers} finite number{'s' if counts != (1,) else ''}")
+    if (abs(array) > 1e6).any():
+        raise SceneError(f"{what} has numbers up to a million")
+    return array
+
+
+def free_place(near: tuple[float, float], taken: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    """Place on the floor near a point, at least 0.8 m from others."""
+    others = np.array([*taken.values()]).reshape(-1, 2)
+    for ring in range(20):
+        for corner in range(max(1, 6 * ring)):
+            angle = 2 * np.pi * corner / max(1, 6 * ring)
+            place = np.array(near) + ring * np.array([np.cos(angle), np.sin(angle)])
+            if not len(others) or np.linalg.norm(others - place, axis=1).min() >= 0.8:
+                return float(place[0]), float(place[1])
+    return near

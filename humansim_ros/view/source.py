@@ -6,6 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import cv2
+import numpy as np
+
 from humansim_ros.camera import Camera
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
@@ -13,6 +16,10 @@ from humansim_ros.types import Array, Image
 
 #: Channel of a page that is no channel of a renderer: the image with the joints drawn over it.
 JOINTS = "joints"
+#: Width of images on the page, pixels.
+IMAGE_WIDTH = 640
+#: Channels whose pixels may be mixed; others are labels or have edges.
+_SMOOTH = ("rgb", JOINTS, "shadow", "alpha")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +70,13 @@ class PixelInfo:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is wanted of a frame.
+    """A request for a frame.
 
     Attributes:
         index: Number of the frame; a live source gives its latest one instead.
         cameras: Cameras whose images are wanted.
         channels: Channels that are wanted.
-        wait: The images must be those of this frame; else the latest ones that are ready are given.
+        wait: The images must belong to this frame; otherwise the latest images that are ready are given.
     """
 
     index: int
@@ -139,7 +146,7 @@ class ViewSource(ABC):
             index: Number of the frame; a live source gives its latest one instead.
             cameras: Cameras whose images are wanted.
             channels: Channels that are wanted.
-            wait: The images must be those of this frame; else the latest ones that are ready are given.
+            wait: The images must belong to this frame; otherwise the latest images that are ready are given.
         """
         return self.show(Wanted(index, cameras, channels, wait))
 
@@ -154,3 +161,21 @@ class ViewSource(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free processes, renderers and subscriptions."""
+
+
+def fitted(image: Image, width: int, channel: str) -> Image:
+    """Image of at most ``width`` pixels; labels are not mixed."""
+    if image.shape[1] <= width:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    method = cv2.INTER_AREA if channel in _SMOOTH else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(image, (width, height), interpolation=method), dtype=np.uint8)
+
+
+def jpeg_of(image: Image, side: int | None = None) -> bytes:
+    """JPEG file of an image (H, W, 3). ``side``: most pixels of its longest side."""
+    scale = 1.0 if side is None else side / max(image.shape[:2])
+    if scale < 1:
+        smaller = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        image = np.asarray(smaller, dtype=np.uint8)
+    return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1])

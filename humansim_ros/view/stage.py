@@ -1,27 +1,36 @@
-"""The 3D part of the page: people, objects, cameras, floor, and what is drawn beside them."""
+"""The 3D part of the page: people, objects, cameras, floor, and drawings beside them."""
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from trimesh.visual.material import PBRMaterial
+from trimesh.visual.texture import TextureVisuals
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.coverage import coverage
 from humansim_ros.drawing.canvas import distinct_hues, hsv_colors
 from humansim_ros.errors import CameraError
+from humansim_ros.export.glb import split_seams
+from humansim_ros.humans import Human
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, Color, Image
-from humansim_ros.view.bodies import PageBody, keyed_color
 from humansim_ros.view.server import PREFIX, PageServer
-from humansim_ros.view.source import JOINTS, ViewFrame, ViewSource
-from humansim_ros.view.static_model import glb_of
+from humansim_ros.view.source import JOINTS, ViewFrame, ViewSource, jpeg_of
 
 #: Frames that a trail keeps, and the frames between two of its points.
 _TRAIL, _TRAIL_STEP = 60, 2
@@ -44,7 +53,7 @@ _SIZE_STEP = 1e-3
 
 @dataclass(frozen=True)
 class Options:
-    """What is drawn beside people, objects and cameras."""
+    """Drawings beside people, objects and cameras: which are on."""
 
     cameras: bool = True
     images: bool = True
@@ -61,7 +70,7 @@ class Options:
 class Stage:
     """The 3D scene of a page; made again for each source.
 
-    Each has its number in the names of the files of its people, so that no page mixes those of two stages.
+    The files of its people have the number of the stage in their names: no page mixes files of two stages.
 
     Args:
         server: The server.
@@ -441,3 +450,138 @@ def person_color(number: int) -> Color:
 def _wxyz(rotations: Array) -> Array:
     """Quaternions (N, 4) wxyz, as viser has them, of rotations (N, 3, 3)."""
     return matrix_to_quaternion(np.ascontiguousarray(rotations))[:, [3, 0, 1, 2]]
+
+
+# --- models: people as skinned meshes, objects and room as glTF files
+
+#: Bones per vertex of the page; the largest weights stay.
+_INFLUENCES = 4
+#: Longest side of a texture of a person, pixels.
+_BODY_TEXTURE = 1024
+_GREY: Color = (186, 160, 145)
+
+
+@dataclass(frozen=True)
+class PageBody:
+    """A human as the page shows it: N vertices; vertices at seams of the texture are copied.
+
+    Attributes:
+        human: The human at rest, in body space.
+        size: Scale of the body.
+    """
+
+    human: Human
+    size: float = 1.0
+
+    @cached_property
+    def _split(self) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:
+        return split_seams(self.human.mesh)
+
+    @property
+    def vertices(self) -> NDArray[np.float32]:
+        """(N, 3) at rest."""
+        return np.asarray(self.size * self.human.mesh.vertices[self._split[0]], dtype=np.float32)
+
+    @property
+    def faces(self) -> NDArray[np.uint32]:
+        """(T, 3) triangles."""
+        return self._split[2]
+
+    @property
+    def rest(self) -> Array:
+        """Bone frames (B, 4, 4) at rest."""
+        rest = self.human.skeleton.rest.copy()
+        rest[:, :3, 3] *= self.size
+        return rest
+
+    @property
+    def weights(self) -> NDArray[np.float32]:
+        """(N, B) weights of the strongest bones; rows sum to one."""
+        weights = self.human.weights.toarray()
+        if weights.shape[1] > _INFLUENCES:
+            least = np.partition(weights, -_INFLUENCES, axis=1)[:, -_INFLUENCES, None]
+            weights = np.where(weights >= least, weights, 0.0)
+        weights /= weights.sum(axis=1, keepdims=True)
+        return np.asarray(weights[self._split[0]], dtype=np.float32)
+
+    @property
+    def surface(self) -> bytes:
+        """Number of vertices (uint32), normals (N, 3) and texture coordinates (N, 2), v down, as float32."""
+        original, uv, _ = self._split
+        mesh = self.human.mesh
+        normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)[original]
+        flipped = np.zeros((len(original), 2)) if uv is None else uv
+        return b"".join(
+            [
+                np.uint32(len(original)).tobytes(),
+                np.asarray(normals, dtype=np.float32).tobytes(),
+                np.asarray(flipped, dtype=np.float32).tobytes(),
+            ]
+        )
+
+    @property
+    def texture(self) -> bytes | None:
+        """JPEG of the texture; None without one."""
+        image = self.human.mesh.texture
+        return None if image is None else jpeg_of(image, _BODY_TEXTURE)
+
+    @property
+    def color(self) -> Color:
+        """Mean colour, for pages that do not have the texture yet."""
+        mesh = self.human.mesh
+        if mesh.texture is not None:
+            used = mesh.texture[::8, ::8].reshape(-1, 3)
+        elif mesh.colors is not None:
+            used = mesh.colors
+        else:
+            return _GREY
+        red, green, blue = np.median(used, axis=0).astype(int)
+        return int(red), int(green), int(blue)
+
+
+def keyed_color(color: Color, number: int) -> Color:
+    """Colour near ``color`` whose lowest bits are the number (below 512) of a body."""
+    red, green, blue = (channel & ~7 for channel in color)
+    return red | number & 7, green | number >> 3 & 7, blue | number >> 6 & 7
+
+
+#: Longest side of a texture of the room, pixels.
+_ROOM_TEXTURE = 512
+
+
+def glb_of(meshes: Iterable[Mesh]) -> bytes:
+    """glTF file (GLB) of meshes with their textures or colours; meshes of one texture are joined."""
+    groups: dict[int, list[Mesh]] = {}
+    single: list[Mesh] = []
+    for mesh in meshes:
+        if mesh.texture is not None and mesh.uv is not None:
+            groups.setdefault(id(mesh.texture), []).append(mesh)
+        else:
+            single.append(mesh)
+    scene = trimesh.Scene()
+    for group in groups.values():
+        scene.add_geometry(_textured(group))
+    for mesh in single:
+        colors = np.full((len(mesh.vertices), 3), 170, np.uint8) if mesh.colors is None else mesh.colors
+        scene.add_geometry(
+            trimesh.Trimesh(mesh.vertices, mesh.triangles, vertex_colors=colors, process=False)
+        )
+    return bytes(scene.export(file_type="glb"))
+
+
+def _textured(meshes: list[Mesh]) -> trimesh.Trimesh:
+    """One mesh of several with the same texture."""
+    vertices, uvs, faces, count = [], [], [], 0
+    for mesh in meshes:
+        original, uv, triangles = split_seams(mesh)
+        assert uv is not None
+        vertices.append(mesh.vertices[original])
+        uvs.append(uv)
+        faces.append(triangles + count)
+        count += len(original)
+    texture = meshes[0].texture
+    assert texture is not None
+    image = PillowImage.open(io.BytesIO(jpeg_of(texture, _ROOM_TEXTURE)))
+    material = PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=False)
+    visual = TextureVisuals(uv=np.concatenate(uvs), material=material)
+    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), visual=visual, process=False)

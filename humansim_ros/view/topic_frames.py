@@ -31,11 +31,10 @@ from humansim_ros.truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Array, Float32Array
 from humansim_ros.types import Image as Picture
 from humansim_ros.view.estimates import TruePoints, beside_truth, people_of
-from humansim_ros.view.pictures import IMAGE_WIDTH, fitted
-from humansim_ros.view.pixel_info import JointsInImage, near_joint_values, surface_values
+from humansim_ros.view.picking import JointsInImage, near_joint_values, surface_values
 from humansim_ros.view.seen_topics import IMAGE, SeenCamera, SeenTopics, spaced
 from humansim_ros.view.skin_fit import fitted_skin
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, fitted
 from humansim_ros.view.topic_bodies import bone_figure, known_body, posed_joints
 from humansim_ros.view.transforms import WORLD, Transforms
 

@@ -25,7 +25,7 @@ from humansim_ros.record.plan import RecordingPlan
 from humansim_ros.record.recording import record
 from humansim_ros.scene import Frame
 from humansim_ros.view.bag_source import BagViewSource
-from humansim_ros.view.pixel_info import pixel_info
+from humansim_ros.view.picking import pixel_info
 from humansim_ros.view.source import JOINTS
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS
 

@@ -14,9 +14,15 @@ from humansim_ros.camera import Camera, read_calibration, write_calibration
 from humansim_ros.camera.rigs import Optics, ring
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.scene import Scene
-from humansim_ros.view.calibrations import add_calibration, is_ideal, set_ideal
 from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.keyframe_edit import keyframe_times, remove_keyframe, set_keyframe
+from humansim_ros.view.edits import (
+    add_calibration,
+    is_ideal,
+    keyframe_times,
+    remove_keyframe,
+    set_ideal,
+    set_keyframe,
+)
 
 TEXT = """\
 # my lab

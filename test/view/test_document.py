@@ -204,7 +204,7 @@ def test_steps_are_undone_and_redone_and_labelled() -> None:
     with pytest.raises(SceneError):
         fail()
     assert opened.value("rate") == 10
-    for rate in range(1, 300):
+    for rate in range(1, 205):
         opened.set("rate", rate)
     assert len(opened.steps()[0]) == 200
 

@@ -19,7 +19,7 @@ from waiting import wait_until
 from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.keyframe_edit import keyframe_times
+from humansim_ros.view.edits import keyframe_times
 from humansim_ros.view.panels.editor import EditorPanel
 
 pytest.importorskip("viser")
@@ -59,7 +59,17 @@ class Page:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    path = tmp_path / "scene.yaml"
+    yield from opened(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def unchanged_page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A page for tests that do not change it."""
+    yield from opened(tmp_path_factory.mktemp("page"))
+
+
+def opened(folder: Path) -> Iterator[Page]:
+    path = folder / "scene.yaml"
     path.write_text(DEMO)
     page = Page(path)
     yield page
@@ -301,7 +311,8 @@ def test_commands_run_on_the_saved_scene_with_their_progress_and_can_be_stopped(
 @pytest.mark.parametrize(
     "line", ["", "rm -rf /", "humansim", "humansim clear", "humansim run 'x", "humansim run a\0b"]
 )
-def test_only_commands_of_the_scene_are_started(line: str, page: Page) -> None:
+def test_only_commands_of_the_scene_are_started(line: str, unchanged_page: Page) -> None:
+    page = unchanged_page
     assert page.app.commands is not None
     page.app.commands.start(line)
     assert page.app.commands.job is None
@@ -319,14 +330,16 @@ def test_only_commands_of_the_scene_are_started(line: str, page: Page) -> None:
         "humansim evaluate --truth scene.yaml --estimate ~/estimate.csv",
     ],
 )
-def test_commands_name_files_below_the_folder_of_the_scene_only(line: str, page: Page) -> None:
+def test_commands_name_files_below_the_folder_of_the_scene_only(line: str, unchanged_page: Page) -> None:
+    page = unchanged_page
     assert page.app.commands is not None
     page.app.commands.start(line)
     assert page.app.commands.job is None
     assert "below" in page.told[-1]
 
 
-def test_the_page_saves_and_names_files_below_the_folder_of_the_scene_only(page: Page) -> None:
+def test_the_page_saves_and_names_files_below_the_folder_of_the_scene_only(unchanged_page: Page) -> None:
+    page = unchanged_page
     page.editor.save(str(page.path.parent.parent / "elsewhere.yaml"))
     assert "below" in page.told[-1] and not (page.path.parent.parent / "elsewhere.yaml").exists()
     with pytest.raises(HumansimError, match="below"):

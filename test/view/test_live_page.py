@@ -15,7 +15,7 @@ from pages import browser, needs_browser, served
 
 from humansim_ros import Scene
 
-pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.process]
+pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
 
 def test_people_who_come_are_shown(ros: None) -> None:

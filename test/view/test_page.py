@@ -27,10 +27,10 @@ from pages import (
 )
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.view.bodies import PageBody
 from humansim_ros.view.panels.images import mosaic
+from humansim_ros.view.stage import PageBody
 
-pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.process]
+pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
 SCENE = """\
 rate: 30

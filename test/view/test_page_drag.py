@@ -25,7 +25,7 @@ from humansim_ros.view.panels.images import mosaic
 
 _ATTEMPTS = 6
 
-pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.process]
+pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
 SCENE = """\
 # the lab

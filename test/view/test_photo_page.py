@@ -23,7 +23,7 @@ from photographs.studio import Studio, make_studio
 from humansim_ros.photographs.fit_file import read_fit
 from humansim_ros.photographs.views import read_views
 
-pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.process]
+pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
 PICTURES = os.environ.get("HUMANSIM_PICTURES")
 POINT, VIEW = "left_wrist", "view_2"

@@ -17,7 +17,7 @@ from waiting import wait_until
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.photographs.views import read_points
-from humansim_ros.view import photo_solver
+from humansim_ros.view import photo_source
 from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import open_source
 from humansim_ros.view.panels.photographs import PhotographsPanel
@@ -120,7 +120,7 @@ def test_a_stopped_solution_changes_nothing(page: Opened, monkeypatch: pytest.Mo
         while True:
             progress("poses", 1, 2)
 
-    monkeypatch.setattr(photo_solver, "fit_person", endless)
+    monkeypatch.setattr(photo_source, "fit_person", endless)
     page.panel.toggle_solving()
     assert wait_until(lambda: "1 of 2" in page.source.solver.progress)
     page.panel.toggle_solving()
@@ -143,7 +143,7 @@ def test_a_fault_in_a_solution_does_not_end_the_page(page: Opened, monkeypatch: 
     def broken(*_: Any, **__: Any) -> None:
         raise FloatingPointError("no inverse")
 
-    monkeypatch.setattr(photo_solver, "fit_person", broken)
+    monkeypatch.setattr(photo_source, "fit_person", broken)
     page.panel.toggle_solving()
     assert wait_until(page.show)
     assert page.told == [("There is no solution", "the solution has failed: FloatingPointError: no inverse")]

@@ -18,7 +18,7 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Frame
 from humansim_ros.testing import SceneGraph
-from humansim_ros.view.pixel_info import pixel_info
+from humansim_ros.view.picking import pixel_info
 from humansim_ros.view.ros_source import RosViewSource
 from humansim_ros.view.source import JOINTS
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS

@@ -14,6 +14,7 @@ from humansim_ros.io.yaml_edit import YamlKey, flow
 from humansim_ros.scene.config import LIVE, SceneConfig
 from humansim_ros.scene.objects import BUILT_IN_MESHES
 from humansim_ros.view.document import SceneDocument, SceneFault
+from humansim_ros.view.panels.page import plain_markdown
 from humansim_ros.view.scene_keys import SceneKey, alternatives, find_key
 
 #: Changes a key; None removes it.
@@ -58,7 +59,7 @@ class SectionControls:
             control.show(self._document)
 
     def show_errors(self, faults: Sequence[SceneFault]) -> list[SceneFault]:
-        """Show errors below their controls; returns those that belong to none of them."""
+        """Show errors below their controls; returns the errors that belong to no control."""
         told: dict[tuple[YamlKey, ...], str] = {}
         others = []
         for fault in faults:
@@ -220,11 +221,6 @@ class KeyControl:
             return
         with self._folder:
             self._error = gui.add_markdown(text, order=self._order + 0.5)
-
-
-def plain_markdown(text: str) -> str:
-    """Text in which nothing is markup for markdown."""
-    return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|~$" else c for c in text.replace("\n", " "))
 
 
 def _read_plain(_: SceneKey, value: Any) -> Any:

@@ -7,13 +7,22 @@ from typing import Any, cast
 
 import numpy as np
 
+from humansim_ros.drawing.motions import StickFigureArtist, strip
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.yaml_edit import YamlKey
-from humansim_ros.types import Array
+from humansim_ros.scene.actor import Actor
+from humansim_ros.types import Array, Image
 from humansim_ros.view.document import SceneDocument, SectionName
-from humansim_ros.view.page_interface import Page
-from humansim_ros.view.panels.controls import SectionControls, choices_of, plain_markdown
-from humansim_ros.view.panels.item_tools import CalibrationTools, KeyframeTools, MotionPicture
+from humansim_ros.view.edits import (
+    add_calibration,
+    is_ideal,
+    keyframe_times,
+    remove_keyframe,
+    set_ideal,
+    set_keyframe,
+)
+from humansim_ros.view.panels.controls import SectionControls, choices_of
+from humansim_ros.view.panels.page import Page, plain_markdown
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import check_value, inside
 
@@ -30,7 +39,7 @@ _MOVED, _TURNED = 5e-5, 4e-5
 
 
 class EditorPanel:
-    """The tab ``Edit`` of a page, and the gizmo of what is selected.
+    """The tab ``Edit`` of a page, and the gizmo of the selected item.
 
     Args:
         app: The page. All methods run in its thread.
@@ -103,21 +112,21 @@ class EditorPanel:
             self.select(f"{_SINGULAR[kind]} {added[0]}")
 
     def duplicate(self) -> None:
-        """Duplicate what is selected, and select the copy."""
+        """Duplicate the selected item, and select the copy."""
         kind, name = self.item
         added: list[str] = []
         if kind in _SINGULAR and self.edit(lambda: added.append(self.document.duplicate(kind, name))):
             self.select(f"{_SINGULAR[kind]} {added[0]}")
 
     def remove_selected(self) -> None:
-        """Remove what is selected from the file."""
+        """Remove the selected item from the file."""
         kind, name = self.item
         keys = [kind, name] if kind in _SINGULAR else [self.selected]
         if self.selected != "scene":
             self.edit(lambda: self.document.remove(keys))
 
     def rename(self, name: str) -> None:
-        """Rename what is selected."""
+        """Rename the selected item."""
         kind, old = self.item
         if kind not in _SINGULAR or not name or name == old:
             return
@@ -142,7 +151,7 @@ class EditorPanel:
         self.refresh()
 
     def move(self, position: Array, quaternion: Array) -> None:
-        """Place what is selected where its gizmo is.
+        """Place the selected item where its gizmo is.
 
         Args:
             position: (3,) in ``map``, metres.
@@ -183,11 +192,11 @@ class EditorPanel:
         self._app.saved(saved)
         self.refresh()
 
-    # --- what is shown
+    # --- selection and elements of the tab
 
     @property
     def item(self) -> tuple[SectionName, str]:
-        """Section and name of what is selected."""
+        """Section and name of the selected item."""
         word, _, name = self.selected.partition(" ")
         if word in _PLURAL and name:
             return cast("SectionName", _PLURAL[word]), name
@@ -313,7 +322,7 @@ class EditorPanel:
             )
 
     def controls_now(self) -> SectionControls:
-        """Controls of what is selected."""
+        """Controls of the selected item."""
         assert self._controls is not None
         return self._controls
 
@@ -352,3 +361,149 @@ class EditorPanel:
                 self._app.post(action)
 
         getattr(handle, event)(called)
+
+
+# --- parts for some items only: keyframes, calibrations, ideal cameras, pictures of motions
+
+#: Makes an edit; whether it could be made.
+Edit = Callable[[Callable[[], Any]], bool]
+
+_ADD = "Add"
+#: Size of a figure in the picture of a motion, pixels, and number of figures.
+_FIGURE, _PHASES = (110, 150), 6
+
+
+class KeyframeTools:
+    """Keys of a person or an object at the time that is shown.
+
+    Args:
+        app: The page.
+        document: The scene.
+        edit: Makes an edit, and shows it.
+    """
+
+    def __init__(self, app: Page, document: SceneDocument, edit: Edit) -> None:
+        self._app, self._document, self._edit = app, document, edit
+        self._item: tuple[SectionName, str] = "humans", ""
+        gui = app.gui
+        self._folder = gui.add_folder("Keyframes", expand_by_default=False)
+        with self._folder:
+            self._actions = gui.add_button_group(
+                "Key", (_ADD, _REMOVE), hint="at the time that is shown: add a key, or remove the nearest"
+            )
+            self._dragging = gui.add_checkbox("Gizmo sets keys", False, hint="a drag adds a key at that time")
+            self._times = gui.add_markdown("")
+        self._actions.on_click(lambda event: app.post(lambda: self.use(event.target.value)))
+
+    @property
+    def dragging(self) -> bool:
+        """Whether a drag of the gizmo adds a key."""
+        return bool(self._folder.visible and self._dragging.value)
+
+    def use(self, action: str) -> None:
+        """Add a key at the time that is shown, or remove the nearest: ``Add`` or ``Remove``."""
+        change = set_keyframe if action == _ADD else remove_keyframe
+        self._edit(lambda: change(self._document, *self._item, self._app.scene_seconds))
+
+    def drag(self, position: Array | None, quaternion: Array | None) -> None:
+        """Add a key for a place of the gizmo. Raises HumansimError."""
+        set_keyframe(self._document, *self._item, self._app.scene_seconds, position, quaternion)
+
+    def show(self, kind: SectionName, name: str) -> None:
+        """Show the keys of an item; nothing for a camera or a section."""
+        self._item = kind, name
+        self._folder.visible = kind in ("humans", "objects") and self._document.has([kind, name])
+        if self._folder.visible:
+            try:
+                times = keyframe_times(self._document, kind, name)
+            except HumansimError:  # they are wrong; the status says so
+                times = []
+            self._times.content = (
+                "keys at " + ", ".join(f"{t:g}" for t in times[:50]) + " s" if times else "no keys"
+            )
+
+
+class CalibrationTools:
+    """A calibration file to load, and ideal cameras.
+
+    Args:
+        app: The page.
+        document: The scene.
+        edit: Makes an edit, and shows it.
+    """
+
+    def __init__(self, app: Page, document: SceneDocument, edit: Edit) -> None:
+        self._document, self._edit = document, edit
+        self._item: tuple[SectionName, str] = "rig", "rig"
+        gui = app.gui
+        self._ideal = gui.add_checkbox("Ideal lens", False, hint="no distortion, a centred principal point")
+        with gui.add_folder("Calibration", expand_by_default=False):
+            self._file = gui.add_text("Calibration file", "", hint="path from the folder of the scene")
+            self._floor = gui.add_text(
+                "Floor points",
+                "",
+                hint="file with points of the floor; without it, the cameras stand upright",
+            )
+            self._as_file = gui.add_checkbox("As the file says", False, hint="its world is map")
+            load = gui.add_button("Load")
+        load.on_click(lambda _: app.post(self._load))
+        self._ideal.on_update(lambda event: self._used(app, event.client_id))
+
+    def load(self, file: str, floor_points: str = "", as_file: bool = False) -> None:
+        """Add the cameras of a calibration file; parameters as of :func:`add_calibration`."""
+
+        def add() -> None:
+            check_value(self._document.folder, [file, floor_points])
+            add_calibration(self._document, file, floor_points or None, as_file)
+
+        self._edit(add)
+
+    def idealize(self, ideal: bool) -> None:
+        """Take ideal cameras, or the real ones."""
+        if not self._edit(lambda: set_ideal(self._document, *self._item, ideal)):
+            self._ideal.value = not ideal
+
+    def show(self, kind: SectionName, name: str) -> None:
+        """Show whether a camera or the rig is ideal."""
+        self._item = kind, name
+        self._ideal.visible = kind == "rig" or (kind == "cameras" and self._document.has([kind, name]))
+        if self._ideal.visible:
+            self._ideal.value = is_ideal(self._document, kind, name)
+
+    def _load(self) -> None:
+        self.load(self._file.value, self._floor.value, bool(self._as_file.value))
+
+    def _used(self, app: Page, client: int | None) -> None:
+        if client is not None:
+            app.post(lambda: self.idealize(bool(self._ideal.value)))
+
+
+class MotionPicture:
+    """A strip of the motion of a person; drawn when it changes. ``app``: the page."""
+
+    def __init__(self, app: Page) -> None:
+        self._gui = app.gui
+        self._folder = app.gui.add_folder("Motion", visible=False)
+        self._shown: object = None
+        self._image: Any = None
+
+    def show(self, actor: Actor | None) -> None:
+        """Show the motion of a person; nothing for None."""
+        self._folder.visible = actor is not None
+        if actor is None or self._shown == (actor.motion.motion.path, actor.motion.mirror):
+            return
+        self._shown = actor.motion.motion.path, actor.motion.mirror
+        picture = motion_picture(actor)
+        if self._image is not None:
+            self._image.remove()
+        with self._folder:
+            self._image = self._gui.add_image(picture)
+
+
+def motion_picture(actor: Actor) -> Image:
+    """Stick figures of the motion of a person, (H, W, 3)."""
+    artist = StickFigureArtist.of_world(actor.motion, _FIGURE, "three-quarter")
+    try:
+        return strip([artist], _PHASES, actor.name)
+    finally:
+        artist.close()

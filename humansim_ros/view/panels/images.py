@@ -1,4 +1,4 @@
-"""Panel of the images: cameras beside each other, a row for each channel; a click tells a pixel."""
+"""Panels of the images (a column for each camera, a row for each channel) and of the numbers of a click."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from humansim_ros.drawing.canvas import draw_text
 from humansim_ros.types import Image
-from humansim_ros.view.page_interface import Page
-from humansim_ros.view.source import ViewFrame
+from humansim_ros.view.panels.page import Page
+from humansim_ros.view.source import PixelInfo, ViewFrame
 
 #: Distance of the panel from the edge, and its width, pixels; in narrow pages a share of theirs.
 _EDGE, _PANEL_WIDTH, _PANEL_SHARE = 12, 640, 0.9
@@ -152,3 +152,29 @@ class ImagesPanel:
         if found is not None:
             tile, across, down = found
             self._app.post(lambda: self._app.pick_pixel(tile.camera, across, down))
+
+
+# --- numbers of a click
+
+_HINT = "Click a person in 3D, or a pixel of an image."
+
+
+class NumbersPanel:
+    """Table of the numbers of what was clicked last."""
+
+    def __init__(self, app: Page) -> None:
+        with app.tabs["Numbers"]:
+            self._text = app.gui.add_markdown(_HINT)
+
+    def show(self, info: PixelInfo) -> None:
+        """Show numbers."""
+        rows = "\n".join(f"| {name} | {_cell(text)} |" for name, text in info.values.items())
+        self._text.content = f"| | |\n|---|---|\n{rows}"
+
+    def remove(self) -> None:
+        """Remove the panel."""
+        self._text.remove()
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

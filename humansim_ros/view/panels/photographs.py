@@ -6,20 +6,19 @@ import shlex
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 
 from humansim_ros.errors import HumansimError, printable
-from humansim_ros.types import Array, Image
-from humansim_ros.view.page_interface import Page
+from humansim_ros.types import Array
+from humansim_ros.view.panels.page import Page
 from humansim_ros.view.photo_document import FIT_NAME, Overlay
 from humansim_ros.view.photo_source import PHOTOGRAPH, PhotoSource
 from humansim_ros.view.server import PREFIX
-from humansim_ros.view.source import ViewFrame
+from humansim_ros.view.source import ViewFrame, jpeg_of
 
 _SOLVE, _STOP = "Solve", "Stop"
-#: Most rows of the table of residuals, and the quality of the photographs on the page.
-_ROWS, _QUALITY = 12, 90
+#: Most rows of the table of residuals.
+_ROWS = 12
 
 
 class PhotographsPanel:
@@ -106,7 +105,7 @@ class PhotographsPanel:
         self._app.notify("Accepted", "\n".join(written) if written else "nothing has changed")
         self._app.refresh()
 
-    # --- what is shown
+    # --- the elements of the tab
 
     def update(self, frame: ViewFrame) -> None:
         """Show a frame, and take the solution if there is one."""
@@ -170,7 +169,7 @@ class PhotographsPanel:
         _set(self._same, "content", "\n\n".join(lines))
 
     def _serve_images(self, frame: ViewFrame) -> None:
-        """Serve the photographs of a frame to the script; those of the frame before are freed."""
+        """Serve the photographs of a frame to the script; photographs of the frame before are freed."""
         images = self._source.photographs(frame.index)
         if images is self._images:
             return
@@ -180,12 +179,12 @@ class PhotographsPanel:
             for number, (view, channels) in enumerate(images.items())
             if channels
         }
-        files = {name: ("image/jpeg", _jpeg(images[view][PHOTOGRAPH])) for view, name in names.items()}
+        files = {name: ("image/jpeg", jpeg_of(images[view][PHOTOGRAPH])) for view, name in names.items()}
         self._app.server.replace_files("photographs/", files)
         self._urls = {view: f"{PREFIX}photographs/{name}" for view, name in names.items()}
 
     def _serve(self, frame: int) -> None:
-        """Serve what is drawn over the photographs."""
+        """Serve the drawings over the photographs."""
         overlay = self._document.overlay(frame)
         sides = _sides(self._document.keypoints.names, self._document.keypoints.mirrored)
         self._version += 1
@@ -283,10 +282,3 @@ def _table(overlay: Overlay, views: tuple[str, ...], names: tuple[str, ...]) -> 
     ]
     title = f"Distance of points from the solution: {np.nanmedian(residuals):.1f} px (median)"
     return f"{title}\n\n| point | view | px |\n|---|---|---|\n" + "\n".join(rows)
-
-
-def _jpeg(image: Image) -> bytes:
-    done, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    if not done:
-        raise HumansimError("a photograph cannot be shown")
-    return bytes(data)

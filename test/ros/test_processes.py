@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import Done
+from commands import humansim as in_process
 from conftest import ROOT
-from ros_support import Client, write_scene
+from ros_support import SMALL_SCENE, Client, write_scene
 from waiting import PATIENCE, wait_until
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
@@ -21,11 +23,25 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
 
 
+#: A scene of three processes: motion player, skinner and camera.
+ONE_CAMERA = """
+rate: 20
+room: null
+humans: {anna: {motion: {file: walk}}}
+cameras: {front: {size: [64, 48], position: [3, 0, 1.5], look_at: [0, 0, 1]}}
+"""
+
+
 @pytest.fixture
-def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+def scene_text() -> str:
+    return ONE_CAMERA
+
+
+@pytest.fixture
+def running(tmp_path: Path, scene_text: str) -> Iterator[subprocess.Popen[str]]:
     with (tmp_path / "output").open("w") as output:
         process = subprocess.Popen(
-            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--jobs", "2", "--no-respawn"],
+            [*HUMANSIM, "run", str(write_scene(tmp_path, scene_text)), "--jobs", "2", "--no-respawn"],
             stdout=output,
             stderr=subprocess.STDOUT,
             text=True,
@@ -70,7 +86,10 @@ def are_gone(pids: Iterable[int]) -> bool:
     return wait_until(lambda: not [pid for pid in pids if Path(f"/proc/{pid}").exists()])
 
 
-def test_cameras_in_their_own_processes_agree_on_the_stamp(ros: None, running: subprocess.Popen[str]) -> None:
+@pytest.mark.parametrize("scene_text", [SMALL_SCENE])
+def test_cameras_in_their_own_processes_agree_on_the_stamp_and_ctrl_c_stops_every_node(
+    ros: None, running: subprocess.Popen[str], tmp_path: Path
+) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 
@@ -91,11 +110,6 @@ def test_cameras_in_their_own_processes_agree_on_the_stamp(ros: None, running: s
         labels = np.frombuffer(message.data, np.uint16)
         assert {1, 2} <= set(labels.tolist())
     client.close()
-    running.send_signal(signal.SIGINT)
-    assert running.wait(PATIENCE) == 0
-
-
-def test_ctrl_c_stops_every_node(ros: None, running: subprocess.Popen[str], tmp_path: Path) -> None:
     nodes = wait_for_nodes(running, 5)
     running.send_signal(signal.SIGINT)
     assert running.wait(PATIENCE) == 0
@@ -106,22 +120,24 @@ def test_ctrl_c_stops_every_node(ros: None, running: subprocess.Popen[str], tmp_
 def test_a_node_that_dies_is_named_and_the_others_stop(
     ros: None, running: subprocess.Popen[str], tmp_path: Path
 ) -> None:
-    nodes = wait_for_nodes(running, 5)
-    (victim,) = [pid for pid, line in nodes.items() if "skinner_second" in line]
+    nodes = wait_for_nodes(running, 3)
+    (victim,) = [pid for pid, line in nodes.items() if "skinner_anna" in line]
     os.kill(victim, signal.SIGKILL)
     assert running.wait(PATIENCE) == 1
-    assert "node skinner_second ended unexpectedly (signal 9: Killed)" in (tmp_path / "output").read_text()
+    assert "node skinner_anna ended unexpectedly (signal 9: Killed)" in (tmp_path / "output").read_text()
     assert are_gone(nodes)
 
 
+@pytest.mark.nightly
 def test_nodes_end_with_a_run_that_is_killed(ros: None, running: subprocess.Popen[str]) -> None:
-    nodes = wait_for_nodes(running, 5)
+    nodes = wait_for_nodes(running, 3)
     running.kill()
     running.wait(PATIENCE)
     assert are_gone(nodes)
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_in_a_namespace(ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import Image
 
@@ -145,7 +161,7 @@ def test_a_run_in_a_namespace(ros: None, tmp_path: Path) -> None:
     assert "Traceback" not in output.read_text()
 
 
-def humansim(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def as_process(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [*HUMANSIM, *map(str, arguments)],
         capture_output=True,
@@ -155,7 +171,7 @@ def humansim(*arguments: str | Path, **environment: str) -> subprocess.Completed
     )
 
 
-def refused(result: subprocess.CompletedProcess[str], *words: str) -> None:
+def refused(result: subprocess.CompletedProcess[str] | Done, *words: str) -> None:
     """Check exit code 2 and one message with these words, without a traceback."""
     assert result.returncode == 2, result.stdout + result.stderr
     assert "Traceback" not in result.stderr
@@ -191,7 +207,7 @@ def test_a_broken_motion_is_refused_with_its_file(name: str, tmp_path: Path) -> 
     text, words = BROKEN_MOTIONS[name]
     path = tmp_path / f"{name}.bvh"
     path.write_text(text)
-    refused(humansim("run", "--motion", path), f"{name}.bvh", *words)
+    refused(in_process("run", "--motion", path), f"{name}.bvh", *words)
     assert sorted(p.name for p in tmp_path.iterdir()) == [path.name]
 
 
@@ -208,7 +224,7 @@ def test_a_broken_mesh_is_refused_with_its_file_and_line(name: str, tmp_path: Pa
     text, words = BROKEN_MESHES[name]
     path = tmp_path / f"{name}.obj"
     path.write_text(text)
-    refused(humansim("run", "--body", path), f"{name}.obj", *words)
+    refused(in_process("run", "--body", path), f"{name}.obj", *words)
 
 
 BROKEN_SCENES = {
@@ -237,32 +253,32 @@ BROKEN_SCENES = {
 @pytest.mark.parametrize("name", BROKEN_SCENES)
 def test_a_broken_scene_is_refused_with_its_key(name: str, tmp_path: Path) -> None:
     text, words = BROKEN_SCENES[name]
-    refused(humansim("run", write_scene(tmp_path, text)), *words)
+    refused(in_process("run", write_scene(tmp_path, text)), *words)
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    refused(humansim("run", tmp_path / "nothing.yaml"), "nothing.yaml", "no such")
-    refused(humansim("run", "--motion", tmp_path / "nothing.bvh"), "nothing.bvh", "no such")
-    refused(humansim("run", "--body", tmp_path / "nothing.obj"), "nothing.obj", "no such")
-    refused(humansim("run", "--joint-names", tmp_path / "nothing.yaml"), "nothing.yaml")
+    refused(as_process("run", tmp_path / "nothing.yaml"), "nothing.yaml", "no such")
+    refused(in_process("run", "--motion", tmp_path / "nothing.bvh"), "nothing.bvh", "no such")
+    refused(in_process("run", "--body", tmp_path / "nothing.obj"), "nothing.obj", "no such")
+    refused(in_process("run", "--joint-names", tmp_path / "nothing.yaml"), "nothing.yaml")
 
 
 def test_a_wrong_option_is_refused() -> None:
-    refused(humansim("run", "--no-such-option"), "--no-such-option")
-    refused(humansim("no-such-command"), "no-such-command")
-    refused(humansim("run", "--live", "nobody"), "nobody", "walker")
+    refused(in_process("run", "--no-such-option"), "--no-such-option")
+    refused(in_process("no-such-command"), "no-such-command")
+    refused(in_process("run", "--live", "nobody"), "nobody", "walker")
 
 
 def test_a_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    refused(humansim("demo", "-o", tmp_path / "file" / "pictures"), "file/pictures", "folder")
+    refused(in_process("demo", "-o", tmp_path / "file" / "pictures"), "file/pictures", "folder")
 
 
 def test_without_opengl_the_missing_packages_are_named(tmp_path: Path) -> None:
     nothing = str(tmp_path / "nothing")
     without = {"__EGL_VENDOR_LIBRARY_DIRS": nothing, "__EGL_VENDOR_LIBRARY_FILENAMES": nothing}
-    refused(humansim("run", "--seconds", "5", **without), "libegl1", "libgl1-mesa-dri")
-    refused(humansim("demo", "-o", tmp_path / "demo", **without), "libegl1", "libgl1-mesa-dri")
+    refused(as_process("run", "--seconds", "5", **without), "libegl1", "libgl1-mesa-dri")
+    refused(as_process("demo", "-o", tmp_path / "demo", **without), "libegl1", "libgl1-mesa-dri")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -299,7 +315,7 @@ def test_a_node_refuses_invalid_input_with_exit_code_2(tmp_path: Path) -> None:
 def test_the_demo_writes_its_pictures(tmp_path: Path) -> None:
     import cv2
 
-    result = humansim("demo", "--seconds", "3", "-o", tmp_path / "pictures")
+    result = as_process("demo", "--seconds", "3", "-o", tmp_path / "pictures")
     assert result.returncode == 0, result.stdout + result.stderr
     assert "/camera_4/image_raw" in result.stdout
     assert "equal stamps" in result.stdout

@@ -9,8 +9,9 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import ROOT
@@ -103,6 +104,12 @@ def handles_hangup(pid: int | None) -> bool:
     return bool(caught >> (signal.SIGHUP - 1) & 1)
 
 
+def quick_and_nightly(quick: Sequence[Any], nightly: Sequence[Any]) -> list[Any]:
+    """Parameters of a test: a few for each run, and those of the nightly run."""
+    return [*quick, *(pytest.param(*each if isinstance(each, tuple) else (each,), marks=pytest.mark.nightly)
+                      for each in nightly)]  # fmt: skip
+
+
 # Restarts
 
 
@@ -120,6 +127,7 @@ def test_a_long_run_ends_a_row_of_deaths() -> None:
     assert [policy.delay(ran) for ran in (1.0, 1.0, 60.0, 1.0)] == [0.0, 0.5, 0.0, 0.5]
 
 
+@pytest.mark.nightly
 def test_a_node_that_dies_again_and_again_is_given_up(
     ros: None, processes: Processes, tmp_path: Path, output: Path
 ) -> None:
@@ -153,6 +161,7 @@ def test_a_node_with_wrong_input_is_not_started_again(ros: None, tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_nodes_are_back_with_their_latched_topics(
     ros: None, processes: Processes, tmp_path: Path
 ) -> None:
@@ -267,7 +276,7 @@ def test_a_node_whose_parent_is_dead_already_ends(ros: None, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.05 * 1.5**k for k in range(10)])
+@pytest.mark.parametrize("delay", quick_and_nightly([0.2], [0.05 * 1.5**k for k in range(10)]))
 def test_nothing_is_left_of_a_run_that_is_killed_while_it_starts(
     ros: None, processes: Processes, tmp_path: Path, output: Path, delay: float
 ) -> None:
@@ -282,7 +291,7 @@ def test_nothing_is_left_of_a_run_that_is_killed_while_it_starts(
 # Signals
 
 
-@pytest.mark.parametrize("name", ["INT", "TERM", "HUP", "QUIT"])
+@pytest.mark.parametrize("name", quick_and_nightly(["INT"], ["TERM", "HUP", "QUIT"]))
 def test_a_run_in_the_background_of_a_script_stops_in_order(
     ros: None, processes: Processes, tmp_path: Path, output: Path, name: str
 ) -> None:
@@ -299,7 +308,10 @@ def test_a_run_in_the_background_of_a_script_stops_in_order(
 
 @pytest.mark.parametrize(
     ("command", "number"),
-    [("demo", signal.SIGTERM), ("bench", signal.SIGHUP), ("bench", signal.SIGINT), ("run", signal.SIGTERM)],
+    quick_and_nightly(
+        [("bench", signal.SIGHUP), ("run", signal.SIGTERM)],
+        [("bench", signal.SIGINT), ("demo", signal.SIGTERM)],
+    ),
 )
 def test_a_command_that_has_not_finished_says_which_signal_stopped_it(
     ros: None, processes: Processes, tmp_path: Path, output: Path, command: str, number: signal.Signals
@@ -367,9 +379,17 @@ print(request.number)
     assert done.stdout == f"{signal.SIGTERM.value}\n"
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.0])
 @pytest.mark.parametrize(
-    "node", ["motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"]
+    ("node", "delay"),
+    quick_and_nightly(
+        [("camera", 0.3), ("recorder", 1.0)],
+        [
+            (node, delay)
+            for node in ("motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator")
+            for delay in (0.0, 0.3, 1.0, 2.0)
+            if (node, delay) not in (("camera", 0.3), ("recorder", 1.0))
+        ],
+    ),
 )
 def test_ctrl_c_while_a_node_starts_is_quiet(
     ros: None, processes: Processes, tmp_path: Path, output: Path, node: str, delay: float

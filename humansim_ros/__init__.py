@@ -18,8 +18,10 @@ Example:
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 __version__: str
@@ -60,6 +62,7 @@ _load, __dir__, __all__ = lazy_exports(
         "Scene": "scene.scene",
         "Simulation": "scene.simulation",
         "View": "render.channels",
+        "evaluate": "apps.api",
         "idealize": "camera.ideal",
         "load_human": "humans.loading",
         "read_bvh": "motion.bvh",
@@ -70,6 +73,23 @@ _load, __dir__, __all__ = lazy_exports(
         "write_calibration": "camera.calibration",
     },
 )
+
+
+class _CallableFolder(ModuleType):
+    """A folder that has the name of a public function: ``humansim_ros.record`` is both."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return self.__wrapped__(*args, **kwargs)
+
+    @property
+    def __wrapped__(self) -> Callable[..., Any]:
+        function: Callable[..., Any] = _load(self.__name__.rpartition(".")[2])
+        return function
+
+
+def make_callable(folder: str) -> None:
+    """Let a folder be called as the public function of its name. ``folder``: its ``__name__``."""
+    sys.modules[folder].__class__ = _CallableFolder
 
 
 def __getattr__(name: str) -> Any:

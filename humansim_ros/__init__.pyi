@@ -1,6 +1,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from humansim_ros.apps.api import evaluate as evaluate
 from humansim_ros.camera.calibration import read_calibration as read_calibration
 from humansim_ros.camera.calibration import write_calibration as write_calibration
 from humansim_ros.camera.camera import Camera as Camera
@@ -22,6 +23,7 @@ from humansim_ros.scene.simulation import Simulation as Simulation
 
 __version__: str
 
+def make_callable(folder: str) -> None: ...
 def lazy_exports(
     package: str, modules: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]: ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import subprocess
 import sys
@@ -46,16 +47,19 @@ BASE = {"__init__", "bounds", "errors", "hierarchy", "pictures", "resources", "r
 #: Deprecated paths that lead to the folder above which they stood.
 DEPRECATED = {"body/__init__.py", "body/mesh.py", "ros/viewer_layouts.py"}
 PUBLIC = {
-    "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View idealize
-        load_human read_bvh read_calibration read_mesh read_motion write_bvh write_calibration""",
+    "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View evaluate
+        idealize load_human read_bvh read_calibration read_mesh read_motion write_bvh write_calibration""",
+    "apps": "Comparison foxglove_layout rviz_layout",
+    "bags": "BagMessage BagReader BagTopic BagWriter Qos encode_chunk",
     "body": "Skeleton fit_skeleton fit_to_skeleton hanim_skeleton rig skin",
-    "camera": """Calibration Camera Ideal Lens Region Trajectory idealize load_calibration read_calibration
-        rectify resolve_url write_calibration""",
+    "camera": """Calibration Camera Coverage Ideal Lens Region Trajectory idealize load_calibration
+        read_calibration rectify resolve_url write_calibration""",
     "humans": "Human load_human make_human",
     "keypoints": "KEYPOINT_SETS KeypointLocator KeypointSet keypoint_set",
     "mesh": "Material Mesh read_mesh",
-    "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity
-        WorldMotion match_motion read_bvh read_motion write_bvh""",
+    "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity WorldMotion
+        fit_capsules load_limits match_motion read_bvh read_keyframes read_motion report_penetration to_world
+        write_bvh""",
     "photographs": """PersonFit Photo PhotoSet Proportions TexturedPerson fit_motion fit_person read_fit
         read_views texture_person with_proportions write_fit""",
     "render": """ALL_CHANNELS AdjacentFrame Backdrop Body CHANNELS GLRenderer ImageBackdrop Lighting
@@ -191,7 +195,7 @@ def test_names_for_type_checkers_are_those_that_are_exported() -> None:
         for name, module in typed:
             assert module is not None
             defined = getattr(__import__(module, fromlist=[name or ""]), name or "")
-            assert getattr(package, name or "") is defined
+            assert inspect.unwrap(getattr(package, name or "")) is defined
 
 
 def test_no_class_or_alias_name_has_two_meanings() -> None:

@@ -26,8 +26,8 @@ sys.path.insert(0, str(ROOT))
 
 #: Folders with public names, in the order of docs/api.md.
 FOLDERS = (
-    "", "scene", "camera", "motion", "humans", "keypoints", "body", "mesh", "render", "sensor", "truth",
-    "photographs",
+    "", "scene", "camera", "motion", "bags", "apps", "humans", "keypoints", "body", "mesh", "render",
+    "sensor", "truth", "photographs",
 )  # fmt: skip
 
 #: Target of a link or of an image, outside code.

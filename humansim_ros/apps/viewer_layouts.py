@@ -7,23 +7,25 @@ config/humansim.rviz and config/humansim_foxglove.json are those of the demo sce
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import yaml
 
-from humansim_ros.scene.names import SceneNames
+from humansim_ros.scene.names import SceneNames, read_names
 
 #: Cameras whose images are shown; more would fill the window.
 _MOST_IMAGES = 4
 
 
-def rviz_layout(names: SceneNames, namespace: str = "") -> str:
+def rviz_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "") -> str:
     """Text of a configuration of RViz.
 
-    ``names``: humans and cameras of the scene. ``namespace``: ROS namespace of its nodes, without the first
-    ``/``.
+    ``scene``: scene file, or its humans and cameras. ``namespace``: ROS namespace of its nodes, without the
+    first ``/``.
     """
+    names = scene if isinstance(scene, SceneNames) else read_names(scene)
     root = f"/{namespace}/" if namespace else "/"
     displays: list[dict[str, Any]] = [
         _display(
@@ -141,8 +143,9 @@ def _display(
     return {**display, **(properties or {}), "Value": True}
 
 
-def foxglove_layout(names: SceneNames, namespace: str = "") -> str:
+def foxglove_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "") -> str:
     """Text of a layout file of Foxglove; parameters as in :func:`rviz_layout`."""
+    names = scene if isinstance(scene, SceneNames) else read_names(scene)
     root = f"/{namespace}/" if namespace else "/"
     shown = {"visible": True}
     world: dict[str, Any] = {f"{root}humans/{human}/markers": shown for human in names.humans}

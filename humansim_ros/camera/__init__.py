@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from humansim_ros.camera.calibration import resolve_url as resolve_url
     from humansim_ros.camera.calibration import write_calibration as write_calibration
     from humansim_ros.camera.camera import Camera as Camera
+    from humansim_ros.camera.coverage import Coverage as Coverage
     from humansim_ros.camera.ideal import Ideal as Ideal
     from humansim_ros.camera.ideal import idealize as idealize
     from humansim_ros.camera.ideal import rectify as rectify
@@ -23,6 +24,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "Calibration": "calibration",
         "Camera": "camera",
+        "Coverage": "coverage",
         "Ideal": "ideal",
         "Lens": "lens",
         "Region": "region",

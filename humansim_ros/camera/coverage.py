@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -32,33 +33,58 @@ class Coverage:
         cell = abs((self.x[1] - self.x[0]) * (self.y[1] - self.y[0]))
         return float(((self.counts >= least) & (self.counts <= most)).sum() * cell)
 
+    @classmethod
+    def of(
+        cls,
+        cameras: Mapping[str, Camera],
+        x: ArrayLike,
+        y: ArrayLike,
+        low: float,
+        high: float | None = None,
+    ) -> Coverage:
+        """Count the cameras that see each position of a grid. Nothing occludes anything.
+
+        Args:
+            cameras: Cameras by name.
+            x: Positions along x in ``map``, (W,) metres, at least two in even steps.
+            y: Positions along y in ``map``, (H,) metres, at least two in even steps.
+            low: Height of the point that must be visible, metres.
+            high: With it, all of the upright line from ``low`` to ``high`` must be visible: a person.
+
+        Raises:
+            CameraError: There are fewer than two positions along x or y.
+        """
+        x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+        if min(x.size, y.size) < 2:
+            raise CameraError("a coverage needs at least two positions along x and y")
+        heights = [low] if high is None else np.linspace(low, high, _HEIGHTS)
+        counts = np.zeros((len(y), len(x)), np.intp)
+        for camera in cameras.values():
+            visible = np.ones(counts.shape, bool)
+            for height in heights:
+                points = np.stack(np.broadcast_arrays(x[None, :], y[:, None], height), axis=-1)
+                pixels, _ = camera.project(points.reshape(-1, 3))
+                inside = (pixels >= -0.5) & (pixels < np.array(camera.size) - 0.5)
+                visible &= inside.all(axis=1).reshape(counts.shape)
+            counts += visible
+        return cls(x, y, counts)
+
 
 def coverage(
     cameras: Mapping[str, Camera], x: ArrayLike, y: ArrayLike, low: float, high: float | None = None
 ) -> Coverage:
-    """Count the cameras that see each position of a grid. Nothing occludes anything.
+    """Old name of :meth:`Coverage.of`.
 
     Args:
         cameras: Cameras by name.
-        x: Positions along x in ``map``, (W,) metres, at least two in even steps.
-        y: Positions along y in ``map``, (H,) metres, at least two in even steps.
-        low: Height of the point that must be visible, metres.
-        high: With it, all of the upright line from ``low`` to ``high`` must be visible: a standing person.
-
-    Raises:
-        CameraError: There are fewer than two positions along x or y.
+        x: Positions along x.
+        y: Positions along y.
+        low: Lowest height.
+        high: Greatest height.
     """
-    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if min(x.size, y.size) < 2:
-        raise CameraError("a coverage needs at least two positions along x and y")
-    heights = [low] if high is None else np.linspace(low, high, _HEIGHTS)
-    counts = np.zeros((len(y), len(x)), np.intp)
-    for camera in cameras.values():
-        visible = np.ones(counts.shape, bool)
-        for height in heights:
-            points = np.stack(np.broadcast_arrays(x[None, :], y[:, None], height), axis=-1)
-            pixels, _ = camera.project(points.reshape(-1, 3))
-            inside = (pixels >= -0.5) & (pixels < np.array(camera.size) - 0.5)
-            visible &= inside.all(axis=1).reshape(counts.shape)
-        counts += visible
-    return Coverage(x, y, counts)
+    warnings.warn(
+        "use humansim_ros.camera.Coverage.of; 0.4.0 removes coverage",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    return Coverage.of(cameras, x, y, low, high)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.camera.coverage import Coverage, coverage
+from humansim_ros.camera.coverage import Coverage
 from humansim_ros.camera.placement import common_point
 from humansim_ros.drawing.canvas import (
     GRID,
@@ -102,8 +102,8 @@ def coverage_image(
         x, y = x[(x > low[0]) & (x < high[0])], y[(y > low[1]) & (y < high[1])]
     headings = (f"a point {chest:g} m over the floor", f"all from the floor to {stature:g} m")
     panels = [
-        _coverage_panel(rig, plan, coverage(cameras, x, y, chest)),
-        _coverage_panel(rig, plan, coverage(cameras, x, y, 0.0, stature)),
+        _coverage_panel(rig, plan, Coverage.of(cameras, x, y, chest)),
+        _coverage_panel(rig, plan, Coverage.of(cameras, x, y, 0.0, stature)),
     ]
     return _sheet("How many cameras see what is there, if nothing is in the way", headings, panels)
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.camera.coverage import coverage
+from humansim_ros.camera.coverage import Coverage
 from humansim_ros.drawing.canvas import (
     INK,
     PAPER,
@@ -106,7 +106,7 @@ def _draw_coverage(
     """Color the floor by the number of cameras that see it; returns the steps of the legend, and colours."""
     step = max(2, -(-max(plan.size) // _POSITIONS))
     x, y = plan.positions(step)
-    counts = coverage(cameras, x, y, CHEST).counts
+    counts = Coverage.of(cameras, x, y, CHEST).counts
     levels, colors, of_count = coverage_colors(max(1, len(cameras)))
     # paler than the legend of a coverage image, for people and paths to stand out
     pale = np.rint(0.55 * of_count + 0.45 * 255).astype(np.uint8)

@@ -20,7 +20,7 @@ from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
 from humansim_ros.camera import Camera
-from humansim_ros.camera.coverage import coverage
+from humansim_ros.camera.coverage import Coverage
 from humansim_ros.drawing.canvas import distinct_hues, hsv_colors
 from humansim_ros.errors import CameraError
 from humansim_ros.export.glb import split_seams
@@ -434,7 +434,7 @@ def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array
     cell = float((high - low).max()) / _CELLS
     x = np.arange(low[0] + cell / 2, high[0], cell)
     y = np.arange(low[1] + cell / 2, high[1], cell)
-    counts = coverage(cameras, x, y, 0.1, 1.7).counts[::-1]
+    counts = Coverage.of(cameras, x, y, 0.1, 1.7).counts[::-1]
     share = counts / max(len(cameras), 1)
     colors = hsv_colors((share * 60).ravel(), 200, np.full(counts.size, 230)).reshape(*counts.shape, 3)
     alpha = np.where(counts > 0, 150, 0).astype(np.uint8)

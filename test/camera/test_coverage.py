@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from humansim_ros.camera import Camera
-from humansim_ros.camera.coverage import coverage
+from humansim_ros.camera import Camera, Coverage
 from humansim_ros.camera.rigs import Optics, ring
 from humansim_ros.errors import CameraError
 
@@ -27,7 +26,7 @@ def seen_by(camera: Camera, points: np.ndarray) -> np.ndarray:
 def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> None:
     cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"side": OPTICS.camera((3, 3, 1), (0, 0, 1))}
     x, y = np.linspace(-3, 4, 15), np.linspace(-4, 2, 13)
-    chest, whole = coverage(cameras, x, y, 1.2), coverage(cameras, x, y, 0.0, 1.8)
+    chest, whole = Coverage.of(cameras, x, y, 1.2), Coverage.of(cameras, x, y, 0.0, 1.8)
     heights = np.linspace(0, 1.8, 7)
     for row, column in np.ndindex(13, 15):
         upright = np.column_stack([np.tile([x[column], y[row]], (7, 1)), heights])
@@ -37,5 +36,5 @@ def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> No
     assert 0 < whole.counts.sum() < chest.counts.sum()
     assert chest.area(0, 6) == pytest.approx(15 * 13 * 0.5 * 0.5)
     with pytest.raises(CameraError, match="two positions"):
-        coverage(cameras, [0.0], y, 1.2)
+        Coverage.of(cameras, [0.0], y, 1.2)
     assert chest.area(6, 6) == (chest.counts == 6).sum() * 0.25

@@ -1,0 +1,144 @@
+"""What the functions of ``humansim_ros.apps.api`` do."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from humansim_ros.apps.api import Comparison
+from humansim_ros.errors import EvaluationError, RenderError, warn_about
+
+if TYPE_CHECKING:
+    from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth
+    from humansim_ros.export.truth import ExportTruth
+
+
+def compare(
+    truth: Path,
+    estimate: Sequence[str],
+    keypoints: str | None,
+    names: str | os.PathLike[str] | None,
+    scale: float,
+    axes: str | None,
+    offset: float | Literal["auto"],
+    gate: float | None,
+    min_score: float | None,
+) -> Comparison:
+    """Compare an estimate with the truth; see :func:`humansim_ros.apps.api.evaluate`.
+
+    Args:
+        truth: Scene, bag or export.
+        estimate: Files, folders and topics of bags.
+        keypoints: Keypoint set.
+        names: File of names.
+        scale: Metres of a unit.
+        axes: Axes of the estimate.
+        offset: Seconds, or auto.
+        gate: Metres.
+        min_score: Score of detections.
+    """
+    from humansim_ros.evaluate.readers.detections import is_of_images
+
+    if any(map(is_of_images, estimate)):
+        given = {
+            "--names": names is not None,
+            "--scale": scale != 1,
+            "--axes": axes is not None,
+            "--offset": offset != 0,
+            "--gate": gate is not None,
+        }
+        for option, used in given.items():
+            if used:
+                raise EvaluationError("is for 3D poses; the estimate is detections in images", key=option)
+        return _images(truth, estimate, keypoints, min_score)
+    if min_score is not None:
+        raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
+    return _poses(truth, estimate, keypoints, names, scale, axes, offset, gate)
+
+
+def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
+    from humansim_ros.evaluate.truth import open_truth
+    from humansim_ros.export.truth import ExportTruth, is_export
+
+    return ExportTruth(path) if is_export(path) else open_truth(path)
+
+
+def _poses(
+    truth: Path,
+    estimate: Sequence[str],
+    keypoints: str | None,
+    names: str | os.PathLike[str] | None,
+    scale: float,
+    axes: str | None,
+    offset: float | Literal["auto"],
+    gate: float | None,
+) -> Comparison:
+    """Compare 3D poses."""
+    from humansim_ros.evaluate.alignment import MAX_OFFSET
+    from humansim_ros.evaluate.evaluation import DEFAULT_GATE, evaluate_poses
+    from humansim_ros.evaluate.html import html_report
+    from humansim_ros.evaluate.joint_names import read_names, set_of_names
+    from humansim_ros.evaluate.pictures import ScenePictures
+    from humansim_ros.evaluate.readers.estimates import read_estimates
+    from humansim_ros.evaluate.readers.pose_files import ReadOptions
+    from humansim_ros.evaluate.report import show, to_data
+    from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth, with_camera_counts
+    from humansim_ros.keypoints import keypoint_set
+
+    late = None if offset == "auto" else offset
+    given = read_names(Path(names)) if names is not None else None
+    source = _open_truth(truth)
+    points = keypoint_set(keypoints) if keypoints is not None else None
+    listed = tuple(given) if isinstance(given, list) else points.names if points is not None else None
+    estimated = read_estimates(estimate, ReadOptions(listed, source.period, source.start, axes, scale))
+    shift = round((late or 0.0) * 1e9)
+    if points is None and isinstance(source, SceneTruth):
+        points = set_of_names(estimated.names)
+    first, last = int(estimated.times[0]) - shift, int(estimated.times[-1]) - shift
+    result = evaluate_poses(
+        source.poses((first, last), MAX_OFFSET, points),
+        estimated,
+        names=given if isinstance(given, dict) else None,
+        gate=DEFAULT_GATE if gate is None else gate,
+        offset=late,
+    )
+    if isinstance(source, SceneTruth):
+        result = with_camera_counts(result, source.scene)
+
+    def page() -> str:
+        if isinstance(source, RecordedTruth):
+            return html_report(result)
+        opened = ScenePictures(source.scene) if isinstance(source, SceneTruth) else source.pictures()
+        try:
+            with closing(opened) as pictures:
+                return html_report(result, pictures)
+        except RenderError as error:
+            warn_about(truth, f"the report has no images: {error}")
+            return html_report(result)
+
+    return Comparison(to_data(result), show(result), page)
+
+
+def _images(
+    truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None
+) -> Comparison:
+    """Compare detections in images."""
+    from humansim_ros.evaluate.html import image_html_report
+    from humansim_ros.evaluate.images import evaluate_images
+    from humansim_ros.evaluate.readers.detections import read_image_estimates
+    from humansim_ros.evaluate.report import show_images, to_data
+    from humansim_ros.export.truth import open_image_truth
+
+    source = open_image_truth(truth, keypoints)
+    found = read_image_estimates(estimate, source)
+    numbers = found.images if found.images is not None else {row["image_id"] for row in found.results}
+    result = evaluate_images(source.images(numbers), found, min_score or 0.0)
+
+    def page() -> str:
+        with closing(source.pictures()) as pictures:
+            return image_html_report(result, pictures)
+
+    return Comparison(to_data(result), show_images(result), page)

@@ -18,10 +18,16 @@ from humansim_ros.humans import Human
 from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.types import Indices
+from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import SeenTopics, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
-from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
-from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
+from humansim_ros.view.topic_frames import (
+    PERIOD,
+    SAMPLES,
+    TopicFrame,
+    TopicFrames,
+    TopicSource,
+)
 
 #: Nanoseconds between log times of messages that are read together.
 _TOGETHER = 250_000_000
@@ -100,7 +106,7 @@ class BagViewSource(TopicSource):
         if not topics.people:
             self._shown.note("The bag has no people: no topic is humans/<name>/joints.")
 
-    # --- what is shown
+    # --- the source
 
     @property
     def title(self) -> str:

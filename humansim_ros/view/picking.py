@@ -19,8 +19,8 @@ from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE
 from humansim_ros.types import Array
 from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
 
-#: Channels that the numbers come from.
-CHANNELS = ("rgb", "depth", "instance", "part", "normal", "face")
+#: Channels that the numbers of a pixel come from.
+PIXEL_CHANNELS = ("rgb", "depth", "instance", "part", "normal", "face")
 #: Joints that are nearer to the pixel than this share of the image's width are told.
 _NEAR = 0.02
 _STATES = {VISIBLE: "visible", OCCLUDED: "occluded", OUTSIDE: "outside the image"}
@@ -31,7 +31,7 @@ def pixel_info(scene: Scene, frame: Frame, camera: str, x: int, y: int) -> Pixel
 
     Args:
         scene: The scene.
-        frame: Its frame, with :data:`CHANNELS` of the camera.
+        frame: Its frame, with :data:`PIXEL_CHANNELS` of the camera.
         camera: Name of the camera.
         x: Column, from 0 at the left.
         y: Row, from 0 at the top.

@@ -31,12 +31,18 @@ from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
+from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
-from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
-from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
+from humansim_ros.view.topic_frames import (
+    PERIOD,
+    SAMPLES,
+    TopicFrame,
+    TopicFrames,
+    TopicSource,
+)
 
-#: Seconds between two looks at what is wanted, and at the graph.
+#: Seconds between two looks at the wanted topics, and at the graph.
 _LOOK_EVERY, _DISCOVER_EVERY = 0.05, 0.5
 #: Seconds after which images that are not wanted any more are not received any more.
 _UNWANTED = 3.0
@@ -82,7 +88,7 @@ class RosViewSource(TopicSource):
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
         options: How the estimate is read and compared.
         humans: Bodies that people may have, beside the built-in ones.
-        namespace: Show only topics below it, and those of tf and of the estimate.
+        namespace: Show only topics below it, and tf and the estimate.
         image_width: Width to which wider images are scaled down, pixels.
         patience: Seconds that the first people and cameras are waited for.
 
@@ -130,7 +136,7 @@ class RosViewSource(TopicSource):
                 return
             time.sleep(_LOOK_EVERY)
 
-    # --- what is shown
+    # --- the source
 
     @property
     def title(self) -> str:
@@ -247,7 +253,7 @@ class RosViewSource(TopicSource):
             self._shown.add_skin(name, list(self._samples.pop(name).values()))
 
     def _images(self, cameras: Collection[str], channels: Collection[str], joints: bool = False) -> list[str]:
-        """Topics of images that are wanted; with those of the joints in them if they are drawn, or wanted."""
+        """Topics of wanted images; also topics of the joints in them if they are drawn, or wanted."""
         found = []
         own = {"rgb" if channel == JOINTS else channel for channel in channels}
         for name in cameras:
@@ -372,7 +378,7 @@ class _Receiver:
             rclpy.try_shutdown(context=self._context)
 
     def _look(self) -> None:
-        """Follow the graph, and what is wanted."""
+        """Follow the graph, and the wanted topics."""
         now = time.monotonic()
         if now >= self._discover_at:
             self._discover_at = now + _DISCOVER_EVERY
@@ -446,7 +452,7 @@ class _Receiver:
         self._subscriptions[topic] = kind, profile, new
 
     def _note(self, topic: str, error: HumansimError) -> None:
-        """Tell the user what is wrong with a topic, once."""
+        """Tell the user about an error of a topic, once."""
         self._problems.setdefault(topic, f"{printable(topic, 100)}: {error.message}")
 
     @property

@@ -13,8 +13,7 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array
 from humansim_ros.view.image_workers import Images, ImageWorkers, Request
-from humansim_ros.view.picking import CHANNELS as PIXEL_CHANNELS
-from humansim_ros.view.picking import pixel_info
+from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, Wanted
 
 #: Channels that the page can show.

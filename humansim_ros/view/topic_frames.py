@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -30,13 +31,18 @@ from humansim_ros.scene.objects import SHAPES
 from humansim_ros.truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Array, Float32Array
 from humansim_ros.types import Image as Picture
-from humansim_ros.view.estimates import TruePoints, beside_truth, people_of
-from humansim_ros.view.picking import JointsInImage, near_joint_values, surface_values
-from humansim_ros.view.seen_topics import IMAGE, SeenCamera, SeenTopics, spaced
-from humansim_ros.view.skin_fit import fitted_skin
-from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, fitted
-from humansim_ros.view.topic_bodies import bone_figure, known_body, posed_joints
-from humansim_ros.view.transforms import WORLD, Transforms
+from humansim_ros.view.picking import PIXEL_CHANNELS, JointsInImage, near_joint_values, surface_values
+from humansim_ros.view.seen_topics import IMAGE, WORLD, SeenCamera, SeenTopics, Transforms, spaced
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, ViewSource, fitted
+from humansim_ros.view.topic_people import (
+    TruePoints,
+    beside_truth,
+    bone_figure,
+    fitted_skin,
+    known_body,
+    people_of,
+    posed_joints,
+)
 
 Value = TypeVar("Value")
 
@@ -44,9 +50,7 @@ Value = TypeVar("Value")
 _MAX_IMAGE, _MAX_POSES = 256 << 20, 256 << 10
 #: Most messages for the user.
 _MAX_MESSAGES = 20
-#: Channels that the numbers of a pixel come from.
-PIXEL_CHANNELS = ("rgb", "depth", "instance", "part", "normal", "face")
-#: Encodings of images that are shown as they are, and those of depth in millimetres.
+#: Encodings of images that are shown as they are, and encodings of depth in millimetres.
 _COLORS, _MILLIMETRES = ("rgb8", "bgr8", "mono8", "8UC1", "bayer_rggb8"), ("16UC1", "mono16")
 #: Shapes of markers.
 _MARKERS = {Marker.CUBE: "box", Marker.SPHERE: "sphere", Marker.CYLINDER: "cylinder"}
@@ -55,7 +59,7 @@ _MAX_POINTS = 30_000
 
 @dataclass
 class _Person:
-    """What is known of a person.
+    """A person of the topics.
 
     Attributes:
         human: The body.
@@ -78,7 +82,7 @@ class TopicFrame:
         index: Number of the frame.
         stamp: Nanoseconds.
         start: Stamp of the first frame, nanoseconds.
-        data: Serialised message by topic; those that the frame has.
+        data: Serialised message by topic, as far as the frame has them.
     """
 
     index: int
@@ -433,7 +437,7 @@ class TopicFrames:
         """Numbers of a pixel, as the topics of a frame say them.
 
         Args:
-            messages_of: Messages of the frame, with those of :data:`PIXEL_CHANNELS`.
+            messages_of: Messages of the frame, also of :data:`PIXEL_CHANNELS`.
             camera: Name of the camera.
             x: Column, from 0 at the left.
             y: Row, from 0 at the top.
@@ -588,3 +592,51 @@ def _labels(legend: object) -> dict[int, str]:
     if not isinstance(legend, dict):
         return {}
     return {int(key): str(name) for key, name in legend.items() if str(key).isdecimal() and int(key) > 0}
+
+
+#: Period of a source with a single frame, nanoseconds.
+PERIOD = 33_333_333
+#: Frames from which the skin of a body that is not known is found.
+SAMPLES = 4
+
+
+class TopicSource(ViewSource):
+    """Source of a page that shows topics. ``shown``: reads the messages of frames."""
+
+    def __init__(self, shown: TopicFrames) -> None:
+        self._shown = shown
+
+    @property
+    @abstractmethod
+    def topics(self) -> SeenTopics:
+        """Topics that are shown."""
+
+    @property
+    def people(self) -> Mapping[str, Human]:
+        return self._shown.people
+
+    @property
+    def objects(self) -> Mapping[str, Mesh]:
+        return self._shown.objects
+
+    @property
+    def static(self) -> Mapping[str, Mesh]:
+        """Nothing: no topic has the room."""
+        return {}
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """Cameras, where they were last."""
+        return self._shown.cameras
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that there are, and joints over the image if there are people."""
+        names = list(self.topics.channels)
+        if "rgb" in names and self.topics.people:
+            names.insert(names.index("rgb") + 1, JOINTS)
+        return tuple(names)
+
+    @property
+    def messages(self) -> Sequence[str]:
+        return self._shown.messages

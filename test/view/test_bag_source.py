@@ -25,9 +25,8 @@ from humansim_ros.record.plan import RecordingPlan
 from humansim_ros.record.recording import record
 from humansim_ros.scene import Frame
 from humansim_ros.view.bag_source import BagViewSource
-from humansim_ros.view.picking import pixel_info
+from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.source import JOINTS
-from humansim_ros.view.topic_frames import PIXEL_CHANNELS
 
 SCENE = """
 rate: 20

@@ -18,10 +18,9 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Frame
 from humansim_ros.testing import SceneGraph
-from humansim_ros.view.picking import pixel_info
+from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.ros_source import RosViewSource
 from humansim_ros.view.source import JOINTS
-from humansim_ros.view.topic_frames import PIXEL_CHANNELS
 
 SCENE = """
 rate: 20

@@ -201,24 +201,21 @@ def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
         BagError: The chunk is damaged, or its compression is not known.
     """
     whole = memoryview(record).cast("B")
-    chunk, crc, position = _read_head(whole)
+    chunk, crc, position = read_chunk_head(whole)
     if whole.nbytes != chunk.chunk_length:
         raise BagError("a damaged chunk: it is not whole")
     data = _decompressed(whole[position:], chunk.compression, chunk.uncompressed_size)
-    if data.nbytes != chunk.uncompressed_size:
-        raise BagError("a damaged chunk: its size is wrong")
-    if crc and zlib.crc32(data) != crc:
-        raise BagError("a damaged chunk: its checksum is wrong")
+    if data.nbytes != chunk.uncompressed_size or (crc and zlib.crc32(data) != crc):
+        raise BagError("a damaged chunk: its size or its checksum is wrong")
     position = 0
     while position < data.nbytes:
-        if position + RECORD.size > data.nbytes:
+        start = position + RECORD.size
+        if start <= data.nbytes:
+            opcode, length = RECORD.unpack_from(data, position)
+            position = start + length
+        if max(start, position) > data.nbytes:
             raise BagError("a damaged chunk: it ends within a record")
-        opcode, length = RECORD.unpack_from(data, position)
-        position += RECORD.size
-        if position + length > data.nbytes:
-            raise BagError("a damaged chunk: a record is longer than the chunk")
-        yield opcode, data[position : position + length]
-        position += length
+        yield opcode, data[start:position]
 
 
 def message_of(content: memoryview) -> BagMessage:
@@ -246,17 +243,15 @@ def chunk_messages(record: Buffer) -> list[BagMessage]:
 HEAD_SIZE = 80
 
 
-def read_chunk_head(record: Buffer) -> Chunk:
-    """The chunk of a Chunk record, without bytes and counts, from its first ``HEAD_SIZE`` bytes or more.
+def read_chunk_head(record: Buffer) -> tuple[Chunk, int, int]:
+    """Read the first ``HEAD_SIZE`` bytes of a Chunk record, or more.
+
+    Returns:
+        The chunk without bytes and counts, its checksum, and the position of its records.
 
     Raises:
         BagError: The head is damaged.
     """
-    return _read_head(record)[0]
-
-
-def _read_head(record: Buffer) -> tuple[Chunk, int, int]:
-    """The chunk without bytes and counts, its checksum, and the position of its records."""
     try:
         _, length, start, end, size, crc, name_length = _CHUNK_HEAD.unpack_from(record)
         name = bytes(record[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name_length]).decode()

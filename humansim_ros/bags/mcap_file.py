@@ -1,4 +1,4 @@
-"""One MCAP file of a bag: append chunks, finish with summary and footer, find what is whole, read it.
+"""One MCAP file of a bag: append chunks, finish with summary and footer, find whole chunks, read messages.
 
 After each chunk stands a small record of our own (opcode 0x80; readers skip it), which says that the chunk is
 whole and whether it ends a group. With it a file that was cut anywhere can be finished or continued.
@@ -447,7 +447,7 @@ class Unit(NamedTuple):
 
 
 class McapScan:
-    """What is whole in an MCAP file that may end anywhere.
+    """Whole records of an MCAP file that may end anywhere.
 
     Attributes:
         topics: Schema and Channel records, each with the position after it.
@@ -497,7 +497,7 @@ class McapScan:
                     if opcode == _MARK:
                         continue
                 if opcode == CHUNK:
-                    chunk, counts = Unit(read_chunk_head(head), position, end), {}
+                    chunk, counts = Unit(read_chunk_head(head)[0], position, end), {}
                 elif opcode == MESSAGE:
                     self._is_foreign = True
                     topic, stamp, _, _ = message_of(memoryview(head)[RECORD.size :])
@@ -565,7 +565,7 @@ class McapInput:
     Attributes:
         topics: Topics of the channels in the order of the file.
         content: Numbers and times of the messages.
-        whole: The file was finished. What is whole in another file is read.
+        whole: The file was finished. Of another file, whole chunks are read.
 
     Raises:
         BagError: The file cannot be read, or is no MCAP file.
@@ -596,7 +596,7 @@ class McapInput:
         self._file.close()
 
     def _read_summary(self) -> bool:
-        """Take topics and chunks from the summary; False if there is none that can be trusted."""
+        """Take topics and chunks from the summary; False if it is missing or wrong."""
         size = os.fstat(self._file.fileno()).st_size
         summary = _summary(self._file)
         if summary is None or summary.statistics is None:

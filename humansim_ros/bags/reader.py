@@ -1,4 +1,4 @@
-"""Read bags of rosbag2, finished, interrupted or cut: whatever is whole."""
+"""Read bags of rosbag2, finished, interrupted or cut: all whole messages."""
 
 from __future__ import annotations
 

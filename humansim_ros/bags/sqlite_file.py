@@ -2,14 +2,13 @@
 
 Each group is one transaction, so that a killed process leaves whole groups; ``user_version`` counts them.
 
-The classes of rosbags do not do: its writer has one transaction for the whole bag, of which a killed process
-leaves nothing; its reader ignores locks and the journal of a killed process, and refuses a bag with a type
-whose definition is unknown.
+rosbags does not replace this module. Its writer has one transaction for the whole bag, which a killed process
+loses, and takes twice the processor time (0.75 ms instead of 0.37 ms for 0.6 MB). Its reader ignores locks
+and the journal of a killed process, and refuses a bag with a type whose definition is unknown.
 """
 
 from __future__ import annotations
 
-import errno
 import os
 import sqlite3
 import struct
@@ -53,21 +52,11 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
     )
 
 
-@contextmanager
-def _as_os_errors() -> Iterator[None]:
-    """Convert errors of sqlite3 to OSError, as other files raise them."""
-    try:
-        yield
-    except sqlite3.Error as reason:
-        code = errno.ENOSPC if "full" in str(reason) else errno.EIO
-        raise OSError(code, str(reason)) from None
-
-
 class SqliteFile:
     """A sqlite3 file that is being written. Topics have the ``id`` 1, 2 … in their order.
 
     Raises:
-        OSError: By all methods, if the file cannot be written.
+        sqlite3.Error: By all methods, if the file cannot be written; or OSError.
     """
 
     smallest: ClassVar[int] = 1 << 20
@@ -94,21 +83,19 @@ class SqliteFile:
         temporary = path.with_name(f".{path.name}.new")
         try:
             temporary.unlink(missing_ok=True)
-            with _as_os_errors():
-                file = cls(temporary, _connect(temporary, "rwc"))
-                try:
-                    pragmas = f"PRAGMA page_size={_PAGE}; PRAGMA application_id={_APPLICATION};"
-                    file._database.executescript(f"{pragmas} BEGIN; {_TABLES} COMMIT")
-                    for topic in topics:
-                        file.add_topic(topic)
-                finally:
-                    file.close()
+            file = cls(temporary, _connect(temporary, "rwc"))
+            try:
+                pragmas = f"PRAGMA page_size={_PAGE}; PRAGMA application_id={_APPLICATION};"
+                file._database.executescript(f"{pragmas} BEGIN; {_TABLES} COMMIT")
+                for topic in topics:
+                    file.add_topic(topic)
+            finally:
+                file.close()
             temporary.rename(path)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        with _as_os_errors():
-            created = cls(path, _connect(path, "rw"))
+        created = cls(path, _connect(path, "rw"))
         created.topics, created._types = file.topics, file._types
         return created
 
@@ -116,14 +103,12 @@ class SqliteFile:
     def reopen(cls, path: Path, *, spare: int = 0) -> tuple[SqliteFile, int | None]:
         """Open a file to continue it after its last whole group; see :meth:`McapFile.reopen`.
 
-        sqlite3 itself removes what is not whole. To finish a file needs no space: ``spare`` has no effect.
+        sqlite3 removes a group that is not whole. To finish a file needs no space: ``spare`` has no effect.
         """
-        with _as_os_errors():
-            file = cls(path, _connect(path, "rw"))
+        file = cls(path, _connect(path, "rw"))
         try:
-            with _as_os_errors():
-                (application,) = file._database.execute("PRAGMA application_id").fetchone()
-                (groups,) = file._database.execute("PRAGMA user_version").fetchone()
+            (application,) = file._database.execute("PRAGMA application_id").fetchone()
+            (groups,) = file._database.execute("PRAGMA user_version").fetchone()
             # sqlite3 has used and removed a journal with a group that is not whole; one of a process that was
             # killed between two groups is empty, and would stay if nothing is written to this file
             path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
@@ -147,33 +132,31 @@ class SqliteFile:
 
     def add_topic(self, topic: BagTopic) -> None:
         """Add a topic after those that exist."""
-        with _as_os_errors():
-            if topic.type not in self._types:
-                self._database.execute(
-                    "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
-                    "type_description_hash) VALUES(?,?,?,?)",
-                    (topic.type, topic.encoding, topic.definition, topic.type_hash),
-                )
+        if topic.type not in self._types:
             self._database.execute(
-                "INSERT INTO topics VALUES(?,?,?,?,?,?)",
-                (len(self.topics) + 1, topic.name, topic.type, "cdr", qos_text(topic), topic.type_hash),
+                "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
+                "type_description_hash) VALUES(?,?,?,?)",
+                (topic.type, topic.encoding, topic.definition, topic.type_hash),
             )
+        self._database.execute(
+            "INSERT INTO topics VALUES(?,?,?,?,?,?)",
+            (len(self.topics) + 1, topic.name, topic.type, "cdr", qos_text(topic), topic.type_hash),
+        )
         self._types.add(topic.type)
         self.topics.append(topic)
 
     def append(self, chunk: Chunk, group: int, ends_group: bool) -> None:
         """Append a chunk. ``group``: number of its group in the bag."""
-        with _as_os_errors():
-            record = memoryview(chunk.data())[: chunk.chunk_length]
-            if not self._database.in_transaction:
-                self._database.execute("BEGIN")
-            self._database.executemany(
-                "INSERT INTO messages(topic_id, timestamp, data) VALUES(?,?,?)",
-                ((message.topic + 1, message.stamp, message.data) for message in chunk_messages(record)),
-            )
-            if ends_group:
-                self._database.execute(f"PRAGMA user_version={group + 1}")
-                self._database.execute("COMMIT")
+        record = memoryview(chunk.data())[: chunk.chunk_length]
+        if not self._database.in_transaction:
+            self._database.execute("BEGIN")
+        self._database.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES(?,?,?)",
+            ((message.topic + 1, message.stamp, message.data) for message in chunk_messages(record)),
+        )
+        if ends_group:
+            self._database.execute(f"PRAGMA user_version={group + 1}")
+            self._database.execute("COMMIT")
         self.content.add(chunk.counts, chunk.start, chunk.end)
 
     def finish(self) -> None:

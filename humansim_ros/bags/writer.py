@@ -10,6 +10,7 @@ import fcntl
 import os
 import re
 import shutil
+import sqlite3
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 #: Seconds between renewals of metadata.yaml.
 _RENEWAL = 1.0
+#: Errors of writing a file of a bag.
+_ERRORS = (OSError, sqlite3.Error)
 #: Errors of a disk without space.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Bytes that are freed at first on a full disk, for the summary and metadata.yaml.
@@ -53,7 +56,7 @@ def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
     if storage not in SUFFIXES:
         raise BagError(f"{storage!r} is no storage of bags; choose one of {', '.join(SUFFIXES)}")
     with needs_libraries():
-        import rosbags.rosbag2  # noqa: F401
+        import rosbags.typesys  # noqa: F401
 
         from humansim_ros.bags.mcap_file import McapFile
         from humansim_ros.bags.sqlite_file import SqliteFile
@@ -92,15 +95,15 @@ def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
 
 @contextmanager
 def _unwritable(folder: Path) -> Iterator[None]:
-    """Convert errors of the system to BagError."""
+    """Convert errors of writing to BagError."""
     try:
         yield
-    except OSError as reason:
+    except _ERRORS as reason:
         raise BagError(_text(reason), path=folder) from None
 
 
-def _text(reason: OSError) -> str:
-    return f"cannot be written: {reason.strerror or reason}"
+def _text(reason: Exception) -> str:
+    return f"cannot be written: {getattr(reason, 'strerror', None) or reason}"
 
 
 class BagWriter:
@@ -172,7 +175,7 @@ class BagWriter:
         """Continue an interrupted bag, or a finished one, after its last whole group.
 
         ``groups``, ``topics``, ``end`` and ``custom`` of the writer say what the bag holds. With the same
-        limits and the same chunks as before, the bag becomes the same as one that was not interrupted.
+        limits and the same chunks as before, the bag becomes the same as without interruption.
 
         Args:
             folder: Folder of the bag.
@@ -211,7 +214,7 @@ class BagWriter:
         self._write_metadata()
 
     def _reopen(self, spare: int = 0) -> None:
-        """Open the files to continue them; what is not whole is removed from their end.
+        """Open the files to continue them after their last whole group.
 
         ``spare``: bytes of groups to remove as well, at least.
 
@@ -318,12 +321,12 @@ class BagWriter:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Write to the files; if that fails, finish the bag with what is whole."""
+        """Write to the files; if that fails, finish the bag after its last whole group."""
         if self._closed:
             raise BagError("the bag is closed", path=self.folder)
         try:
             yield
-        except OSError as reason:
+        except _ERRORS as reason:
             self._torn = True
             with suppress(BagError):
                 self.close()
@@ -359,7 +362,7 @@ class BagWriter:
                     return
                 try:
                     self._finish()
-                except OSError:
+                except _ERRORS:
                     self._finish_again()
                     raise
         finally:

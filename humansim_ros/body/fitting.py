@@ -1,4 +1,7 @@
-"""Fit a mesh of a standing person into body space, and a skeleton to the mesh [thesis §4]."""
+"""Fit a mesh of a standing person into body space, and a skeleton to the mesh [thesis §4].
+
+The up axis and the facing direction of the mesh are detected from its shape.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,153 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
-from humansim_ros.body.known import known_joints
-from humansim_ros.body.landmarks import joint_positions, measure
-from humansim_ros.body.orientation import body_from_file, check_one_person, surface_samples, used_vertices
+from humansim_ros.body.landmarks import joint_positions, known_joints, measure
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
+
+#: Samples of a surface: their mean distance is 1 % of a person's height.
+_SAMPLES = 12_000
+#: Least ratio of the mirror errors of another axis and of the left-right axis.
+_SYMMETRY = 1.6
+#: Least ratio of height to depth of a standing person.
+_SLENDER = 1.4
+#: Heights of body parts as shares of the body height: head and feet; shins; soles; top of the head.
+_END, _SHINS, _FEET, _CROWN = 0.12, (0.08, 0.16), 0.05, 0.06
+_POSE = "a mesh must hold one person, standing in a T or A pose"
+_AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def body_from_file(mesh: Mesh, up: str | None = None, facing: str | None = None) -> Array:
+    """Rotation (3, 3), a permutation of axes, from the space of the mesh to y up, facing +z, x to the left.
+
+    ``up``, ``facing``: axes of the file, such as ``z`` or ``-y``. Missing axes are detected: a person is
+    symmetric left-right, taller than deep, with the head over the middle, the feet beside the middle, and
+    the toes in front of the shins. Raises MeshError, which says how to solve it, if the detection fails.
+    """
+    upward, forward = _axis(up, "up"), _axis(facing, "facing")
+    if upward is not None and forward is not None:
+        if abs(upward @ forward) > 0:
+            raise MeshError(f"up {up!r} and facing {facing!r} are the same axis: give two different ones")
+        return np.stack([np.cross(upward, forward), upward, forward])
+    points = surface_samples(mesh)
+    extent = np.ptp(points, axis=0)
+    if extent.min() <= 1e-6 * extent.max():
+        raise MeshError("the mesh is flat, not a person")
+    points = (points - (points.min(0) + points.max(0)) / 2) / extent.max()
+    side = _side(points, upward, forward)
+    rest = [axis for axis in range(3) if axis != side]
+    if upward is not None:
+        tall = int(np.argmax(np.abs(upward)))
+    elif forward is not None:
+        tall = next(axis for axis in rest if forward[axis] == 0)
+    else:
+        tall = max(rest, key=lambda axis: extent[axis])
+    deep = next(axis for axis in rest if axis != tall)
+    if upward is None and forward is None and extent[tall] < _SLENDER * extent[deep]:
+        raise MeshError(f"the mesh is as deep as it is tall: {_POSE}, or give the up and facing axes")
+    if upward is None:
+        upward = np.eye(3)[tall] * _up_sign(points[:, tall], points[:, side])
+    if forward is None:
+        forward = np.eye(3)[deep] * _forward_sign(points @ upward, points[:, deep])
+    return np.stack([np.cross(upward, forward), upward, forward])
+
+
+def check_one_person(points: Array) -> None:
+    """Raise MeshError unless points (P, 3) in body space have one head, over the middle of the body."""
+    height = float(np.ptp(points[:, 1]))
+    crown = points[points[:, 1] > points[:, 1].max() - _CROWN * height]
+    middle = (points[:, 0].min() + points[:, 0].max()) / 2
+    aside = np.abs(crown[:, 0] - middle) / height
+    gap = float(np.diff(np.sort(crown[:, 2])).max(initial=0.0)) / height
+    if np.quantile(aside, 0.2) > 0.06 or np.quantile(aside, 0.95) > 0.2 or gap > 0.05:
+        raise MeshError(f"the mesh has no single head over its middle: {_POSE}")
+
+
+def surface_samples(mesh: Mesh) -> Array:
+    """Deterministic, evenly spread samples (P, 3) of the surface. Raises MeshError if it has no area."""
+    corners = mesh.vertices[mesh.triangles]
+    size = float(np.abs(corners).max())
+    if size == 0:
+        raise MeshError("the mesh has no size")
+    corners = corners / size
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    total = np.cumsum(area)
+    if total[-1] <= 0:
+        raise MeshError("the faces have no area: there is no surface to fit")
+    step = np.arange(_SAMPLES)
+    chosen = np.searchsorted(total, (step + 0.5) / _SAMPLES * total[-1])
+    chosen = np.minimum(chosen, len(area) - 1)
+    # R2 sequence [Roberts 2018]
+    a, b = (0.5 + step * 0.7548776662466927) % 1, (0.5 + step * 0.5698402909980532) % 1
+    over = a + b > 1
+    a, b = np.where(over, 1 - a, a), np.where(over, 1 - b, b)
+    first, second, third = (corners[chosen, k] for k in range(3))
+    return np.asarray(size * (first + a[:, None] * (second - first) + b[:, None] * (third - first)))
+
+
+def _axis(name: str | None, what: str) -> Array | None:
+    """Unit vector (3,) of an axis such as ``-y``."""
+    if name is None:
+        return None
+    letter = name.strip().lower().lstrip("+-")
+    if letter not in _AXES or len(name.strip()) > 2:
+        raise MeshError(f"{what} is one of x, y, z, -x, -y, -z, not {name[:20]!r}", key=what)
+    return np.eye(3)[_AXES[letter]] * (-1.0 if name.strip().startswith("-") else 1.0)
+
+
+def _side(points: Array, upward: Array | None, forward: Array | None) -> int:
+    """Axis of the left-right symmetry of the points."""
+    given = [axis for axis in (upward, forward) if axis is not None]
+    free = [axis for axis in range(3) if all(vector[axis] == 0 for vector in given)]
+    tree = scipy.spatial.cKDTree(points)
+    errors = []
+    for axis in free:
+        mirrored = points[::4] * np.where(np.arange(3) == axis, -1.0, 1.0)
+        errors.append(float(tree.query(mirrored)[0].mean()))
+    order = np.argsort(errors)
+    if len(free) > 1 and errors[order[1]] < _SYMMETRY * errors[order[0]]:
+        raise MeshError(f"the axes of the body cannot be detected: {_POSE}, or give the up and facing axes")
+    return free[int(order[0])]
+
+
+def _up_sign(high: Array, side: Array) -> float:
+    """1 if the head is at the large values of ``high``: it is over the middle, the feet are beside it."""
+    low, top = high.min(), high.max()
+    reach = _END * (top - low)
+    head, feet = np.abs(side[high > top - reach]), np.abs(side[high < low + reach])
+    if not len(head) or not len(feet):
+        raise MeshError(f"the mesh has no head or no feet: {_POSE}")
+    unit = top - low
+    apart = (feet.mean() - head.mean()) / (0.04 * unit)
+    between = ((head < 0.02 * unit).mean() - (feet < 0.02 * unit).mean()) / 0.15
+    if abs(apart + between) < 0.3:
+        raise MeshError(f"head and feet cannot be distinguished: {_POSE}, or give the up axis")
+    return 1.0 if apart + between > 0 else -1.0
+
+
+def _forward_sign(high: Array, deep: Array) -> float:
+    """1 if the toes are at the large values of ``deep``."""
+    share = (high - high.min()) / np.ptp(high)
+    feet, shins = deep[share < _FEET], deep[(share > _SHINS[0]) & (share < _SHINS[1])]
+    if not len(feet) or not len(shins):
+        raise MeshError(f"no feet at the lower end of the mesh: {_POSE}")
+    ahead, behind = feet.max() - shins.mean(), shins.mean() - feet.min()
+    if abs(ahead - behind) < 0.1 * abs(ahead + behind):
+        raise MeshError("the facing direction cannot be detected from the toes: give the facing axis")
+    return 1.0 if ahead > behind else -1.0
+
+
+def used_vertices(mesh: Mesh) -> NDArray[np.float64]:
+    """Vertices (U, 3) that faces use; others do not count for the size."""
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces[mesh.faces >= 0]] = True
+    return mesh.vertices[used]
+
 
 #: Joints detected in the mesh, or those of the general skeleton.
 JointMethod = Literal["fitted", "general"]

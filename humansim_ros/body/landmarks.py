@@ -1,8 +1,12 @@
-"""Estimate the joints of a person from the volume of its mesh: limb centres, groin, neck, armpits."""
+"""Estimate the joints of a person from the volume of its mesh: limb centres, groin, neck, armpits.
+
+MakeHuman bodies are recognised by their topology; their joints come from a table.
+"""
 
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -328,3 +332,42 @@ def _half(volume: Volume, sign: float) -> tuple[NDArray[np.intp], csr_matrix]:
         lengths.append(np.full(int(both.sum()), np.sqrt(np.abs(offset).sum())))
     entries = np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))
     return voxels, csr_matrix(entries, shape=(len(voxels), len(voxels)))
+
+
+#: Number of vertices of the skin of MakeHuman's base mesh; eyes, clothes and helpers follow.
+SKIN_VERTICES = 13380
+
+
+def known_joints(mesh: Mesh) -> dict[str, Array] | None:
+    """Joint centres (3,) in the space of the mesh, or None if the mesh is not a MakeHuman body.
+
+    Keys are the bone whose head the joint is, and ``<bone>_end`` for leaves. A mesh is a MakeHuman body if
+    its first 13380 vertices have the faces of MakeHuman (eyes, clothes and helpers may follow). Each joint is
+    a weighted mean of skin vertices around it, valid for every shape and every pose of the limbs
+    (tools/assets/fit_joint_places.py).
+    """
+    if not is_makehuman(mesh):
+        return None
+    table: dict[str, Any] = joint_file()["makehuman"]
+    return {
+        name: np.asarray(ring["shares"]) @ mesh.vertices[ring["vertices"]] / sum(ring["shares"])
+        for name, ring in table["joints"].items()
+    }
+
+
+def is_makehuman(mesh: Mesh) -> bool:
+    """Whether the first vertices and their faces are those of MakeHuman's skin."""
+    table: dict[str, Any] = joint_file()["makehuman"]
+    if len(mesh.vertices) < SKIN_VERTICES:
+        return False
+    body = mesh.faces[(mesh.faces < SKIN_VERTICES).all(axis=1)]
+    return bool(len(body) == table["quads"] and body.min() >= 0 and topology(body) == table["faces"])
+
+
+def topology(faces: NDArray[np.integer]) -> str:
+    """Digest of quads (F, 4), independent of their order and of their first corners."""
+    start = np.argmin(faces, axis=1)
+    order = (start[:, None] + np.arange(4)) % 4
+    turned = np.take_along_axis(faces, order, axis=1).astype("<i4")
+    turned = turned[np.lexsort(turned.T[::-1])]
+    return hashlib.sha256(np.ascontiguousarray(turned).tobytes()).hexdigest()

@@ -10,10 +10,9 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.body.weights import limit_bones
+from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import MeshError, MotionError, warn_about
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.skinned import SkinnedMesh
+from humansim_ros.mesh.mesh import Mesh, SkinnedMesh
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_motion

@@ -1,11 +1,17 @@
-"""Load humans from human files, descriptions, meshes, skinned meshes and SMPL models."""
+"""Load humans from human files, descriptions, meshes, skinned meshes and SMPL models.
+
+Humans that take long to make are kept in a cache on disk, by the content from which they are made.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
+import warnings
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +21,7 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.humans.cache import cached, content_key
+from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, warn_about
 from humansim_ros.humans.description import (
     DEFAULT_OUTFITS,
     Clothes,
@@ -25,18 +30,86 @@ from humansim_ros.humans.description import (
     read_description,
 )
 from humansim_ros.humans.figure import to_body_space
-from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human
+from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human, write_human
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset
-from humansim_ros.io.files import missing_file, read_bytes, resolve_relative
+from humansim_ros.io.files import expand_user, missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image, encode_image
 from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.mesh.load import read_mesh_or_figure
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.mesh_format import MAX_BYTES, MESH_SUFFIXES, format_of, read_format
+from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, format_of, read_format
 from humansim_ros.mesh.obj import material_files
-from humansim_ros.mesh.skinned import SkinnedMesh
+from humansim_ros.resources import resource_path
+
+#: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
+CACHE_VERSION = 2
+#: Files in the cache; the least recently used are deleted.
+MAX_HUMANS = 100
+
+
+def cache_folder() -> Path | None:
+    """Folder of the cache: ``$HUMANSIM_CACHE``, else ``humansim_ros/humans`` in the user's cache folder.
+
+    None if HUMANSIM_CACHE is ``off``.
+    """
+    own = os.environ.get("HUMANSIM_CACHE")
+    if own:
+        return None if own == "off" else expand_user(own)
+    base = os.environ.get("XDG_CACHE_HOME") or expand_user("~/.cache")
+    return Path(base) / "humansim_ros" / "humans"
+
+
+def content_key(parts: Iterable[bytes]) -> str:
+    """Digest of all content that a human is made of, of the joint data and of CACHE_VERSION."""
+    digest = hashlib.sha256(str(CACHE_VERSION).encode())
+    for part in (resource_path("config/body_joints.json").read_bytes(), *parts):
+        digest.update(hashlib.sha256(part).digest())
+    return digest.hexdigest()[:40]
+
+
+def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
+    """Read a human from the cache, or make it and write it there.
+
+    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and
+    a warning says so.
+    """
+    folder = cache_folder()
+    if folder is None:
+        return make()
+    path = folder / f"{name[:40]}-{key}.npz"
+    if path.is_file():
+        try:
+            human = read_human(path)
+            os.utime(path)
+        except (MeshError, OSError):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        else:
+            return replace(human, name=name)
+    human = make()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_human(path, human)
+        _delete_oldest(folder)
+        # read back, so that the first call gives the same rounded numbers as later calls
+        return replace(read_human(path), name=name)
+    except (OSError, HumansimError) as reason:
+        text = reason.strerror if isinstance(reason, OSError) else reason.message
+        warnings.warn(
+            f"{folder}: humans cannot be cached here ({text}), and each start makes them anew; set "
+            "HUMANSIM_CACHE to another folder, or to off",
+            HumansimWarning,
+            stacklevel=2,
+        )
+        return human
+
+
+def _delete_oldest(folder: Path) -> None:
+    files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+    for file in files[:-MAX_HUMANS]:
+        file.unlink(missing_ok=True)
+
 
 _DESCRIPTIONS = (".yaml", ".yml")
 #: Suffixes of files with a human.

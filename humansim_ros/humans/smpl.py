@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.weights import limit_bones
+from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.io.npz import read_npz
-from humansim_ros.mesh.mesh import LARGEST, Mesh
-from humansim_ros.mesh.skinned import SkinnedMesh, normalise_weights
+from humansim_ros.mesh.mesh import LARGEST, Mesh, SkinnedMesh, normalise_weights
 
 _ARRAYS = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
 _BODY = (

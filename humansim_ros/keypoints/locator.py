@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.humans.human import Human
-from humansim_ros.humans.surfaces import joint_surfaces
-from humansim_ros.keypoints.anatomy import MIXES
+from humansim_ros.humans.human import Human, joint_surfaces
 from humansim_ros.keypoints.sets import KeypointSet
-from humansim_ros.keypoints.skin import place_on_skin
+from humansim_ros.keypoints.skin import MIXES, place_on_skin
 from humansim_ros.types import Array, Indices
 
 

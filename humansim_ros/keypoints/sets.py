@@ -23,7 +23,7 @@ class KeypointSet:
         title: Name for people.
         names: K names in the order of the field.
         points: Anatomical point of each keypoint: a joint of the skeleton, or a name of
-            :mod:`humansim_ros.keypoints.anatomy`.
+            :mod:`humansim_ros.keypoints.skin`.
         edges: Pairs of keypoints to connect by lines.
         sigmas: K constants of the object keypoint similarity (OKS), where they are published; else None.
         source: Citation with URL.

@@ -1,22 +1,100 @@
-"""Find anatomical points on the skin of a human: triangle and barycentric weights."""
+"""Find anatomical points on the skin of a human: triangle and barycentric weights.
+
+Points that are no joints of the skeleton are in ``config/body_landmarks.json``, which
+``tools/assets/find_landmarks.py`` writes: texture coordinates on the bodies that we make, and a triangle of
+MakeHuman's base mesh for each.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.known import SKIN_VERTICES, is_makehuman
+from humansim_ros.body.landmarks import SKIN_VERTICES, is_makehuman
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.data import SOURCE
-from humansim_ros.keypoints.anatomy import skin_points
+from humansim_ros.resources import resource_path
 from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
+
+
+def _between(first: Mapping[str, float], second: Mapping[str, float], share: float) -> dict[str, float]:
+    """Point between two points, ``share`` of the way to the second."""
+    joints = dict.fromkeys((*first, *second), 0.0)
+    for point, part in ((first, 1 - share), (second, share)):
+        for joint, weight in point.items():
+            joints[joint] += part * weight
+    return joints
+
+
+_HIPS: Mapping[str, float] = {"l_hip": 0.5, "r_hip": 0.5}
+_SHOULDERS: Mapping[str, float] = {"l_shoulder": 0.5, "r_shoulder": 0.5}
+_NECK: Mapping[str, float] = {"vt3": 1.0}
+_CROWN: Mapping[str, float] = {"vt3_end": 1.0}
+_NECK_BASE = _between(_SHOULDERS, _NECK, 0.5)
+
+
+def _of_side(side: str) -> dict[str, Mapping[str, float]]:
+    def joint(name: str) -> dict[str, float]:
+        return {f"{side}_{name}": 1.0}
+
+    return {
+        f"{side}_collar": _between(joint("sternoclavicular"), joint("shoulder"), 0.35),
+        f"{side}_palm": _between(joint("wrist"), joint("wrist_end"), 0.35),
+        f"{side}_foot_ball": _between(joint("ankle"), joint("ankle_end"), 0.6),
+    }
+
+
+#: Shares of joints in each point between joints. Those of SMPL are the shares of its mean body between hips
+#: and neck; the middle of the skull is that of the skeleton of Human3.6M.
+MIXES: Mapping[str, Mapping[str, float]] = {
+    "mid_hip": _HIPS,
+    "mid_shoulder": _SHOULDERS,
+    "neck_base": _NECK_BASE,
+    "spine_middle": _between(_HIPS, _NECK_BASE, 0.5),
+    "skull_middle": _between(_NECK, _CROWN, 0.5),
+    "pelvis": _between(_HIPS, _NECK, 0.15),
+    "spine_1": _between(_HIPS, _NECK, 0.33),
+    "spine_2": _between(_HIPS, _NECK, 0.55),
+    "spine_3": _between(_HIPS, _NECK, 0.64),
+    "head_joint": _between(_NECK, _CROWN, 0.3),
+    **_of_side("l"),
+    **_of_side("r"),
+}
+
+
+@dataclass(frozen=True)
+class SkinPoint:
+    """A point of the skin.
+
+    Attributes:
+        uv: Texture coordinates (u, v), v up, on bodies that :mod:`humansim_ros.humans.makehuman` makes.
+        vertices: Corners of its triangle in MakeHuman's base mesh; eyes are after the skin.
+        weights: Barycentric weights of the corners.
+    """
+
+    uv: tuple[float, float]
+    vertices: tuple[int, int, int]
+    weights: tuple[float, float, float]
+
+
+@functools.cache
+def skin_points() -> Mapping[str, SkinPoint]:
+    """All points of the skin by name."""
+    rows = json.loads(resource_path("config/body_landmarks.json").read_text("utf-8"))
+    return {
+        name: SkinPoint(tuple(row["uv"]), tuple(row["vertices"]), tuple(row["weights"]))
+        for name, row in rows.items()
+    }
+
 
 #: Bones at the ends of limbs: skeletons of other programs end at different points there.
 _ENDS = ("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist")
@@ -39,7 +117,7 @@ def has_exact_skin(human: Human) -> bool:
 
 
 def place_on_skin(human: Human, names: Sequence[str]) -> SkinPlaces:
-    """Find points of :func:`~humansim_ros.keypoints.anatomy.skin_points` on a human.
+    """Find points of :func:`~humansim_ros.keypoints.skin.skin_points` on a human.
 
     Bodies that are made here have one texture layout, which gives the exact place; bare MakeHuman bodies have
     the vertices of its base mesh. On other bodies the points are carried over from a built-in human, and are

@@ -8,10 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.mesh_format import MeshFormat, read_format
+from humansim_ros.mesh.mesh import Mesh, MeshFormat, SkinnedMesh, read_format
 from humansim_ros.mesh.obj import read_obj, read_obj_materials
-from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.mesh.trimesh_files import read_foreign
 from humansim_ros.types import Array
 

@@ -1,16 +1,84 @@
-"""Surface mesh: vertices, faces, texture coordinates, colours."""
+"""Surface mesh: vertices, faces, texture coordinates, colours, material, and joints with weights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import io
+import os
+import re
+import struct
+import zipfile
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
-from humansim_ros.errors import MeshError
-from humansim_ros.mesh.material import Material
-from humansim_ros.types import Array
+from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.io.files import read_bytes
+from humansim_ros.types import Array, Image
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A glTF 2.0 metallic-roughness material. Its images use the texture coordinates of the mesh.
+
+    ``metallic``, ``roughness``: 0 to 1; multiplied by the blue and green channels of ``metal_rough``
+    (H, W, 3). ``specular``: (3,) linear reflectance at normal incidence (F0) of non-metals. ``normals``:
+    (H, W, 3) normal map, +y up in the image; its x and y are multiplied by ``normal_scale``. ``emission``:
+    (3,) emitted linear light, multiplied by ``emissive_map`` (H, W, 3), sRGB. ``alpha``: ``mask`` discards
+    pixels less opaque than ``cutoff``. ``opacity`` is multiplied by ``alpha_map`` (H, W). ``double_sided``:
+    back faces are visible. ``wrap``: whether images repeat along u and v.
+    """
+
+    metallic: float = 0.0
+    roughness: float = 1.0
+    metal_rough: Image | None = None
+    specular: tuple[float, float, float] = (0.04, 0.04, 0.04)
+    normals: Image | None = None
+    normal_scale: float = 1.0
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emissive_map: Image | None = None
+    alpha: Literal["opaque", "mask", "blend"] = "opaque"
+    cutoff: float = 0.5
+    opacity: float = 1.0
+    alpha_map: Image | None = None
+    double_sided: bool = True
+    wrap: tuple[bool, bool] = (True, True)
+
+
+def height_to_normal_map(heights: Image, strength: float) -> Image:
+    """Make a normal map (H, W, 3) from a height map (H, W), which repeats.
+
+    ``strength``: height of value 255 in texels.
+    """
+    height = heights.astype(np.float32) * (strength / 255)
+    x = (np.roll(height, 1, axis=1) - np.roll(height, -1, axis=1)) / 2
+    y = (np.roll(height, -1, axis=0) - np.roll(height, 1, axis=0)) / 2
+    normal = np.stack([x, y, np.ones_like(x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.asarray(np.rint(127.5 * (normal + 1)), dtype=np.uint8)
+
+
+def without_maps(material: Material | None, path: str, name: str) -> Material | None:
+    """Remove the images of a material, with a warning: its mesh has no texture coordinates."""
+    if material is None:
+        return None
+    images = {
+        "metal_rough": "metal and roughness",
+        "normals": "normal map",
+        "emissive_map": "emission",
+        "alpha_map": "alpha map",
+    }
+    for what in (what for key, what in images.items() if getattr(material, key) is not None):
+        warn_about(path, f"material {name!r}: the {what} is ignored: the mesh has no texture coordinates")
+    emission = (0.0, 0.0, 0.0) if material.emissive_map is not None else material.emission
+    return replace(
+        material, metal_rough=None, normals=None, emissive_map=None, alpha_map=None, emission=emission
+    )
+
 
 FaceIndices = NDArray[np.int32]
 #: Larger coordinates are mistakes in any unit, and their squares may be infinite.
@@ -107,3 +175,93 @@ class Mesh:
         both = faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 2, 3)
         keep = np.stack([np.ones(len(faces), dtype=bool), self.faces[:, 3] >= 0], axis=1)
         return np.ascontiguousarray(both[keep])
+
+
+@dataclass(frozen=True)
+class SkinnedMesh:
+    """Mesh, joints and weights at bind time, in the space of the file.
+
+    ``joint_names``: J names. ``parents``: (J,), parents first, -1 for a root. ``joints``: (J, 3) positions.
+    ``weights``: (V, J), rows sum to one.
+    """
+
+    name: str
+    mesh: Mesh
+    joint_names: tuple[str, ...]
+    parents: NDArray[np.intp]
+    joints: Array
+    weights: csr_matrix
+
+
+def normalise_weights(weights: csr_matrix) -> csr_matrix:
+    """Scale weights (V, B) so that rows sum to one.
+
+    Raises MeshError with the vertex if a weight is negative or not finite, or a row sums to zero.
+    """
+    scaled = csr_matrix(weights, dtype=np.float64, copy=True)
+    counts = np.diff(scaled.indptr)
+    rows = np.repeat(np.arange(len(counts)), counts)
+    bad = ~np.isfinite(scaled.data) | (scaled.data < 0)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise MeshError(
+            f"a skinning weight of vertex {rows[first]} is negative or not finite: {scaled.data[first]}"
+        )
+    largest = np.zeros(len(counts))
+    np.maximum.at(largest, rows, scaled.data)
+    if (largest == 0).any():
+        raise MeshError(f"vertex {int(np.argmin(largest))} follows no bone: its weights sum to zero")
+    scaled.data /= largest[rows]  # whose sum cannot overflow
+    scaled.data /= np.bincount(rows, scaled.data, len(counts))[rows]
+    return scaled
+
+
+MeshFormat = Literal["obj", "gltf", "ply", "stl", "off", "dae", "3mf"]
+#: Formats by suffix. VRM avatars are glTF files.
+MESH_SUFFIXES: dict[str, MeshFormat] = {
+    ".obj": "obj",
+    ".gltf": "gltf",
+    ".glb": "gltf",
+    ".vrm": "gltf",
+    ".ply": "ply",
+    ".stl": "stl",
+    ".off": "off",
+    ".dae": "dae",
+    ".3mf": "3mf",
+}
+#: Largest mesh file.
+MAX_BYTES = 1 << 29
+
+
+def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
+    """Format and content of a mesh file. Raises MeshError if it is missing, empty or too large."""
+    data = read_bytes(path, MeshError, "mesh", MAX_BYTES)
+    return format_of(data) or MESH_SUFFIXES.get(Path(path).suffix.lower(), "obj"), data
+
+
+def format_of(data: bytes) -> MeshFormat | None:
+    """Format of a file with a signature; None for OBJ and unknown files."""
+    start = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
+    if start.startswith((b"glTF", b"{")):
+        return "gltf"
+    if re.match(rb"ply\s", start):
+        return "ply"
+    if re.match(rb"(ST)?(C)?(N)?(4)?OFF\s", start):
+        return "off"
+    if re.match(rb"<(\?xml|!--|COLLADA)", start) and b"<COLLADA" in data[:65536]:
+        return "dae"
+    if start.startswith(b"PK\3\4"):
+        return "3mf" if any(name.lower().endswith("3dmodel.model") for name in _names(data)) else None
+    if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
+        return "stl"
+    if re.match(rb"solid\b[^\n]*\n\s*(facet|endsolid)\b", start):
+        return "stl"
+    return None
+
+
+def _names(data: bytes) -> list[str]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return archive.namelist()
+    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError, RuntimeError):
+        return []

@@ -1,13 +1,166 @@
-"""Texels of a mesh: the triangle, and the place in it, at the centre of each texel of a texture."""
+"""Texels of a mesh: the triangle, and the place in it, at the centre of each texel of a texture.
+
+Also atlases, which hold the images of several materials in one texture, and division of triangles into four.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.types import Array
+from humansim_ros.mesh.mesh import FaceIndices, Mesh
+from humansim_ros.types import Array, Indices
+
+#: Side of a plain colour tile, and maximum side of the atlas, texels.
+PLAIN, _MAX_SIDE = 8, 4096
+
+
+def plain_tile(color: Sequence[float] | Array) -> NDArray[np.uint8]:
+    """Small texture (PLAIN, PLAIN, 3) of one colour, sRGB 0 to 1."""
+    rgb = np.rint(255 * np.clip(np.asarray(color, dtype=float), 0.0, 1.0)).astype(np.uint8)
+    return np.broadcast_to(rgb, (PLAIN, PLAIN, 3)).copy()
+
+
+def atlas_mesh(
+    vertices: Array,
+    faces: FaceIndices,
+    uv: Array,
+    uv_faces: FaceIndices,
+    face_material: NDArray[np.integer],
+    tiles: Sequence[NDArray[np.uint8]],
+) -> Mesh:
+    """Create a mesh with one texture from faces with several textures.
+
+    With more than one material, a texture that repeats within one face is clipped at its edge.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 4) vertex indices, triangles padded with -1.
+        uv: Texture coordinates (T, 2), v up.
+        uv_faces: (F, 4) indices into ``uv``; -1 for corners without texture coordinates.
+        face_material: (F,) index into ``tiles`` of each face.
+        tiles: Texture (H, W, 3) of each material.
+    """
+    used = np.unique(face_material)
+    if len(used) == 1 and (uv_faces[:, :3] >= 0).all():
+        return Mesh(vertices, faces, uv, uv_faces, texture=tiles[int(used[0])])
+    atlas, boxes = pack_images([tiles[int(n)] for n in used])
+    height, width = atlas.shape[:2]
+    x, y, w, h = np.array(boxes, dtype=float)[np.searchsorted(used, face_material)].T[:, :, None]
+    has = (uv_faces >= 0).all(axis=1) | ((faces[:, 3] < 0) & (uv_faces[:, :3] >= 0).all(axis=1))
+    corner_uv: Array = np.full((len(faces), 4, 2), 0.5)
+    corner_uv[has] = uv[np.maximum(uv_faces[has], 0)]
+    corner_uv -= np.floor(corner_uv[:, :3].mean(axis=1, keepdims=True))  # shift whole tiles into 0..1
+    corner_uv = np.clip(corner_uv, 0.0, 1.0)
+    # half a texel inside, so that neighbouring tiles do not bleed in
+    across = (x + 0.5 + corner_uv[..., 0] * (w - 1)) / width
+    down = (y + 0.5 + (1 - corner_uv[..., 1]) * (h - 1)) / height
+    corners = np.stack([across, 1 - down], axis=-1).reshape(-1, 2)
+    numbers = np.arange(4 * len(faces), dtype=np.int32).reshape(-1, 4)
+    return Mesh(vertices, faces, corners, np.where(faces < 0, -1, numbers).astype(np.int32), texture=atlas)
+
+
+def pack_images(
+    tiles: Sequence[NDArray[np.uint8]],
+) -> tuple[NDArray[np.uint8], list[tuple[int, int, int, int]]]:
+    """Put images into one, in rows, smaller if they are too large for one texture.
+
+    Args:
+        tiles: Images (H, W, 3), at least one.
+
+    Returns:
+        Image with all tiles, and the box (x, y, width, height) of each tile.
+    """
+    limit = int(_MAX_SIDE / max(1.0, np.ceil(np.sqrt(len(tiles)))))
+    scaled = []
+    for tile in tiles:
+        shrink = min(1.0, limit / max(tile.shape[:2]))
+        size = (max(1, int(tile.shape[1] * shrink)), max(1, int(tile.shape[0] * shrink)))
+        resized = tile if shrink == 1.0 else cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
+        scaled.append(np.asarray(resized, dtype=np.uint8))
+    area = sum(tile.shape[0] * tile.shape[1] for tile in scaled)
+    row_width = max(int(1.2 * np.sqrt(area)), *(tile.shape[1] for tile in scaled), 1)
+    boxes = [(0, 0, 0, 0)] * len(scaled)
+    x = y = row = 0
+    for number in sorted(range(len(scaled)), key=lambda n: -scaled[n].shape[0]):
+        height, width = scaled[number].shape[:2]
+        if x + width > row_width and x:
+            x, y, row = 0, y + row, 0
+        boxes[number] = (x, y, width, height)
+        x, row = x + width, max(row, height)
+    atlas = np.zeros((y + row, max(p[0] + p[2] for p in boxes), 3), np.uint8)
+    for (x, y, width, height), tile in zip(boxes, scaled, strict=True):
+        atlas[y : y + height, x : x + width] = tile
+    return atlas, boxes
+
+
+@dataclass(frozen=True, eq=False)
+class Subdivision:
+    """A mesh of triangles made of another one.
+
+    Attributes:
+        mesh: The finer mesh, whose faces are triangles.
+        owner: (N,) triangle of the first mesh of each of its triangles.
+        edges: For each round, pairs of vertices (E, 2) between which it adds vertices.
+    """
+
+    mesh: Mesh
+    owner: Indices
+    edges: tuple[Indices, ...]
+
+    def points(self, points: Array) -> Array:
+        """Points of the vertices of the finer mesh from those (V, 3) of the first mesh, also in a pose."""
+        for pairs in self.edges:
+            points = np.concatenate([points, points[pairs].mean(axis=1)])
+        return points
+
+
+def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
+    """Divide each triangle into four, ``rounds`` times; texture coordinates follow.
+
+    Raises:
+        MeshError: The mesh cannot be made.
+    """
+    triangles = np.asarray(mesh.triangles, np.intp)
+    uv_triangles = None if mesh.uv_triangles is None else np.asarray(mesh.uv_triangles, np.intp)
+    vertices, uv, owner = mesh.vertices, mesh.uv, np.arange(len(triangles))
+    edges: list[Indices] = []
+    for _ in range(rounds):
+        triangles, pairs = _divided(triangles, len(vertices))
+        vertices = np.concatenate([vertices, vertices[pairs].mean(axis=1)])
+        edges.append(pairs)
+        if uv is not None and uv_triangles is not None:
+            uv_triangles, uv_pairs = _divided(uv_triangles, len(uv))
+            uv = np.concatenate([uv, uv[uv_pairs].mean(axis=1)])
+        owner = np.tile(owner, 4)
+    finer = replace(
+        mesh,
+        vertices=vertices,
+        faces=_faces(triangles),
+        uv=uv,
+        uv_faces=None if uv_triangles is None else _faces(uv_triangles),
+        colors=None,
+    )
+    return Subdivision(finer, owner, tuple(edges))
+
+
+def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
+    """Triangles (4 N, 3), and the pairs (E, 2) of the ``count`` points between which new points are."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    pairs, number = np.unique(sides, axis=0, return_inverse=True)
+    ab, bc, ca = (count + number.reshape(-1, 3)).T
+    a, b, c = triangles.T
+    parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+    return np.concatenate([np.stack(part, axis=1) for part in parts]), pairs
+
+
+def _faces(triangles: Indices) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
+    return np.pad(triangles.astype(np.int32), ((0, 0), (0, 1)), constant_values=-1)
+
 
 #: Texels that are computed at once.
 _CHUNK = 2_000_000

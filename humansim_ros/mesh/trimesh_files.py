@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.mesh_format import MeshFormat
+from humansim_ros.mesh.mesh import Mesh, MeshFormat
 from humansim_ros.types import Array
 
 _MAX_VERTICES = 5_000_000

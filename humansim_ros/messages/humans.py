@@ -28,7 +28,7 @@ from humansim_ros.messages.types import (
     Vector3,
 )
 from humansim_ros.messages.types import Mesh as MeshMessage
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.rotations import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.state import JointMotion

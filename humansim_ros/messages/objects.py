@@ -11,7 +11,7 @@ from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import RosError
 from humansim_ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.messages.types import ColorRGBA, Marker, Point, Pose, Quaternion, TwistStamped, Vector3
-from humansim_ros.motion.joint_poses import Velocity
+from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 

@@ -41,7 +41,7 @@ from humansim_ros.messages.types import (
     name_of,
 )
 from humansim_ros.messages.types import Mesh as MeshMessage
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.render import View
 from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, Channel
 from humansim_ros.scene import HumanState, Scene

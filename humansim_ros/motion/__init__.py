@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from humansim_ros.motion.info import to_world as to_world
     from humansim_ros.motion.joint_match import JointMatch as JointMatch
     from humansim_ros.motion.joint_matching import match_motion as match_motion
-    from humansim_ros.motion.joint_poses import JointPoses as JointPoses
-    from humansim_ros.motion.joint_poses import Velocity as Velocity
     from humansim_ros.motion.joint_tables import JointTable as JointTable
     from humansim_ros.motion.keyframes import read_keyframes as read_keyframes
+    from humansim_ros.motion.kinematics import JointPoses as JointPoses
     from humansim_ros.motion.kinematics import Motion as Motion
+    from humansim_ros.motion.kinematics import Velocity as Velocity
     from humansim_ros.motion.limits import load_limits as load_limits
     from humansim_ros.motion.penetration import fit_capsules as fit_capsules
     from humansim_ros.motion.penetration import report_penetration as report_penetration
@@ -27,12 +27,12 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "JointMatch": "joint_match",
-        "JointPoses": "joint_poses",
+        "JointPoses": "kinematics",
         "JointTable": "joint_tables",
         "Motion": "kinematics",
         "Placement": "world_motion",
         "Retargeter": "retarget",
-        "Velocity": "joint_poses",
+        "Velocity": "kinematics",
         "WorldMotion": "world_motion",
         "fit_capsules": "penetration",
         "load_limits": "limits",

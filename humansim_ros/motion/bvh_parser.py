@@ -10,8 +10,15 @@ from typing import TextIO
 import numpy as np
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.bvh_rows import FRAME_TIMES, read_motion_section, starts_motion
-from humansim_ros.motion.bvh_text import BRACE, LARGEST, BvhText, comma_hint
+from humansim_ros.motion.bvh_text import (
+    BRACE,
+    FRAME_TIMES,
+    LARGEST,
+    BvhText,
+    comma_hint,
+    read_motion_section,
+    starts_motion,
+)
 from humansim_ros.motion.kinematics import AXES, CHANNEL_NAMES, Motion
 from humansim_ros.types import Array
 

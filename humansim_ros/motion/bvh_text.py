@@ -1,4 +1,4 @@
-"""Text of BVH files: lines and blocks with their line numbers, errors, warnings and numbers."""
+"""Text of BVH files: lines and blocks with line numbers, errors and warnings, and the rows of numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import re
 from collections.abc import Iterator
 from typing import TextIO
 
+import numpy as np
+from numpy.typing import NDArray
+
 from humansim_ros.errors import MotionError, warn_about
+from humansim_ros.types import Array
 
 #: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
 #: memory.
@@ -162,3 +166,279 @@ def comma_text(mark: str) -> str:
 def comma_hint(text: str) -> str:
     """End of a message about a text that is no number."""
     return "; decimals need a point, not a comma" if "," in text else ""
+
+
+#: Smallest and largest frame time, seconds.
+FRAME_TIMES = 1e-9, 1e6
+#: Frame time of files that give none, seconds.
+_USUAL_FRAME_TIME = 1 / 30
+#: A line of the header: its key, the colon and its value.
+_HEADER = re.compile(r"(frames|frame[\s_]*time)\s*(?P<colon>[:=]?)\s*(?P<value>.*)", re.IGNORECASE)
+_NUMBER_START = re.compile(r"[+-]?[.,]?\d")
+#: Whether a character, by its code, is part of plain numbers and white space.
+_PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
+
+
+def starts_motion(statement: str) -> bool:
+    """Whether a statement is a line of the header, or a row."""
+    return bool(_HEADER.fullmatch(statement) or _NUMBER_START.match(statement))
+
+
+def read_motion_section(text: BvhText, n_channels: int) -> tuple[Array, float]:
+    """Channel values (F, C) and frame time after the word MOTION; F is 0 where ``Frames:`` says so."""
+    n_frames, frame_time = _read_header(text)
+    rows = _Rows(text, n_channels, n_frames).read()
+    if len(rows) == 0:
+        if n_frames == 0:
+            return rows, frame_time
+        raise text.error("no frames after 'Frame Time:': the file is truncated")
+    if not np.isnan(n_frames) and len(rows) != n_frames:
+        text.warn_file(f"says {n_frames:g} frames but has {len(rows)}; the rows count")
+    return rows, frame_time
+
+
+def _read_header(text: BvhText) -> tuple[float, float]:
+    """Number of frames (NaN where it is missing) and frame time."""
+    header: dict[str, tuple[int, str]] = {}
+    while len(header) < 2:
+        line = text.next_line()
+        if not line:
+            missing = "Frame Time" if "Frames" in header else "Frames"
+            raise text.error(f"'{missing}:' is missing after MOTION: the file is truncated or damaged")
+        if not (line := line.strip()):
+            continue
+        if found := _HEADER.fullmatch(line):
+            key = "Frames" if found[1].lower() == "frames" else "Frame Time"
+            header[key] = text.line, found["value"]
+            if not found["colon"]:
+                text.warn(f"'{key}' without a colon")
+        elif _NUMBER_START.match(line):
+            text.unread(line)
+            break
+        else:
+            raise text.error(f"'Frames:' and 'Frame Time:' expected, not {line[:40]!r}")
+    n_frames = frame_time = np.nan
+    if "Frames" in header:
+        n_frames = _header_number(text, "Frames", *header["Frames"])
+    else:
+        text.warn("'Frames:' is missing before this line: the rows count", text.line + 1)
+    if "Frame Time" in header:
+        line_number, value = header["Frame Time"]
+        frame_time = _header_number(text, "Frame Time", line_number, value)
+        if not FRAME_TIMES[0] <= frame_time <= FRAME_TIMES[1]:
+            raise text.error(
+                f"Frame Time must be above zero and below a million seconds, not {frame_time:g}", line_number
+            )
+    else:
+        frame_time = _USUAL_FRAME_TIME
+        text.warn(
+            "'Frame Time:' is missing before this line: 30 frames per second are assumed", text.line + 1
+        )
+    return n_frames, frame_time
+
+
+def _header_number(text: BvhText, key: str, line: int, value: str) -> float:
+    try:
+        numbers = text.numbers(value)
+    except ValueError:
+        numbers = []
+    if len(numbers) != 1 or not np.isfinite(numbers[0]):
+        raise text.error(f"'{key}:' needs a number, not {value[:40]!r}{comma_hint(value)}", line)
+    text.warn_of_notes()
+    return numbers[0]
+
+
+class _Rows:
+    """Reader of the rows: in blocks, and word by word only where a block is not plain."""
+
+    def __init__(self, text: BvhText, n_channels: int, n_frames: float) -> None:
+        self.text = text
+        self.n_channels = n_channels
+        self.n_frames = n_frames
+        self.layout = _Layout(n_channels)
+        self.comma: str | None = None  # what replaces commas
+        self.has_points = False
+
+    def read(self) -> Array:
+        """Channel values (F, C) of the rest of the file."""
+        parts: list[Array] = []
+        blocks = self.text.blocks()
+        for block in blocks:
+            if self.n_channels == 0 and block.strip():
+                raise self.text.error("a value, but no joint has channels", self.text.line + 1)
+            self.has_points = self.has_points or "." in block
+            parsed = _fast_values(block)
+            word_of_tail = ""
+            if parsed is None:
+                block = split_glued(self._without_commas(block) if "," in block else block)
+                parsed = _fast_values(block)
+            if parsed is None:
+                values, ends, word_of_tail = self._slow_values(block)
+            else:
+                values, ends = parsed
+            parts.append(values)
+            self.layout.add(values, ends, self.text.line + 1)
+            self.text.line += len(ends)
+            if word_of_tail:
+                self._check_tail(word_of_tail, block, blocks, sum(map(len, parts)))
+                break
+            if self.layout.is_broken:
+                break
+        if self.n_channels == 0:
+            return np.zeros((1, 0))
+        self.layout.end(self.text.line + 1)
+        self._check_layout(sum(map(len, parts)))
+        return np.concatenate([np.empty(0), *parts]).reshape(-1, self.n_channels)
+
+    def _check_layout(self, n_values: int) -> None:
+        layout, n_channels = self.layout, self.n_channels
+        if layout.odd_line is None:
+            return
+        if layout.is_broken or n_values != self.n_frames * n_channels:
+            # a short row at the end of the file is a truncated file
+            is_cut = layout.odd_line == layout.last_line and layout.odd_count < n_channels
+            raise self.text.error(
+                f"a frame needs {n_channels} values, this has {layout.odd_count}"
+                + ("; the file is truncated" if is_cut else ""),
+                layout.odd_line,
+            )
+        self.text.warn(
+            f"not one frame on a line ({layout.odd_count} of {n_channels} "
+            f"values): there are as many values as {self.n_frames:g} frames have, which are taken in order",
+            layout.odd_line,
+        )
+
+    def _without_commas(self, block: str) -> str:
+        """A block with its commas replaced; as it is where their meaning is not clear."""
+        mark = " " if self.has_points else comma_meaning(block)
+        if mark is None or self.comma not in (None, mark):
+            return block
+        if self.comma is None:
+            line = self.text.line + 1 + block.count("\n", 0, block.index(","))
+            self.text.warn(f"commas {comma_text(mark)}", line)
+            self.comma = mark
+        return block.replace(",", mark)
+
+    def _slow_values(self, block: str) -> tuple[Array, NDArray[np.intp], str]:
+        """As :func:`_fast_values`, for any white space and with the line of an error.
+
+        Also the first word of a line that is no number, at which the values end; "" without one.
+        """
+        values: list[float] = []
+        ends: list[int] = []
+        for number, line in enumerate(block.split("\n"), self.text.line + 1):
+            for place, word in enumerate(line.split()):
+                try:
+                    values.append(to_float(word))
+                except ValueError:
+                    starts_line = place == 0 and (ends or self.layout.is_at_line_start)
+                    if starts_line and self.n_channels:
+                        return np.array(values), np.array(ends, dtype=np.intp), word
+                    raise self._no_number(word, number) from None
+                if not abs(values[-1]) <= LARGEST:
+                    raise self.text.error(f"{word[:40]!r} is not finite, or beyond {LARGEST:g}", number)
+            ends.append(len(values))
+        return np.array(values), np.array(ends[:-1], dtype=np.intp), ""
+
+    def _check_tail(self, word: str, block: str, blocks: Iterator[str], n_values: int) -> None:
+        """Accept text after the last row with a warning; it must not hide rows.
+
+        ``word`` is the first of its line; ``block`` contains it.
+        """
+        line = self.text.line + 1
+        is_damaged_number = _NUMBER_START.match(word)
+        if n_values == 0 or n_values % self.n_channels or self.layout.is_broken or is_damaged_number:
+            raise self._no_number(word, line)
+        if n_values != self.n_frames * self.n_channels:
+            # without a number of frames that fits, only text without any number is clear
+            words_of_block = block.split()
+            rest = words_of_block[words_of_block.index(word) :]
+            for words in (rest, *map(str.split, blocks)):
+                if any(map(is_number, words)):
+                    raise self._no_number(word, line)
+        self.text.warn(f"the text from {word[:40]!r} on is not part of the motion: left out", line)
+
+    def _no_number(self, word: str, line: int) -> MotionError:
+        return self.text.error(f"{word[:40]!r} is not a number{comma_hint(word)}", line)
+
+
+class _Layout:
+    """Layout of rows of C values on lines.
+
+    One row on a line is usual. A line may also hold several whole rows, or a part of one: the start of each
+    row is clear if the number of all values fits.
+    """
+
+    def __init__(self, n_channels: int) -> None:
+        self.n_channels = n_channels
+        #: First line without exactly one row, and its number of values.
+        self.odd_line: int | None = None
+        self.odd_count = 0
+        #: Last line with a value.
+        self.last_line = 0
+        #: Whether a line holds the end of a row and the start of the next.
+        self.is_broken = False
+        self._on_line = 0  # values so far on the current line
+        self._in_row = 0  # values so far in the current row
+
+    @property
+    def is_at_line_start(self) -> bool:
+        """Whether the current line has no values so far."""
+        return self._on_line == 0
+
+    def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
+        """Add values, the number of them before each line end, and the number of the first line."""
+        if len(ends) == 0:
+            self._on_line += len(values)
+            return
+        counts = ends.copy()
+        counts[1:] -= ends[:-1]
+        counts[0] += self._on_line
+        self._on_line = len(values) - int(ends[-1])
+        self._add_lines(counts, line)
+
+    def end(self, line: int) -> None:
+        """End of the file, at its last line."""
+        self._add_lines(np.array([self._on_line]), line)
+
+    def _add_lines(self, counts: NDArray[np.intp], line: int) -> None:
+        places = np.flatnonzero(counts)
+        if len(places) == 0:
+            return
+        self.last_line = line + int(places[-1])
+        counts = counts[places]
+        odd = counts != self.n_channels
+        if self._in_row == 0 and not odd.any():
+            return
+        if self.odd_line is None:
+            first = int(odd.argmax())
+            self.odd_line, self.odd_count = line + int(places[first]), int(counts[first])
+        ends = self._in_row + np.cumsum(counts)
+        starts = (ends - counts) % self.n_channels
+        is_part = starts + counts <= self.n_channels
+        is_whole = (starts == 0) & (counts % self.n_channels == 0)
+        self.is_broken |= not (is_part | is_whole).all()
+        self._in_row = int(ends[-1]) % self.n_channels
+
+
+def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
+    """Values of a text of plain finite numbers, and the number of them before each line end; else None."""
+    characters = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
+    # with these characters only, Python accepts no more than files do
+    if not _PLAIN[characters].all():
+        return None
+    blank = characters <= 32
+    starts = ~blank
+    starts[1:] &= blank[:-1]
+    places = np.flatnonzero(starts)
+    line_ends = np.flatnonzero(characters == ord("\n"))
+    if len(places) == 0:
+        return np.empty(0), np.zeros_like(line_ends)
+    words = text.split()
+    try:
+        values = np.fromiter(map(float, words), float, len(words))
+    except ValueError:
+        return None
+    if not (values.min() >= -LARGEST and values.max() <= LARGEST):
+        return None
+    return values, np.searchsorted(places, line_ends)

@@ -1,34 +1,384 @@
 """Joint limits of a skeleton: measure poses by a table of ranges, report violations, clamp.
 
 Angles are anatomical: from the neutral standing position (arms hanging, palms to the thighs). They depend
-neither on the rest pose of the skeleton nor on its rolls.
+neither on the rest pose of the skeleton nor on its rolls. Hinges and the spine have three axes, one after the
+other [Grood 1983]: an axis of the bone above, a floating axis, and an axis of the bone itself. Shoulders and
+hips have a direction of the bone within a cone [Wilhelms 2001], and a twist from the shortest rotation out of
+the middle of the cone.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
-from pydantic import ValidationError
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
+from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.io.yaml import read_yaml
-from humansim_ros.motion.joint_angles import (
-    ConeCoordinates,
-    HingeCoordinates,
-    JointAngles,
-    JointCoordinates,
-    shortest_rotations,
-)
-from humansim_ros.motion.limit_table import AnatomicalDirection, LimitTable, direction_vector
 from humansim_ros.resources import resource_path
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
+
+#: Anatomical directions; ``out`` is away from the middle of the body, so that both sides share a range.
+AnatomicalDirection = Literal["up", "down", "front", "back", "left", "right", "out", "in"]
+#: In body space: +x is the person's left, y is up, +z is the front.
+_DIRECTIONS: dict[str, tuple[float, float, float]] = {
+    "up": (0.0, 1.0, 0.0),
+    "down": (0.0, -1.0, 0.0),
+    "front": (0.0, 0.0, 1.0),
+    "back": (0.0, 0.0, -1.0),
+    "left": (1.0, 0.0, 0.0),
+    "right": (-1.0, 0.0, 0.0),
+}
+
+
+def direction_vector(name: AnatomicalDirection, side: int) -> Array:
+    """Unit vector (3,) of an anatomical direction, on the left (1) or right (-1) side."""
+    if name in ("out", "in"):
+        return np.array([float(side) if name == "out" else -float(side), 0.0, 0.0])
+    return np.array(_DIRECTIONS[name])
+
+
+class Limit(Section):
+    """One end of a range: direction ``from`` (``start``) rotates ``towards`` another by at most ``degrees``.
+
+    ``angle``: anatomical name. ``source``: key of the source.
+    """
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    angle: str
+    start: AnatomicalDirection = Field(alias="from")
+    towards: AnatomicalDirection
+    degrees: float = Field(ge=0, le=180)
+    source: str
+
+    def axis(self, side: int) -> Array:
+        """Rotation axis (3,) on the left (1) or right (-1) side."""
+        axis = np.cross(direction_vector(self.start, side), direction_vector(self.towards, side))
+        return np.asarray(axis, dtype=float)
+
+    def end_direction(self, side: int, margin: float = 0.0) -> Array:
+        """Direction ``from`` (3,) rotated to the limit and ``margin`` degrees beyond."""
+        angle = np.radians(self.degrees + margin)
+        start, towards = direction_vector(self.start, side), direction_vector(self.towards, side)
+        return np.asarray(np.cos(angle) * start + np.sin(angle) * towards)
+
+
+class ZeroDirection(Section):
+    """Zero of the angles of a cone: degrees count from ``direction`` towards the direction of each angle."""
+
+    direction: AnatomicalDirection
+    angles: Mapping[str, AnatomicalDirection]
+
+
+class JointRange(Section):
+    """Ranges of ``bone`` (of both sides, for bones of the limbs) ``relative_to`` a bone above it.
+
+    ``along``: direction of the bone at zero; without it the zero is the rest pose. Either ``swing``,
+    directions on the border of a cone, with ``zero``; or ``first`` and ``second``, ranges about the axes
+    before the ``twist``. ``twist_with``: bone whose twist is added.
+    """
+
+    bone: str
+    relative_to: str
+    along: AnatomicalDirection | None = None
+    zero: ZeroDirection | None = None
+    swing: tuple[Limit, ...] | None = None
+    first: tuple[Limit, Limit] | None = None
+    second: tuple[Limit, Limit] | None = None
+    twist: tuple[Limit, Limit]
+    twist_with: str | None = None
+
+    @property
+    def rows(self) -> tuple[Limit, ...]:
+        """All limits."""
+        return (*(self.swing or ()), *(self.first or ()), *(self.second or ()), *self.twist)
+
+    @property
+    def sides(self) -> dict[str, int]:
+        """Bone name -> side, of the bones that have these ranges."""
+        names = hanim_skeleton().names
+        sides = {name: side_of(name) for name in (self.bone, f"l_{self.bone}", f"r_{self.bone}")}
+        return {name: side for name, side in sides.items() if name in names}
+
+    @model_validator(mode="after")
+    def _check_geometry(self) -> JointRange:
+        if not self.sides:
+            raise ValueError(f"no bone {self.bone!r}; the bones are {', '.join(hanim_skeleton().names)}")
+        allowed = {"up", "down", "front", "back"}
+        allowed |= {"out", "in"} if any(self.sides.values()) else {"left", "right"}
+        used = {direction for row in self.rows for direction in (row.start, row.towards)}
+        used |= {self.along} if self.along else set()
+        used |= {self.zero.direction, *self.zero.angles.values()} if self.zero else set()
+        if not used <= allowed:
+            raise ValueError(f"directions of {self.bone} are {', '.join(sorted(allowed))}")
+        for row in self.rows:
+            if not row.axis(1).any():
+                raise ValueError(f"{row.angle}: nothing turns from {row.start} towards {row.towards}")
+        if (self.swing is None) == (self.first is None) or (self.first is None) != (self.second is None):
+            raise ValueError("give either 'swing' or both 'first' and 'second'")
+        pairs = [pair for pair in (self.first, self.second, self.twist) if pair is not None]
+        for one, other in pairs:
+            if not np.allclose(one.axis(1), -other.axis(1)):
+                raise ValueError(f"{one.angle} and {other.angle} are not opposite turns about one axis")
+        axes = np.array([pair[0].axis(1) for pair in pairs])
+        if not np.allclose(axes @ axes.T, np.eye(len(axes))):
+            raise ValueError("its axes are not at right angles")
+        if self.swing is not None:
+            if self.along is None or self.zero is None or len(self.swing) < 3:
+                raise ValueError("'swing' needs 'along', 'zero' and three directions or more")
+            along = direction_vector(self.along, 1)
+            if not np.allclose(np.abs(axes[0]), np.abs(along)):
+                raise ValueError(f"{self.twist[0].angle} is no twist about {self.along}")
+            for row in self.swing:
+                if not np.linalg.norm(np.cross(along, row.end_direction(1))) > 1e-6:
+                    raise ValueError(f"{row.angle} is at the middle of the cone, not on its border")
+        return self
+
+
+class LimitTable(Section):
+    """A table of joint ranges; ``margin`` degrees are added to each limit."""
+
+    name: str
+    margin: float = Field(ge=0, le=90)
+    sources: Mapping[str, str]
+    joints: tuple[JointRange, ...]
+
+    @model_validator(mode="after")
+    def _check_references(self) -> LimitTable:
+        for joint in self.joints:
+            for row in joint.rows:
+                if row.source not in self.sources:
+                    raise ValueError(f"{joint.bone}, {row.angle}: no source {row.source!r} under 'sources'")
+        bones = [joint.bone for joint in self.joints]
+        for number, joint in enumerate(self.joints):
+            if joint.bone in bones[:number]:
+                raise ValueError(f"{joint.bone} is there twice")
+            if joint.twist_with is not None and joint.twist_with not in bones[:number]:
+                raise ValueError(f"{joint.bone}: 'twist_with' names no joint before it")
+        return self
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """Coordinates (N, 3) of a joint, degrees; ``offset`` (N,) is the share of another joint in the third."""
+
+    values: Array
+    offset: Array
+
+
+@dataclass(frozen=True)
+class JointCoordinates(ABC):
+    """Coordinates of a joint of a skeleton.
+
+    ``bone``: index of its bone. ``chain``: bones between that bone and the bone of reference. ``before``,
+    ``after``: (3, 3) rotations that take the rotation of the joint into anatomical axes.
+    """
+
+    range: JointRange
+    side: int
+    margin: float
+    bone: int
+    chain: tuple[int, ...]
+    before: Array
+    after: Array
+
+    def measure(self, rotations: Array, offset: Array) -> JointAngles:
+        """Coordinates of the joint in bone rotations (N, B, 3, 3)."""
+        values = self.split(self.before @ self._inherited(rotations) @ rotations[:, self.bone] @ self.after)
+        values[:, 2] = np.where(offset == 0, values[:, 2], values[:, 2] + offset)
+        return JointAngles(values, offset)
+
+    def bone_rotation(self, relative: Array, rotations: Array) -> Array:
+        """Rotation (N, 3, 3) of the bone itself, from that of the joint in anatomical axes (N, 3, 3)."""
+        inherited = np.swapaxes(self._inherited(rotations), -1, -2)
+        return np.asarray(inherited @ self.before.T @ relative @ self.after.T)
+
+    def _inherited(self, rotations: Array) -> Array:
+        product = np.broadcast_to(np.eye(3), (len(rotations), 3, 3))
+        for bone in self.chain:
+            product = product @ rotations[:, bone]
+        return product
+
+    def bounds(self, pair: Sequence[Limit]) -> tuple[float, float]:
+        """Lowest and highest value of a pair of opposite limits."""
+        return -pair[1].degrees - self.margin, pair[0].degrees + self.margin
+
+    def pair_against_limits(self, pair: Sequence[Limit], values: Array) -> Iterator[tuple[str, float, Array]]:
+        """(angle, limit, values (N,)) of both limits of a pair."""
+        for row, signed in zip(pair, (values, -values), strict=True):
+            yield row.angle, row.degrees + self.margin, signed
+
+    @abstractmethod
+    def split(self, relative: Array) -> Array:
+        """Coordinates (N, 3) of rotations (N, 3, 3) in anatomical axes."""
+
+    @abstractmethod
+    def compose(self, values: Array, offset: Array) -> Array:
+        """Rotations (N, 3, 3) in anatomical axes that :meth:`measure` gives these coordinates for."""
+
+    @abstractmethod
+    def clamp(self, measured: JointAngles) -> Array:
+        """Coordinates (N, 3) within the limits."""
+
+    @abstractmethod
+    def named_angles(self, measured: JointAngles) -> dict[str, Array]:
+        """Angle -> values (N,), degrees."""
+
+    @abstractmethod
+    def against_limits(self, measured: JointAngles) -> Iterator[tuple[str, float, Array]]:
+        """(angle, limit, values (N,)) of each limit."""
+
+
+class HingeCoordinates(JointCoordinates):
+    """Rotations about three axes, one after the other."""
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[Limit, Limit], ...]:
+        """Opposite limits about each axis."""
+        assert self.range.first is not None and self.range.second is not None
+        return (self.range.first, self.range.second, self.range.twist)
+
+    @cached_property
+    def axes(self) -> tuple[Array, float]:
+        """Right-handed axes as columns (3, 3), and the sign of the third axis in them."""
+        first, second, third = (pair[0].axis(self.side) for pair in self.pairs)
+        right_handed = np.cross(first, second)
+        return np.stack([first, second, right_handed], axis=-1), float(right_handed @ third)
+
+    def split(self, relative: Array) -> Array:
+        axes, sign = self.axes
+        m = axes.T @ relative @ axes
+        first = np.arctan2(-m[:, 1, 2], m[:, 2, 2])
+        second = np.arctan2(m[:, 0, 2], np.hypot(m[:, 1, 2], m[:, 2, 2]))
+        third = sign * np.arctan2(-m[:, 0, 1], m[:, 0, 0])
+        return np.degrees(np.stack([first, second, third], axis=-1))
+
+    def compose(self, values: Array, offset: Array) -> Array:
+        axes, sign = self.axes
+        angles = np.radians(values - np.stack([0 * offset, 0 * offset, offset], axis=-1)) * [1.0, 1.0, sign]
+        rotations = [_about_axis(axes[:, i], angles[:, i]) for i in range(3)]
+        return np.asarray(rotations[0] @ rotations[1] @ rotations[2])
+
+    def clamp(self, measured: JointAngles) -> Array:
+        return np.clip(measured.values, *np.array([self.bounds(pair) for pair in self.pairs]).T)
+
+    def named_angles(self, measured: JointAngles) -> dict[str, Array]:
+        return {pair[0].angle: measured.values[:, i] for i, pair in enumerate(self.pairs)}
+
+    def against_limits(self, measured: JointAngles) -> Iterator[tuple[str, float, Array]]:
+        for i, pair in enumerate(self.pairs):
+            yield from self.pair_against_limits(pair, measured.values[:, i])
+
+
+class ConeCoordinates(JointCoordinates):
+    """Distance of the bone from the middle of the cone, azimuth about it, and twist."""
+
+    @cached_property
+    def middle(self) -> Array:
+        """Direction (3,) of the middle of the cone."""
+        assert self.range.along is not None
+        return direction_vector(self.range.along, self.side)
+
+    @cached_property
+    def azimuth_axes(self) -> tuple[Array, Array]:
+        """Directions (3,) perpendicular to the middle, with azimuth 0 and 90 degrees."""
+        first = self.range.twist[0]
+        return direction_vector(first.start, self.side), direction_vector(first.towards, self.side)
+
+    @cached_property
+    def border(self) -> tuple[Array, Array]:
+        """Azimuths and distances (P,) of the limits of the swing with the margin, degrees."""
+        assert self.range.swing is not None
+        return self._polar(np.stack([row.end_direction(self.side, self.margin) for row in self.range.swing]))
+
+    def _polar(self, directions: Array) -> tuple[Array, Array]:
+        """Azimuth and distance (N,) of directions (N, 3), degrees."""
+        u, v = self.azimuth_axes
+        across = np.stack([directions @ u, directions @ v])
+        distance = np.arctan2(np.hypot(*across), directions @ self.middle)
+        return np.degrees(np.arctan2(across[1], across[0])), np.degrees(distance)
+
+    def _direction(self, azimuth: Array, distance: Array) -> Array:
+        """Directions (N, 3) at azimuths and distances (N,), degrees."""
+        u, v = self.azimuth_axes
+        azimuth, distance = np.radians(azimuth)[:, None], np.radians(distance)[:, None]
+        return np.asarray(
+            np.cos(distance) * self.middle + np.sin(distance) * (np.cos(azimuth) * u + np.sin(azimuth) * v)
+        )
+
+    def _border_distance(self, azimuth: Array) -> Array:
+        """Distance (N,) of the border at azimuths (N,), degrees."""
+        azimuths, distances = self.border
+        return np.asarray(np.interp(azimuth, azimuths, distances, period=360.0))
+
+    def split(self, relative: Array) -> Array:
+        azimuth, distance = self._polar(relative @ self.middle)
+        # from azimuth and distance, not from the direction itself, so that compose() is the exact inverse
+        swing = shortest_rotations(self.middle, self._direction(azimuth, distance))
+        u, v = self.azimuth_axes
+        across = np.swapaxes(swing, -1, -2) @ relative @ u
+        return np.stack([distance, azimuth, np.degrees(np.arctan2(across @ v, across @ u))], axis=-1)
+
+    def compose(self, values: Array, offset: Array) -> Array:
+        swing = shortest_rotations(self.middle, self._direction(values[:, 1], values[:, 0]))
+        axis = np.asarray(np.cross(*self.azimuth_axes), dtype=float)
+        return np.asarray(swing @ _about_axis(axis, np.radians(values[:, 2] - offset)))
+
+    def clamp(self, measured: JointAngles) -> Array:
+        distance, azimuth, twist = measured.values.T
+        clamped = np.minimum(distance, self._border_distance(azimuth))
+        return np.stack([clamped, azimuth, np.clip(twist, *self.bounds(self.range.twist))], axis=-1)
+
+    def named_angles(self, measured: JointAngles) -> dict[str, Array]:
+        assert self.range.zero is not None
+        direction = self._direction(measured.values[:, 1], measured.values[:, 0])
+        zero = direction_vector(self.range.zero.direction, self.side)
+        towards = {
+            name: direction @ direction_vector(to, self.side) for name, to in self.range.zero.angles.items()
+        }
+        across = direction - (direction @ zero)[:, None] * zero
+        length = np.linalg.norm(across, axis=-1)
+        angle = np.degrees(np.arctan2(length, direction @ zero)) / np.maximum(length, 1e-12)
+        return {name: share * angle for name, share in towards.items()} | {
+            self.range.twist[0].angle: measured.values[:, 2]
+        }
+
+    def against_limits(self, measured: JointAngles) -> Iterator[tuple[str, float, Array]]:
+        assert self.range.swing is not None
+        distance, azimuth, twist = measured.values.T
+        beyond = distance - self._border_distance(azimuth)
+        to_named = np.abs((azimuth[:, None] - self.border[0] + 180) % 360 - 180)
+        nearest = np.argmin(to_named, axis=-1)
+        for i, row in enumerate(self.range.swing):
+            limit = row.degrees + self.margin
+            yield row.angle, limit, np.where(nearest == i, limit + beyond, -np.inf)
+        yield from self.pair_against_limits(self.range.twist, twist)
+
+
+def shortest_rotations(start: Array, ends: Array) -> Array:
+    """Shortest rotations (..., 3, 3) of a unit vector (3,) along an axis onto others (..., 3)."""
+    second = np.roll(start, 1)
+    axes = np.stack([second, start, np.cross(second, start)], axis=-1)
+    return np.asarray(axes @ quaternion_to_matrix(from_y_axis(ends @ axes)) @ axes.T)
+
+
+def _about_axis(axis: Array, angles: NDArray[np.floating]) -> Array:
+    """Rotations (N, 3, 3) about a unit vector (3,) by radians (N,)."""
+    half = angles[:, None] / 2
+    return quaternion_to_matrix(np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1))
+
 
 _BUILT_IN = "config/joint_limits/normal.yaml"
 #: Degrees by which rounding may put a clamped angle beyond its limit.

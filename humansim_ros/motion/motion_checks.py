@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from humansim_ros.errors import some_of
-from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.motion.jumps import leading_rest
-from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.motion.kinematics import JointPoses
+from humansim_ros.motion.world_motion import WorldMotion, leading_rest
 from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array
 

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.motion.body_lines import BodyLines
 from humansim_ros.motion.bone_drivers import (
     LINE_ROTATIONS,
     SHORTEST_LINK,
     BoneDrivers,
+    line_rotations,
     link_vectors,
     swing_onto,
 )
+from humansim_ros.motion.file_frame import BodyLines
 from humansim_ros.motion.joint_match import JointMatch
-from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.motion.joint_rotations import line_rotations
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     angle_between,

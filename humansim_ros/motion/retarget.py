@@ -12,10 +12,15 @@ import numpy as np
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.bone_drivers import SHORTEST_LINK, BoneDrivers
+from humansim_ros.motion.bone_drivers import (
+    SHORTEST_LINK,
+    BoneDrivers,
+    has_rotations,
+    line_rotations,
+    loose_bones,
+)
 from humansim_ros.motion.joint_match import JointMatch
-from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.motion.joint_rotations import has_rotations, line_rotations, loose_bones
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import JointLimits, load_limits
 from humansim_ros.motion.rest_pose import (
     COLLARS,

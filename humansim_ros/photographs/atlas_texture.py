@@ -17,8 +17,7 @@ from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import encode_image
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.subdivision import subdivide
-from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv
+from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv, subdivide
 from humansim_ros.photographs.surface import Surface, SurfaceSight, fill_colours, lookup, see_surface
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView, check_views
 from humansim_ros.render.gl import GLRenderer

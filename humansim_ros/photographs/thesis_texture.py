@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from humansim_ros.errors import PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import encode_image
-from humansim_ros.mesh.atlas import pack_images
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.texels import pack_images
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView, check_views
 from humansim_ros.render.gl import GLRenderer
 from humansim_ros.render.renderer import Body

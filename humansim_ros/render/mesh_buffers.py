@@ -9,8 +9,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.mesh.material import Material
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Material, Mesh
 from humansim_ros.render.posed_mesh import PosedMesh
 from humansim_ros.render.uniforms import set_uniform
 from humansim_ros.types import Array, Float32Array

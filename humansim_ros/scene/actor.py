@@ -12,9 +12,8 @@ from humansim_ros.humans.human import Human
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
-from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
-from humansim_ros.motion.kinematics import Motion
+from humansim_ros.motion.keyframes import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
 from humansim_ros.motion.motion_checks import playing_warnings
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion

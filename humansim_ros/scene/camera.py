@@ -18,7 +18,7 @@ from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, did_you_mean, in_section
-from humansim_ros.motion.joint_poses import VELOCITY_STEP, Velocity
+from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.backdrops import load_backdrop

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from humansim_ros.motion.joint_poses import JointPoses, Velocity
+from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose

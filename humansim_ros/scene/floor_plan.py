@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import in_section
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.scene.config import SceneConfig
 from humansim_ros.scene.environment import mesh_files

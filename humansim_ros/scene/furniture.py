@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humansim_ros.mesh.material import Material
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Material, Mesh
 from humansim_ros.types import Array, Color
 
 _BOOKS: tuple[Color, ...] = (

@@ -13,11 +13,11 @@ import numpy as np
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import MotionError
+from humansim_ros.motion.bone_drivers import has_rotations
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_names
-from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.motion.joint_rotations import has_rotations
-from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, undo_keyframes
+from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.actor import Actor, HumanState

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MotionError, did_you_mean, in_section, warn_about
 from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.joint_poses import Velocity
-from humansim_ros.motion.keyframe_tracks import KeyframeTrack
-from humansim_ros.motion.keyframes import Keyframes, read_keyframes
+from humansim_ros.motion.keyframes import Keyframes, KeyframeTrack, read_keyframes
+from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.render import Body
 from humansim_ros.rotations import (
     multiply_quaternions,

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from humansim_ros.errors import MotionError, in_section
 from humansim_ros.io.schema_errors import schema_error
-from humansim_ros.motion.joint_poses import JointPoses, Velocity
+from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import multiply_quaternions
 from humansim_ros.scene.actor import Actor

@@ -16,7 +16,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.pictures import Pictured
 from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer

@@ -17,7 +17,7 @@ from humansim_ros.errors import SceneError
 from humansim_ros.humans import Human
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.keypoints.sets import BySet
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.pictures import Pictured, drawing
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with

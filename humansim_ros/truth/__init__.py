@@ -1,6 +1,6 @@
 """Ground truth that follows from a view and the scene: joints, keypoints, boxes, vertices, surface points."""
 
-from humansim_ros.humans.surfaces import joint_surfaces
+from humansim_ros.humans.human import joint_surfaces
 from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.camera_truth import CameraTruth
 from humansim_ros.truth.joints import (

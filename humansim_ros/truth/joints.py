@@ -63,7 +63,7 @@ def view_joints(
         view: View with the channels depth, instance and part.
         instance: Instance label of the human.
         surfaces: Part labels (J, 256) that are skin around each joint, from
-            :func:`~humansim_ros.humans.surfaces.joint_surfaces`.
+            :func:`~humansim_ros.humans.human.joint_surfaces`.
         objects: Instance labels of objects.
     """
     optical = camera.to_optical(positions)

@@ -21,8 +21,7 @@ from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_errors
 from humansim_ros.io.yaml import parse_yaml
 from humansim_ros.io.yaml_edit import YamlKey, remove_value, rename_key, set_value
-from humansim_ros.motion.keyframe_tracks import KeyframeTrack
-from humansim_ros.motion.keyframes import read_keyframes
+from humansim_ros.motion.keyframes import KeyframeTrack, read_keyframes
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.checks import check_scene
 from humansim_ros.scene.config import (

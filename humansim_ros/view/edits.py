@@ -19,8 +19,7 @@ from humansim_ros.camera.placement import RigPlacement
 from humansim_ros.camera.placing import place_by_floor, place_by_level
 from humansim_ros.errors import CameraError, SceneError
 from humansim_ros.io.files import exists, expand_user
-from humansim_ros.motion.keyframe_tracks import KeyframeTimeline, KeyframeTrack
-from humansim_ros.motion.keyframes import Keyframes, write_keyframes
+from humansim_ros.motion.keyframes import Keyframes, KeyframeTimeline, KeyframeTrack, write_keyframes
 from humansim_ros.scene.camera import read_cameras
 from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument, SectionName

@@ -24,7 +24,7 @@ from humansim_ros.camera.placement import RigPlacement
 from humansim_ros.errors import SceneError, printable
 from humansim_ros.io.schema_errors import needed, show_value, unknown_key
 from humansim_ros.io.yaml_edit import YamlKey
-from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.scene.config import CameraConfig, HumanConfig, ObjectConfig, SceneConfig
 from humansim_ros.types import Array
 

@@ -25,7 +25,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.people import Pose, read_people
 from humansim_ros.messages.types import message_type
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.scene.objects import SHAPES
 from humansim_ros.truth import OUTSIDE, VISIBLE

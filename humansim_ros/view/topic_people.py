@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csgraph, csr_matrix
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
-from humansim_ros.body.weights import limit_bones
+from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import EvaluationError, printable
 from humansim_ros.evaluate.alignment import axes_matrix, match_people, pair_distances
 from humansim_ros.evaluate.joint_names import pair_joints
@@ -20,7 +20,7 @@ from humansim_ros.humans.human import MAX_BONES
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.people import Pose, PoseFrame
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.rotations import fit_similarity, from_y_axis, quaternion_to_matrix, transform
 from humansim_ros.types import Array, Indices
 

@@ -18,10 +18,10 @@ from mesh_files import MESHES, mesh_path
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, known, rig
+from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, landmarks, rig
 from humansim_ros.body import fitting as fitting_module
-from humansim_ros.body.known import known_joints
-from humansim_ros.body.orientation import body_from_file
+from humansim_ros.body.fitting import body_from_file
+from humansim_ros.body.landmarks import known_joints
 from humansim_ros.body.volume import solid, surface_points
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.loading import load_human
@@ -255,10 +255,10 @@ def known_man(monkeypatch: pytest.MonkeyPatch) -> Mesh:
     table = {
         "vertices": len(man.mesh.vertices),
         "quads": len(quads),
-        "faces": known.topology(quads),
+        "faces": landmarks.topology(quads),
         "joints": joints,
     }
-    monkeypatch.setattr(known, "joint_file", lambda: {"makehuman": table})
+    monkeypatch.setattr(landmarks, "joint_file", lambda: {"makehuman": table})
     return Mesh(man.mesh.vertices, quads)
 
 

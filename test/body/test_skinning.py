@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.body import hanim_skeleton, skin
 from humansim_ros.body.skinning import SKINNERS, DualQuaternion, LinearBlend, make_skinner
 from humansim_ros.errors import MeshError
-from humansim_ros.mesh.skinned import normalise_weights
+from humansim_ros.mesh.mesh import normalise_weights
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

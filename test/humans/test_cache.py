@@ -11,10 +11,9 @@ import pytest
 from conftest import ROOT
 
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.humans.cache import CACHE_VERSION
 from humansim_ros.humans.description import MeshHuman
 from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human, make_human
+from humansim_ros.humans.loading import CACHE_VERSION, load_human, make_human
 from humansim_ros.mesh.mesh import Mesh
 
 
@@ -132,7 +131,7 @@ def test_humans_load_without_write_access_to_the_cache(
 def test_the_cache_has_a_maximum_size(
     cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("humansim_ros.humans.cache.MAX_HUMANS", 2)
+    monkeypatch.setattr("humansim_ros.humans.loading.MAX_HUMANS", 2)
     for number in range(4):
         (tmp_path / "someone.yaml").write_text(f"mesh: figure.glb\nstature: {1 + number / 10}\n")
         load_human(tmp_path / "someone.yaml")

@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 
 from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.hands import relax_hands
+from humansim_ros.humans.makehuman.building import relax_hands
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.types import Array
 

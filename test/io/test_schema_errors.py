@@ -18,7 +18,7 @@ from humansim_ros.io.schema import Axis, Section
 from humansim_ros.io.schema_errors import schema_error, show_value
 from humansim_ros.mesh.gltf_schema import Document
 from humansim_ros.motion.joint_tables import JointTable
-from humansim_ros.motion.limit_table import LimitTable
+from humansim_ros.motion.limits import LimitTable
 from humansim_ros.scene.config import SceneConfig
 from humansim_ros.sensor import SensorConfig
 

@@ -11,8 +11,8 @@ from humansim_ros.body.joint_names import BODY_25, COCO, SMPL
 from humansim_ros.body.skeleton import hanim_skeleton, side_of
 from humansim_ros.errors import KeypointError
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
-from humansim_ros.keypoints.anatomy import MIXES, skin_points
 from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.keypoints.skin import MIXES, skin_points
 
 #: Numbers of some keypoints in the publications of each set, far apart in its order.
 PUBLISHED = {

@@ -69,7 +69,7 @@ def test_an_alpha_channel_of_a_too_large_image_is_not_decoded() -> None:
 
 
 def test_an_obj_file_is_not_parsed_beyond_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(obj, "_MAX_BYTES", len(OBJ) - 1)
+    monkeypatch.setattr(obj, "_MAX_OBJ_BYTES", len(OBJ) - 1)
     with pytest.raises(MeshError, match=r"is too large; at most .* are read: convert it to glTF"):
         read_mesh(textured(tmp_path))
 

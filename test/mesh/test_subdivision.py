@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from humansim_ros.humans import load_human
-from humansim_ros.mesh.subdivision import subdivide
+from humansim_ros.mesh.texels import subdivide
 
 
 def test_a_divided_mesh_is_the_same_surface_in_any_pose() -> None:

@@ -19,7 +19,7 @@ from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.types import Array

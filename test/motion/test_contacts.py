@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_retarget import SHARED, SKELETON, in_world, read
 
-from humansim_ros.motion.contacts import FootContacts
-from humansim_ros.motion.inverse_kinematics import two_bone
+from humansim_ros.motion.contacts import FootContacts, two_bone
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.soles import sole_heights, sole_points
-from humansim_ros.motion.stances import find_stances, slide_distances
+from humansim_ros.motion.soles import find_stances, slide_distances, sole_heights, sole_points
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array
 

@@ -15,8 +15,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.motion.keyframe_tracks import KeyframeTimeline, KeyframeTrack
-from humansim_ros.motion.keyframes import Keyframes, read_keyframes, write_keyframes
+from humansim_ros.motion.keyframes import (
+    Keyframes,
+    KeyframeTimeline,
+    KeyframeTrack,
+    read_keyframes,
+    write_keyframes,
+)
 from humansim_ros.scene import Actor, Scene
 
 GOOD = """\

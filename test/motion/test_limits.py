@@ -19,8 +19,7 @@ from test_retarget import at_frames, in_world, read, some_frames
 from humansim_ros.body import Skeleton, hanim_skeleton
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.limit_table import Limit
-from humansim_ros.motion.limits import load_limits
+from humansim_ros.motion.limits import Limit, load_limits
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.types import Array
 

@@ -19,7 +19,7 @@ from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.file_frame import FileFrame, detect_file_frame
 from humansim_ros.motion.joint_matching import match_names
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.world_motion import MotionLoop, Placement, WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY

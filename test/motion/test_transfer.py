@@ -32,7 +32,7 @@ from humansim_ros.motion import Motion
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_match import opposite_joints
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.world_motion import Placement, WorldMotion

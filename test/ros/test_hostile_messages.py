@@ -21,7 +21,7 @@ from humansim_ros.errors import CameraError, HumansimError, MotionError, RosErro
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.cdr import MAX_FIELDS, check_serialised, deserialised
 from humansim_ros.messages.humans import MAX_JOINTS
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.live import JointSource, LiveRetargeter

@@ -20,7 +20,7 @@ from waiting import PATIENCE, wait_until
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.qos import LATCHED

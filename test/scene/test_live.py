@@ -23,7 +23,7 @@ from waiting import end_process
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import MotionConfig

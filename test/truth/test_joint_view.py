@@ -8,9 +8,8 @@ from conftest import ROOT
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.human import Human, joint_surfaces
 from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.surfaces import joint_surfaces
 from humansim_ros.render import View
 from humansim_ros.truth.joints import (
     NOTHING,

@@ -19,7 +19,7 @@ from render_scenes import RENDERERS, body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.humans.surfaces import joint_surfaces
+from humansim_ros.humans.human import joint_surfaces
 from humansim_ros.keypoints import KeypointLocator, keypoint_set
 from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation

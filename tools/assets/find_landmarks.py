@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import ADULT_MAN
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
-from humansim_ros.humans.makehuman.layout import relay_uv
+from humansim_ros.humans.makehuman.paint import relay_uv
 from humansim_ros.humans.makehuman.shape import target_strengths
 from humansim_ros.humans.makehuman.skeleton import landmarks as joint_centres
 from humansim_ros.humans.makehuman.surface import compact, sample

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body import landmarks
-from humansim_ros.body.known import topology
-from humansim_ros.body.landmarks import Measures, measure
+from humansim_ros.body.landmarks import Measures, measure, topology
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths
 from humansim_ros.humans.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin

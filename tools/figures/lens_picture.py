@@ -18,7 +18,7 @@ from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.drawing.views import draw_joints  # noqa: E402
 from humansim_ros.render import GLRenderer  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.truth.joints import joint_surfaces, view_joints  # noqa: E402
+from humansim_ros.truth import joint_surfaces, view_joints  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 _SECONDS = 2.3

@@ -13,8 +13,7 @@ from humansim_ros.motion.info import to_world
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.soles import sole_heights
-from humansim_ros.motion.stances import find_stances, slide_distances
+from humansim_ros.motion.soles import find_stances, slide_distances, sole_heights
 
 ROOT = Path(__file__).resolve().parents[2]
 

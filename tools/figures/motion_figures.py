@@ -24,13 +24,11 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.body_lines import BodyLines
 from humansim_ros.motion.contacts import FootContacts
-from humansim_ros.motion.file_frame import detect_file_frame
+from humansim_ros.motion.file_frame import BodyLines, detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.retarget import Retargeter, RetargetMode
-from humansim_ros.motion.soles import sole_heights
-from humansim_ros.motion.stances import find_stances, slide_distances
+from humansim_ros.motion.soles import find_stances, slide_distances, sole_heights
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY, angle_between
 from humansim_ros.types import Array

@@ -24,8 +24,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tools" / "assets")]
 
 from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
 from humansim_ros.body.rigging import RigRule  # noqa: E402
-from humansim_ros.body.skinning import LinearBlend  # noqa: E402
-from humansim_ros.body.weights import limit_bones  # noqa: E402
+from humansim_ros.body.skinning import (  # noqa: E402
+    LinearBlend,
+    limit_bones,
+)
 from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
 from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402

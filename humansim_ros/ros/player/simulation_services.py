@@ -22,7 +22,7 @@ from rclpy.task import Future
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
-from humansim_ros.motion.joint_poses import Velocity
+from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.processes.node_processes import QUIT
 from humansim_ros.ros.qos import DATA, NEWEST

@@ -10,7 +10,7 @@ from dataclasses import replace
 import motion_files as files
 import numpy as np
 import pytest
-from conftest import SHARED_DATA, needs_shared_data
+from conftest import SHARED_DATA, shared_motions
 from motion_files import StandIn, an_l, one_axis, random_axes, stand_in
 from scipy.spatial.transform import Rotation
 
@@ -27,7 +27,7 @@ from humansim_ros.types import Array
 SKELETON = hanim_skeleton()
 #: Files of a chain, of a head with two hands, of six joints, and of a dog.
 NO_PERSONS = ("fairmotion_sinusoidal", "firepal_vr", "pybvh_rotation_first_root", "dog_D1_010")
-PERSONS = [p.stem for p in sorted((SHARED_DATA / "bvh").glob("*.bvh")) if p.stem not in NO_PERSONS]
+PERSONS = shared_motions(*NO_PERSONS, fails=("alderson_contorsion", "coda02_woman"))
 MOTIONS: dict[str, Mapping[str, Rotation]] = {
     "walk": files.walk(40),
     "walk to the side": files.walk(40, heading=35),
@@ -80,7 +80,6 @@ def body_differences(motion: Motion) -> dict[str, float]:
     return differences(Retargeter.fit(world, SKELETON).pose(poses), poses, world.match.roles)
 
 
-@needs_shared_data
 @pytest.mark.parametrize("stem", PERSONS)
 def test_the_body_has_the_lines_of_every_real_person(stem: str) -> None:
     with warnings.catch_warnings():

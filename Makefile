@@ -18,6 +18,9 @@ ifdef ROS_DISTRO
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH
 endif
 
+# Tests and benchmarks start many processes: each of them would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo check test test-all lint bench docs dist clean env env-test env-bench env-docs
 
 demo: env

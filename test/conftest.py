@@ -250,6 +250,24 @@ def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
     return sent
 
 
+@pytest.fixture(params=["stand-in", pytest.param("ray", marks=pytest.mark.nightly)])
+def cluster(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Ray for ``--ray local``: a stand-in that does each task here; in the nightly tests Ray itself."""
+    if request.param == "ray":
+        request.getfixturevalue("workers")
+        yield
+        return
+    import ray_stand_in
+
+    from humansim_ros.jobs import ray_cluster
+
+    for module in ("record.cluster", "export.exporting"):
+        monkeypatch.setattr(f"humansim_ros.{module}.connected", ray_stand_in.connected)
+    monkeypatch.setattr(ray_cluster, "_ONE_CORE", {})  # variables of this process
+    yield
+    ray_cluster._worker.cache_clear()
+
+
 @pytest.fixture(scope="session")
 def workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A local Ray with three workers; yields the folder for temporary files of the workers."""

@@ -23,10 +23,10 @@ LAYERS = (
     ("view",),
     ("apps",),
     ("challenge",),
-    ("export",),
-    ("record",),
     ("ros",),
     ("evaluate",),
+    ("export",),
+    ("record",),
     ("messages",),
     ("photographs",),
     ("drawing",),
@@ -40,6 +40,7 @@ LAYERS = (
     ("camera",),
     ("mesh",),
     ("bags",),
+    ("jobs",),
     ("io",),
 )
 #: Modules of the top level, which every folder may import.

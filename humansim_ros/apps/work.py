@@ -12,8 +12,8 @@ from humansim_ros.apps.api import Comparison
 from humansim_ros.errors import EvaluationError, RenderError, warn_about
 
 if TYPE_CHECKING:
+    from humansim_ros.evaluate.export_truth import ExportTruth
     from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth
-    from humansim_ros.export.truth import ExportTruth
 
 
 def compare(
@@ -60,8 +60,8 @@ def compare(
 
 
 def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
+    from humansim_ros.evaluate.export_truth import ExportTruth, is_export
     from humansim_ros.evaluate.truth import open_truth
-    from humansim_ros.export.truth import ExportTruth, is_export
 
     return ExportTruth(path) if is_export(path) else open_truth(path)
 
@@ -126,11 +126,11 @@ def _images(
     truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None
 ) -> Comparison:
     """Compare detections in images."""
+    from humansim_ros.evaluate.export_truth import open_image_truth
     from humansim_ros.evaluate.html import image_html_report
     from humansim_ros.evaluate.images import evaluate_images
     from humansim_ros.evaluate.readers.detections import read_image_estimates
     from humansim_ros.evaluate.report import show_images, to_data
-    from humansim_ros.export.truth import open_image_truth
 
     source = open_image_truth(truth, keypoints)
     found = read_image_estimates(estimate, source)

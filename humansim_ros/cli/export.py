@@ -13,13 +13,14 @@ from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, export
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import ExportError
+from humansim_ros.jobs.ray_cluster import PART_FRAMES
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.export.export import Export
+    from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import ExportFormat
     from humansim_ros.export.source import ExportSource
-    from humansim_ros.record.progress import FrameProgress
+    from humansim_ros.jobs.frame_job import FrameProgress
 
 
 class _ImageFormat(str, Enum):
@@ -82,19 +83,19 @@ def export(
     ray: RayOption = None,
     shard_frames: Annotated[
         int, typer.Option(metavar="N", help="Frames that a worker of Ray writes at a time.", min=1)
-    ] = 100,
+    ] = PART_FRAMES,
     show_list: Annotated[
         bool,
         typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
     ] = False,
 ) -> None:
     """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions."""
-    from humansim_ros.export.export import Export
+    from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range
+    from humansim_ros.jobs.cores import cores
     from humansim_ros.keypoints.sets import keypoint_set
     from humansim_ros.record.output import is_url
-    from humansim_ros.ros.processes.node_processes import cores
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
@@ -132,7 +133,7 @@ def _source(path: Path | None, formats: tuple[ExportFormat, ...], keypoints: str
 
 def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: int, resume: bool) -> None:
     """Export with the workers of a Ray cluster."""
-    from humansim_ros.export.cluster import export_on_cluster
+    from humansim_ros.export.exporting import export_on_cluster
 
     with frame_progress("exporting", job.cameras) as display:
         try:
@@ -147,8 +148,8 @@ def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: in
 
 def _export(job: Export, jobs: int, resume: bool) -> None:
     """Export with processes of this machine."""
-    from humansim_ros.export.export import export
-    from humansim_ros.record.workers import WorkerDiedError
+    from humansim_ros.export.exporting import export
+    from humansim_ros.jobs.workers import WorkerDiedError
 
     done, total, output = 0, len(job.plan.frames), job.root
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from humansim_ros.errors import HumansimError
 
 if TYPE_CHECKING:
-    from humansim_ros.record.progress import FrameProgress
+    from humansim_ros.jobs.frame_job import FrameProgress
 
 
 #: Suffix of an output -> other suffixes of its format, and its name in messages.

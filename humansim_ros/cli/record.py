@@ -14,12 +14,13 @@ from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, Topics
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import BagError
+from humansim_ros.jobs.ray_cluster import PART_FRAMES
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
+    from humansim_ros.jobs.frame_job import FrameProgress
     from humansim_ros.record.cluster import ClusterRecording
-    from humansim_ros.record.frame_chunks import SceneRecording
-    from humansim_ros.record.progress import FrameProgress
+    from humansim_ros.record.recording import SceneRecording
 
 
 class _Storage(str, Enum):
@@ -42,12 +43,6 @@ class _Images(str, Enum):
 class _Depth(str, Enum):
     raw = "raw"
     png = "png"
-
-
-class _Shards(str, Enum):
-    frames = "frames"
-    cameras = "cameras"
-    scenes = "scenes"
 
 
 def record(
@@ -93,31 +88,25 @@ def record(
     ] = 0.0,
     resume: ResumeOption = False,
     ray: RayOption = None,
-    shards: Annotated[
-        _Shards,
-        typer.Option(
-            help="Parts that workers of Ray record: ranges of frames, cameras (a bag each unless --merge) or "
-            "whole scenes."
-        ),
-    ] = _Shards.frames,
-    shard_frames: Annotated[int, typer.Option(metavar="N", help="Frames of a shard of frames.", min=1)] = 100,
-    merge: Annotated[
-        bool,
-        typer.Option(
-            "--merge/--split",
-            help="With --ray: merge the shards into the bag that one machine records, or let each be a file.",
-        ),
-    ] = False,
+    shard_frames: Annotated[
+        int,
+        typer.Option(metavar="N", help="With --ray: frames of a shard, which is a file of the bag.", min=1),
+    ] = PART_FRAMES,
+    shards: Annotated[str | None, typer.Option(hidden=True)] = None,
+    merge: Annotated[bool | None, typer.Option("--merge/--split", hidden=True)] = None,
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
+    from humansim_ros.jobs.cores import cores
     from humansim_ros.record.cluster import cluster_recordings
-    from humansim_ros.record.frame_chunks import SceneRecording
     from humansim_ros.record.output import is_url
-    from humansim_ros.record.plan import RecordingPlan
-    from humansim_ros.ros.processes.node_processes import cores
+    from humansim_ros.record.recording import SceneRecording
     from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 
+    for option, given in (("--shards", shards), ("--merge and --split", merge)):
+        if given is not None:
+            text = "has gone: --ray divides recordings by frames, and each shard is a file of one bag"
+            raise BagError(f"{option} {text} (--shard-frames)", key="record")
     if (frames is None) == (seconds is None):
         raise BagError("give either --frames or --seconds", key="record")
     if ray is None and (is_url(output) or (scene and len(scene) > 1)):
@@ -127,7 +116,7 @@ def record(
     def planned(path: Path | None) -> SceneRecording:
         loaded = Scene.load(path)
         warn_about_mistakes(loaded)
-        plan = RecordingPlan.of(
+        return SceneRecording.of(
             loaded,
             frames or max(1, round((seconds or 0.0) * loaded.config.rate)),
             topics or (),
@@ -137,11 +126,12 @@ def record(
             compression=compression.value,
             max_size=max_bag_size,
             max_duration=max_bag_duration,
+            jobs=processes,
         )
-        return SceneRecording(loaded, plan)
 
+    processes = jobs or cores()
     if ray is None:
-        _record_here(planned(scene[0] if scene else None), Path(output), jobs or cores(), resume)
+        _record_here(planned(scene[0] if scene else None), Path(output), processes, resume)
         return
     paths: list[Path | None] = list(scene) if scene else [None]
     names = [path.stem if path and len(paths) > 1 else "" for path in paths]
@@ -150,17 +140,15 @@ def record(
     recordings = cluster_recordings(
         dict(zip(names, map(planned, paths), strict=True)),
         output if is_url(output) else str(Path(output).resolve()),
-        shards.value,
-        shard_frames=shard_frames,
-        merge=merge,
+        shard_frames,
     )
     _record_on_ray(recordings, output, ray, jobs, resume)
 
 
 def _record_here(recording: SceneRecording, output: Path, jobs: int, resume: bool) -> None:
     """Record with processes of this machine."""
+    from humansim_ros.jobs.workers import WorkerDiedError
     from humansim_ros.record.recording import record
-    from humansim_ros.record.workers import WorkerDiedError
 
     cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})
     state: FrameProgress | None = None

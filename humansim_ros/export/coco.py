@@ -61,13 +61,13 @@ class CocoWriter(FormatWriter):
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write both files of annotations."""
-        scene = self.settings.scene
+        scene, listed_records = self.settings.scene, list(records)
         category_of, categories = scene_categories(scene, keypoint_set(self.settings.keypoints))
         for file, names, listed in (
             ("person_keypoints.json", scene.people, categories[:1]),
             ("instances.json", scene.labels, categories),
         ):
-            content = coco_document(records, {name: category_of[name] for name in names}, listed)
+            content = coco_document(listed_records, {name: category_of[name] for name in names}, listed)
             folder.write(file, json.dumps(content) + "\n")
 
 

@@ -59,25 +59,34 @@ class RecordingPlan:
     version: str = __version__
 
     @classmethod
-    def of(
+    def of(cls, scene: Scene, frames: int, patterns: Sequence[str] = (), **options: Any) -> RecordingPlan:
+        """Plan the recording of a scene on this machine; see :meth:`with_table`."""
+        context = OpenGLContext()
+        context.close()
+        return cls.with_table(scene, frames, patterns, device=context.device, **options)[0]
+
+    @classmethod
+    def with_table(
         cls,
         scene: Scene,
         frames: int,
         patterns: Sequence[str] = (),
         *,
+        device: str,
         images: ImageFormat = "raw",
         depth: DepthFormat = "raw",
         storage: Storage = "mcap",
         compression: Compression = "none",
         max_size: int = 0,
         max_duration: float = 0.0,
-    ) -> RecordingPlan:
-        """Plan the recording of a scene on this machine.
+    ) -> tuple[RecordingPlan, list[Topic[Any]]]:
+        """Plan the recording of a scene; return the plan, and the topics that are recorded.
 
         Args:
             scene: The scene.
             frames: Number of frames, at least 1.
             patterns: Names of topics, or patterns with ``*`` and ``?``; the default topics if empty.
+            device: Device that renders.
             images: Format of colour images.
             depth: Format of depth.
             storage: Storage of the bag.
@@ -87,16 +96,13 @@ class RecordingPlan:
 
         Raises:
             BagError: No topic has a name, or fits a pattern.
-            RenderError: OpenGL is missing.
         """
-        context = OpenGLContext()
-        device = context.device
-        context.close()
-        table = scene_topics(scene)
-        return cls(
+        table = scene_topics(scene, _image_compression(images))
+        chosen = _chosen(table, patterns, images, depth)
+        plan = cls(
             scene=scene_hash(scene),
             frames=frames,
-            topics=tuple(_chosen(table, patterns, images, depth)),
+            topics=tuple(chosen),
             images=images,
             storage=storage,
             compression=compression,
@@ -104,6 +110,7 @@ class RecordingPlan:
             max_duration=float(max_duration),
             device=device,
         )
+        return plan, _rows(table, chosen)
 
     def to_json(self) -> str:
         """The plan as text, the same for the same plan."""
@@ -138,9 +145,17 @@ class RecordingPlan:
 
     def recorded_topics(self, scene: Scene) -> list[Topic[Any]]:
         """Topics of the table of the scene that are recorded, in its order."""
-        compression = ImageCompression() if self.images == "raw" else ImageCompression(self.images)
-        chosen = set(self.topics)
-        return [topic for topic in scene_topics(scene, compression) if f"/{topic.name}" in chosen]
+        return _rows(scene_topics(scene, _image_compression(self.images)), self.topics)
+
+
+def _image_compression(images: ImageFormat) -> ImageCompression:
+    return ImageCompression() if images == "raw" else ImageCompression(images)
+
+
+def _rows(table: Sequence[Topic[Any]], names: Collection[str]) -> list[Topic[Any]]:
+    """Topics of a table with some absolute names."""
+    chosen = set(names)
+    return [topic for topic in table if f"/{topic.name}" in chosen]
 
 
 def _chosen(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from humansim_ros.jobs.cores import cores
 from humansim_ros.scene.camera_checks import check_cameras, covered_pixels
-from humansim_ros.scene.cpu_estimate import cores, cpu_ms, has_gpu
+from humansim_ros.scene.cpu_estimate import cpu_ms, has_gpu
 from humansim_ros.scene.fault_checks import check_faults
 from humansim_ros.scene.findings import Finding, SceneSamples
 from humansim_ros.scene.obstacles import Obstacle, find_obstacles, without_enclosures

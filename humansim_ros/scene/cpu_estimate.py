@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -53,11 +52,6 @@ def _camera_ms(camera: SceneCamera, covered: float, triangles: float, room: bool
         width, height = camera.camera.size
         render += _EFFECTS * width * height / 1e6
     return render
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def has_gpu() -> bool:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
-import pickle
-import queue
-import signal
-import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
-from typing import Any, Literal
+
+import numpy as np
 
 from humansim_ros.drawing.views import color_channel, color_image, draw_joints
 from humansim_ros.errors import HumansimError
+from humansim_ros.jobs.cores import cores
+from humansim_ros.jobs.frame_job import Costs, FrameResult
+from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Image
@@ -55,10 +53,6 @@ class Images:
     images: dict[str, dict[str, Image]]
 
 
-#: What a process says: it has the scene, images, what is wrong, or nothing more (it ended).
-_Answer = Literal["ready"] | Images | HumansimError | None
-
-
 class ImageWorkers:
     """Processes that render different frames of a scene at the same time.
 
@@ -67,48 +61,27 @@ class ImageWorkers:
     """
 
     def __init__(self, scene: Scene, count: int | None = None) -> None:
-        context = multiprocessing.get_context("spawn")
-        count = count or min(_MOST, os.cpu_count() or 1)
-        self._scene = pickle.dumps(scene)
-        self._first = 0
-        self._outdated: set[Connection] = set()
+        self._workers = Workers(_PageImages(scene), count or min(_MOST, cores()), _NICE)
         self._latest: Images | None = None
-        self._connections: list[Connection] = []
-        self._free: list[Connection] = []
-        self._wanted: dict[Connection, Request] = {}
-        self._numbers: dict[Connection, int] = {}
-        self._asked = self._shown = 0
-        self._answers: queue.SimpleQueue[tuple[Connection, _Answer]] = queue.SimpleQueue()
-        self._processes = []
-        for _ in range(count):
-            ours, other = context.Pipe()
-            process = context.Process(target=_work, args=(other,), daemon=True, name="humansim images")
-            process.start()
-            other.close()
-            # images are larger than the buffer of a pipe: a thread waits for them, not the page
-            threading.Thread(target=self._receive, args=(ours, self._scene), daemon=True).start()
-            self._processes.append(process)
-            self._connections.append(ours)
+        self._wanted: dict[int, Request] = {}
+        self._first = self._asked = self._shown = 0
 
     def use(self, scene: Scene) -> None:
         """Render another scene from now on; processes are not started again."""
-        self._scene = pickle.dumps(scene)
-        self._outdated = set(self._connections)
+        self._workers.use(_PageImages(scene))
         self._latest, self._first = None, self._asked
 
     def latest(self, request: Request) -> Images | None:
-        """The newest images that are ready; ask for those of ``request`` if a process has time."""
+        """The newest images that are ready; ask for the images of ``request`` if a process has time."""
         while self._collect(0):
             pass
-        if self._free and request not in self._wanted.values() and not self._has(request):
-            self._ask(request)
+        self._ask(request)
         return self._latest
 
     def exact(self, request: Request) -> Images:
         """Images of ``request``; waits for them."""
         while not self._has(request):
-            if request not in self._wanted.values() and self._free:
-                self._ask(request)
+            self._ask(request)
             if not self._collect(_PATIENCE):
                 raise HumansimError(f"the images did not arrive within {_PATIENCE:.0f} s")
         assert self._latest is not None
@@ -116,97 +89,73 @@ class ImageWorkers:
 
     def close(self) -> None:
         """End the processes."""
-        for connection in self._connections:
-            with contextlib.suppress(OSError):
-                connection.send(None)
-        for process in self._processes:
-            process.join(1)
-            if process.is_alive():
-                process.kill()
-                process.join()
+        self._workers.close()
 
     def _has(self, request: Request) -> bool:
         return self._latest is not None and self._latest.request == request
 
     def _ask(self, request: Request) -> None:
-        connection = self._free.pop()
-        self._wanted[connection] = request
-        self._asked += 1
-        self._numbers[connection] = self._asked
-        with contextlib.suppress(OSError):  # the thread that receives tells that the process died
-            if connection in self._outdated:
-                self._outdated.remove(connection)
-                connection.send(self._scene)
-            connection.send(request)
-
-    def _receive(self, connection: Connection, scene: bytes) -> None:
-        """Send the scene, then receive what a process renders, until it ends."""
-        try:
-            connection.send_bytes(scene)
-            self._answers.put((connection, "ready"))
-            while True:
-                self._answers.put((connection, connection.recv()))
-        except (EOFError, OSError):
-            self._answers.put((connection, None))
+        """Ask a process that has nothing to do for images, unless they are there or on their way."""
+        if self._has(request) or request in self._wanted.values():
+            return
+        with self._death():
+            if self._workers.ask((self._asked + 1, request)):
+                self._asked += 1
+                self._wanted[self._asked] = request
 
     def _collect(self, timeout: float) -> bool:
-        """Take an answer; whether there was one."""
+        """Take what has arrived; whether something has."""
+        found = False
+        with self._death():
+            for asked, result in self._workers.arrived(timeout):
+                found = True
+                # None: the start of a job, which fails again with the first request
+                if asked is not None:
+                    number, request = asked
+                    self._take(number, request, result)
+        return found
+
+    def _take(self, number: int, request: Request, result: FrameResult | HumansimError) -> None:
+        del self._wanted[number]
+        if number <= self._first:  # of a scene that is not shown any more
+            return
+        if isinstance(result, HumansimError):
+            raise result
+        if number > self._shown:  # else images that were asked for later came before
+            self._shown, self._latest = number, Images(request, _images_of(result))
+
+    @contextmanager
+    def _death(self) -> Iterator[None]:
         try:
-            connection, answer = self._answers.get(block=timeout > 0, timeout=timeout or None)
-        except queue.Empty:
-            return False
-        self._wanted.pop(connection, None)
-        if answer is None:
-            raise HumansimError("a process that renders images died; open the scene again")
-        self._free.append(connection)
-        if answer == "ready":
-            return True
-        if self._numbers[connection] <= self._first:  # of a scene that is not shown any more
-            return True
-        if isinstance(answer, HumansimError):
-            raise answer
-        if self._numbers[connection] > self._shown:  # else images that were asked for later came before
-            self._shown, self._latest = self._numbers[connection], answer
-        return True
+            yield
+        except WorkerDiedError:
+            raise HumansimError("a process that renders images died; open the scene again") from None
 
 
-def _work(connection: Connection) -> None:
-    """Render until the socket closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that serves the page
-    os.nice(_NICE)
-    with contextlib.suppress(EOFError, OSError):
-        scene: Scene = pickle.loads(connection.recv_bytes())
-        painter: _Painter | None = None
-        while True:
-            request: Request | bytes | None = connection.recv()
-            if request is None:
-                return
-            if isinstance(request, bytes):
-                if painter is not None:
-                    painter.close()
-                scene, painter = pickle.loads(request), None
-                continue
-            try:
-                painter = painter or _Painter(scene)
-                answer: Any = Images(request, painter.images(request))
-            except HumansimError as error:
-                answer = error
-            connection.send(answer)
+@dataclass(frozen=True)
+class _PageImages:
+    """Images of a scene for the page, as a job."""
+
+    scene: Scene
+
+    def start(self) -> _Painter:
+        return _Painter(self.scene)
 
 
 class _Painter:
     """Simulations of a scene with the channels that were asked for; they share a renderer."""
 
     def __init__(self, scene: Scene) -> None:
+        self.costs = Costs()
         self._scene = scene
         self._renderer = scene.make_renderer()
         self._simulations: dict[tuple[str, ...], Simulation] = {}
 
     def close(self) -> None:
-        """Free the renderer."""
         self._renderer.close()
 
-    def images(self, request: Request) -> dict[str, dict[str, Image]]:
+    def work(self, asked: tuple[int, Request]) -> FrameResult:
+        _, request = asked
         wanted = set(request.channels)
         rendered = wanted - {JOINTS} | ({"rgb", *_JOINT_CHANNELS} if JOINTS in wanted else set())
         channels = tuple(sorted(rendered))
@@ -215,13 +164,21 @@ class _Painter:
             simulation = Simulation(self._scene, channels=channels, renderer=self._renderer)
             self._simulations[channels] = simulation
         frame = simulation.frame(request.index, cameras=request.cameras)
-        return {
-            camera: {
-                channel: fitted(picture(self._scene, frame, camera, channel), request.width, channel)
-                for channel in request.channels
-            }
+        images = {
+            (camera, channel): fitted(picture(self._scene, frame, camera, channel), request.width, channel)
             for camera in request.cameras
+            for channel in request.channels
         }
+        contents = [[np.ascontiguousarray(image).data] for image in images.values()]
+        return FrameResult([(*key, image.shape) for key, image in images.items()], contents)
+
+
+def _images_of(result: FrameResult) -> dict[str, dict[str, Image]]:
+    """Images by camera and channel."""
+    images: dict[str, dict[str, Image]] = {}
+    for (camera, channel, shape), (content,) in zip(result.value, result.data, strict=True):
+        images.setdefault(camera, {})[channel] = np.frombuffer(content, np.uint8).reshape(shape).copy()
+    return images
 
 
 def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from humansim_ros import Scene
-from humansim_ros.export.export import Export, export
+from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.formats import chosen_formats
 from humansim_ros.export.plan import ExportPlan, parse_range
 from humansim_ros.export.source import SimulatedSource

@@ -20,10 +20,10 @@ from humansim_ros import HumansimError, Scene
 from humansim_ros.camera import load_calibration
 from humansim_ros.cli.main import main
 from humansim_ros.errors import ExportError
-from humansim_ros.export.export import export
+from humansim_ros.export.exporting import export
 from humansim_ros.export.formats import EXPORT_FORMATS
 from humansim_ros.export.plan import parse_range
-from humansim_ros.record.progress import FrameProgress
+from humansim_ros.jobs.frame_job import FrameProgress
 
 FORMATS = "images,depth-png,labels"
 
@@ -116,7 +116,7 @@ def test_records_of_frames_are_read_only_from_files(tmp_path: Path, scene: Scene
     record = root / made.record_path(3)
     record.write_bytes(record.read_bytes()[:-9])
     (root / made.record_path(4)).write_bytes(b"")
-    assert [index for index in made.plan.frames if made.finished(index)] == [2]
+    assert [index for index in made.plan.frames if made.files_of(index) is not None] == [2]
     record.unlink()
     os.mkfifo(record)
     with pytest.raises(ExportError, match=r"000003.json: .*this is a named pipe, not a regular file"):

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import humansim
 from export_support import SCENE, exported, index_of, job
 
-from humansim_ros.cli.main import main
 from humansim_ros.errors import ExportError, HumansimError
-from humansim_ros.export.cluster import _Frames, export_on_cluster, write_frames
-from humansim_ros.export.export import Export
+from humansim_ros.export.exporting import Export, export_on_cluster
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.plan import INDEX
 from humansim_ros.export.source import SimulatedSource
+from humansim_ros.jobs.ray_cluster import ClusterPart, write_part
 
 FORMATS, FRAMES = "images,labels,webdataset", "2:7"
 
@@ -39,7 +41,7 @@ def dying(root: Path, mark: Path) -> Export:
     return replace(made, source=source)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_workers_write_the_files_of_one_process_also_if_one_dies(
     workers: Path, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,11 +60,10 @@ def test_workers_write_the_files_of_one_process_also_if_one_dies(
     assert content(tmp_path / "out") == content(whole)
 
 
-@pytest.mark.slow
-def test_frames_that_fail_are_named_and_resumed(workers: Path, tmp_path: Path, whole: Path) -> None:
+def test_frames_that_fail_are_named_and_resumed(cluster: None, tmp_path: Path, whole: Path) -> None:
     root = tmp_path / "out"
     made = job(root, FORMATS, frames=FRAMES)
-    made.begin()
+    ExportFolder(root).write(INDEX, made.plan.index())
     block = root / "images/noisy/000004.png"
     block.mkdir(parents=True)  # no file can get this name
     with pytest.raises(ExportError) as caught:
@@ -80,26 +81,21 @@ def test_frames_that_fail_are_named_and_resumed(workers: Path, tmp_path: Path, w
 
 def test_a_worker_without_the_folder_or_of_another_version_is_refused(tmp_path: Path) -> None:
     made = job(tmp_path / "out", "anipose")
+    part = ClusterPart("frames 3 to 3", "frames 3 to 3", (3,), 1)
     with pytest.raises(ExportError, match="does not have this folder: export to one that all hosts share"):
-        write_frames(made, _Frames((3,)))
+        write_part(made, part)
     with pytest.raises(HumansimError, match=r"and the driver 0\.0\.1: install the same everywhere"):
-        write_frames(made, _Frames((3,), "0.0.1"))
+        write_part(made, replace(part, version="0.0.1"))
 
 
-def test_wrong_options_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_options_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)
-    words = ["--format", "anipose", "--frames", "3"]
 
     def refused(*more: Any) -> str:
-        with monkeypatch.context() as patch:
-            given = ["humansim", "export", str(tmp_path / "scene.yaml"), *words, *more]
-            patch.setattr(sys, "argv", given)
-            assert main() == 2
-        error = capsys.readouterr().err
-        assert error.startswith("error: ") and error.count("\n") == 1
-        return error
+        done = humansim("export", tmp_path / "scene.yaml", "--format", "anipose", "--frames", "3", *more)
+        assert done.returncode == 2
+        assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+        return done.stderr
 
     output = str(tmp_path / "out")
     assert "--output: an export needs a folder; with --ray" in refused("-o", "memory://out", "--ray", "local")
@@ -112,20 +108,13 @@ def test_wrong_options_are_refused(
     assert not Path(output).exists()
 
 
-@pytest.mark.slow
 def test_the_command_exports_on_ray(
-    workers: Path,
-    tmp_path: Path,
-    whole: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    cluster: None, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)
     words = ["scene.yaml", "--format", FORMATS, "--range", FRAMES, "-o", "out", "--shard-frames", "3"]
-    monkeypatch.setattr(sys, "argv", ["humansim", "export", *words, "--ray", "local"])
-    assert main() == 0
-    assert f"wrote {tmp_path / 'out'}: 5 frames" in capsys.readouterr().out
+    assert f"wrote {tmp_path / 'out'}: 5 frames" in humansim("export", *words, "--ray", "local").stdout
     of_ray, alone = content(tmp_path / "out"), content(whole)
     for files in (of_ray, alone):
         del files["index.json"]  # it has the name of the scene file

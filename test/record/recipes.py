@@ -5,14 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import signal
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.export.source import FrameReader, SimulatedSource
+from humansim_ros.jobs.frame_job import Costs, FrameResult
+from humansim_ros.record.recording import result_of
 from humansim_ros.scene import Frame
 
 CAMERAS = ("left", "right", "top")
@@ -20,13 +22,11 @@ TOPICS = [BagTopic("/joints", "std_msgs/msg/Header")]
 TOPICS += [BagTopic(f"/{name}/image", "sensor_msgs/msg/Image") for name in CAMERAS]
 
 
-def group(index: int, cameras: Sequence[str] = CAMERAS, bodies: bool = True) -> list[Chunk]:
+def group(index: int) -> list[Chunk]:
     """A chunk of the bodies and one for each camera."""
-    numbers = [0] * bodies + [1 + CAMERAS.index(name) for name in cameras]
-    data = [bytes([0, 1, 0, 0, number, index]) * (50 + 7 * number) for number in numbers]
+    data = [bytes([0, 1, 0, 0, number, index]) * (50 + 7 * number) for number in range(len(TOPICS))]
     return [
-        encode_chunk([BagMessage(number, 1 + index * 100, each)], "zstd")
-        for number, each in zip(numbers, data, strict=True)
+        encode_chunk([BagMessage(number, 1 + index * 100, each)], "zstd") for number, each in enumerate(data)
     ]
 
 
@@ -41,8 +41,9 @@ class Numbers:
 
     folder: Path
     seed: int = 1
-    cameras: Collection[str] = CAMERAS
-    bodies: bool = True
+    frames: int = 12
+    cameras: Sequence[str] = CAMERAS
+    costs: Costs = field(default_factory=Costs, compare=False)
 
     @property
     def topics(self) -> Sequence[BagTopic]:
@@ -52,12 +53,15 @@ class Numbers:
     def custom(self) -> Mapping[str, str]:
         return {"numbers": f"{self.seed} in {self.folder}"}
 
-    def encoder(self, cameras: Collection[str], bodies: bool) -> Numbers:
-        with (self.folder / "encoders").open("a") as file:
+    def start(self) -> Numbers:
+        with (self.folder / "workers").open("a") as file:
             print(os.getpid(), file=file)
-        return replace(self, cameras=tuple(cameras), bodies=bodies)
+        return self
 
-    def encode(self, index: int) -> Sequence[Chunk]:
+    def close(self) -> None:
+        pass
+
+    def work(self, index: int) -> FrameResult:
         with (self.folder / f"pids_{index:02}").open("a") as file:
             print(os.getpid(), file=file)
         if (mark := self.folder / f"kill_{index}").exists():
@@ -68,7 +72,7 @@ class Numbers:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if (self.folder / f"broken_{index}").exists():
             raise ZeroDivisionError("no such number")
-        return group(index, tuple(self.cameras), self.bodies)
+        return result_of(group(index))
 
 
 @dataclass(frozen=True)

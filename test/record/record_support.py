@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from commands import humansim
 from conftest import ROOT
-from waiting import PATIENCE
 
 #: A child, a moving box and two small cameras; one has noise, one a distorted lens.
 SCENE = """
@@ -34,14 +34,11 @@ def write_scene(folder: Path, text: str = SCENE) -> Path:
     return path
 
 
-def command(scene: Path, output: Path, *options: Any) -> list[str]:
-    words = [scene, "-o", output, *options]
-    return [sys.executable, "-m", "humansim_ros.cli", "record", *map(str, words)]
-
-
 def start(scene: Path, output: Path, *options: Any, **popen: Any) -> subprocess.Popen[str]:
+    """``humansim record`` as a process."""
+    words = [scene, "-o", output, *options]
     return subprocess.Popen(
-        command(scene, output, *options),
+        [sys.executable, "-m", "humansim_ros.cli", "record", *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -50,12 +47,11 @@ def start(scene: Path, output: Path, *options: Any, **popen: Any) -> subprocess.
     )
 
 
-def run(scene: Path, output: Path, *options: Any, **popen: Any) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of ``humansim record``."""
-    process = start(scene, output, *options, **popen)
-    out, err = process.communicate(timeout=2 * PATIENCE)
-    assert "Traceback" not in err, err
-    return process.returncode, out, err
+def run(scene: Path, output: Path, *options: Any) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of ``humansim record``, run in this process."""
+    done = humansim("record", scene, "-o", output, *options)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, done.stdout, done.stderr
 
 
 def hashes(bag: Path) -> dict[str, str]:
@@ -71,7 +67,7 @@ def hashes(bag: Path) -> dict[str, str]:
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
     """Processes that a recording has started to encode frames."""
     listed = subprocess.run(
-        ["pgrep", "-P", str(process.pid), "-f", "humansim_ros.record.worker"],
+        ["pgrep", "-P", str(process.pid), "-f", "humansim_ros.jobs.workers"],
         capture_output=True,
         text=True,
         check=False,

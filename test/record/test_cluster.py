@@ -1,4 +1,4 @@
-"""Recording on a local Ray: workers that die or have no space, the index, merging, resuming, wrong input."""
+"""Recording on a local Ray: workers that die or have no space, the index, resuming, wrong input."""
 
 from __future__ import annotations
 
@@ -6,35 +6,24 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from recipes import CAMERAS, TOPICS, Numbers, group
 
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError
-from humansim_ros.record import cluster
+from humansim_ros.jobs.ray_cluster import write_part
 from humansim_ros.record.cluster import ClusterRecording, record_on_cluster
 from humansim_ros.record.output import OutputFolder
-from humansim_ros.record.shards import ShardKind, shards_of
 
 FRAMES, SHARD_FRAMES = 12, 4
 
 
-def recording(
-    folder: Path, kind: ShardKind = "frames", merge: bool = False, seed: int = 1
-) -> ClusterRecording:
-    return ClusterRecording(
-        recipe=Numbers(folder, seed),
-        shards=shards_of(kind, FRAMES, CAMERAS, SHARD_FRAMES),
-        output=OutputFolder(str(folder / "bag")),
-        interleaved=kind == "cameras",
-        merge=merge,
-        compression="zstd",
-    )
+def recording(folder: Path, seed: int = 1) -> ClusterRecording:
+    return ClusterRecording(Numbers(folder, seed, FRAMES), OutputFolder(str(folder / "bag")), SHARD_FRAMES)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -55,8 +44,8 @@ def chunks_of(folder: Path) -> dict[str, bytes]:
     return {name: content for name, content in files(folder).items() if name.endswith(".mcap")}
 
 
-def bag_of_one_process(folder: Path, custom: Mapping[str, str] | None = None, **limits: Any) -> Path:
-    with BagWriter(folder, TOPICS, compression="zstd", custom=custom, **limits) as writer:
+def bag_of_one_process(folder: Path) -> Path:
+    with BagWriter(folder, TOPICS, compression="zstd") as writer:
         for index in range(FRAMES):
             chunks = group(index)
             for chunk in chunks:
@@ -70,7 +59,7 @@ def attempts(folder: Path) -> list[int]:
     return [len(path.read_text().split()) for path in firsts if path.exists()]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_shards_of_frames_are_the_files_of_one_bag(workers: Path, tmp_path: Path) -> None:
     done: list[int] = []
     progress = record_on_cluster(
@@ -83,34 +72,11 @@ def test_shards_of_frames_are_the_files_of_one_bag(workers: Path, tmp_path: Path
     assert done == [SHARD_FRAMES * 3, SHARD_FRAMES * 6, FRAMES * 3] and progress.frames == FRAMES * 3
     assert progress.size == sum(len(content) for content in chunks_of(tmp_path / "bag").values())
     workers_of_frames = {path.read_text() for path in tmp_path.glob("pids_*")}
-    made = (tmp_path / "encoders").read_text().split()
-    assert len(made) == len(set(made)) == len(workers_of_frames), "a worker made an encoder twice"
+    made = (tmp_path / "workers").read_text().split()
+    assert len(made) == len(set(made)) == len(workers_of_frames), "a worker started twice"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["frames", "cameras"])
-@pytest.mark.parametrize("limits", [{}, {"max_size": 4000}])
-def test_merged_shards_are_the_bag_of_one_process(
-    workers: Path, tmp_path: Path, kind: ShardKind, limits: dict[str, int]
-) -> None:
-    whole = recording(tmp_path, kind, merge=True)
-    record_on_cluster([replace(whole, limits=limits)], "local")
-    one = bag_of_one_process(tmp_path / "one" / "bag", whole.recipe.custom, **limits)
-    assert files(tmp_path / "bag") == files(one)
-    assert not (tmp_path / "bag.shards").exists()
-
-
-@pytest.mark.slow
-def test_shards_of_cameras_are_a_bag_each(workers: Path, tmp_path: Path) -> None:
-    record_on_cluster([recording(tmp_path, "cameras")], "local")
-    assert {path.name for path in (tmp_path / "bag").iterdir()} == set(CAMERAS)
-    found = [each for name in CAMERAS for each in messages(tmp_path / "bag" / name)]
-    assert sorted(found) == sorted(messages(bag_of_one_process(tmp_path / "one")))
-    topics = {topic for topic, _, _ in messages(tmp_path / "bag" / "left")}
-    assert topics == {"/joints", "/left/image"}
-
-
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_worker_that_is_killed_and_one_without_space_change_nothing(workers: Path, tmp_path: Path) -> None:
     for name in ("calm", "rough"):
         (tmp_path / name).mkdir()
@@ -124,7 +90,7 @@ def test_a_worker_that_is_killed_and_one_without_space_change_nothing(workers: P
     assert messages(tmp_path / "calm" / "bag") == messages(tmp_path / "rough" / "bag")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_shard_that_always_fails_is_named_and_resumed(workers: Path, tmp_path: Path) -> None:
     (tmp_path / "broken_6").touch()
     with pytest.raises(BagError) as caught:
@@ -163,7 +129,7 @@ def small_disk(workers: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(workers)], check=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_workers_without_space_leave_nothing_that_looks_whole(small_disk: Path, tmp_path: Path) -> None:
     with pytest.raises(BagError) as caught:
         record_on_cluster([recording(tmp_path)], "local")
@@ -173,13 +139,13 @@ def test_workers_without_space_leave_nothing_that_looks_whole(small_disk: Path, 
     assert list(small_disk.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_worker_of_another_version_is_refused(workers: Path, tmp_path: Path) -> None:
     ray = pytest.importorskip("ray")
-    shard = recording(tmp_path).shards[0]
-    job = cluster._Job(shard, OutputFolder(str(tmp_path)), "bag_0.mcap", "0.0.1")
+    job = recording(tmp_path)
+    part = replace(job.shards[0], version="0.0.1")
     with pytest.raises(Exception, match=r"and the driver 0\.0\.1: install the same everywhere"):
-        ray.get(ray.remote(cluster.write_shard).remote(Numbers(tmp_path), job))
+        ray.get(ray.remote(write_part).remote(job, part))
     assert list(tmp_path.iterdir()) == []
 
 

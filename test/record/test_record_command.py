@@ -11,7 +11,7 @@ import ros_support  # noqa: F401  # skips without ROS
 from record_support import run, write_scene
 
 from humansim_ros.cli import output as frame_progress
-from humansim_ros.record.progress import FrameProgress
+from humansim_ros.jobs.frame_job import FrameProgress
 
 pytest.importorskip("rosbags")
 
@@ -46,7 +46,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_wrong_options_are_refused_and_nothing_is_made(
     scene: Path, tmp_path: Path, options: tuple[Any, ...], message: str
 ) -> None:
-    code, out, err = run(scene, tmp_path / "bag", *options)
+    code, out, err = run(scene, tmp_path / "bag", "--jobs", 1, *options)
     assert code == 2
     assert message in " ".join(err.split())
     assert out == ""
@@ -60,7 +60,7 @@ def test_a_path_that_exists_is_not_touched(scene: Path, tmp_path: Path) -> None:
     file.write_text("data")
     link.symlink_to(tmp_path / "nowhere")
     for path in (folder, file, link):
-        code, _, err = run(scene, path, "--frames", 2)
+        code, _, err = run(scene, path, "--frames", 2, "--jobs", 1)
         assert code == 2
         assert f"{path}: this path exists" in err
     assert [path.name for path in folder.iterdir()] == ["precious"]

@@ -11,9 +11,8 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import SCENE, hashes, write_scene
 
-from humansim_ros.record.frame_chunks import SceneRecording
 from humansim_ros.record.plan import RecordingPlan
-from humansim_ros.record.recording import record
+from humansim_ros.record.recording import SceneRecording, record
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
@@ -198,8 +197,8 @@ def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scen
     "options",
     [
         {},
-        {"compression": "zstd", "images": "jpeg", "depth": "png"},
-        {"storage": "sqlite3"},
+        pytest.param({"compression": "zstd", "images": "jpeg", "depth": "png"}, marks=pytest.mark.nightly),
+        pytest.param({"storage": "sqlite3"}, marks=pytest.mark.nightly),
         {"max_duration": 0.1},
     ],
     ids=lambda options: "-".join(map(str, options.values())) or "raw",
@@ -209,10 +208,10 @@ def test_bytes_do_not_depend_on_the_number_of_processes(
 ) -> None:
     names = ("*",) if not options else ()
     found = []
-    for jobs in (1, 2, 4):
+    for jobs in (1, 3):
         (tmp_path / str(jobs)).mkdir()
         found.append(hashes(recorded(scene, tmp_path / str(jobs) / "bag", *names, jobs=jobs, **options)))
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
     assert len(found[0]) == (3 if "max_duration" in options else 2)
 
 
@@ -243,24 +242,31 @@ def test_jpeg_and_png_images_show_the_raw_ones(scene: Scene, frames: list[Frame]
 
 
 def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
-    """Shards of cameras and of frames are put together chunk by chunk."""
-    recording = SceneRecording(scene, RecordingPlan.of(scene, 3))
+    """Shards of frames are files of one bag."""
 
-    def chunks(first: int, end: int, cameras: Any, bodies: bool) -> list[list[bytes]]:
-        with recording.encoder(cameras, bodies) as encoder:
-            return [
-                [b"".join(bytes(buffer) for buffer in chunk.buffers) for chunk in encoder.encode(index)]
-                for index in range(first, end)
-            ]
+    def frames(numbers: range) -> list[list[bytes]]:
+        worker = SceneRecording(scene, RecordingPlan.of(scene, 3)).start()
+        results = [worker.work(index) for index in numbers]
+        worker.close()
+        return [[b"".join(bytes(part) for part in group) for group in result.data] for result in results]
 
-    whole = chunks(0, 3, ("noisy", "bent"), True)
+    whole = frames(range(3))
     assert [len(group) for group in whole] == [3, 3, 3]
-    assert chunks(1, 3, ("noisy", "bent"), True) == whole[1:]
-    single = [
-        chunks(0, 3, cameras, bodies)
-        for cameras, bodies in (((), True), (("noisy",), False), (("bent",), False))
-    ]
-    assert [list(map(b"".join, group)) for group in zip(*single, strict=True)] == whole
+    assert frames(range(1, 3)) == whole[1:]
+
+
+def test_a_recording_in_one_process_has_one_context_and_one_table(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from humansim_ros.record import plan
+    from humansim_ros.render.context import OpenGLContext
+
+    made: list[str] = []
+    create, topics = OpenGLContext.__init__, plan.scene_topics
+    monkeypatch.setattr(OpenGLContext, "__init__", lambda *words: (made.append("context"), create(*words))[1])
+    monkeypatch.setattr(plan, "scene_topics", lambda *words: (made.append("table"), topics(*words))[1])
+    record(SceneRecording.of(scene, 2, ["/noisy/image_raw"]), tmp_path / "bag")
+    assert sorted(made) == ["context", "table"]
 
 
 def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -> None:

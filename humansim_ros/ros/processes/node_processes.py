@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, did_you_mean
+from humansim_ros.jobs.cores import cores, thread_limits
 from humansim_ros.scene.names import LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
@@ -156,11 +157,6 @@ class NodeProcess:
             # quoted, because ROS parses values as YAML: a camera named off would be a boolean
             arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
         return arguments if self.log_level == "info" else [*arguments, "--log-level", self.log_level]
-
-
-def cores() -> int:
-    """Number of CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def whole_number(name: str, text: str) -> int | None:
@@ -424,18 +420,3 @@ def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
     Variables that the user has set are left out.
     """
     return thread_limits(sum(process.renders for process in processes))
-
-
-def thread_limits(rendering: int) -> dict[str, str]:
-    """As :func:`render_threads`, for a number of processes.
-
-    By default Mesa without a GPU, and OpenCV, start one thread per core in each process.
-    """
-    share = max(1, cores() // max(1, rendering))
-    threads = {
-        # 0: render in the calling thread. Waiting for a single other thread costs a tenth more
-        "LP_NUM_THREADS": str(share if share > 1 else 0),
-        # a thread without a core of its own delays the others
-        "OPENCV_FOR_THREADS_NUM": str(share),
-    }
-    return {name: number for name, number in threads.items() if name not in os.environ}

@@ -6,28 +6,35 @@ import json
 import os
 import re
 import shutil
+import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.bags.chunks import Chunk
 from humansim_ros.camera import write_calibration
 from humansim_ros.errors import ExportError, HumansimError
 from humansim_ros.export.folder import TEMPORARY, ExportFolder, FileEntry
 from humansim_ros.export.formats import ExportFormat, needed_channels
-from humansim_ros.export.plan import INDEX, ExportPlan
+from humansim_ros.export.plan import INDEX, ExportPlan, read_index
 from humansim_ros.export.source import ExportSource
 from humansim_ros.export.writer import ExportFrame, ExportSettings, Record, frame_name
 from humansim_ros.io.files import read_text
-from humansim_ros.record.progress import FrameProgress
-from humansim_ros.record.workers import FrameEncoding
+from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult, FrameWorker
+from humansim_ros.jobs.ray_cluster import (
+    PART_FRAMES,
+    ClusterPart,
+    PartResult,
+    connected,
+    missing_text,
+    run_parts,
+)
+from humansim_ros.jobs.workers import run_frames
 
 #: Largest file that a frame leaves for the files of the whole export, bytes.
 _MAX_RECORD = 1 << 30
@@ -38,8 +45,20 @@ CALIBRATION = "calibration.yaml"
 
 
 @dataclass(frozen=True)
+class WrittenFiles:
+    """Files of some frames by path; ``size``: their bytes."""
+
+    files: Mapping[str, FileEntry]
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return sum(entry["bytes"] for entry in self.files.values())
+
+
+@dataclass(frozen=True)
 class Export:
-    """A scene or bag, and the plan of its export to a folder. It can be copied to another process."""
+    """A scene or bag, and the plan of its export to a folder: a job, which can be copied."""
 
     source: ExportSource
     plan: ExportPlan
@@ -66,62 +85,48 @@ class Export:
         """Number of cameras whose images are needed."""
         return len(self.source.scene.cameras) if needed_channels(self.formats) else 0
 
-    def start(self) -> FrameExporter:
+    def start(self) -> ExportWorker:
         """Load the renderer, or open the bag. Raises HumansimError if this machine cannot do it."""
-        return FrameExporter(self)
+        return ExportWorker(self)
 
-    def pending(self, resume: bool) -> tuple[Sequence[int] | None, FrameProgress]:
-        """Numbers of the frames that are not written, None if the export is complete; and its progress.
+    @property
+    def key(self) -> str:
+        """Equal for exports with the same files in the same folder."""
+        return f"{self.root} {self.plan.index()}"
 
-        ``resume``: continue the export if it has begun.
+    def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
+        """Write the frames of a part that are not finished; this runs in a task of a cluster.
 
         Raises:
-            ExportError: The folder exists, or has another export.
+            HumansimError: The host does not share the folder, a file cannot be written, or a frame cannot be
+                rendered or read there.
         """
-        frames, total = self.plan.frames, len(self.plan.frames)
-        if not (self.root.exists() or self.root.is_symlink()):
-            return frames, FrameProgress(0, total, 0)
-        if not resume:
-            text = "this path exists; choose another one, or continue with --resume"
-            raise ExportError(text, path=self.root)
-        if self.plan.check_continues(self.root):
-            return None, FrameProgress(total, total, total)
-        left = [index for index in frames if not self.finished(index)]
-        return left, FrameProgress(total - len(left), total, total - len(left))
+        if not (self.root / INDEX).exists():
+            text = "does not have this folder: export to one that all hosts share"
+            raise ExportError(f"host {socket.gethostname()} {text}", path=self.root)
+        files: dict[str, FileEntry] = {}
+        for index in part.frames:
+            written = self.files_of(index)  # of an attempt before
+            files |= worker.work(index).value if written is None else written
+        return WrittenFiles(files)
 
-    def begin(self) -> None:
-        """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
-        ExportFolder(self.root).write(INDEX, self.plan.index())
-
-    def finish(self) -> None:
-        """Write the files of the whole export; all frames are written. Raises HumansimError."""
-        _finish(self)
-
-    def finished(self, index: int) -> bool:
-        """Whether a frame and all its files have been written.
+    def files_of(self, index: int) -> Mapping[str, FileEntry] | None:
+        """Files of a frame; None unless all have been written.
 
         Raises:
             ExportError: Something else is in place of its record, such as a named pipe.
         """
         path = self.root / self.record_path(index)
         if not path.exists():
-            return False
+            return None
         try:
             files: Mapping[str, FileEntry] = self._read(index)["files"]
-            return all((self.root / name).stat().st_size == entry["bytes"] for name, entry in files.items())
+            whole = all((self.root / name).stat().st_size == entry["bytes"] for name, entry in files.items())
+            return files if whole else None
         except (HumansimError, OSError, ValueError):
             if not path.is_file():
                 raise
-            return False  # empty or cut after a power cut
-
-    def files(self, index: int) -> dict[str, FileEntry]:
-        """Files of a finished frame."""
-        files: dict[str, FileEntry] = self._read(index)["files"]
-        return files
-
-    def records(self, name: str) -> FrameRecords:
-        """What the frames leave for the files of a format."""
-        return FrameRecords(self, name)
+            return None  # empty or cut after a power cut
 
     def record_path(self, index: int) -> str:
         """File that says that a frame is finished, relative to the root."""
@@ -145,8 +150,8 @@ class FrameRecords:
             yield index, self.export._read(index)["formats"][self.name]
 
 
-class FrameExporter:
-    """Renders or reads frames of an export and writes their files; use it in a ``with`` block.
+class ExportWorker:
+    """Renders or reads frames of an export and writes their files.
 
     Attributes:
         costs: Seconds of processor time by step.
@@ -156,43 +161,29 @@ class FrameExporter:
         self._export = export
         self._frames = export.source.open()
         self._writers = {row.name: row.writer(export.settings) for row in export.formats}
-        self.costs: dict[str, float] = {}
-
-    def __enter__(self) -> FrameExporter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        self.costs = Costs()
 
     def close(self) -> None:
         """Free the renderer, or close the bag."""
         self._frames.close()
 
-    def encode(self, index: int) -> list[Chunk]:
-        """Write the files of a frame, at last the one that says that it is finished; there are no chunks.
+    def work(self, index: int) -> FrameResult:
+        """Write the files of a frame, at last the one that says that it is finished; return the files.
 
         Raises:
             HumansimError: The frame cannot be rendered or read, or a file cannot be written.
         """
         start = time.process_time()
         frame = ExportFrame(self._frames.frame(index), self._export.settings)
-        start = self._add_cost(self._export.source.step, start)
+        start = self.costs.add(self._export.source.step, start)
         folder = ExportFolder(self._export.root)
         records = {}
         for name, writer in self._writers.items():
             records[name] = writer.frame(frame, folder.subfolder(name))
-            start = self._add_cost(name, start)
+            start = self.costs.add(name, start)
         text = json.dumps({"files": folder.written, "formats": records}, default=_plain)
         ExportFolder(self._export.root).write(self._export.record_path(index), text)
-        return []
-
-    def _add_cost(self, step: str, start: float) -> float:
-        """Add the processor time since ``start`` to a step; return the time now."""
-        now = time.process_time()
-        self.costs[step] = self.costs.get(step, 0.0) + now - start
-        return now
+        return FrameResult(folder.written)
 
 
 def _plain(value: Any) -> Any:
@@ -223,32 +214,95 @@ def export(
         WorkerDiedError: A worker process has died.
         HumansimError: A frame cannot be rendered or read, or a file cannot be written: a full disk.
     """
-    pending, progress = job.pending(resume)
-    if pending:
-        with FrameEncoding(job, min(jobs, len(pending))) as encoding:
-            if not job.root.exists():  # after the start of the encoder: without OpenGL no folder is made
-                job.begin()
-            _write(job, encoding, pending, progress, on_progress)
-    if pending is not None:
-        job.finish()
+    frames, files = _unwritten(job, resume)
+    progress = FrameProgress.of(len(job.plan.frames), len(frames))
+
+    def take(_: int, result: FrameResult) -> int:
+        written = WrittenFiles(result.value)
+        files.update(written.files)
+        return written.size
+
+    if frames:
+        run_frames(job, frames, jobs, progress, take, begin=lambda: _begin(job), on_progress=on_progress)
+    _finish(job, files)
     return progress
 
 
-def _write(
+def export_on_cluster(
     job: Export,
-    encoding: FrameEncoding,
-    pending: Sequence[int],
-    progress: FrameProgress,
-    on_progress: Callable[[FrameProgress], None],
-) -> None:
-    """Write the frames that the export lacks."""
-    start = time.monotonic()
-    for index, _ in zip(pending, encoding.frames(pending), strict=True):
-        progress.done += 1
-        progress.size += sum(entry["bytes"] for entry in job.files(index).values())
-        progress.seconds = time.monotonic() - start
-        progress.costs = dict(encoding.costs)
-        on_progress(progress)
+    address: str,
+    *,
+    workers: int | None = None,
+    shard_frames: int = PART_FRAMES,
+    resume: bool = False,
+    on_progress: Callable[[FrameProgress], None] = lambda _: None,
+) -> FrameProgress:
+    """Export a scene or bag on a Ray cluster. The files do not depend on the number of workers.
+
+    Args:
+        job: Source, plan and folder, which has an absolute path that all hosts share.
+        address: ``local`` starts Ray on this machine; ``auto``, ``host:port`` and ``ray://host:port`` name a
+            cluster.
+        workers: Number of workers of ``local``; one for each core if None.
+        shard_frames: Frames of a task.
+        resume: Continue the export if it has begun.
+        on_progress: Called after each task; its argument is also the result.
+
+    Raises:
+        ExportError: The folder exists, or has another export; or frames could not be written, which the
+            message lists. Those that are whole stay for ``resume``.
+        BagError: Ray is missing or cannot be reached.
+    """
+    frames, files = _unwritten(job, resume)
+    progress = FrameProgress.of(len(job.plan.frames), len(frames))
+    parts = [_part(frames[start : start + shard_frames]) for start in range(0, len(frames), shard_frames)]
+    if parts:
+        with connected(address, workers) as ray:
+            _begin(job)
+            results, failures = run_parts(ray, [(job, parts)], progress, on_progress)
+        if text := missing_text([(job, parts)], results, failures, "parts", "writes"):
+            raise ExportError(text, path=job.root)
+        for result in results.values():
+            assert isinstance(result, WrittenFiles)
+            files.update(result.files)
+    _finish(job, files)
+    return progress
+
+
+def _part(frames: Sequence[int]) -> ClusterPart:
+    text = f"frames {frames[0]} to {frames[-1]}"
+    return ClusterPart(text, text, tuple(frames), len(frames))
+
+
+def _unwritten(job: Export, resume: bool) -> tuple[Sequence[int], dict[str, FileEntry]]:
+    """Numbers of the frames that are not written, and the files of the others.
+
+    ``resume``: continue the export if it has begun.
+
+    Raises:
+        ExportError: The folder exists, or has another export.
+    """
+    frames, files = job.plan.frames, dict[str, FileEntry]()
+    if not (job.root.exists() or job.root.is_symlink()):
+        return frames, files
+    if not resume:
+        raise ExportError("this path exists; choose another one, or continue with --resume", path=job.root)
+    if job.plan.check_continues(job.root):
+        return (), files
+    left = []
+    for index in frames:
+        written = job.files_of(index)
+        if written is None:
+            left.append(index)
+        else:
+            files |= written
+    return left, files
+
+
+def _begin(job: Export) -> None:
+    """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
+    if not job.root.exists():
+        ExportFolder(job.root).write(INDEX, job.plan.index())
 
 
 def _remove_temporary_files(root: Path, files: Collection[str]) -> None:
@@ -260,17 +314,17 @@ def _remove_temporary_files(root: Path, files: Collection[str]) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _finish(job: Export) -> None:
+def _finish(job: Export, files_of_frames: dict[str, FileEntry]) -> None:
     """Write the files of the whole export, then the index, and remove the records of the frames."""
+    if read_index(job.root)["finished"]:
+        return
     folder, scene = ExportFolder(job.root), job.source.scene
     if scene.cameras:
         with folder.path(CALIBRATION) as path:
             write_calibration(path, {name: each.camera for name, each in scene.cameras.items()}, "scene")
     for row in job.formats:
-        row.writer(job.settings).finish(job.records(row.name), folder.subfolder(row.name))
-    files = dict(folder.written)
-    for index in job.plan.frames:
-        files |= job.files(index)
+        row.writer(job.settings).finish(FrameRecords(job, row.name), folder.subfolder(row.name))
+    files = folder.written | files_of_frames
     _remove_temporary_files(job.root, files)
     ExportFolder(job.root).write(
         INDEX,

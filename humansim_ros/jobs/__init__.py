@@ -1,0 +1,1 @@
+"""One job on many frames, in this process, in several, or on a Ray cluster."""

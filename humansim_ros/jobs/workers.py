@@ -1,0 +1,428 @@
+"""Do the work of a job in this process or in others, frame by frame.
+
+A worker process inherits file descriptors: a socket to the process that started it, and memory for the data
+of a result, one piece for each frame that the worker may be ahead. The memory has no name, so that nothing
+of it is left, however the processes end. A worker ends when its socket is closed.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from itertools import islice
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import humansim_ros
+from humansim_ros.errors import HumansimError
+from humansim_ros.jobs.cores import thread_limits
+from humansim_ros.jobs.frame_job import Buffer, FrameJob, FrameProgress, FrameResult, FrameWorker
+
+#: Step of copying data into memory that the other process has, too.
+COPYING = "copying"
+#: Frames that a worker may be ahead: it makes the next one while one is being written.
+_SLOTS = 2
+#: Not ``-m``: objects of a module that is run so cannot be sent to another process.
+_PROGRAM = "from humansim_ros.jobs.workers import main; main()"
+#: Seconds in which a worker ends whose socket is closed.
+_ENDING = 2.0
+
+
+class WorkerDiedError(HumansimError):
+    """A worker process has died."""
+
+
+class _Load(NamedTuple):
+    """Request to start a job, which is pickled in a slot."""
+
+    slot: int
+    size: int
+
+
+class _Answer(NamedTuple):
+    """Result in a slot: its value, sizes of the groups of data, size of the slot, processor time by step."""
+
+    value: Any
+    sizes: list[int]
+    memory: int
+    costs: dict[str, float]
+
+
+def _positions(sizes: Sequence[int]) -> list[int]:
+    """Places of groups of data in their slot: at pages, so that they can be written to a disk directly."""
+    places = [0]
+    for size in sizes:
+        places.append(places[-1] + -(-size // mmap.PAGESIZE) * mmap.PAGESIZE)
+    return places
+
+
+class _Worker:
+    """One worker process, as the process sees it that has started it.
+
+    Attributes:
+        connection: Socket to the process.
+        job: The job that it was given last.
+        asked: Frames that it has been asked for and that have not arrived, with their slots; None for the
+            start of a job.
+    """
+
+    def __init__(self, number: int, environment: dict[str, str], nice: int) -> None:
+        self.number = number
+        self.connection, other = Pipe()
+        self.job: bytes | None = None
+        self.asked: deque[tuple[Any, int]] = deque()
+        self._slots = [os.memfd_create(f"humansim-{number}-{slot}") for slot in range(_SLOTS)]
+        self._memory: list[mmap.mmap | None] = [None] * _SLOTS
+        self._free = deque(range(_SLOTS))
+        descriptors = [other.fileno(), *self._slots]
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", _PROGRAM, str(nice), *map(str, descriptors)],
+                pass_fds=descriptors,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the process that started it
+                env=environment,
+            )
+        finally:
+            other.close()
+
+    def load(self, job: bytes) -> None:
+        """Start a job; all slots must be free. It goes through memory: a socket would have to wait."""
+        slot = self._free.popleft()
+        position = 0
+        while position < len(job):
+            position += os.pwrite(self._slots[slot], memoryview(job)[position:], position)
+        self.job = job
+        self._send(None, slot, _Load(slot, len(job)))
+
+    def ask(self, frame: Any) -> None:
+        """Ask for a frame; there must be a free slot."""
+        slot = self._free.popleft()
+        self._send(frame, slot, (frame, slot))
+
+    def _send(self, frame: Any, slot: int, request: Any) -> None:
+        self.asked.append((frame, slot))
+        try:
+            self.connection.send(request)
+        except OSError:
+            raise self._died() from None
+
+    def receive(self) -> tuple[Any, int, FrameResult | HumansimError]:
+        """Next answer with its frame and slot. Raises WorkerDiedError."""
+        try:
+            answer: _Answer | HumansimError = self.connection.recv()
+        except (EOFError, OSError):
+            raise self._died() from None
+        frame, slot = self.asked.popleft()
+        if isinstance(answer, HumansimError):
+            self.release(slot)
+            return frame, slot, answer
+        self.costs = answer.costs
+        return frame, slot, FrameResult(answer.value, self._data(slot, answer))
+
+    def release(self, slot: int) -> None:
+        """Let the process use a slot again."""
+        self._free.append(slot)
+
+    def _data(self, slot: int, answer: _Answer) -> list[tuple[Buffer]]:
+        if not answer.sizes:
+            return []
+        memory = self._memory[slot]
+        if memory is None or len(memory) != answer.memory:
+            memory = mmap.mmap(self._slots[slot], answer.memory, prot=mmap.PROT_READ)
+            self._memory[slot] = memory
+        view = memoryview(memory)
+        places = zip(_positions(answer.sizes), answer.sizes, strict=False)
+        return [(view[place : place + size],) for place, size in places]
+
+    def _died(self) -> WorkerDiedError:
+        code = self.process.wait()
+        reason = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        frame = self.asked[0][0] if self.asked else None
+        doing = "before its first frame" if frame is None else f"while it encoded frame {frame}"
+        return WorkerDiedError(f"worker process {self.number + 1} {reason} {doing}")
+
+    def close(self) -> None:
+        """Wait for the end of the process, whose socket is closed, or end it."""
+        try:
+            self.process.wait(_ENDING)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        for slot in self._slots:
+            os.close(slot)
+
+
+class Workers:
+    """Worker processes of a job; use it in a ``with`` block, or call :meth:`close`.
+
+    Args:
+        job: The work.
+        count: Number of processes.
+        nice: Added to the niceness of this process.
+
+    Attributes:
+        costs: Seconds of processor time of all workers by step.
+    """
+
+    def __init__(self, job: FrameJob, count: int, nice: int = 0) -> None:
+        self.costs: dict[str, float] = {}
+        self._workers: list[_Worker] = []
+        sources = [str(Path(humansim_ros.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+        environment = {
+            **os.environ,
+            **thread_limits(count),
+            "PYTHONPATH": os.pathsep.join(filter(None, sources)),
+        }
+        try:
+            for number in range(count):
+                self._workers.append(_Worker(number, environment, nice))
+            self.use(job)
+            for worker in self._workers:
+                worker.load(self._job)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def processes(self) -> list[subprocess.Popen[bytes]]:
+        """The processes."""
+        return [worker.process for worker in self._workers]
+
+    def use(self, job: FrameJob) -> None:
+        """Do another job from the next :meth:`ask` on."""
+        self._job = pickle.dumps(job)
+
+    def wait_until_ready(self) -> None:
+        """Wait until all processes have started the job. Raises HumansimError if one cannot."""
+        for worker in self._workers:
+            _, slot, answer = worker.receive()
+            if isinstance(answer, HumansimError):
+                raise answer
+            worker.release(slot)
+
+    def ask(self, frame: Any) -> bool:
+        """Ask a process that has nothing to do for a frame; False if there is none."""
+        for worker in self._workers:
+            if not worker.asked:
+                if worker.job is not self._job:
+                    worker.load(self._job)
+                worker.ask(frame)
+                return True
+        return False
+
+    def arrived(self, timeout: float | None = None) -> Iterator[tuple[Any, FrameResult | HumansimError]]:
+        """Frames that have arrived, with their results or what is wrong; None for the start of a job.
+
+        The data of a result are valid until the next step. ``timeout``: seconds to wait for the first.
+
+        Raises:
+            WorkerDiedError: A process has died.
+        """
+        for worker, frame, slot, answer in self._received(timeout):
+            yield frame, answer
+            if isinstance(answer, FrameResult):
+                worker.release(slot)
+
+    def _received(
+        self, timeout: float | None = None
+    ) -> Iterator[tuple[_Worker, Any, int, FrameResult | HumansimError]]:
+        asked: dict[Any, _Worker] = {w.connection: w for w in self._workers if w.asked}
+        for connection in wait(list(asked), timeout):
+            yield asked[connection], *asked[connection].receive()
+
+    def results(self, frames: Sequence[int]) -> Iterator[FrameResult]:
+        """Results of some frames, in their order. ``frames``: numbers, each once.
+
+        Raises:
+            WorkerDiedError: A process has died.
+            HumansimError: A frame cannot be made.
+        """
+        following = iter(frames)
+        for _ in range(_SLOTS):
+            for worker, frame in zip(self._workers, following, strict=False):
+                worker.ask(frame)
+        waiting: dict[int, tuple[_Worker, int, FrameResult]] = {}
+        for frame in frames:
+            while frame not in waiting:
+                for worker, number, slot, answer in self._received():
+                    if isinstance(answer, HumansimError):
+                        raise type(answer)(f"frame {number}: {answer}")
+                    waiting[number] = worker, slot, answer
+                    for step, seconds in worker.costs.items():
+                        self.costs[step] = self.costs.get(step, 0.0) + seconds
+            worker, slot, result = waiting.pop(frame)
+            yield result
+            worker.release(slot)
+            for another in islice(following, 1):
+                worker.ask(another)
+
+    def close(self) -> None:
+        """End all processes."""
+        for worker in self._workers:
+            worker.connection.close()
+        for worker in self._workers:
+            worker.close()
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class _OwnWorker:
+    """Worker of this process, with the interface of :class:`Workers`."""
+
+    def __init__(self, job: FrameJob) -> None:
+        self._worker = job.start()
+
+    @property
+    def costs(self) -> dict[str, float]:
+        return self._worker.costs
+
+    def results(self, frames: Sequence[int]) -> Iterator[FrameResult]:
+        return map(self._worker.work, frames)
+
+    def close(self) -> None:
+        self._worker.close()
+
+
+def run_frames(
+    job: FrameJob,
+    frames: Sequence[int],
+    jobs: int,
+    progress: FrameProgress,
+    take: Callable[[int, FrameResult], int],
+    *,
+    begin: Callable[[], None] = lambda: None,
+    on_progress: Callable[[FrameProgress], None] = lambda _: None,
+) -> None:
+    """Do the work of some frames.
+
+    Args:
+        job: The work.
+        frames: Numbers of the frames, each once; at least one.
+        jobs: Number of processes; with 1, this process does the work.
+        progress: State before the first frame, which this function updates.
+        take: Called with each number and result, in the order of ``frames``. Returns the bytes written.
+        begin: Called after the start of the workers. A machine without OpenGL has failed before.
+        on_progress: Called with ``progress`` after each frame.
+
+    Raises:
+        WorkerDiedError: A worker process has died.
+        HumansimError: A frame cannot be made.
+    """
+    jobs = min(jobs, len(frames))
+    source = _OwnWorker(job) if jobs == 1 else Workers(job, jobs)
+    try:
+        if isinstance(source, Workers):
+            source.wait_until_ready()
+        begin()
+        start = time.monotonic()
+        for frame, result in zip(frames, source.results(frames), strict=True):
+            progress.costs.update(source.costs)
+            progress.size += take(frame, result)
+            progress.done += 1
+            progress.seconds = time.monotonic() - start
+            on_progress(progress)
+    finally:
+        source.close()
+
+
+class _Slot:
+    """Memory for the data of one result; it grows if a result needs more."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._memory: mmap.mmap | None = None
+
+    def read(self, size: int) -> bytes:
+        return os.pread(self._descriptor, size, 0)
+
+    def store(self, groups: Sequence[Sequence[Buffer]]) -> tuple[list[int], int]:
+        """Copy groups of buffers one after the other; return their sizes, and the size of the slot.
+
+        Raises:
+            OSError: There is no memory left.
+        """
+        if not groups:
+            return [], 0
+        sizes = [sum(memoryview(buffer).nbytes for buffer in group) for group in groups]
+        places = _positions(sizes)
+        if self._memory is None or len(self._memory) < places[-1]:
+            # now: a page that cannot be had later kills the process
+            os.posix_fallocate(self._descriptor, 0, places[-1])
+            self._memory = mmap.mmap(self._descriptor, places[-1])
+        with memoryview(self._memory) as memory:
+            for position, group in zip(places, groups, strict=False):
+                for view in (memoryview(buffer).cast("B") for buffer in group):
+                    memory[position : position + view.nbytes] = view
+                    position += view.nbytes
+        return sizes, len(self._memory)
+
+
+def main() -> None:
+    """Do what the other process asks for until it closes the socket, or ends."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_IGN)  # the other process stops its workers
+    nice, socket, *slots = map(int, sys.argv[1:])
+    os.nice(nice)
+    if threads := os.environ.get("OPENCV_FOR_THREADS_NUM"):
+        import cv2
+
+        cv2.setNumThreads(int(threads))
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        _serve(Connection(socket), [_Slot(slot) for slot in slots])
+
+
+def _serve(connection: Connection, slots: list[_Slot]) -> None:
+    job: FrameJob | None = None
+    worker: FrameWorker | None = None
+    try:
+        while True:
+            request: _Load | tuple[Any, int] = connection.recv()
+            try:
+                if isinstance(request, _Load):
+                    if worker is not None:
+                        worker.close()
+                    worker = None
+                    job = pickle.loads(slots[request.slot].read(request.size))
+                if worker is None:
+                    assert job is not None
+                    worker = job.start()
+                answer: Any = _Answer(None, [], 0, {})
+                if not isinstance(request, _Load):
+                    frame, slot = request
+                    answer = _answer(worker, frame, slots[slot])
+            except HumansimError as error:
+                answer = error
+            except MemoryError:
+                answer = HumansimError("out of memory")
+            except OSError as error:
+                text = f"a worker process has no memory or files left: {error.strerror or error}"
+                answer = HumansimError(text)
+            connection.send(answer)
+    finally:
+        if worker is not None:
+            worker.close()
+
+
+def _answer(worker: FrameWorker, frame: Any, slot: _Slot) -> _Answer:
+    worker.costs.clear()
+    result = worker.work(frame)
+    start = time.process_time()
+    sizes, memory = slot.store(result.data)
+    if sizes or worker.costs:
+        worker.costs[COPYING] = time.process_time() - start
+    return _Answer(result.value, sizes, memory, dict(worker.costs))

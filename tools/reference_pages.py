@@ -348,8 +348,6 @@ def _command(name: str, function: Any, level: int) -> Iterator[str]:
     for parameter in inspect.signature(function).parameters.values():
         kind, *details = get_args(hints[parameter.name])
         info = next(detail for detail in details if isinstance(detail, ParameterInfo))
-        if info.hidden:
-            continue
         required = parameter.default is parameter.empty
         value = "must be given" if required else _shown(parameter.default, info)
         if isinstance(info, ArgumentInfo):

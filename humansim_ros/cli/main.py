@@ -134,8 +134,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     show_warnings()
     given = sys.argv[1:] if arguments is None else arguments
-    arguments = join_numbers(new_names(given, print_warning))
     try:
+        arguments = join_numbers(new_names(given, print_warning))
         # a shell that asks for completions gives the words in variables
         app = make_app(None if _COMPLETION in os.environ else arguments)
         result = app(arguments, prog_name="humansim", standalone_mode=False)

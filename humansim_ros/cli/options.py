@@ -281,9 +281,20 @@ RENAMED = {
     "motion render": (Renamed("--phases", "--frames"),),
 }
 
+#: Options that have gone from a command, and why.
+GONE = {
+    "record": dict.fromkeys(
+        ("--shards", "--merge", "--split"),
+        "--ray divides recordings by frames, and each shard is a file of one bag (--shard-frames)",
+    )
+}
+
 
 def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[str]:
     """The command line with the new names of renamed options; ``warn`` gets a line about each old one.
+
+    Raises:
+        HumansimError: An option has gone.
 
     Example:
         >>> new_names(["run", "--duration", "5"], print)
@@ -292,10 +303,13 @@ def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[s
     """
     words = [word for word in arguments if not word.startswith("-")]
     renamed = {each.old: each for n in (1, 2) for each in RENAMED.get(" ".join(words[:n]), ())}
+    gone = GONE.get(next(iter(words), ""), {})
     changed = list(arguments)
     end = changed.index("--") if "--" in changed else len(changed)
     for place, word in enumerate(changed[:end]):
         name, equals, value = word.partition("=")
+        if name in gone:
+            raise HumansimError(f"{name} has gone: {gone[name]}")
         found = renamed.get(name)
         following = value if equals else next(iter(changed[place + 1 : end]), "")
         if found is not None and (not found.value or re.fullmatch(found.value, following)):

@@ -92,8 +92,6 @@ def record(
         int,
         typer.Option(metavar="N", help="With --ray: frames of a shard, which is a file of the bag.", min=1),
     ] = PART_FRAMES,
-    shards: Annotated[str | None, typer.Option(hidden=True)] = None,
-    merge: Annotated[bool | None, typer.Option("--merge/--split", hidden=True)] = None,
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
     from humansim_ros.jobs.cores import cores
@@ -103,10 +101,6 @@ def record(
     from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 
-    for option, given in (("--shards", shards), ("--merge and --split", merge)):
-        if given is not None:
-            text = "has gone: --ray divides recordings by frames, and each shard is a file of one bag"
-            raise BagError(f"{option} {text} (--shard-frames)", key="record")
     if (frames is None) == (seconds is None):
         raise BagError("give either --frames or --seconds", key="record")
     if ray is None and (is_url(output) or (scene and len(scene) > 1)):

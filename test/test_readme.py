@@ -117,14 +117,15 @@ def test_every_block_of_a_document_names_its_language_and_parses(document: Path)
         PARSERS.get(language, str)(block)
 
 
-def test_the_readme_lists_the_topics_that_the_nodes_have() -> None:
-    source = "".join(path.read_text() for path in (ROOT / "humansim_ros" / "ros").rglob("*.py"))
+def test_the_page_of_topics_lists_topics_that_the_nodes_have() -> None:
+    page = (ROOT / "docs" / "topics.md").read_text()
+    source = "".join(path.read_text() for path in (ROOT / "humansim_ros").rglob("*.py"))
     topics = [channel.topic.format(body="<name>") for channel in CHANNEL_TABLE.values()]
     topics += [channel.rectified_topic for channel in CHANNEL_TABLE.values()]
     source += " ".join([*topics, *(f"{topic.rpartition('/')[0]}/camera_info" for topic in topics)])
-    for topic in re.findall(r"`/<camera>/([a-z_/]+)`", README):
+    for topic in re.findall(r"`/<camera>/([a-z_/]+)`", page):
         assert topic in source, topic
-    for topic in re.findall(r"`/humans/<id>/([a-z_/]+)`", README):
+    for topic in re.findall(r"`/humans/<id>/([a-z_/]+)`", page):
         assert f"/{topic}" in source, topic
 
 

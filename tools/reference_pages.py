@@ -156,9 +156,9 @@ def _and(words: Iterable[str]) -> str:
 _TOPICS_HEAD = """# Topics and messages
 
 All topics of a scene, from the table by which nodes publish and recordings are written
-(`humansim_ros/messages/topics.py`). `tools/doc_pages.py` makes this page; the meanings are those of the
-[README](../../README.md#topics) and of [ground truth](../ground_truth.md), which defines every number. Names
-are relative to the namespace of the nodes.
+(`humansim_ros/messages/topics.py`). `tools/doc_pages.py` makes this page; the meanings come from
+[the table of topics](../topics.md) and from [ground truth](../ground_truth.md), which defines every number.
+Names are relative to the namespace of the nodes.
 
 - *each frame*: a message for each frame, with its stamp. Quality of service: reliable, volatile, depth
   {depth}.
@@ -208,14 +208,14 @@ def _pattern(name: str) -> str:
     return re.sub(rf"keypoints/({'|'.join(KEYPOINT_SETS)})$", "keypoints/<set>", name)
 
 
-def readme_topics() -> dict[str, tuple[str, str]]:
-    """Type and meaning of each topic in the table of README.md, by its name without the first slash."""
+def described_topics() -> dict[str, tuple[str, str]]:
+    """Type and meaning of each topic in the table of docs/topics.md, by its name without the first slash."""
     rows = re.findall(
-        r"^\| (`/.*?) \| (.*?) \| (.*?) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE
+        r"^\| (`/.*?) \| (.*?) \| (.*?) \|$", (ROOT / "docs" / "topics.md").read_text("utf-8"), re.MULTILINE
     )
     found: dict[str, tuple[str, str]] = {}
     for names, kind, meaning in rows:
-        meaning = re.sub(r"\]\(docs/", "](../", meaning)
+        meaning = re.sub(r"\]\((\w+\.md)", r"](../\1", meaning)
         for name in re.findall(r"`(.*?)`", names):
             root = "" if name.startswith("/") else "<camera>/"
             found[root + name.lstrip("/")] = kind, meaning
@@ -233,10 +233,10 @@ def channel_topics() -> dict[str, str]:
 
 
 def topics_page() -> str:
-    """docs/reference/topics.md. Raises KeyError for a topic that README.md does not name."""
+    """docs/reference/topics.md. Raises KeyError for a topic that docs/topics.md does not name."""
     from humansim_ros.ros.qos import DATA
 
-    known, images = readme_topics(), channel_topics()
+    known, images = described_topics(), channel_topics()
     groups: dict[str, dict[tuple[str, ...], list[str]]] = {
         "Scene": {},
         "Humans": {},
@@ -252,7 +252,7 @@ def topics_page() -> str:
         shown.add(name)
         place = name if name in known else re.sub(r"[^/]+/camera_info$", "part/camera_info", name)
         if place not in known:
-            raise KeyError(f"the table of topics in README.md lacks /{name}")
+            raise KeyError(f"docs/topics.md lacks /{name}")
         sent = "each frame" if topic.per_frame else "once"
         if topic.latched and topic.per_frame:
             sent = "each frame, if the camera moves"

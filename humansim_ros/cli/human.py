@@ -231,7 +231,7 @@ def _write(human: Human, output: Path, picture: Path | None) -> None:
 
 def _draw(human: Human, output: Path) -> None:
     from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.drawing.humans import human_sheet
+    from humansim_ros.drawing.people import human_sheet
 
     write_png(output, human_sheet(human))
     print_text(f"wrote {output}")

@@ -287,7 +287,7 @@ def render(
     min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Draw a motion as images or video: stick figures (left blue, right red) and a human."""
-    from humansim_ros.drawing.motions import (
+    from humansim_ros.drawing.people import (
         Artist,
         SkinnedArtist,
         StickFigureArtist,

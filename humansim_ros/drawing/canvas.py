@@ -113,7 +113,7 @@ def hsv_colors(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArr
 
 
 def distinct_hues(count: int) -> Array:
-    """Hues (N,) from 0 to 180 of which neighbours differ much."""
+    """Hues (N,) from 0 to 180; neighbours differ much."""
     return np.asarray(np.arange(count) * _HUE_STEP % 1 * 180)
 
 

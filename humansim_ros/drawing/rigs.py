@@ -23,7 +23,7 @@ from humansim_ros.drawing.canvas import (
     text_size,
     title_bar,
 )
-from humansim_ros.drawing.plan import (
+from humansim_ros.drawing.top_view import (
     SHADE,
     Plan,
     coverage_colors,
@@ -175,7 +175,7 @@ def _draw_cameras_above(image: Image, plan: Plan, rig: _Rig, colors: Sequence[Co
 
 
 def _draw_names(image: Image, names: Sequence[str], pixels: Array, depth: Array) -> None:
-    """Draw names above pixels (N, 2) at depths (N,), without those that overlap a nearer one."""
+    """Draw names above pixels (N, 2) at depths (N,); a name that overlaps a nearer one is left out."""
     drawn: list[Array] = []
     for number in np.argsort(depth):
         width, height = text_size(names[number], 0.4)

@@ -21,7 +21,7 @@ from humansim_ros.drawing.canvas import (
     text_size,
     title_bar,
 )
-from humansim_ros.drawing.humans import HumanArtist, row, titled_rows
+from humansim_ros.drawing.people import HumanArtist, row, titled_rows
 from humansim_ros.drawing.views import joint_colors
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh

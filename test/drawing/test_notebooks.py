@@ -23,7 +23,7 @@ from humansim_ros import (
     read_motion,
 )
 from humansim_ros.drawing import notebooks
-from humansim_ros.drawing.frames import plot_frame
+from humansim_ros.drawing.notebooks import plot_frame
 from humansim_ros.drawing.views import joint_colors
 from humansim_ros.errors import ChannelError, HumansimError, RenderError
 from humansim_ros.pictures import Pictured

@@ -10,8 +10,7 @@ import pytest
 
 from humansim_ros import Scene
 from humansim_ros.drawing.canvas import INK, distinct_hues, hsv_colors
-from humansim_ros.drawing.plan import coverage_colors
-from humansim_ros.drawing.top_view import CHEST, top_view
+from humansim_ros.drawing.top_view import CHEST, coverage_colors, top_view
 
 CAMERAS = {
     "south": {"position": [0.5, -3, 2], "look_at": [0, 0, 0.8], "fov_deg": 50},

@@ -355,7 +355,7 @@ def test_every_reader_opens_files_in_one_place() -> None:
         "bags/topics.py",
         "ros/lockstep/rules.py",
         "apps/bench.py",
-        "cli/doctor_checks.py",
+        "cli/doctor.py",
         "ros/transport.py",
         "render/programs.py",
         "body/landmarks.py",

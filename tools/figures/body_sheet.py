@@ -17,8 +17,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
-from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
-from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
+from humansim_ros.drawing.people import HumanArtist, SkinnedArtist  # noqa: E402
 from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.io.assets import find_asset  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402

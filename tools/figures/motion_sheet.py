@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from humansim_ros.drawing.motions import SkinnedArtist
+from humansim_ros.drawing.people import SkinnedArtist
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.loading import load_human
 from humansim_ros.motion.info import read_with_warnings, to_world

@@ -24,12 +24,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tools" / "assets")]
 
 from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
 from humansim_ros.body.rigging import RigRule  # noqa: E402
-from humansim_ros.body.skinning import (  # noqa: E402
-    LinearBlend,
-    limit_bones,
-)
-from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
-from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
+from humansim_ros.body.skinning import LinearBlend, limit_bones  # noqa: E402
+from humansim_ros.drawing.people import HumanArtist, SkinnedArtist  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.humans.loading import load_human  # noqa: E402

@@ -225,7 +225,6 @@ def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
     A label ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
     Raises EvaluationError.
     """
-    open_file(path, EvaluationError, "C3D", MAX_BYTES).close()
     labels, unit, rate, first, points = _points(path)
     if unit not in UNITS:
         raise EvaluationError(
@@ -254,8 +253,9 @@ def _points(path: Path) -> tuple[list[str], str, float, int, Array]:
             "C3D files need the library c3d; install it with: pip install 'humansim_ros[evaluate]'",
             path=path,
         ) from None
+    opened = open_file(path, EvaluationError, "C3D", MAX_BYTES)
     try:
-        with path.open("rb") as file, warnings.catch_warnings():
+        with opened as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as of a file without analog data
             reader: Any = c3d.Reader(file)
             last = int(reader.last_frame)  # a NumPy number of 16 bits overflows in the library

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from humansim_ros.drawing.motions import StickFigureArtist, strip
+from humansim_ros.drawing.people import StickFigureArtist, strip
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.yaml_edit import YamlKey
 from humansim_ros.scene.actor import Actor

@@ -118,14 +118,12 @@ def _source(path: Path | None, formats: tuple[ExportFormat, ...], keypoints: str
     """The scene or bag that is exported."""
     from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.source import SimulatedSource
-    from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 
     if path is None or not is_bag(path):
         scene = Scene.load(path)
         warn_about_mistakes(scene)
         return SimulatedSource(scene, formats, keypoints)
-    require_ros()
     from humansim_ros.export.bag import BagSource
 
     return BagSource.read(path, formats, keypoints)

@@ -98,14 +98,12 @@ def record(
     from humansim_ros.record.cluster import cluster_recordings
     from humansim_ros.record.output import is_url
     from humansim_ros.record.recording import SceneRecording
-    from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 
     if (frames is None) == (seconds is None):
         raise BagError("give either --frames or --seconds", key="record")
     if ray is None and (is_url(output) or (scene and len(scene) > 1)):
         raise BagError("URLs and several scenes need --ray, such as --ray local", key="record")
-    require_ros()
 
     def planned(path: Path | None) -> SceneRecording:
         loaded = Scene.load(path)

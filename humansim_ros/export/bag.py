@@ -17,17 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import (
-    CameraInfo,
-    CompressedImage,
-    Image,
-    MultiDOFJointState,
-    PointCloud2,
-    TimeReference,
-)
-from std_msgs.msg import String
 
 from humansim_ros import messages
 from humansim_ros.bags.reader import BagReader
@@ -39,6 +29,17 @@ from humansim_ros.export.source import versions
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import Frames
+from humansim_ros.messages.topics import COMPRESSED
+from humansim_ros.messages.types import (
+    CameraInfo,
+    CompressedImage,
+    Image,
+    MultiDOFJointState,
+    PointCloud2,
+    String,
+    TimeReference,
+    TransformStamped,
+)
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.scene import CameraPose, Frame
@@ -47,8 +48,6 @@ from humansim_ros.types import Array
 
 #: Largest message that is read, bytes.
 _MAX_MESSAGE = 1 << 31
-#: Compressed topics that hold a channel as well, beside its own.
-_COMPRESSED = {"rgb": "compressed", "depth": "compressedDepth"}
 #: What is about labelled bodies: needs their names.
 _LABELLED = {"instance", "part", BOXES, KEYPOINTS}
 _SCENE_TIME = "/scene_time"
@@ -236,7 +235,7 @@ class _Survey:
                     self._require(row, f"/{camera}/part/legend")
                 for channel in sorted(row.content & CHANNEL_TABLE.keys()):
                     own = f"/{camera}/{CHANNEL_TABLE[channel].topic}"
-                    other = f"{own}/{_COMPRESSED.get(channel, '')}"
+                    other = f"{own}/{COMPRESSED.get(channel, '')}"
                     channels[camera, channel] = other if other in self._topics else self._require(row, own)
                 if BOXES in row.content:
                     boxes[camera] = self._require(row, f"/{camera}/boxes")
@@ -559,7 +558,7 @@ def _read_points(message: PointCloud2) -> NDArray[Any]:
 
 
 def _image_type(topic: str) -> type[Any]:
-    return CompressedImage if topic.endswith(tuple(_COMPRESSED.values())) else Image
+    return CompressedImage if topic.endswith(tuple(COMPRESSED.values())) else Image
 
 
 def _simple(camera: Camera) -> Camera:

@@ -62,6 +62,9 @@ SCENE_TIME = "scene_time"
 #: Messages that publishers hold: of frame data, as camera drivers do, and of messages that are sent once.
 DATA_DEPTH, LATCHED_DEPTH = 5, 1
 
+#: Last part of the name of the compressed topic of a channel, beside the topic of the channel.
+COMPRESSED = {"rgb": "compressed", "depth": "compressedDepth"}
+
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
 _DEFAULT_COMPRESSION = ImageCompression()
@@ -391,7 +394,7 @@ class CameraTopics:
         """Images as JPEG or PNG, in the format of image_transport's plugin ``compressed``."""
         name, frame, encoding = self._name, self._frame, self._camera.encoding
         return Topic(
-            f"{name}/{CHANNEL_TABLE['rgb'].topic}/compressed",
+            f"{name}/{CHANNEL_TABLE['rgb'].topic}/{COMPRESSED['rgb']}",
             CompressedImage,
             lambda view, stamp: messages.compressed_image_message(view.rgb, encoding, settings, stamp, frame),
             lambda simulated: simulated.views[name],
@@ -404,7 +407,7 @@ class CameraTopics:
         """Depth as PNG of 16 bits, in the format of image_transport's plugin ``compressedDepth``."""
         name, frame = self._name, self._frame
         return Topic(
-            f"{name}/{CHANNEL_TABLE['depth'].topic}/compressedDepth",
+            f"{name}/{CHANNEL_TABLE['depth'].topic}/{COMPRESSED['depth']}",
             CompressedImage,
             lambda view, stamp: messages.compressed_depth_message(view.depth, settings, stamp, frame),
             lambda simulated: simulated.views[name],

@@ -14,7 +14,8 @@ from humansim_ros.bags.chunks import Compression
 from humansim_ros.bags.metadata import Storage, read_metadata
 from humansim_ros.errors import BagError, near_names
 from humansim_ros.messages import ImageCompression
-from humansim_ros.messages.topics import Topic, scene_topics
+from humansim_ros.messages.topics import COMPRESSED, Topic, scene_topics
+from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene_hash import scene_hash
@@ -25,7 +26,9 @@ DepthFormat: TypeAlias = Literal["raw", "png"]
 #: Name of the plan in ``custom_data`` of ``metadata.yaml``.
 PLAN = "humansim_recording"
 #: Ends of the topics that replace raw images.
-_COMPRESSED = {"/image_raw": "/image_raw/compressed", "/depth/image": "/depth/image/compressedDepth"}
+_COMPRESSED = {
+    f"/{CHANNEL_TABLE[name].topic}": f"/{CHANNEL_TABLE[name].topic}/{end}" for name, end in COMPRESSED.items()
+}
 #: Most topics that an error lists.
 _MAX_LISTED = 6
 

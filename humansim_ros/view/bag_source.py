@@ -16,7 +16,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.humans import Human
 from humansim_ros.messages.frames import Frames
-from humansim_ros.messages.types import begins_with_stamp, message_type
+from humansim_ros.messages.types import begins_with_stamp, readable_type
 from humansim_ros.types import Indices
 from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import SeenTopics, seen_topics
@@ -232,6 +232,6 @@ class BagViewSource(TopicSource):
 
 def _has_stamp(kind: str) -> bool:
     try:
-        return begins_with_stamp(message_type(kind))
-    except HumansimError:  # tf2_msgs is not on PyPI
+        return begins_with_stamp(readable_type(kind))
+    except HumansimError:  # a type that is not installed and that rosbags does not know
         return False

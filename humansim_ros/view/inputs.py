@@ -84,9 +84,6 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         HumansimError: It is none of these; with file, line and key where these are known.
     """
     if what is not None and is_bag(what):
-        from humansim_ros.ros.runtime import require_ros
-
-        require_ros()
         from humansim_ros.view.bag_source import BagViewSource
 
         return Opened(BagViewSource(what, **(topics or TopicOptions()).arguments()))

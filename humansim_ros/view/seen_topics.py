@@ -16,6 +16,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
 from humansim_ros.keypoints import KeypointSet
 from humansim_ros.messages.people import MESSAGE_TYPES
+from humansim_ros.messages.topics import COMPRESSED
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.types import Array
@@ -27,7 +28,7 @@ _MESH, _MARKER, _TEXT = "shape_msgs/msg/Mesh", "visualization_msgs/msg/Marker", 
 _POSES = {"extrinsics": "geometry_msgs/msg/TransformStamped", "pose": "geometry_msgs/msg/PoseStamped"}
 TF = "tf2_msgs/msg/TFMessage"
 #: Ends of names of compressed topics, beside the topic of the image.
-_COMPRESSED = ("/compressed", "/compressedDepth")
+_COMPRESSED = tuple(f"/{end}" for end in COMPRESSED.values())
 #: Channels by their topic below a camera; channels of single bodies have a topic for each.
 _CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
 #: Namespaces below a camera that repeat its ``camera_info``.

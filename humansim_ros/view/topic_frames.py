@@ -9,11 +9,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState, PointCloud2, TimeReference
-from std_msgs.msg import String
-from visualization_msgs.msg import Marker
 
 from humansim_ros import messages
 from humansim_ros.camera import Camera
@@ -24,7 +20,19 @@ from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.people import Pose, read_people
-from humansim_ros.messages.types import message_type
+from humansim_ros.messages.types import (
+    CameraInfo,
+    CompressedImage,
+    Image,
+    Marker,
+    MultiDOFJointState,
+    PointCloud2,
+    PoseStamped,
+    String,
+    TimeReference,
+    TransformStamped,
+    readable_type,
+)
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.scene.objects import SHAPES
@@ -356,7 +364,9 @@ class TopicFrames:
     def _people(self, topic: str, person: str | None, data: bytes) -> list[Pose]:
         """People of a message of the estimate."""
         kind = self.topics.types[topic]
-        message = deserialised(data, message_type(kind), None if kind.endswith("PointCloud2") else _MAX_POSES)
+        message = deserialised(
+            data, readable_type(kind), None if kind.endswith("PointCloud2") else _MAX_POSES
+        )
         return people_of(read_people(kind, message, self._options.names), person, self._options)
 
     def _images(

@@ -13,9 +13,9 @@ import os
 import sqlite3
 import struct
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 from urllib.parse import quote
 
 from humansim_ros.bags.chunks import BagMessage, Chunk, chunk_messages
@@ -114,7 +114,7 @@ class SqliteFile:
             path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
             if application != _APPLICATION:
                 raise BagError("this file was not written by humansim: it cannot be continued", path=path)
-            with SqliteInput(path) as found:
+            with closing(SqliteInput(path)) as found:
                 file.topics, file.content = found.topics, found.content
             file._types = {topic.type for topic in file.topics}
         except BaseException:
@@ -125,7 +125,7 @@ class SqliteFile:
     @classmethod
     def content_of(cls, path: Path) -> Content:
         """Content of a finished file. Raises BagError if the file is damaged."""
-        with SqliteInput(path) as found:
+        with closing(SqliteInput(path)) as found:
             if not found.whole:
                 raise BagError("this file was not finished", path=path)
             return found.content
@@ -259,9 +259,3 @@ class SqliteInput:
     def close(self) -> None:
         """Close the file."""
         self._database.close()
-
-    def __enter__(self) -> SqliteInput:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()

@@ -10,7 +10,7 @@ from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.image_workers import ImageWorkers, Request
+from humansim_ros.view.scene_source import ImageWorkers, Request
 from humansim_ros.view.source import JOINTS
 
 pytestmark = pytest.mark.process

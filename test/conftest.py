@@ -17,6 +17,9 @@ from typing import Any
 
 import pytest
 
+# Before NumPy is loaded: threads for small matrices cost five times their work where tests run in parallel.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 #: The fixtures that users have, and those that run pytest in a test.

@@ -50,6 +50,7 @@ def run(text: str, folder: Path) -> str:
 @pytest.mark.gl
 @pytest.mark.process
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_phones_and_a_chessboard_give_a_walking_textured_person(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from photographs.studio import make_studio, studio_cameras
 from photographs.texture_scenes import photograph, texture_views, undressed
@@ -101,6 +102,7 @@ def test_neither_cameras_nor_islands_leave_a_seam() -> None:
     )  # the colours differ by 110
 
 
+@pytest.mark.nightly
 def test_a_fitted_person_looks_like_the_one_in_the_photographs(tmp_path: Path) -> None:
     """Another body, fitted to noisy points and masks through the Shelf cameras; seen by new cameras."""
     gains = np.random.default_rng(0).uniform(0.8, 1.25, (5, 3)) * 0.8

@@ -56,7 +56,13 @@ def man() -> Human:
 
 
 @pytest.mark.parametrize(
-    ("name", "cameras"), [("adult_man", 4), ("adult_woman", 8), ("child", "shelf")], ids=str
+    ("name", "cameras"),
+    [
+        ("adult_man", 4),
+        pytest.param("adult_woman", 8, marks=pytest.mark.nightly),
+        pytest.param("child", "shelf", marks=pytest.mark.nightly),
+    ],
+    ids=str,
 )
 def test_new_views_of_a_textured_person_are_those_of_the_person(name: str, cameras: int | str) -> None:
     human = load_human(name)

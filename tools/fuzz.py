@@ -46,9 +46,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 import figures  # noqa: E402
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
-from humansim_ros.camera.floor_points import read_floor_points  # noqa: E402
+from humansim_ros.camera.checks import image_size  # noqa: E402
 from humansim_ros.camera.formats import FORMATS  # noqa: E402
-from humansim_ros.camera.image_size import image_size  # noqa: E402
+from humansim_ros.camera.placement import read_floor_points  # noqa: E402
 from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
@@ -63,7 +63,7 @@ from humansim_ros.motion.joint_tables import load_table  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
 from humansim_ros.motion.limits import load_limits  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.scene.backdrops import load_panorama  # noqa: E402
+from humansim_ros.scene.environment import load_panorama  # noqa: E402
 
 _MEMORY = 4 << 30
 #: Longest time for a file in seconds, and additional seconds per byte.

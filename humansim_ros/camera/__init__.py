@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from humansim_ros.camera.calibration import resolve_url as resolve_url
     from humansim_ros.camera.calibration import write_calibration as write_calibration
     from humansim_ros.camera.camera import Camera as Camera
+    from humansim_ros.camera.camera import Region as Region
     from humansim_ros.camera.coverage import Coverage as Coverage
     from humansim_ros.camera.ideal import Ideal as Ideal
     from humansim_ros.camera.ideal import idealize as idealize
     from humansim_ros.camera.ideal import rectify as rectify
     from humansim_ros.camera.lens import Lens as Lens
-    from humansim_ros.camera.region import Region as Region
     from humansim_ros.camera.trajectory import Trajectory as Trajectory
 
 __getattr__, __dir__, __all__ = lazy_exports(
@@ -27,7 +27,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "Coverage": "coverage",
         "Ideal": "ideal",
         "Lens": "lens",
-        "Region": "region",
+        "Region": "camera",
         "Trajectory": "trajectory",
         "idealize": "ideal",
         "load_calibration": "calibration",

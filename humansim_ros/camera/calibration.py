@@ -18,12 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
-from humansim_ros.camera.checks import check_image_size, has_pose
+from humansim_ros.camera.checks import check_image_size, guess_image_size, has_pose, image_size
 from humansim_ros.camera.formats import FORMATS, CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
-from humansim_ros.camera.image_size import guess_image_size, image_size
 from humansim_ros.errors import (
     CameraError,
     HumansimError,

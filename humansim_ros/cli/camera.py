@@ -242,8 +242,8 @@ def load_or_scene(
         return load(file, size, image, unit, up)
     from humansim_ros.camera.calibration import Calibration
     from humansim_ros.camera.formats.scene import SCENE
+    from humansim_ros.scene.camera import build_cameras
     from humansim_ros.scene.config import load_config
-    from humansim_ros.scene.rig import build_cameras
     from humansim_ros.scene.source import SceneSource
 
     if any(option is not None for option in (size, image, unit, up)):
@@ -489,7 +489,7 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
     import cv2
     import numpy as np
 
-    from humansim_ros.camera.image_size import image_size
+    from humansim_ros.camera.checks import image_size
     from humansim_ros.io.files import atomic_path, read_bytes
     from humansim_ros.io.images import MAX_IMAGE_BYTES
 

@@ -28,7 +28,7 @@ from humansim_ros.errors import CameraError, HumansimError
 if TYPE_CHECKING:
     from humansim_ros.camera import Camera
     from humansim_ros.camera.calibration import Calibration
-    from humansim_ros.camera.placing import FoundPlacement
+    from humansim_ros.camera.placement import FoundPlacement
     from humansim_ros.types import Array
 
 #: Stature of the person whom the cameras should see, and distance from its ends that is not tested, metres.
@@ -73,7 +73,7 @@ class _Method:
 
     def find(self, calibration: Calibration, file: str) -> FoundPlacement:
         """Find the placement of a calibration."""
-        from humansim_ros.camera import placing
+        from humansim_ros.camera import placement
 
         cameras = _posed(calibration, file)
         name = self.camera if self.camera is not None else next(iter(cameras))
@@ -86,14 +86,14 @@ class _Method:
                     "--tilt-deg needs --height as well: the height of the camera above the floor"
                 )
             angles = math.radians(self.tilt_deg), math.radians(self.roll_deg)
-            return placing.place_by_tilt(cameras, name, self.height, *angles)
+            return placement.place_by_tilt(cameras, name, self.height, *angles)
         if self.floor_points is not None or self.floor_point:
             points = _floor_points(calibration, self.floor_points, self.floor_point)
-            return placing.place_by_floor(cameras, points)
+            return placement.place_by_floor(cameras, points)
         if self.board is not None:
             pose = _board_pose(calibration, cameras[name], self.board_pose)
-            return placing.place_by_board(cameras, pose, self.board.value, self.height or 0.0)
-        return placing.place_by_level(cameras, self.height)
+            return placement.place_by_board(cameras, pose, self.board.value, self.height or 0.0)
+        return placement.place_by_level(cameras, self.height)
 
 
 def place(
@@ -187,7 +187,7 @@ def place(
     as_json: JsonOption = False,
 ) -> None:
     """Find the pose of a calibration in the room: by a tilt, floor points, a board, or level cameras."""
-    from humansim_ros.camera import placing
+    from humansim_ros.camera import placement
 
     if not all(map(math.isfinite, (tilt_deg or 0, roll_deg, height or 0, yaw_deg, *at))):
         raise HumansimError("the options must be finite numbers")
@@ -214,7 +214,7 @@ def place(
         unit = calibration.unit * found.scale
         calibration = load(file, size, image, unit, up)
         found = how.find(calibration, file)
-    found = placing.turned(found, math.radians(yaw_deg), at)
+    found = placement.turned(found, math.radians(yaw_deg), at)
     placed = {name: found.placement.camera(one) for name, one in _posed(calibration, file).items()}
     method = given[0].removeprefix("--").removesuffix("-deg") if given else "level"
     facts = _facts(file, method, found, placed, calibration.unit)
@@ -265,7 +265,7 @@ def _in_metres(calibration: Calibration) -> Array:
 
 
 def _floor_points(calibration: Calibration, path: Path | None, texts: Sequence[str]) -> list[Any]:
-    from humansim_ros.camera.floor_points import parse_floor_point, read_floor_points
+    from humansim_ros.camera.placement import parse_floor_point, read_floor_points
 
     in_metres = _in_metres(calibration)
     points = [] if path is None else read_floor_points(path, in_metres)
@@ -310,7 +310,7 @@ def _facts(
     """
     import numpy as np
 
-    from humansim_ros.camera.placing import look_target
+    from humansim_ros.camera.placement import look_target
 
     x, y, _ = (round(float(value), 3) + 0.0 for value in look_target(placed))
     heights = np.linspace(_MARGIN, _STATURE - _MARGIN, 9)

@@ -229,7 +229,7 @@ def schema(
     ] = None,
 ) -> None:
     """Print the JSON schema of scene files, for editors that complete and check YAML."""
-    from humansim_ros.scene.schema import schema_text
+    from humansim_ros.scene.config import schema_text
 
     text = schema_text()
     if output is None:
@@ -243,8 +243,7 @@ def schema(
 
 def list_meshes(as_json: JsonOption = False) -> None:
     """List the built-in meshes, which objects of a scene may use by name."""
-    from humansim_ros.scene.furniture import FURNITURE
-    from humansim_ros.scene.objects import BUILT_IN_MESHES, SHAPES
+    from humansim_ros.scene.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
 
     if as_json:
         meshes = {

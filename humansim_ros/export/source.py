@@ -17,7 +17,7 @@ from humansim_ros.export.scene import ExportScene
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.scene_hash import scene_hash
+from humansim_ros.scene.scene import scene_hash
 
 
 class FrameReader(Protocol):

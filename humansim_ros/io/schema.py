@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     StringConstraints,
     ValidationError,
+    model_validator,
 )
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from humansim_ros.errors import SceneError
 from humansim_ros.io.schema_errors import Expected, schema_error
@@ -86,3 +90,30 @@ Axis = Annotated[
     StringConstraints(pattern=r"^[+-]?[xyz]$"),
     Expected("an axis, such as y or -z", "axes, such as y or -z"),
 ]
+
+
+class NamedFile(str):
+    """Value of a key that names a file."""
+
+
+#: A path, or the name of a built-in where the key says so. Relative paths start from the scene's folder.
+FileName = Annotated[str, AfterValidator(NamedFile), Expected("a name or path", "names or paths")]
+
+
+class ShortSection(Section):
+    """Section that a text alone can stand for: the value of one of its keys, such as the name of its file."""
+
+    #: The key.
+    short_key: ClassVar[str] = "file"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _text_alone(cls, value: Any) -> Any:
+        return {cls.short_key: value} if isinstance(value, str) else value
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        section = handler.resolve_ref_schema(handler(core_schema))
+        return {"anyOf": [{"type": "string"}, section]}

@@ -31,7 +31,7 @@ from humansim_ros.messages.types import Mesh as MeshMessage
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.rotations import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.scene import HumanState
-from humansim_ros.scene.state import JointMotion
+from humansim_ros.scene.capture import JointMotion
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Most joints of a motion, and most characters of the name of a joint.

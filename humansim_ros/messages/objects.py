@@ -12,8 +12,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.messages.types import ColorRGBA, Marker, Point, Pose, Quaternion, TwistStamped, Vector3
 from humansim_ros.motion.kinematics import Velocity
-from humansim_ros.scene.furniture import FURNITURE
-from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.objects import FURNITURE, ObjectPose, SceneObject
 
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 

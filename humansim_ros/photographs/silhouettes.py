@@ -28,7 +28,7 @@ from humansim_ros.photographs.pose_fitting import (
 )
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel
 from humansim_ros.photographs.views import EmptyMaskError, PhotoSet
-from humansim_ros.render.make import make_renderer
+from humansim_ros.render.gl import make_renderer
 from humansim_ros.render.renderer import Body
 from humansim_ros.types import Array, Float32Array, Indices
 

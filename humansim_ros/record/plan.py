@@ -18,7 +18,7 @@ from humansim_ros.messages.topics import COMPRESSED, Topic, scene_topics
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Scene
-from humansim_ros.scene.scene_hash import scene_hash
+from humansim_ros.scene.scene import scene_hash
 
 ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
 DepthFormat: TypeAlias = Literal["raw", "png"]

@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING
 from humansim_ros import lazy_exports
 
 if TYPE_CHECKING:
-    from humansim_ros.render.backdrops import ImageBackdrop as ImageBackdrop
-    from humansim_ros.render.backdrops import Panorama as Panorama
     from humansim_ros.render.channels import ALL_CHANNELS as ALL_CHANNELS
     from humansim_ros.render.channels import CHANNELS as CHANNELS
     from humansim_ros.render.channels import View as View
     from humansim_ros.render.gl import GLRenderer as GLRenderer
+    from humansim_ros.render.gl import make_renderer as make_renderer
     from humansim_ros.render.lighting import Lighting as Lighting
-    from humansim_ros.render.make import RendererName as RendererName
-    from humansim_ros.render.make import make_renderer as make_renderer
+    from humansim_ros.render.lighting import RendererName as RendererName
+    from humansim_ros.render.pixel_geometry import ImageBackdrop as ImageBackdrop
+    from humansim_ros.render.pixel_geometry import Panorama as Panorama
     from humansim_ros.render.pyrender import PyrenderRenderer as PyrenderRenderer
     from humansim_ros.render.renderer import AdjacentFrame as AdjacentFrame
     from humansim_ros.render.renderer import Backdrop as Backdrop
@@ -29,13 +29,13 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "Body": "renderer",
         "CHANNELS": "channels",
         "GLRenderer": "gl",
-        "ImageBackdrop": "backdrops",
+        "ImageBackdrop": "pixel_geometry",
         "Lighting": "lighting",
-        "Panorama": "backdrops",
+        "Panorama": "pixel_geometry",
         "PyrenderRenderer": "pyrender",
         "Renderer": "renderer",
-        "RendererName": "make",
+        "RendererName": "lighting",
         "View": "channels",
-        "make_renderer": "make",
+        "make_renderer": "gl",
     },
 )

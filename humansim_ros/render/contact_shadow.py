@@ -1,12 +1,17 @@
-"""Contact shadows: a dark patch on the floor under a body. It is a visual cue, not a light simulation."""
+"""Contact shadows: a dark patch on the floor under each body. A visual cue, not a light simulation."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
+import moderngl
 import numpy as np
 from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.render.programs import link, set_uniform, unit_square, use_camera
 
 #: Cells along a side of a shadow.
 CELLS = 64
@@ -56,3 +61,39 @@ def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> C
     wide = cv2.GaussianBlur(coverage, (0, 0), 0.11 / cell)
     darkness = _STRENGTH * np.clip(0.55 * near + 0.9 * wide, 0, 1)
     return ContactShadow((float(low[0]), float(low[1])), side, np.rint(255 * darkness).astype(np.uint8))
+
+
+#: Cells along a side of a rectangle that a lens may bend.
+_LENS_CELLS = 32
+
+
+class ContactShadowPass:
+    """Draws contact shadows over the colours of the static scene."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._program = link(ctx, "contact_shadow.vert", "contact_shadow.frag")
+        self._whole, self._cells = (
+            ctx.vertex_array(self._program, [(ctx.buffer(unit_square(cells)), "2f", "corner")])
+            for cells in (1, _LENS_CELLS)
+        )
+        self._texture = ctx.texture((CELLS, CELLS), 1, alignment=1)
+
+    def draw(self, shadows: Sequence[ContactShadow], camera: Camera) -> None:
+        """Draw shadows into the target in use. Its alpha becomes the share of light that they leave."""
+        if not shadows:
+            return
+        self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+        self._ctx.blend_func = (  # type: ignore[assignment]  # four factors are allowed
+            moderngl.SRC_ALPHA,
+            moderngl.ONE_MINUS_SRC_ALPHA,
+            moderngl.ZERO,
+            moderngl.ONE_MINUS_SRC_ALPHA,
+        )
+        use_camera(self._ctx, self._program, camera)
+        rectangle = self._cells if camera.distorted else self._whole
+        for shadow in shadows:
+            self._texture.write(shadow.darkness.tobytes())
+            self._texture.use(0)
+            set_uniform(self._program, "rectangle", (*shadow.corner, shadow.side, shadow.side))
+            rectangle.render(moderngl.TRIANGLES)

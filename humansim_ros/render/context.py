@@ -1,13 +1,14 @@
-"""OpenGL contexts through EGL: creation, use in the thread that made them, lost contexts, release."""
+"""OpenGL contexts through EGL: creation, use in the thread that made them, lost contexts, memory, release."""
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import os
 import threading
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import moderngl
 
@@ -143,3 +144,18 @@ def _free(gl: moderngl.Context, pid: int) -> None:
     """Free a context, unless in a forked process, where the driver could wait for threads for ever."""
     if os.getpid() == pid:
         gl.release()
+
+
+#: glibc's mallopt parameters: trim threshold, top pad, mmap threshold.
+_MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
+
+
+def keep_image_blocks() -> None:
+    """Allocate image-sized blocks on the heap, instead of mapping and unmapping their pages for every image.
+
+    Without glibc the function has no effect.
+    """
+    with suppress(OSError, AttributeError):
+        libc = ctypes.CDLL("libc.so.6")
+        for parameter, value in _MALLOPT:
+            libc.mallopt(parameter, value)

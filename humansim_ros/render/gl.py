@@ -1,15 +1,24 @@
 """The default renderer: OpenGL 3.3 through EGL, without a display, on a GPU if there is one.
 
-The static scene is rendered once per camera and cached. Each frame renders only the rectangle that bodies may
-touch, in one pass with one sample at each pixel center: colour, depth, and the triangle id, from which all
-labels follow. Outlines of bodies are anti-aliased afterwards (edge_antialiasing.py). Triangles that cannot be
-visible are not sent to the device.
+The static scene is rendered once per camera and cached. Each frame renders only the rectangle that bodies
+may touch, in one pass with one sample at each pixel center: colour, depth, and the triangle id, from which
+all labels follow. Outlines of bodies are anti-aliased afterwards (edge_antialiasing.py). Triangles that
+cannot be visible are not sent to the device. With optical flow, a frame is rendered once and used up to
+three times.
+
+The pixels that each triangle covers are counted also where another triangle hides it. OpenGL decides which
+pixel centres a triangle covers, as in the face image, so that both counts of a triangle that nothing hides
+are equal. All triangles are drawn together: each draw finds up to four more triangles at each pixel, so that
+the number of draws follows from the number of surfaces behind a pixel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import moderngl
 import numpy as np
@@ -17,18 +26,23 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.body_buffers import BodyCache, PosedBody
+from humansim_ros.render.body_buffers import (
+    BodyCache,
+    PosedBody,
+    ProjectedPoints,
+    contour,
+    image_bounds,
+    straight_angle,
+)
 from humansim_ros.render.caches import LruCache
 from humansim_ros.render.channels import ADJACENT_NAMES, ALL_CHANNELS, CHANNEL_TABLE, View, comparing_with
-from humansim_ros.render.contact_shadow_pass import ContactShadowPass
-from humansim_ros.render.context import OpenGLContext
-from humansim_ros.render.coverage import CoveragePass
+from humansim_ros.render.contact_shadow import ContactShadowPass
+from humansim_ros.render.context import OpenGLContext, keep_image_blocks
 from humansim_ros.render.edge_antialiasing import edge_crossings
-from humansim_ros.render.frame_cache import FrameCache
-from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.memory import keep_image_blocks
-from humansim_ros.render.programs import link, lit_program, use_camera
-from humansim_ros.render.projected_points import ProjectedPoints, contour, image_bounds, straight_angle
+from humansim_ros.render.lens_tessellation import TessellatedMesh
+from humansim_ros.render.lighting import Lighting, RendererName
+from humansim_ros.render.mesh_buffers import TriangleBuffers
+from humansim_ros.render.programs import link, lit_program, set_uniform, use_camera
 from humansim_ros.render.rendered_frame import (
     AdjacentFrames,
     Passes,
@@ -40,8 +54,10 @@ from humansim_ros.render.rendered_frame import (
 from humansim_ros.render.renderer import Body, Renderer, RenderRequest, check_bodies
 from humansim_ros.render.static_layers import StaticLayers, camera_key
 from humansim_ros.render.target import Rectangle, RenderTarget
-from humansim_ros.render.uniforms import set_uniform
 from humansim_ros.types import Indices
+
+if TYPE_CHECKING:
+    from humansim_ros.render.pyrender import PyrenderRenderer
 
 #: Image sizes whose render targets are cached.
 _MAX_SIZES = 32
@@ -280,3 +296,133 @@ class GLRenderer(Renderer):
 
     def _target(self, size: tuple[int, int]) -> RenderTarget:
         return self._targets.get_or_make(size, lambda: RenderTarget(self._ctx, size))
+
+
+#: Beyond all ids of triangles; single precision is exact up to here.
+_NONE = float(1 << 24)
+#: Texture unit of the triangles that were found; materials use others.
+_UNIT = 8
+
+
+class CoveragePass:
+    """Counts covered pixels on the device."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+        self._program = link(ctx, "triangle_ids.vert", "triangle_layers.frag")
+
+    def count(self, body: PosedBody, mesh: TessellatedMesh, camera: Camera, rectangle: Rectangle) -> Indices:
+        """Count the pixels of each triangle of a body.
+
+        Args:
+            body: The body.
+            mesh: Its triangles as they are drawn.
+            camera: Camera that sees it.
+            rectangle: Pixels that it may touch.
+
+        Returns:
+            (N,) pixels of each triangle of the mesh of the body.
+        """
+        pixels = np.zeros(len(mesh.triangles) + 1, np.intp)
+        if not rectangle.empty and len(mesh.triangles):
+            with TriangleBuffers(self._ctx, mesh.attributes, mesh.triangles) as pieces:
+                for lowest, highest in self._layers(body, pieces, len(mesh.triangles), camera, rectangle):
+                    pixels += np.bincount(lowest, minlength=len(pixels))
+                    pixels += np.bincount(highest[highest != lowest], minlength=len(pixels))
+        count = len(body.topology.corners[0])
+        return np.bincount(mesh.parents, pixels[1:], count).astype(np.intp)
+
+    def _layers(
+        self, body: PosedBody, pieces: TriangleBuffers, count: int, camera: Camera, rectangle: Rectangle
+    ) -> Iterator[tuple[Indices, Indices]]:
+        """Lowest and highest ids (M,) at pixels, of one draw after the other until all are found."""
+        use_camera(self._ctx, self._program, camera)
+        set_uniform(self._program, "none", _NONE)
+        set_uniform(self._program, "found", _UNIT)
+        with ExitStack() as stack:
+            textures = [self._ctx.texture(camera.size, 4, dtype="f4") for _ in range(2)]
+            targets = [self._ctx.framebuffer([texture]) for texture in textures]
+            for texture, target in zip(textures, targets, strict=True):
+                stack.callback(texture.release)
+                stack.callback(target.release)
+                target.scissor = rectangle.xywh
+            before, after = 0, 1
+            targets[before].clear(0, -_NONE, 0, -_NONE)
+            self._ctx.enable_only(moderngl.BLEND)
+            self._ctx.blend_equation = moderngl.MIN, moderngl.MIN
+            stack.callback(setattr, self._ctx, "blend_equation", (moderngl.FUNC_ADD, moderngl.FUNC_ADD))
+            while True:
+                targets[after].use()
+                targets[after].clear(_NONE, _NONE, _NONE, _NONE)
+                textures[before].use(_UNIT)
+                pieces.draw(self._program, [body.material], [count])
+                ids = np.frombuffer(
+                    targets[after].read(rectangle.xywh, components=4, dtype="f4", alignment=1), np.float32
+                ).reshape(-1, 4)
+                found = False
+                for lowest, highest in (ids[:, :2].T, ids[:, 2:].T):
+                    shown = lowest < _NONE
+                    if shown.any():
+                        found = True
+                        yield lowest[shown].astype(np.intp), -highest[shown].astype(np.intp)
+                if not found:
+                    return
+                before, after = after, before
+
+
+#: Largest number of frames, their memory, and the number that is cached even if it needs more.
+_MAX_FRAMES, _MAX_BYTES, _MIN_FRAMES = 48, 256 << 20, 3
+
+_Entry = tuple[RenderedFrame, tuple["weakref.ref[Body]", ...]]
+
+
+class FrameCache:
+    """The most recently used frames. A frame is dropped when one of its bodies is gone."""
+
+    def __init__(self) -> None:
+        self._frames: LruCache[tuple[object, ...], _Entry] = LruCache(
+            _MAX_FRAMES, _MAX_BYTES, _MIN_FRAMES, lambda entry: entry[0].nbytes
+        )
+
+    def get(self, bodies: Sequence[Body], view: tuple[object, ...]) -> RenderedFrame | None:
+        """Return the frame of bodies. ``view``: key of camera and static scene."""
+        entry = self._frames.get(_key(bodies, view))
+        if entry is None or any(ref() is not body for ref, body in zip(entry[1], bodies, strict=True)):
+            return None
+        return entry[0]
+
+    def put(self, bodies: Sequence[Body], view: tuple[object, ...], frame: RenderedFrame) -> RenderedFrame:
+        """Cache a frame, see :meth:`get`."""
+        key, frames = _key(bodies, view), self._frames
+        frames.put(key, (frame, tuple(weakref.ref(body, lambda _: frames.discard(key)) for body in bodies)))
+        return frame
+
+
+def _key(bodies: Sequence[Body], view: tuple[object, ...]) -> tuple[object, ...]:
+    return (*(id(body) for body in bodies), *view)
+
+
+def make_renderer(
+    name: RendererName = "moderngl",
+    static_meshes: Sequence[Mesh] = (),
+    lighting: Lighting | None = None,
+    device: int | None = None,
+    static_bodies: Sequence[Body] = (),
+) -> GLRenderer | PyrenderRenderer:
+    """Create a renderer.
+
+    Args:
+        name: Name of the renderer.
+        static_meshes: Meshes of the static scene, in ``map``, metres.
+        lighting: Light; the default light if None.
+        device: Number of the GPU in the order of EGL; the first one that works if None.
+        static_bodies: Bodies that never move. They are rendered with the static scene, once per camera.
+
+    Raises:
+        RenderError: A library or the device is missing. The message says what to install.
+    """
+    if name == "pyrender":
+        from humansim_ros.render.pyrender import PyrenderRenderer
+
+        return PyrenderRenderer(static_meshes, lighting, device, static_bodies)
+    return GLRenderer(static_meshes, lighting, device, static_bodies)

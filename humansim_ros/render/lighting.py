@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.types import Array, LinearColor
 
+#: Name of a renderer in scene files.
+RendererName = Literal["moderngl", "pyrender"]
+
 
 @dataclass(frozen=True)
 class Lighting:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from humansim_ros.camera import Camera
 from humansim_ros.render.lens_tessellation import near_plane
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.uniforms import columns, set_uniform
+from humansim_ros.types import Array
 
 #: Far plane, metres.
 _FAR = 200.0
@@ -102,3 +103,19 @@ def use_camera(ctx: moderngl.Context, program: moderngl.Program, camera: Camera)
     set_uniform(program, "valid_radius", lens.valid_radius)
     set_uniform(program, "near", near)
     ctx.enable_direct(_CLIP_DISTANCE)
+
+
+def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
+    """Set a uniform, unless the compiler has removed it as unused."""
+    uniform = program.get(name, None)  # `in` would iterate over all uniforms
+    if uniform is None:
+        return
+    if isinstance(value, bytes):
+        uniform.write(value)  # type: ignore[union-attr]
+    else:
+        uniform.value = value  # type: ignore[union-attr]
+
+
+def columns(matrix: Array) -> bytes:
+    """Bytes of a matrix in the order of shaders, column by column."""
+    return bytes(matrix.T.astype("f4").tobytes())

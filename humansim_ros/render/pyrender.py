@@ -29,8 +29,7 @@ from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, View
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.mesh_buffers import ExpandedMesh
-from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.render.mesh_buffers import ExpandedMesh, PosedMesh, Topology
 from humansim_ros.render.renderer import Backdrop, Body, Renderer, RenderRequest
 from humansim_ros.render.static_scene import FLOOR_SLACK
 from humansim_ros.types import Array, Float32Array, Image

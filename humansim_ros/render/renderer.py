@@ -1,4 +1,4 @@
-"""The interface of renderers: bodies, requests, and the base class."""
+"""The interface of renderers: bodies, requests, the base class, and renderers by name."""
 
 from __future__ import annotations
 

@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lens_tessellation import LensView
-from humansim_ros.render.mesh_buffers import ExpandedMesh, MaterialBuffers, TriangleBuffers
-from humansim_ros.render.posed_mesh import PosedMesh, Topology
-from humansim_ros.render.shadow_map import bounding_box
+from humansim_ros.render.mesh_buffers import (
+    ExpandedMesh,
+    MaterialBuffers,
+    PosedMesh,
+    Topology,
+    TriangleBuffers,
+)
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Metres from z = 0 within which level triangles are a floor.
@@ -120,3 +124,11 @@ class StaticTriangles:
         """Draw the triangles whose material blends, sorted by distance from ``eye``, farthest first."""
         transparent = [one.blends for one in self._materials]
         self._buffers.draw(program, self._materials, self._counts, transparent, eye)
+
+
+def bounding_box(points: Sequence[Float32Array]) -> Float32Array:
+    """(3, 8) corners of the box around clouds of points (3, N)."""
+    low = np.min([cloud.min(axis=1) for cloud in points], axis=0)
+    high = np.max([cloud.max(axis=1) for cloud in points], axis=0)
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=0)
+    return np.asarray(corners.reshape(3, 8), dtype=np.float32)

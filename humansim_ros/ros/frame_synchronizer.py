@@ -21,7 +21,7 @@ from humansim_ros.messages.frames import GivenUpFrame, PacedFrames
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.state import JointMotion, SceneState
+from humansim_ros.scene.capture import JointMotion, SceneState
 from humansim_ros.types import Float32Array
 
 #: Seconds without any vertices after which the scene at its start is shown.

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, show_warnings
-from humansim_ros.render.memory import keep_image_blocks
+from humansim_ros.render.context import keep_image_blocks
 from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN
 from humansim_ros.ros.processes.stop_signals import Stopped, StopRequest, end_process, end_process_on_stop
 from humansim_ros.ros.transport import Transport, choose_transport, remove_dead_files

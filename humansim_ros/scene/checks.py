@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterator, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from humansim_ros.errors import some_of
 from humansim_ros.jobs.cores import cores
-from humansim_ros.scene.camera_checks import check_cameras, covered_pixels
-from humansim_ros.scene.cpu_estimate import cpu_ms, has_gpu
-from humansim_ros.scene.fault_checks import check_faults
-from humansim_ros.scene.findings import Finding, SceneSamples
-from humansim_ros.scene.obstacles import Obstacle, find_obstacles, without_enclosures
-from humansim_ros.scene.people_checks import check_people
+from humansim_ros.scene.camera_checks import (
+    check_cameras,
+    check_faults,
+    covered_pixels,
+    cpu_ms,
+    has_gpu,
+)
+from humansim_ros.scene.findings import Finding, Obstacle, SceneSamples, find_obstacles, without_enclosures
 from humansim_ros.scene.scene import Scene
+from humansim_ros.types import Array
 
 #: Seconds between two times, most poses and most humans of a complete check and of a quick one.
 _COMPLETE = (0.1, 6000, 10_000)
@@ -87,3 +95,194 @@ def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
         f"`humansim bench {file}` measures it. Set a lower rate, or use fewer or smaller cameras"
     )
     return [Finding("warning", "rate", text)]
+
+
+#: A joint this far beyond a wall is outside, metres; joints are inside the body.
+_BEYOND = 0.02
+#: Farthest plausible position of a human, metres.
+_FARTHEST = 200.0
+#: Bones that nothing may cross, from joint to joint: not hands, forearms and feet, which touch things, nor
+#: the root, which is on the seat of a person who sits.
+_BONES = (
+    ("sacroiliac", "vl5"),
+    ("vl5", "vt3"),
+    ("l_hip", "l_knee"),
+    ("r_hip", "r_knee"),
+    ("l_knee", "l_ankle"),
+    ("r_knee", "r_ankle"),
+    ("l_shoulder", "l_elbow"),
+    ("r_shoulder", "r_elbow"),
+)
+#: Part of these bones that counts: a foot may stand on something.
+_PART = 0.85
+#: Joints of the spine, from below.
+_SPINE = ("HumanoidRoot", "sacroiliac", "vl5", "vt3", "vt3_end")
+#: Points of the spine that are compared. Bodies are in each other if their spines are nearer than this share
+#: of the length of both, half of the depth of a trunk.
+_POINTS, _DEPTH = 9, 0.12
+
+
+def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
+    """Check all humans."""
+    outside: dict[str, NDArray[np.bool_]] = {}
+    for name, joints in samples.joints.items():
+        found = _far(name, joints) or _outside(name, samples)
+        outside[name] = _beyond(samples, joints) > _BEYOND
+        if found:
+            yield Finding("error", motion_key(samples, name), found)
+    for name, joints in samples.joints.items():
+        yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
+    yield from _in_each_other(samples)
+
+
+def motion_key(samples: SceneSamples, name: str) -> str:
+    """Key that places a human."""
+    if name in samples.scene.random_humans:
+        return "variety"
+    return f"humans.{name}.motion.position"
+
+
+def _far(name: str, joints: Array) -> str | None:
+    distance = float(np.linalg.norm(joints.mean(axis=1), axis=1).min())
+    if distance < _FARTHEST:
+        return None
+    return (
+        f"{name} is {distance / 1000:.3g} km from the origin of map: positions are in metres"
+        if distance >= 1000
+        else f"{name} is {distance:.0f} m from the origin of map: positions are in metres"
+    )
+
+
+def _beyond(samples: SceneSamples, joints: Array) -> Array:
+    """Metres (N,) by which a human is beyond the walls of the room; negative inside and without a room."""
+    room = samples.scene.environment.room
+    if room is None:
+        return np.full(len(joints), -np.inf)
+    x, y, z = room.size
+    beyond = np.stack([np.abs(joints[..., 0]) - x / 2, np.abs(joints[..., 1]) - y / 2, joints[..., 2] - z])
+    return beyond.max(axis=(0, 2))
+
+
+def _outside(name: str, samples: SceneSamples) -> str | None:
+    """Finding about a human outside the room."""
+    room, joints = samples.scene.environment.room, samples.joints[name]
+    beyond = _beyond(samples, joints)
+    if room is None or beyond.max() <= _BEYOND:
+        return None
+    first = int(np.argmax(beyond > _BEYOND))
+    size = "{:g} x {:g} x {:g} m".format(*room.size)
+    remedy = "move the human (motion.position, yaw_deg, anchor: center), enlarge room.size, or set room: null"
+    middle = joints[first].mean(axis=0)
+    gone = (np.abs(middle[:2]) > np.array(room.size[:2]) / 2).any()
+    if joints[first, :, 2].max() - room.size[2] == beyond[first]:
+        what = f"{name} reaches through the ceiling"
+    else:
+        what = f"{name} is outside" if gone else f"{name} reaches through a wall of"
+        what += f" the room of {size}"
+    loop = samples.scene.actors[name].motion.loop
+    walks_on = loop == "continue" and first > 0
+    return (
+        f"{what} at {samples.times[first]:.1f} s, by up to {beyond.max():.2g} m in the first "
+        f"{samples.duration:.0f} s: {'its motion goes on (loop: continue): ' if walks_on else ''}{remedy}"
+    )
+
+
+def _in_obstacles(
+    name: str,
+    joints: Array,
+    outside: NDArray[np.bool_],
+    samples: SceneSamples,
+    obstacles: Sequence[Obstacle],
+) -> Iterator[Finding]:
+    """Findings about a human inside things, the first time for each thing.
+
+    Args:
+        name: The human.
+        joints: (N, J, 3) of the human.
+        outside: (N,) whether it is outside the room, where it is in the walls as well.
+        samples: Times of the joints.
+        obstacles: The things.
+    """
+    names = samples.scene.actors[name].human.skeleton.joint_names
+    pairs = [(names.index(a), names.index(b)) for a, b in _BONES if a in names and b in names]
+    inside = np.flatnonzero(~outside)
+    if not pairs or not len(inside):
+        return
+    times = samples.times[inside]
+    starts = joints[inside][:, [a for a, _ in pairs]]
+    ends = starts + _PART * (joints[inside][:, [b for _, b in pairs]] - starts)
+    first: dict[str, tuple[float, Obstacle]] = {}
+    for obstacle in obstacles:
+        hits = obstacle.crossed(starts, ends, times) | obstacle.contains(starts[:, 0], times)
+        if hits.any():
+            time = float(times[np.argmax(hits)])
+            if obstacle.key not in first or time < first[obstacle.key][0]:
+                first[obstacle.key] = time, obstacle
+    for time, obstacle in first.values():
+        yield Finding(
+            "error",
+            motion_key(samples, name),
+            f"{name} is inside {obstacle.name} at {time:.1f} s ({obstacle.key}): move one of them",
+        )
+
+
+def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about humans in each other, the first time for each pair."""
+    names, spines, lengths = [], [], []
+    for name, joints in samples.joints.items():
+        known = samples.scene.actors[name].human.skeleton.joint_names
+        spine = joints[:, [known.index(joint) for joint in _SPINE if joint in known]]
+        if spine.shape[1] < 2:
+            continue
+        names.append(name)
+        lengths.append(float(np.linalg.norm(np.diff(spine, axis=1), axis=-1).sum(axis=1).mean()))
+        spines.append(_along(spine, _POINTS))
+    if len(names) < 2:
+        return
+    points, length = np.stack(spines, axis=1), np.array(lengths)  # (N, humans, _POINTS, 3)
+    seen: dict[tuple[int, int], tuple[float, float]] = {}
+    reach = 2 * float(length.max())
+    for number, frame in enumerate(points):
+        pairs = cKDTree(frame[:, 0]).query_pairs(reach, output_type="ndarray")
+        if not len(pairs):
+            continue
+        a, b = frame[pairs[:, 0]], frame[pairs[:, 1]]
+        distance = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min(axis=(1, 2))
+        near = distance < _DEPTH * length[pairs].sum(axis=1)
+        for (i, j), apart in zip(pairs[near].tolist(), distance[near].tolist(), strict=True):
+            seen.setdefault((i, j), (float(samples.times[number]), apart))
+    yield from _pair_findings(samples, names, seen)
+
+
+def _pair_findings(
+    samples: SceneSamples, names: Sequence[str], seen: dict[tuple[int, int], tuple[float, float]]
+) -> Iterator[Finding]:
+    random = samples.scene.random_humans
+    among_random = []
+    for (i, j), (time, apart) in sorted(seen.items()):
+        one, other = names[i], names[j]
+        if one in random and other in random:
+            among_random.append(f"{one} and {other} at {time:.1f} s")
+            continue
+        named = other if other not in random else one
+        yield Finding(
+            "error",
+            motion_key(samples, named),
+            f"{one} and {other} are inside each other at {time:.1f} s, their spines {apart:.2f} m apart: "
+            "move one of them (motion.position), or let it start later (motion.offset)",
+        )
+    if among_random:
+        yield Finding(
+            "warning",
+            "variety",
+            f"random people pass through each other: {some_of(among_random)}; give fewer people (count), a "
+            "larger area or spacing, or another seed",
+        )
+
+
+def _along(lines: Array, count: int) -> Array:
+    """``count`` points (N, count, 3) on lines of points (N, P, 3), evenly by number."""
+    place = np.linspace(0, lines.shape[1] - 1, count)
+    before = np.minimum(place.astype(int), lines.shape[1] - 2)
+    share = (place - before)[:, None]
+    return np.asarray((1 - share) * lines[:, before] + share * lines[:, before + 1])

@@ -11,7 +11,7 @@ import scipy
 
 from humansim_ros.errors import SceneError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.config import ObjectConfig, SceneConfig

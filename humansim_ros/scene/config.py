@@ -2,52 +2,37 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
-    AfterValidator,
-    ConfigDict,
     Field,
-    GetJsonSchemaHandler,
     StringConstraints,
     ValidationError,
-    WithJsonSchema,
     model_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
 
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import SceneError
-from humansim_ros.io.schema import Axis, ByteColor, Section
+from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection
 from humansim_ros.io.schema_errors import Expected, schema_error
 from humansim_ros.io.yaml import read_yaml
-from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.make import RendererName
-from humansim_ros.scene.fault_config import FaultsConfig
-from humansim_ros.sensor.config import SensorConfig
+from humansim_ros.render.lighting import Lighting, RendererName
+from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 
 if TYPE_CHECKING:
     import yaml
 
 
+#: Address by which editors know the schema; it need not exist.
+SCHEMA_ID = "https://humansim-ros.invalid/scene.schema.json"
+_SECOND = 1_000_000_000
 #: Motion of a human that another node moves, such as live motion capture; it stands at rest until then.
 LIVE = "live"
 
 
-class _FileName(str):
-    """Value of a key that names a file."""
-
-
-#: A path, or the name of a built-in where the key says so. Relative paths start from the scene's folder.
-FileName = Annotated[str, AfterValidator(_FileName), Expected("a name or path", "names or paths")]
-_Vector3 = tuple[float, float, float]
-_Row4 = tuple[float, float, float, float]
-#: Metres or degrees; values beyond are mistakes.
-_Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
-_BoundedVector3 = tuple[_Bounded, _Bounded, _Bounded]
 _Radiance = Annotated[float, Field(ge=0, le=1e4)]
 _LinearColor = tuple[_Radiance, _Radiance, _Radiance]
 _Size = Annotated[float, Field(gt=0, le=1e6)]
@@ -59,8 +44,6 @@ _Name = Annotated[
 ]
 
 
-#: Name of a camera in a calibration file, which may be a number (``coerce_numbers_to_str``).
-_CameraOfFile = Annotated[str, WithJsonSchema({"type": ["string", "number"]})]
 #: Name of a ROS topic, absolute or relative.
 _Topic = Annotated[
     str,
@@ -75,26 +58,7 @@ _NodeName = Annotated[
 ]
 
 
-class _ShortSection(Section):
-    """Section that a text alone can stand for: the value of one of its keys, such as the name of its file."""
-
-    #: The key.
-    short_key: ClassVar[str] = "file"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _text_alone(cls, value: Any) -> Any:
-        return {cls.short_key: value} if isinstance(value, str) else value
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        section = handler.resolve_ref_schema(handler(core_schema))
-        return {"anyOf": [{"type": "string"}, section]}
-
-
-class MotionConfig(_ShortSection):
+class MotionConfig(ShortSection):
     """Motion of a human."""
 
     other_words: ClassVar[dict[str, str]] = {
@@ -162,7 +126,7 @@ class MotionConfig(_ShortSection):
     pin_feet: bool = Field(default=False, description="keep standing feet from sliding")
 
 
-class KeyframesConfig(_ShortSection):
+class KeyframesConfig(ShortSection):
     """Keyframes that move, rotate and scale a human or an object: a file, and one of its objects."""
 
     other_words: ClassVar[dict[str, str]] = {"file": "path", "object": "name"}
@@ -173,7 +137,7 @@ class KeyframesConfig(_ShortSection):
     )
 
 
-class HumanConfig(_ShortSection):
+class HumanConfig(ShortSection):
     """One human."""
 
     other_words: ClassVar[dict[str, str]] = {
@@ -198,7 +162,7 @@ class HumanConfig(_ShortSection):
     )
 
 
-class ObjectConfig(_ShortSection):
+class ObjectConfig(ShortSection):
     """One object, static or moving."""
 
     other_words: ClassVar[dict[str, str]] = {
@@ -221,197 +185,15 @@ class ObjectConfig(_ShortSection):
         default=(1.0, 1.0, 1.0),
         description="size along its own x, y, z: metres for box, sphere and cylinder, else factors",
     )
-    position: _BoundedVector3 = Field(
+    position: BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0),
         description="position of its center (of the origin of a file; of the floor of furniture)",
     )
-    rotation_deg: _BoundedVector3 = Field(
+    rotation_deg: BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
     keyframes: KeyframesConfig | None = Field(default=None, description="move, rotate and scale the object")
     label: bool = Field(default=False, description="give it an instance label, as humans have")
-
-
-class TrajectoryConfig(_ShortSection):
-    """Trajectory of a camera."""
-
-    other_words: ClassVar[dict[str, str]] = {"file": "path"}
-
-    file: FileName = Field(description="a trajectory in the format of the TUM RGB-D benchmark")
-    end: Literal["clamp", "loop", "ping_pong"] = Field(
-        default="clamp", description="after the last pose: stay, start again, or go back"
-    )
-    offset: float = Field(default=0.0, description="time that the trajectory is ahead of the scene, seconds")
-    speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
-
-
-class RegionConfig(Section):
-    """Region of interest in pixels of the sensor."""
-
-    x: int = Field(default=0, ge=0)
-    y: int = Field(default=0, ge=0)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-
-
-class CameraConfig(Section):
-    """One camera: its intrinsics (fov_deg, K, P or calibration) and its pose (position and look_at, R and t,
-    trajectory, P or calibration).
-    """
-
-    other_words: ClassVar[dict[str, str]] = {
-        "size": "resolution image_size",
-        "fov_deg": "fov hfov field_of_view angle",
-        "K": "intrinsics camera_matrix",
-        "distortion": "d dist dist_coeffs distortion_coefficients distortion_coeffs",
-        "distortion_model": "lens model",
-        "position": "location pos center centre",
-        "look_at": "target lookat",
-        "t": "translation",
-        "R": "rotation",
-        "calibration": "file",
-    }
-
-    model_config = ConfigDict(coerce_numbers_to_str=True)  # cameras of files may have the names 0, 1, 2
-
-    size: tuple[int, int] | None = Field(
-        default=None,
-        examples=[[640, 480]],
-        description="width, height in pixels; from the calibration, or 640, 480, if absent",
-    )
-    calibration: FileName | None = Field(
-        default=None, description="a calibration file, or a file:// or package:// URL"
-    )
-    camera: _CameraOfFile | None = Field(
-        default=None, description="name of a camera in that file; its only camera if absent"
-    )
-    unit: float | None = Field(
-        default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
-    )
-    up_axis: Axis | None = Field(
-        default=None, description="up axis of that file; as its format defines if absent"
-    )
-    position: _Vector3 | None = Field(
-        default=None, examples=[[3.1, 2.8, 2.2]], description="center of the camera in map, metres"
-    )
-    look_at: _Vector3 | None = Field(
-        default=None, examples=[[0, 0, 0.8]], description="point of map at the image center, metres"
-    )
-    up: _Vector3 = Field(
-        default=(0.0, 0.0, 1.0), description="direction that points up in the image; with look_at only"
-    )
-    fov_deg: float | None = Field(
-        default=None, gt=0, lt=180, description="horizontal field of view without distortion"
-    )
-    K: tuple[_Vector3, _Vector3, _Vector3] | None = Field(
-        default=None, examples=[[[620, 0, 319.5], [0, 620, 239.5], [0, 0, 1]]], description="intrinsics"
-    )
-    R: tuple[_Vector3, _Vector3, _Vector3] | None = Field(
-        default=None,
-        examples=[[[0, 1, 0], [0, 0, -1], [-1, 0, 0]]],
-        description="rotation from map to the optical frame",
-    )
-    t: _Vector3 | None = Field(
-        default=None,
-        examples=[[0.1, 1.2, 3.4]],
-        description="translation from map to the optical frame, metres",
-    )
-    P: tuple[_Row4, _Row4, _Row4] | None = Field(default=None, description="projection matrix K [R | t]")
-    distortion: tuple[float, ...] = Field(default=(), description="coefficients in the order of ROS")
-    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = Field(
-        default=None, description="chosen by the number of coefficients if absent"
-    )
-    rectification: tuple[_Vector3, _Vector3, _Vector3] | None = Field(
-        default=None, description="R of CameraInfo: rotation from the optical frame to that of image_rect"
-    )
-    rectified: tuple[_Row4, _Row4, _Row4] | None = Field(
-        default=None, description="P of CameraInfo, with the baseline of a stereo camera"
-    )
-    trajectory: TrajectoryConfig | None = Field(default=None, description="moves the camera")
-    binning: tuple[int, int] = Field(
-        default=(1, 1), description="pixels of the sensor per pixel along x and y"
-    )
-    roi: RegionConfig | None = Field(default=None, description="region of interest of the sensor")
-    sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensor")
-    faults: FaultsConfig | None = Field(default=None, description="faults of the camera; none if absent")
-    background: FileName | None = Field(
-        default=None, description="image behind everything; the background of the world if absent"
-    )
-
-    @model_validator(mode="after")
-    def _one_way(self) -> CameraConfig:
-        whole = self.calibration is not None or self.P is not None
-        seeing = {"fov_deg": self.fov_deg, "K": self.K, "P": self.P, "calibration": self.calibration}
-        given = [key for key, value in seeing.items() if value is not None]
-        if len(given) > 1:
-            raise ValueError(f"the intrinsics are given by {' and by '.join(given)}: give one of them")
-        for pair in (("position", "look_at"), ("R", "t")):
-            if (getattr(self, pair[0]) is None) != (getattr(self, pair[1]) is None):
-                raise ValueError(f"{pair[0]} and {pair[1]} go together: give both")
-        standing = {"position, look_at": self.position, "R, t": self.R, "trajectory": self.trajectory}
-        places = [key for key, value in standing.items() if value is not None]
-        sources = [*places, "P"] if self.P is not None else places
-        if len(sources) > 1:
-            raise ValueError(f"the pose is given by {' and by '.join(sources)}: give one of them")
-        if not places and not whole:
-            raise ValueError(
-                "the camera has no pose: give position and look_at, R and t, a trajectory, P, or a "
-                "calibration file"
-            )
-        if whole and (self.distortion or self.distortion_model):
-            raise ValueError("distortion goes with K or fov_deg only")
-        if whole and (self.rectification or self.rectified):
-            raise ValueError("rectification and rectified go with K or fov_deg only")
-        if self.calibration is None and (self.camera or self.unit or self.up_axis):
-            raise ValueError("camera, unit and up_axis go with a calibration file")
-        return self
-
-
-class RigConfig(_ShortSection):
-    """Cameras of a calibration file."""
-
-    model_config = ConfigDict(coerce_numbers_to_str=True)
-
-    file: FileName = Field(description="a calibration file, or a file:// or package:// URL")
-    cameras: tuple[_CameraOfFile, ...] | None = Field(
-        default=None, min_length=1, description="names of cameras in the file; all if absent"
-    )
-    size: tuple[int, int] | None = Field(
-        default=None, examples=[[640, 480]], description="width, height in pixels, if the file has none"
-    )
-    unit: float | None = Field(
-        default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
-    )
-    up_axis: Axis | None = Field(
-        default=None, description="up axis of that file; as its format defines if absent"
-    )
-    position: _BoundedVector3 | None = Field(
-        default=None, description="position of the origin of that file in map, metres; 0 0 0 if absent"
-    )
-    rotation_deg: _BoundedVector3 = Field(
-        default=(0.0, 0.0, 0.0),
-        description="rotation of that file in map: degrees about the x axis of map, then y, then z",
-    )
-    look_at: _BoundedVector3 | None = Field(
-        default=None,
-        description="in place of position: point of map where the optical axes of the cameras meet",
-    )
-    binning: tuple[int, int] = Field(
-        default=(1, 1), description="pixels of the sensor per pixel along x and y"
-    )
-    sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensors")
-    faults: FaultsConfig | None = Field(default=None, description="faults of the cameras; none if absent")
-    background: FileName | dict[str, FileName] | None = Field(
-        default=None,
-        description="image behind everything: one file, where {name} is the name of the camera in the "
-        "calibration file, or a file for each of these names; the background of the world if absent",
-    )
-
-    @model_validator(mode="after")
-    def _one_position(self) -> RigConfig:
-        if self.position is not None and self.look_at is not None:
-            raise ValueError("the rig is placed by position and by look_at: give one of them")
-        return self
 
 
 class RoomConfig(Section):
@@ -445,7 +227,7 @@ class VarietyConfig(Section):
     motions: tuple[FileName, ...] | None = Field(
         default=None, min_length=1, description="motions to choose from; built-in motions if absent"
     )
-    area: tuple[_Bounded, _Bounded, _Bounded, _Bounded] | None = Field(
+    area: tuple[Bounded, Bounded, Bounded, Bounded] | None = Field(
         default=None,
         description="area of the middles of their paths: x, y of two corners; the middle of the room if "
         "absent",
@@ -466,7 +248,7 @@ class LightConfig(Section):
     mode: Literal["lit", "shadeless"] = Field(
         default="lit", description="shadeless: colours of surfaces without light and shadow"
     )
-    sun: _Vector3 = Field(default=Lighting.sun, description="direction to the sun")
+    sun: Vector3 = Field(default=Lighting.sun, description="direction to the sun")
     sun_color: _LinearColor = Field(default=Lighting.sun_color, description="light of the sun")
     sky_color: _LinearColor = Field(
         default=Lighting.sky_color,
@@ -509,14 +291,14 @@ class LightConfig(Section):
         return self
 
 
-class WorldMeshConfig(_ShortSection):
+class WorldMeshConfig(ShortSection):
     """A static mesh file."""
 
     file: FileName = Field(
         description="a mesh file (.obj, .glb, .ply, .stl …), with its materials and textures"
     )
-    position: _BoundedVector3 = Field(default=(0.0, 0.0, 0.0), description="position of its origin")
-    rotation_deg: _BoundedVector3 = Field(
+    position: BoundedVector3 = Field(default=(0.0, 0.0, 0.0), description="position of its origin")
+    rotation_deg: BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
     scale: _Size = Field(default=1.0, description="metres per unit of the file")
@@ -538,7 +320,7 @@ class WorldConfig(Section):
     shadow_catcher: bool = Field(
         default=False, description="show shadows on the invisible ground z = 0 in front of a backdrop"
     )
-    environment_yaw_deg: _Bounded = Field(
+    environment_yaw_deg: Bounded = Field(
         default=0.0, description="rotation of the panorama to the left, degrees; at 0 its center is along +x"
     )
 
@@ -570,7 +352,7 @@ class RandomiseConfig(Section):
     camera_jitter: JitterConfig = JitterConfig.model_construct()
 
 
-class MemberConfig(_ShortSection):
+class MemberConfig(ShortSection):
     """A node or a topic that frames wait for."""
 
     short_key: ClassVar[str] = "node"
@@ -664,6 +446,16 @@ class SceneConfig(Section):
         return self
 
 
+def frame_time(index: int, rate: float) -> int:
+    """Nanoseconds from the start to frame ``index``, round(index * period): errors do not accumulate."""
+    return round(index * _SECOND / rate)
+
+
+def frame_at(scene_time: int, rate: float) -> int:
+    """Number of the frame that is nearest to a scene time in nanoseconds."""
+    return max(0, round(scene_time * rate / _SECOND))
+
+
 def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     """Read and check a scene file. Raises SceneError with file, line and key."""
     data, tree = read_yaml(path, SceneError, "scene")
@@ -684,7 +476,7 @@ def check_config(
 
 def map_files(value: Any, change: Callable[[str], str]) -> Any:
     """Copy of a configuration, as ``model_dump`` gives it, with all file names changed."""
-    if isinstance(value, _FileName):
+    if isinstance(value, NamedFile):
         return change(value)
     if isinstance(value, dict):
         return {key: map_files(part, change) for key, part in value.items()}
@@ -702,5 +494,16 @@ def file_keys(value: Any, keys: tuple[str | int, ...] = ()) -> Iterator[tuple[tu
     elif isinstance(value, (list, tuple)):
         for number, part in enumerate(value):
             yield from file_keys(part, (*keys, number))
-    elif isinstance(value, _FileName):
+    elif isinstance(value, NamedFile):
         yield keys, str(value)
+
+
+def schema_text() -> str:
+    """JSON schema (draft 2020-12) of scene files, as text."""
+    schema = SceneConfig.model_json_schema()
+    top = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
+        "title": "Scene of humansim_ros",
+    }
+    return json.dumps(top | {key: value for key, value in schema.items() if key != "title"}, indent=1) + "\n"

@@ -1,6 +1,7 @@
-"""Schedule of the faults of a camera: a pure function of its settings, its name and the number of the frame.
+"""Faults of a camera: their schedule, the error of a published calibration, and dirt on the lens.
 
-Random numbers are counted by frame, so that each frame can be computed alone: nodes, ``Simulation`` and the
+The schedule is a pure function of the settings, the name of the camera and the number of the frame. Random
+numbers are counted by frame, so that each frame can be computed alone: nodes, ``Simulation`` and the
 processes of a recording find the same faults.
 """
 
@@ -8,23 +9,25 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from statistics import NormalDist
 
 import numpy as np
 
-from humansim_ros.scene.calibration_error import CalibrationError
-from humansim_ros.scene.fault_config import (
+from humansim_ros.camera import Camera
+from humansim_ros.rotations import rotation_vector_to_matrix
+from humansim_ros.scene.camera_config import (
     MAX_DELAY,
     MAX_TRIGGER_DELAY,
+    CalibrationFault,
+    DirtFault,
     FaultsConfig,
     FreezeFault,
     OutageFault,
 )
-from humansim_ros.scene.lens_dirt import transmission
-from humansim_ros.scene.times import frame_at, frame_time
+from humansim_ros.scene.config import frame_at, frame_time
 from humansim_ros.types import Array, Float32Array
 
 #: Nanoseconds between messages of which one follows the other.
@@ -76,7 +79,7 @@ class FaultSchedule:
         rate: Frames per second of the scene.
 
     Example:
-        >>> from humansim_ros.scene.fault_config import ClockFault, FaultsConfig
+        >>> from humansim_ros.scene.camera_config import ClockFault, FaultsConfig
         >>> schedule = FaultSchedule(FaultsConfig(clock=ClockFault(offset=0.02)), "left", 30.0)
         >>> schedule.at(7).stamp_error
         20000000
@@ -262,3 +265,103 @@ def _generator(seed: int, kind: str, camera: str, counter: int = 0) -> np.random
     digest = hashlib.sha256(f"{seed} {kind} {camera}".encode()).digest()
     key = int.from_bytes(digest[:16], "little")
     return np.random.Generator(np.random.Philox(counter=counter, key=key))
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationError:
+    """Error of the published calibration of a camera.
+
+    Attributes:
+        rotation: Rotation (3, 3) from the optical frame of the scene to the published one.
+        translation: (3,) from the position of the scene to the published one, metres in ``map``.
+        focal: Published focal lengths relative to those of the camera.
+        turn: Motion of the true optical frame: rotation vector (3,), radians per second, in it.
+        shift: Motion of the true position: (3,) metres per second in ``map``.
+    """
+
+    rotation: Array
+    translation: Array
+    focal: float
+    turn: Array
+    shift: Array
+
+    @classmethod
+    def drawn(cls, config: CalibrationFault, random: np.random.Generator) -> CalibrationError:
+        """Draw the directions of an error."""
+        directions = random.standard_normal((4, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        turned, moved, turn, shift = directions
+        sign = 1 if random.random() < 0.5 else -1
+        drift = config.drift
+        return cls(
+            rotation_vector_to_matrix(np.radians(config.rotation) * turned),
+            config.translation * moved,
+            1 + sign * config.focal,
+            (0.0 if drift is None else np.radians(drift.rotation) / 60) * turn,
+            (0.0 if drift is None else drift.translation / 60) * shift,
+        )
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the camera moves away from its calibration."""
+        return bool(self.turn.any() or self.shift.any())
+
+    def moved(self, seconds: float) -> tuple[Array, Array]:
+        """Rotation (3, 3) and translation (3,) of the true camera at a scene time in seconds."""
+        return rotation_vector_to_matrix(seconds * self.turn), seconds * self.shift
+
+    def published(self, camera: Camera) -> Camera:
+        """Camera with the published focal lengths, at the same pose."""
+        if self.focal == 1:
+            return camera
+        k, rectified = camera.K.copy(), camera.rectified
+        k[:2, :2] *= self.focal
+        if rectified is not None:
+            rectified = rectified.copy()
+            rectified[:2, [0, 1, 3]] *= self.focal
+        return replace(camera, K=k, rectified=rectified)
+
+    def size(self, seconds: float) -> dict[str, float]:
+        """Difference of what is published from the true camera at a scene time in seconds.
+
+        Returns:
+            ``rotation``: degrees; ``translation``: metres; ``focal``: share of the true focal length.
+        """
+        turned, shifted = self.moved(seconds)
+        # not from the trace, whose cosine has no digits left at small angles
+        skew = self.rotation @ turned.T
+        sine = np.linalg.norm([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]]) / 2
+        angle = np.arctan2(sine, (np.trace(skew) - 1) / 2)
+        return {
+            "rotation": float(np.degrees(angle)),
+            "translation": float(np.linalg.norm(self.translation - shifted)),
+            "focal": self.focal - 1,
+        }
+
+
+#: Share of the radius of a spot over which it fades.
+_EDGE = 0.6
+
+
+def transmission(dirt: DirtFault, size: tuple[int, int], random: np.random.Generator) -> Float32Array:
+    """Share (H, W) of the light that passes the spots.
+
+    Args:
+        dirt: Settings.
+        size: Width and height of the image, pixels. The spots are the same in images of any size.
+        random: Draws places and sizes.
+    """
+    width, height = size
+    share = np.ones((height, width), np.float32)
+    low, high = dirt.size
+    for across, down, part in random.random((dirt.spots, 3)).tolist():
+        radius = (low + (high - low) * part) * width / 2
+        # the centre of the top-left pixel is (0, 0)
+        x, y = across * width - 0.5, down * height - 0.5
+        left, right = (int(np.clip(np.ceil(x + side * radius), 0, width)) for side in (-1, 1))
+        top, bottom = (int(np.clip(np.ceil(y + side * radius), 0, height)) for side in (-1, 1))
+        distance = np.hypot(np.arange(left, right) - x, np.arange(top, bottom)[:, None] - y)
+        inside = np.clip((1 - distance / radius) / _EDGE, 0, 1)
+        cover = dirt.opacity * inside**2 * (3 - 2 * inside)
+        share[top:bottom, left:right] *= (1 - cover).astype(np.float32)
+    return share

@@ -85,7 +85,7 @@ def _variety_names(content: Mapping[str, Any], path: Path) -> list[str]:
 def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
     if not content.get("rig"):
         return []
-    from humansim_ros.scene.rig import rig_camera_names  # imports more libraries
+    from humansim_ros.scene.camera import rig_camera_names  # imports more libraries
 
     return rig_camera_names(path)
 

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
-import scipy
 
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.config import LightConfig, RandomiseConfig
 from humansim_ros.scene.room import pattern
 from humansim_ros.types import Image
@@ -85,19 +83,3 @@ def _recolour(image: Image, uniform: RandomNumbers) -> Image:
     hsv[..., 1] *= 0.5 + uniform()
     hsv[..., 2] *= 0.6 + 0.6 * uniform()
     return np.asarray(cv2.cvtColor(np.clip(hsv, 0, 255).astype(np.uint8), cv2.COLOR_HSV2RGB), np.uint8)
-
-
-def random_cameras(cameras: Mapping[str, SceneCamera], randomise: RandomiseConfig) -> dict[str, SceneCamera]:
-    """Cameras moved and rotated at random, except those with a trajectory."""
-    jitter = randomise.camera_jitter
-    if not jitter.position and not jitter.rotation_deg:
-        return dict(cameras)
-    return {name: camera if camera.moves else _jitter(camera, randomise) for name, camera in cameras.items()}
-
-
-def _jitter(camera: SceneCamera, randomise: RandomiseConfig) -> SceneCamera:
-    jitter, uniform = randomise.camera_jitter, random_numbers(randomise.seed, f"camera {camera.name}")
-    shift = np.array([jitter.position * (2 * uniform() - 1) for _ in range(3)])
-    turn = np.radians([jitter.rotation_deg * (2 * uniform() - 1) for _ in range(3)])
-    r = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ camera.whole.R
-    return replace(camera, whole=replace(camera.whole, R=r, t=-r @ (camera.whole.center + shift)))

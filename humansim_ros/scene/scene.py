@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +16,34 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.humans.human import Human
+from humansim_ros.io.files import read_blocks
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.pictures import Pictured
-from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer
+from humansim_ros.render.renderer import Body
 from humansim_ros.resources import resource_path
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.camera import SceneCamera
+from humansim_ros.scene.camera import SceneCamera, build_cameras, random_cameras
 from humansim_ros.scene.clutter import Obstacles, clutter
-from humansim_ros.scene.config import ObjectConfig, SceneConfig, check_config, load_config
+from humansim_ros.scene.config import (
+    ObjectConfig,
+    SceneConfig,
+    check_config,
+    frame_time,
+    load_config,
+    map_files,
+)
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
-from humansim_ros.scene.randomise import random_cameras, random_looks
-from humansim_ros.scene.rig import build_cameras
+from humansim_ros.scene.randomise import random_looks
 from humansim_ros.scene.source import SceneSource, name_objects
-from humansim_ros.scene.times import frame_time
 from humansim_ros.scene.variety import with_variety
 from humansim_ros.truth import joint_surfaces
+
+if TYPE_CHECKING:
+    from humansim_ros.render import GLRenderer, PyrenderRenderer
 
 #: Names that a short description of a scene lists.
 _LISTED = 8
@@ -203,6 +213,8 @@ class Scene(Pictured):
 
         ``device``: number of the GPU as EGL counts; the first that works if None. Raises RenderError.
         """
+        from humansim_ros.render.gl import make_renderer  # slow to import
+
         light = self.environment.lighting
         return make_renderer(self.config.renderer, self.static_meshes, light, device, self.static_bodies)
 
@@ -284,3 +296,19 @@ def _add_objects(
             last += config.label
             label = last if config.label else 0
             objects[name] = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)
+
+
+def scene_hash(scene: Scene) -> str:
+    """Hash of a scene: its settings, and the content of the files that they name."""
+    digest = hashlib.sha256(scene.config.model_dump_json().encode())
+
+    def add(name: str) -> str:
+        path = scene.source.folder / name.split("#")[0]
+        if path.is_file():
+            digest.update(f"{name}\n".encode())
+            for block in read_blocks(path, SceneError, "scene"):
+                digest.update(block)
+        return name
+
+    map_files(scene.config.model_dump(exclude_none=True), add)
+    return digest.hexdigest()

@@ -23,12 +23,11 @@ from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import capture, capture_rectified_depth
+from humansim_ros.scene.capture import JointMotion, SceneState, capture, capture_rectified_depth
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
-from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
 

@@ -16,10 +16,9 @@ from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig
-from humansim_ros.scene.floor_plan import things_on_floor
+from humansim_ros.scene.floor import Floor, Path, things_on_floor
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.objects import load_tracks
-from humansim_ros.scene.placement import Floor, Path
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array

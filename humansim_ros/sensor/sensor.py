@@ -20,10 +20,15 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.io.images import decode_srgb
 from humansim_ros.sensor.config import SensorConfig
-from humansim_ros.sensor.noise import add_noise, generator
-from humansim_ros.sensor.optics import aberrate, corner_distance, transmission
-from humansim_ros.sensor.response import LEVELS, bayer_mosaic, luminance, response_table
-from humansim_ros.sensor.shutter import row_weights, sample_times
+from humansim_ros.sensor.electronics import (
+    LEVELS,
+    add_noise,
+    bayer_mosaic,
+    generator,
+    luminance,
+    response_table,
+)
+from humansim_ros.sensor.optics import aberrate, corner_distance, row_weights, sample_times, transmission
 from humansim_ros.types import Array, Float32Array, Image
 
 #: Samples that are processed at a time, so that they fit into the processor cache.

@@ -2,7 +2,7 @@
 
 from humansim_ros.humans.human import joint_surfaces
 from humansim_ros.truth.boxes import BodyBox, view_boxes
-from humansim_ros.truth.camera_truth import CameraTruth
+from humansim_ros.truth.camera_truth import CameraTruth, KeypointView, view_keypoints
 from humansim_ros.truth.joints import (
     NOTHING,
     OCCLUDED,
@@ -14,9 +14,7 @@ from humansim_ros.truth.joints import (
     JointView,
     view_joints,
 )
-from humansim_ros.truth.keypoints import KeypointView, view_keypoints
-from humansim_ros.truth.surface import part_u_v, rest_points
-from humansim_ros.truth.vertices import visible_vertices
+from humansim_ros.truth.vertices import part_u_v, rest_points, visible_vertices
 
 __all__ = [
     "NOTHING",

@@ -22,18 +22,16 @@ from humansim_ros.io.schema_errors import schema_errors
 from humansim_ros.io.yaml import parse_yaml
 from humansim_ros.io.yaml_edit import YamlKey, remove_value, rename_key, set_value
 from humansim_ros.motion.keyframes import KeyframeTrack, read_keyframes
-from humansim_ros.scene.camera import SceneCamera
+from humansim_ros.scene.camera import SceneCamera, rig_placement
+from humansim_ros.scene.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.checks import check_scene
 from humansim_ros.scene.config import (
-    CameraConfig,
     HumanConfig,
     KeyframesConfig,
     ObjectConfig,
-    RigConfig,
     SceneConfig,
     file_keys,
 )
-from humansim_ros.scene.rig import rig_placement
 from humansim_ros.scene.scene import Scene
 from humansim_ros.view.scene_file import NEW_SCENE, SceneFile
 from humansim_ros.view.scene_keys import (

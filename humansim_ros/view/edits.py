@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera import Camera, idealize, load_calibration, write_calibration
 from humansim_ros.camera.calibration import Z_UP_FROM_FILE, Calibration
-from humansim_ros.camera.floor_points import read_floor_points
-from humansim_ros.camera.placement import RigPlacement
-from humansim_ros.camera.placing import place_by_floor, place_by_level
+from humansim_ros.camera.placement import RigPlacement, place_by_floor, place_by_level, read_floor_points
 from humansim_ros.errors import CameraError, SceneError
 from humansim_ros.io.files import exists, expand_user
 from humansim_ros.motion.keyframes import Keyframes, KeyframeTimeline, KeyframeTrack, write_keyframes

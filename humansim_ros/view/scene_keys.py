@@ -25,7 +25,8 @@ from humansim_ros.errors import SceneError, printable
 from humansim_ros.io.schema_errors import needed, show_value, unknown_key
 from humansim_ros.io.yaml_edit import YamlKey
 from humansim_ros.motion.keyframes import KeyframeTrack
-from humansim_ros.scene.config import CameraConfig, HumanConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.camera_config import CameraConfig
+from humansim_ros.scene.config import HumanConfig, ObjectConfig, SceneConfig
 from humansim_ros.types import Array
 
 #: Longest name of a human, object or camera, which becomes part of topics; longest text of a value.

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from test_placement import moved_rig
 
 from humansim_ros.camera import Camera, read_calibration
-from humansim_ros.camera.placing import (
+from humansim_ros.camera.placement import (
     FloorPoint,
     FoundPlacement,
     place_by_board,

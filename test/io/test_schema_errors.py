@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 import pytest
 from pydantic import BaseModel, Field, ValidationError
 
-from humansim_ros.camera.floor_points import _File as FloorPoints
+from humansim_ros.camera.placement import _File as FloorPoints
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.description import MeshHuman, ParametricHuman
 from humansim_ros.io.schema import Axis, Section

@@ -19,8 +19,8 @@ from conftest import ROOT
 from waiting import PATIENCE
 
 from humansim_ros.camera import Camera, read_calibration
-from humansim_ros.camera.floor_points import read_floor_points
-from humansim_ros.camera.image_size import image_size, size_of_named_image
+from humansim_ros.camera.checks import image_size, size_of_named_image
+from humansim_ros.camera.placement import read_floor_points
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.humans.description import read_description
@@ -38,7 +38,7 @@ from humansim_ros.motion.limits import load_limits
 from humansim_ros.photographs import Photo, read_views
 from humansim_ros.photographs.views import read_points
 from humansim_ros.scene import Scene
-from humansim_ros.scene.backdrops import load_backdrop, load_panorama
+from humansim_ros.scene.environment import load_backdrop, load_panorama
 from humansim_ros.scene.names import read_names
 
 #: Memory that may be used until a file is refused, bytes.

@@ -16,7 +16,7 @@ from humansim_ros.body import fit_to_skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.types import Array, Float32Array
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"

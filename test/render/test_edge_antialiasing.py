@@ -11,7 +11,7 @@ from render_scenes import EVEN, along_x, block_means, body, finer, quad, rendere
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, GLRenderer, rendered_frame
-from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene import Scene
 
 

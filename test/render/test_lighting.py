@@ -14,7 +14,7 @@ from render_scenes import EVEN, along_x, body, box, inner, quad, renderer_or_ski
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, GLRenderer, Lighting, View
-from humansim_ros.render.backdrops import ImageBackdrop
+from humansim_ros.render.pixel_geometry import ImageBackdrop
 from humansim_ros.scene import Scene
 
 SHARP = Lighting(shadows="soft", sun_size_deg=0.2)

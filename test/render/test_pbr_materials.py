@@ -19,7 +19,7 @@ from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.mesh.load import read_materials_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Lighting, View
-from humansim_ros.render.backdrops import ImageBackdrop
+from humansim_ros.render.pixel_geometry import ImageBackdrop
 
 Array = NDArray[np.floating]
 BLACK = (0.0, 0.0, 0.0)

@@ -15,7 +15,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, Lighting
-from humansim_ros.render.ambient_occlusion import directions
+from humansim_ros.render.static_layers import directions
 from humansim_ros.resources import resource_path
 
 BLACK = (0.0, 0.0, 0.0)

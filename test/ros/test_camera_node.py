@@ -33,7 +33,7 @@ from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.capture import SceneState
 
 PLACE = "size: [128, 96], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
 BENT = "K: [[120, 1, 66], [0, 118, 46], [0, 0, 1]], distortion: [-0.3, 0.09, 0.001, -0.002]"

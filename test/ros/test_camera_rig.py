@@ -18,7 +18,7 @@ from waiting import PATIENCE
 from humansim_ros import messages
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
-from humansim_ros.render.posed_mesh import PosedMesh
+from humansim_ros.render.mesh_buffers import PosedMesh
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor

@@ -14,7 +14,7 @@ from ros_support import SMALL_SCENE, Client, deliver, write_scene
 from humansim_ros import messages
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.capture import SceneState
 
 HUMANS = ("first", "second")
 PERIOD = 50_000_000

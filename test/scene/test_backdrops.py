@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from humansim_ros.errors import SceneError
-from humansim_ros.scene import backdrops
-from humansim_ros.scene.backdrops import load_panorama
+from humansim_ros.scene import environment
+from humansim_ros.scene.environment import load_panorama
 
 
 def colours(height: int, width: int) -> NDArray[np.uint8]:
@@ -30,7 +30,7 @@ def written(path: Path, image: NDArray[np.generic]) -> Path:
 @pytest.fixture
 def small_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Panoramas of more than 1000 columns are reduced: 600 rows in several strips."""
-    monkeypatch.setattr(backdrops, "_MAX_WIDTH", 1000)
+    monkeypatch.setattr(environment, "_MAX_WIDTH", 1000)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".hdr"])
@@ -66,7 +66,7 @@ def test_an_openexr_file_with_very_many_channels_is_not_decoded(
         file.write(str(tmp_path / "many.exr"))
     with pytest.raises(SceneError, match="no channel R"):
         load_panorama(tmp_path / "many.exr")
-    monkeypatch.setattr(backdrops, "_MAX_VALUES", 39 * 64 * 128)
+    monkeypatch.setattr(environment, "_MAX_VALUES", 39 * 64 * 128)
     with pytest.raises(SceneError, match="40 channels of 128 x 64 pixels are too many"):
         load_panorama(tmp_path / "many.exr")
 

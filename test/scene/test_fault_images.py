@@ -11,7 +11,7 @@ from render_scenes import renderer_or_skip
 
 from humansim_ros.io.images import decode_srgb
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.scene.fault_config import FaultsConfig
+from humansim_ros.scene.camera_config import FaultsConfig
 from humansim_ros.scene.faults import FaultSchedule
 
 RATE = 20.0

@@ -12,7 +12,7 @@ from render_scenes import renderer_or_skip
 from humansim_ros.camera.calibration import write_calibration
 from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.fault_config import FaultsConfig
+from humansim_ros.scene.camera_config import FaultsConfig
 from humansim_ros.scene.faults import NO_FAULTS, FaultSchedule, FrameFaults
 
 FRAMES = 4000

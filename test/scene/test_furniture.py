@@ -15,8 +15,7 @@ from conftest import ROOT
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.scene import list_meshes
 from humansim_ros.errors import SceneError
-from humansim_ros.scene.furniture import FURNITURE
-from humansim_ros.scene.objects import BUILT_IN_MESHES, SHAPES
+from humansim_ros.scene.objects import BUILT_IN_MESHES, FURNITURE, SHAPES
 
 CAMERA = {"size": [96, 72], "position": [4, 0, 1.2], "look_at": [0, 0, 0.8]}
 

@@ -25,8 +25,7 @@ from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.truth.boxes import truncation, view_boxes
 from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
-from humansim_ros.truth.surface import part_u_v, rest_points
-from humansim_ros.truth.vertices import visible_vertices
+from humansim_ros.truth.vertices import part_u_v, rest_points, visible_vertices
 
 PEOPLE = """
 rate: 10

@@ -16,8 +16,7 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Scene, Simulation  # noqa: E402
 from humansim_ros.drawing.canvas import INK, draw_text, text_size  # noqa: E402
-from humansim_ros.scene.furniture import FURNITURE  # noqa: E402
-from humansim_ros.scene.objects import SHAPES  # noqa: E402
+from humansim_ros.scene.objects import FURNITURE, SHAPES  # noqa: E402
 
 #: Positions from left to right as the camera sees them: y in metres.
 _PLACES = {

@@ -4,24 +4,18 @@ To add a format, define a :class:`CalibrationFormat` in a module of this folder 
 and syntax, and functions that recognise, read and write it), and add it to :data:`FORMATS` below. The rest of
 the package needs no change: ``camera/calibration.py`` converts units and axes, guesses missing image sizes,
 checks cameras, writes files, and reports errors with file, line and key for all formats; the command line
-takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers and names,
-``formats/containers.py`` for lists and mappings of cameras, ``formats/lens_models.py`` for names of lens
-models.
+takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers, names,
+lists of cameras and names of lens models.
 """
 
-from humansim_ros.camera.formats.anipose import ANIPOSE
-from humansim_ros.camera.formats.association import ASSOCIATION
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
-from humansim_ros.camera.formats.datasets import H36M, PANOPTIC, SHELF
-from humansim_ros.camera.formats.kalibr import KALIBR
-from humansim_ros.camera.formats.krtd import KRTD
-from humansim_ros.camera.formats.middlebury import MIDDLEBURY
+from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
-from humansim_ros.camera.formats.projection import PROJECTION
+from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, PROJECTION
 from humansim_ros.camera.formats.qualisys import QUALISYS
 from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
-from humansim_ros.camera.formats.ros import CAMERA_INFO, INI
+from humansim_ros.camera.formats.ros import CAMERA_INFO, INI, KALIBR
 from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.thesis import CAM
 from humansim_ros.camera.formats.transforms import TRANSFORMS

@@ -1,4 +1,4 @@
-"""Shared parts of the calibration formats: parsed files, cameras in the unit of a file, text of numbers.
+"""Shared parts of the calibration formats: parsed files, lists of cameras, lens models, rotations, numbers.
 
 A format reads a :class:`CalibrationFile` into :class:`RawCamera` objects in the unit and axes of the file,
 and writes cameras that are already in that unit and those axes; ``camera/calibration.py`` does the rest.
@@ -7,17 +7,21 @@ and writes cameras that are already in that unit and those axes; ``camera/calibr
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count, islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import CameraError
+from humansim_ros.camera.lens import MODELS
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.yaml import line_of
 from humansim_ros.types import Array, ImageSize
 
@@ -334,3 +338,169 @@ def image_names(cameras: Iterable[str]) -> dict[str, str]:
     names = list(cameras)
     check_words(names)
     return {name: f"{name}.png" for name in names}
+
+
+#: Most keys above the cameras of a file.
+_DEPTH = 3
+#: Keys of a camera that have its name, in order of precedence.
+_NAMES = ("name", "camera_name", "camera", "cam_name", "id", "camera_id", "cam_id", "serial", "serial_number")
+
+Keys = tuple[Key, ...]
+Predicate = Callable[[Any], bool]
+
+
+def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate) -> list[tuple[str, Keys]]:
+    """Find the cameras of a document: their names and key paths, in the order of the file.
+
+    Args:
+        file: File that is being read.
+        is_camera: Whether a value has all keys of a camera.
+        is_part: Whether a value has some of these keys. Where one item is a camera, these are cameras too.
+
+    Returns:
+        Cameras; empty if the document has none. Cameras of a list without names have their indices as names.
+        Names that several groups have, such as the streams of several devices, begin with that of the group.
+    """
+    if is_camera(file.document):
+        return [(_name(file.document, Path(file.path).stem), ())]
+    found = list(_search(file.document, (), _DEPTH, is_camera, is_part))
+    counts = Counter(name for name, _ in found)
+    grouped = any(count > 1 for count in counts.values()) and len({keys[:-1] for _, keys in found}) > 1
+    return [(f"{keys[-2]}_{name}" if grouped else name, keys) for name, keys in found]
+
+
+def _search(
+    value: Any, keys: Keys, depth: int, is_camera: Predicate, is_part: Predicate
+) -> Iterator[tuple[str, Keys]]:
+    """Names and key paths of the cameras in a mapping or list, or below its keys.
+
+    Args:
+        value: Mapping or list; other values have no cameras.
+        keys: Its key path.
+        depth: Most keys above the cameras.
+        is_camera: As for :func:`find_cameras`.
+        is_part: As for :func:`find_cameras`.
+    """
+    if not isinstance(value, (dict, list)):
+        return
+    named = isinstance(value, dict)
+    items: list[tuple[Key, Any]] = list(value.items() if isinstance(value, dict) else enumerate(value))
+    if any(is_camera(item) for _, item in items):
+        for key, item in items:
+            if is_camera(item) or is_part(item):
+                yield str(key) if named else _name(item, str(key)), (*keys, key)
+    elif named and depth > 0:
+        for key, item in items:
+            yield from _search(item, (*keys, key), depth - 1, is_camera, is_part)
+
+
+def _name(camera: Any, otherwise: str) -> str:
+    """Name of a camera that has no key in a mapping."""
+    for key in _NAMES:
+        value = camera.get(key)
+        if isinstance(value, (str, int)) and not isinstance(value, bool) and str(value).strip():
+            return str(value).strip()
+    return otherwise
+
+
+def has_keys(*needed: set[str]) -> Predicate:
+    """Function that tells whether a value is a mapping with a key of each of these sets."""
+    return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)
+
+
+COUNTS = {model: len(coefficients) for model, coefficients in MODELS.items()}
+#: Numbers of coefficients of each model in files; more coefficients may follow if they are zero.
+_FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
+_ALIASES = {
+    **dict.fromkeys(("fisheye", "kannala_brandt", "kannala_brandt4", "equi"), "equidistant"),
+    **dict.fromkeys(("radtan", "radial-tangential", "brown_conrady", "brown"), "plumb_bob"),
+    "rational": "rational_polynomial",
+}
+_NONE = ("", "none", "null", "no", "pinhole")
+_KNOWN = ", ".join(MODELS)
+
+
+def find_model(
+    file: CalibrationFile,
+    name: Any,
+    distortion: Array,
+    name_keys: tuple[Key, ...],
+    distortion_keys: tuple[Key, ...],
+) -> str | None:
+    """Find the distortion model of a file, and check its number of coefficients.
+
+    Args:
+        file: File that is being read.
+        name: Name of the model in the file, or None.
+        distortion: Coefficients, (N,).
+        name_keys: Key path of the name.
+        distortion_keys: Key path of the coefficients.
+
+    Returns:
+        Name of the model in :data:`humansim_ros.camera.lens.MODELS`, or None for a lens without distortion.
+        Without a name, the number of coefficients decides where it can.
+
+    Raises:
+        CameraError: The model is unknown, or its number of coefficients is wrong.
+    """
+    word = "" if name is None else str(name).strip().lower()
+    if word in _NONE:
+        return _model_without_name(file, word, distortion, name_keys)
+    model = _ALIASES.get(word, word)
+    if model not in MODELS:
+        raise file.error(f"unknown distortion model {name!r}; known are {_KNOWN}", *name_keys)
+    check_count(file, model, distortion, distortion_keys)
+    return model
+
+
+def check_count(
+    file: CalibrationFile, model: str, distortion: Array, distortion_keys: tuple[Key, ...]
+) -> None:
+    """Raise CameraError if the number of coefficients does not fit the model.
+
+    Args:
+        file: File that is being read.
+        model: Name of the distortion model.
+        distortion: Coefficients, (N,).
+        distortion_keys: Key path of the coefficients.
+    """
+    counts = _FILE_COUNTS[model]
+    used = len(np.trim_zeros(distortion, "b"))
+    if used and (used > max(counts) or len(distortion) < min(counts)):
+        count = " or ".join(map(str, counts))
+        hint = "; thin prism and tilted sensor models are not supported" if len(distortion) > 8 else ""
+        raise file.error(f"{model} has {count} coefficients, not {len(distortion)}{hint}", *distortion_keys)
+
+
+def _model_without_name(
+    file: CalibrationFile, word: str, distortion: Array, name_keys: tuple[Key, ...]
+) -> str | None:
+    if not distortion.any():
+        return None
+    if word:
+        raise file.error(
+            f"is {word!r}, but there are distortion coefficients: name one of {_KNOWN}", *name_keys
+        )
+    count = len(distortion)
+    model = {5: "plumb_bob", 8: "rational_polynomial"}.get(count)
+    if model is None:
+        raise file.error(
+            f"is missing, and {count} coefficients do not determine it: add one of {_KNOWN}",
+            *name_keys,
+        )
+    key = ".".join(map(str, name_keys))
+    warn_about(file.path, f"{key} is missing; {count} coefficients are taken for {model}")
+    return model
+
+
+def rotation_of(file: CalibrationFile, *keys: Key) -> Array:
+    """Matrix (3, 3) of 9 numbers in row order, or of a rotation vector of 3 numbers, radians."""
+    values = file.some_numbers(*keys)
+    if len(values) == 3:
+        return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
+    return file.numbers((3, 3), *keys)
+
+
+def vector_of(rotation: Array) -> Array:
+    """Rotation vector (3,) of a matrix (3, 3), radians."""
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)

@@ -1,4 +1,12 @@
-"""JSON files of public data sets: Human3.6M, Shelf and Campus (in the format of VoxelPose), CMU Panoptic."""
+"""Files of public data sets and of motion capture without markers.
+
+- JSON of Human3.6M, Shelf and Campus (in the format of VoxelPose), and CMU Panoptic.
+- TOML of Anipose, which FreeMoCap, Caliscope and Pose2Sim write too: x_cam = R x + t. The file does not name
+  its unit: the unit of the calibration board, which is millimetres for most boards and metres in Pose2Sim.
+  https://anipose.readthedocs.io/en/latest/aniposelib-tutorial.html
+- JSON of 4DAssociation and related programs: K, RT (3x4) or R and T, distCoeff, imgSize; x = R X + t; metres,
+  z up. The world of the Shelf data in this format is the floor. https://github.com/zhangyux15/4d_association
+"""
 
 from __future__ import annotations
 
@@ -10,10 +18,21 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, Key, RawCamera, nested
-from humansim_ros.camera.formats.containers import Keys, find_cameras, has_keys
-from humansim_ros.camera.formats.lens_models import check_count
-from humansim_ros.errors import CameraError
+from humansim_ros.camera.formats.base import (
+    CalibrationFile,
+    CalibrationFormat,
+    Key,
+    Keys,
+    RawCamera,
+    check_count,
+    find_cameras,
+    has_keys,
+    nested,
+    rotation_of,
+    row,
+    vector_of,
+)
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
 # -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras has a pose per subject, 11 in all
@@ -254,4 +273,205 @@ PANOPTIC = CalibrationFormat(
     unit=0.01,
     up="-y",
     lenses={"plumb_bob": 5},
+)
+
+
+#: Names of units in a file, and metres per unit.
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+#: Key of the unit, and the tables in which it may be.
+_UNIT, _UNIT_TABLES = "unit", ((), ("metadata",))
+#: Extent of a rig in units of the file from which these are millimetres: between a room of 30 m and 10 cm.
+_MILLIMETRES = 50.0
+_PARTS = {"matrix", "rotation", "translation", "distortions"}
+
+
+def _cameras_anipose(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    return find_cameras(file, has_keys({"matrix"}), has_keys(_PARTS))
+
+
+def _is_anipose(file: CalibrationFile) -> bool:
+    return bool(_cameras_anipose(file))
+
+
+def _read_anipose(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for table, at in _cameras_anipose(file):
+        name = str(file.get(*at, "name") or "").strip() or table
+        file.add(cameras, name, _camera_anipose(file, at), *at)
+    return cameras
+
+
+def _camera_anipose(file: CalibrationFile, at: Keys) -> RawCamera:
+    matrix = file.numbers((3, 3), *at, "matrix")
+    distortion: Array = np.zeros(0)
+    if file.get(*at, "distortions") not in (None, []):
+        distortion = file.some_numbers(*at, "distortions")
+    model = _model(file, at, distortion)
+    rotation, t = file.get(*at, "rotation"), file.get(*at, "translation")
+    if (rotation is None) != (t is None):
+        present, missing = ("rotation", "translation") if t is None else ("translation", "rotation")
+        raise file.error(f"needs {missing} as well", *at, present)
+    keys = {"K": "matrix", "distortion": "distortions", "R": "rotation", "t": "translation", "size": "size"}
+    return RawCamera(
+        matrix,
+        None if rotation is None else rotation_of(file, *at, "rotation"),
+        np.zeros(3) if t is None else file.numbers((3,), *at, "translation"),
+        size=file.pair_size(*at, "size"),
+        distortion=tuple(distortion),
+        model=model,
+        locations={"": file.location(*at), **{part: file.location(*at, key) for part, key in keys.items()}},
+    )
+
+
+def _model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
+    fisheye = file.get(*at, "fisheye")
+    if fisheye is not None and not isinstance(fisheye, bool):
+        raise file.error("needs true or false", *at, "fisheye")
+    if fisheye:
+        model = "equidistant"
+    else:
+        model = "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
+    if len(distortion) >= 4 or model == "equidistant":
+        check_count(file, model, distortion, (*at, "distortions"))
+    return model
+
+
+def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
+    for table in _UNIT_TABLES:
+        value = file.get(*table, _UNIT)
+        if value is not None:
+            if value not in _UNITS:
+                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *table, _UNIT)
+            return _UNITS[value]
+    positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
+    if not len(positions):
+        return 1.0
+    # with the origin, which is the first camera or the board
+    extent = float(np.linalg.norm(np.ptp(np.vstack([positions, np.zeros(3)]), axis=0)))
+    if extent == 0:
+        return 1.0
+    name = "mm" if extent > _MILLIMETRES else "m"
+    other = "m" if name == "mm" else "mm"
+    warn_about(
+        file.path,
+        f"the unit is not in the file; {name} is assumed, because the cameras are then "
+        f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.5g} m with {other}); to state it, "
+        f'set unit, or add [metadata] with {_UNIT} = "{name}" to the file',
+    )
+    return _UNITS[name]
+
+
+def _write_anipose(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    lines: list[str] = []
+    for index, (name, camera) in enumerate(cameras.items()):
+        matrix = ", ".join(f"[{row(values, ', ')}]" for values in camera.K)
+        lines += [f"[cam_{index}]", f"name = {_text(name)}"]
+        lines += [f"size = [{camera.size[0]}, {camera.size[1]}]", f"matrix = [{matrix}]"]
+        lines += [f"distortions = [{row(camera.distortion, ', ')}]"]
+        lines += [f"rotation = [{row(vector_of(camera.R), ', ')}]"]
+        lines += [f"translation = [{row(camera.t, ', ')}]"]
+        lines += [f"fisheye = {str(camera.model == 'equidistant').lower()}", ""]
+    return {"": "\n".join([*lines, "[metadata]", f'{_UNIT} = "m"']) + "\n"}
+
+
+def _text(name: str) -> str:
+    if not name.isprintable():
+        raise CameraError("this format needs a name without control characters", key=name)
+    escaped: Any = name.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+ANIPOSE = CalibrationFormat(
+    "anipose",
+    "Anipose, FreeMoCap, Pose2Sim TOML",
+    ".toml",
+    "toml",
+    _is_anipose,
+    _read_anipose,
+    _write_anipose,
+    lenses={"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4},
+    find_unit=_find_unit,
+)
+
+
+#: Keys of the lens, in order of precedence.
+_LENS = ("distCoeff", "distCoeffs", "distCoef", "distortion_coefficients", "D")
+
+
+def _cameras_association(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    return find_cameras(file, _is_camera, has_keys({"K", "RT"}))
+
+
+def _is_camera(value: object) -> bool:
+    return isinstance(value, dict) and "K" in value and not value.keys().isdisjoint(("RT", "imgSize"))
+
+
+def _is_association(file: CalibrationFile) -> bool:
+    return bool(_cameras_association(file))
+
+
+def _read_association(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for name, at in _cameras_association(file):
+        file.add(cameras, name, _camera_association(file, at), *at)
+    return cameras
+
+
+def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
+    k = file.numbers((3, 3), *at, "K")
+    r, t, (r_key, t_key) = _pose(file, at)
+    lens = next((key for key in _LENS if file.get(*at, key) not in (None, [])), _LENS[0])
+    distortion: Array = np.zeros(0)
+    if file.get(*at, lens) not in (None, []):
+        distortion = file.some_numbers(*at, lens)
+    model = "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
+    check_count(file, model, distortion, (*at, lens))
+    keys = {"K": "K", "R": r_key, "t": t_key, "distortion": lens, "size": "imgSize"}
+    return RawCamera(
+        k,
+        r,
+        t,
+        size=file.pair_size(*at, "imgSize"),
+        distortion=tuple(distortion),
+        model=model,
+        locations={"": file.location(*at), **{part: file.location(*at, key) for part, key in keys.items()}},
+    )
+
+
+def _pose(file: CalibrationFile, at: Keys) -> tuple[Array | None, Array, tuple[str, str]]:
+    """R and t, and their keys: from RT (3x4 or 4x4), or from R and T; R is None without any."""
+    if file.get(*at, "RT") is not None:
+        values = file.some_numbers(*at, "RT")
+        matrix = file.numbers((4, 4) if len(values) == 16 else (3, 4), *at, "RT")
+        if len(matrix) == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
+            raise file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *at, "RT")
+        return matrix[:3, :3], matrix[:3, 3], ("RT", "RT")
+    t_key = next((key for key in ("T", "t") if file.get(*at, key) is not None), "T")
+    if file.get(*at, "R") is None and file.get(*at, t_key) is None:
+        return None, np.zeros(3), ("R", t_key)
+    return rotation_of(file, *at, "R"), file.numbers((3,), *at, t_key), ("R", t_key)
+
+
+def _write_association(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    data = {
+        name: {
+            "K": nested(camera.K.ravel()),
+            "RT": nested(np.column_stack([camera.R, camera.t]).ravel()),
+            "distCoeff": nested(np.array(camera.distortion)),
+            "imgSize": list(camera.size),
+        }
+        for name, camera in cameras.items()
+    }
+    return {"": json.dumps(data, indent=1) + "\n"}
+
+
+ASSOCIATION = CalibrationFormat(
+    "4dassociation",
+    "4DAssociation JSON",
+    ".json",
+    "json",
+    _is_association,
+    _read_association,
+    _write_association,
+    lenses={"plumb_bob": 5, "rational_polynomial": 8},
 )

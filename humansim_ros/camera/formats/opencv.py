@@ -19,16 +19,18 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
+    COUNTS,
     CalibrationFile,
     CalibrationFormat,
     Key,
     RawCamera,
     SourceLocation,
+    find_model,
     number,
+    rotation_of,
     row,
+    vector_of,
 )
-from humansim_ros.camera.formats.lens_models import COUNTS, find_model
-from humansim_ros.camera.formats.rotations import rotation_of, vector_of
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import exists, read_text

@@ -1,19 +1,25 @@
-"""Projection matrices as plain text: P (3x4) of one camera or several, of any scale and sign.
+"""Plain text of numbers: projection matrices, KRTD files, and par.txt of the Middlebury multi-view data.
 
-A matrix is three lines of four numbers or one line of twelve. Its name is before it ("P0: ...") or on a line
-above; a comment "# left 640x480" also gives the image size. The word CONTOUR, with which files of some data
-sets begin, is ignored.
+- A projection matrix P (3x4), of any scale and sign, is three lines of four numbers or one line of twelve.
+  Its name is before it ("P0: ...") or on a line above; a comment "# left 640x480" also gives the image size.
+  The word CONTOUR, with which files of some data sets begin, is ignored.
+- KRTD of Kitware's tools: K (3x3), R (3x3), t (3) and the distortion coefficients of OpenCV without trailing
+  zeros; a single 0 means no distortion.
+- par.txt: a count, then lines of an image name, K (9), R (9) and t (3); P = K [R | t].
+  https://vision.middlebury.edu/mview/data/
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
@@ -21,7 +27,9 @@ from humansim_ros.camera.formats.base import (
     RawCamera,
     SourceLocation,
     check_words,
+    image_names,
     row,
+    without_suffix,
 )
 from humansim_ros.errors import CameraError
 from humansim_ros.types import ImageSize
@@ -57,7 +65,7 @@ def _rows(file: CalibrationFile) -> Iterator[tuple[int, str, list[str]]]:
         name = ""
 
 
-def _read(file: CalibrationFile) -> dict[str, RawCamera]:
+def _read_projection(file: CalibrationFile) -> dict[str, RawCamera]:
     matrices: list[tuple[int, str, list[float]]] = []
     last = 0
     for line, name, words in _rows(file):
@@ -107,7 +115,7 @@ def _camera(file: CalibrationFile, values: list[float], line: int, size: ImageSi
     return RawCamera(camera.K, camera.R, camera.t, size=size, locations={"": location})
 
 
-def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
+def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
     check_words(cameras)
     lines = []
     for name, camera in cameras.items():
@@ -115,4 +123,120 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-PROJECTION = CalibrationFormat("p", "projection matrices", ".txt", "text", _is_projection, _read, _write)
+PROJECTION = CalibrationFormat(
+    "p", "projection matrices", ".txt", "text", _is_projection, _read_projection, _write_projection
+)
+
+
+#: OpenCV has no more coefficients.
+_MAX_COEFFICIENTS, _MAX_LINES = 14, 21
+
+
+def _is_krtd(file: CalibrationFile) -> bool:
+    return len(file.head) == 3 and all(len(line.split()) == 3 for line in file.head)
+
+
+def _read_krtd(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = [(line, text.split()) for line, text in islice(file.lines(), _MAX_LINES + 1)]
+    if len(lines) < 7 or any(len(words) != 3 for _, words in lines[:7]):
+        message = "needs K (3 x 3), R (3 x 3) and t (3), then the distortion coefficients or a 0"
+        raise CameraError(message, path=file.path, line=lines[-1][0])
+    count = sum(len(words) for _, words in lines) - 21
+    if count > _MAX_COEFFICIENTS:
+        message = (
+            f"more than {_MAX_COEFFICIENTS} distortion coefficients: does the file hold more than one camera?"
+        )
+        raise CameraError(message, path=file.path, line=lines[7][0])
+    numbers = np.array([value for line, words in lines for value in file.row(words, line)])
+    distortion = numbers[21:]
+    locations = {
+        "K": SourceLocation("K", lines[0][0]),
+        "R": SourceLocation("R", lines[3][0]),
+        "t": SourceLocation("t", lines[6][0]),
+    }
+    if len(distortion):
+        locations["distortion"] = SourceLocation("distortion", lines[7][0])
+    camera = RawCamera(
+        numbers[:9].reshape(3, 3),
+        numbers[9:18].reshape(3, 3),
+        numbers[18:21],
+        distortion=tuple(distortion),
+        locations=locations,
+    )
+    return {Path(file.path).stem: camera}
+
+
+def _write_krtd(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    (camera,) = cameras.values()
+    distortion = np.trim_zeros(np.array(camera.distortion), "b")
+    blocks = [
+        *("\n".join(row(values) for values in matrix) for matrix in (camera.K, camera.R)),
+        row(camera.t),
+        row(distortion) if len(distortion) else "0",
+    ]
+    return {"": "\n\n".join(blocks) + "\n"}
+
+
+KRTD = CalibrationFormat(
+    "krtd",
+    "KRTD",
+    ".krtd",
+    "text",
+    _is_krtd,
+    _read_krtd,
+    _write_krtd,
+    multiple=False,
+    holds_size=False,
+    lenses={"plumb_bob": 5, "rational_polynomial": 8},
+)
+
+
+def _is_par(file: CalibrationFile) -> bool:
+    count, *images = file.head or [""]
+    return count.isdecimal() and bool(images) and len(images[0].split()) > 12
+
+
+def _read_middlebury(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = file.lines()
+    first, count = next(lines)
+    cameras: dict[str, RawCamera] = {}
+    folder = Path(file.path).parent
+    for line, text in lines:
+        image, *words = text.split()
+        if len(words) != 21:
+            message = f"needs an image name, K (9), R (9) and t (3): 21 numbers, not {len(words)}"
+            raise CameraError(message, path=file.path, line=line)
+        values = np.array(file.row(words, line))
+        camera = RawCamera(
+            values[:9].reshape(3, 3),
+            values[9:18].reshape(3, 3),
+            values[18:],
+            size=size_of_named_image(folder, image),
+            locations={"": SourceLocation(None, line)},
+        )
+        file.add(cameras, without_suffix(image), camera, line=line)
+    if not 0 < len(cameras) == int(count[:9]):
+        message = f"declares {count[:9]} cameras, but has {len(cameras)}: is the file complete?"
+        raise CameraError(message, path=file.path, line=first)
+    return cameras
+
+
+def _write_middlebury(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    images = image_names(cameras)
+    lines = [str(len(cameras))]
+    for name, camera in cameras.items():
+        numbers = (*camera.K.ravel(), *camera.R.ravel(), *camera.t)
+        lines.append(f"{images[name]} {row(numbers)}")
+    return {"": "\n".join(lines) + "\n"}
+
+
+MIDDLEBURY = CalibrationFormat(
+    "middlebury",
+    "Middlebury par.txt",
+    "_par.txt",
+    "text",
+    _is_par,
+    _read_middlebury,
+    _write_middlebury,
+    holds_size=False,
+)

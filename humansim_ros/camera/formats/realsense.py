@@ -16,9 +16,16 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, nested
-from humansim_ros.camera.formats.containers import Keys, find_cameras, has_keys
-from humansim_ros.camera.formats.lens_models import check_count
+from humansim_ros.camera.formats.base import (
+    CalibrationFile,
+    CalibrationFormat,
+    Keys,
+    RawCamera,
+    check_count,
+    find_cameras,
+    has_keys,
+    nested,
+)
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array, ImageSize
 

@@ -8,8 +8,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, Key, RawCamera, row
-from humansim_ros.camera.formats.lens_models import COUNTS, find_model
+from humansim_ros.camera.formats.base import (
+    COUNTS,
+    CalibrationFile,
+    CalibrationFormat,
+    Key,
+    RawCamera,
+    find_model,
+    row,
+)
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 

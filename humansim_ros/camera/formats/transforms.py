@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
     CalibrationFormat,
@@ -24,7 +25,6 @@ from humansim_ros.camera.formats.base import (
     nested,
     without_suffix,
 )
-from humansim_ros.camera.image_size import size_of_named_image
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array, ImageSize
 

@@ -13,8 +13,7 @@ from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST, offered_profile
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import Exposure
-from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.capture import Exposure, SceneState
 
 try:
     from tf2_msgs.msg import TFMessage

@@ -33,9 +33,8 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.capture import Exposure, capture, capture_rectified_depth
+from humansim_ros.scene.capture import Exposure, SceneState, capture, capture_rectified_depth
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.state import SceneState
 from humansim_ros.types import Image
 
 #: Channels that need the next frame, and the previous one.

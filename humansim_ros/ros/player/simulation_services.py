@@ -28,7 +28,7 @@ from humansim_ros.ros.processes.node_processes import QUIT
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.entities import Entity, EntityPose, scene_entities
+from humansim_ros.scene.playback import Entity, EntityPose, scene_entities
 from humansim_ros.types import Array
 
 _PACKAGE = "simulation_interfaces"

@@ -1,19 +1,27 @@
-"""Settings of the faults of a camera in a scene file; without them a camera has none (docs/faults.md)."""
+"""Settings of cameras in a scene file: their faults (docs/faults.md), single cameras, and rigs."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
+from pydantic import ConfigDict, Field, GetJsonSchemaHandler, WithJsonSchema, field_validator, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from humansim_ros.io.schema import Section, Share
+from humansim_ros.io.schema import Axis, FileName, Section, Share, ShortSection
+from humansim_ros.sensor.config import SensorConfig
 
 #: Longest delay, and longest random event, seconds: the schedule looks back as far.
 MAX_DELAY, MAX_EVENT = 5.0, 60.0
 #: Longest time, seconds, over which bodies are moved at the velocities of their frame.
 MAX_TRIGGER_DELAY = 0.1
+Vector3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+#: Metres or degrees; values beyond are mistakes.
+Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
+BoundedVector3 = tuple[Bounded, Bounded, Bounded]
+#: Name of a camera in a calibration file, which may be a number (``coerce_numbers_to_str``).
+_CameraOfFile = Annotated[str, WithJsonSchema({"type": ["string", "number"]})]
 _Delay = Annotated[float, Field(ge=0, le=MAX_DELAY)]
 _Duration = Annotated[float, Field(gt=0, le=MAX_EVENT)]
 _Count = Annotated[int, Field(ge=1, le=1000)]
@@ -282,3 +290,185 @@ class FaultsConfig(Section):
     flicker: FlickerFault | None = Field(default=None, description="the light flickers")
     exposure_steps: ExposureStepsFault | None = Field(default=None, description="the exposure steps")
     dirt: DirtFault | None = Field(default=None, description="spots on the lens")
+
+
+class TrajectoryConfig(ShortSection):
+    """Trajectory of a camera."""
+
+    other_words: ClassVar[dict[str, str]] = {"file": "path"}
+
+    file: FileName = Field(description="a trajectory in the format of the TUM RGB-D benchmark")
+    end: Literal["clamp", "loop", "ping_pong"] = Field(
+        default="clamp", description="after the last pose: stay, start again, or go back"
+    )
+    offset: float = Field(default=0.0, description="time that the trajectory is ahead of the scene, seconds")
+    speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
+
+
+class RegionConfig(Section):
+    """Region of interest in pixels of the sensor."""
+
+    x: int = Field(default=0, ge=0)
+    y: int = Field(default=0, ge=0)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+
+
+class CameraConfig(Section):
+    """One camera: its intrinsics (fov_deg, K, P or calibration) and its pose (position and look_at, R and t,
+    trajectory, P or calibration).
+    """
+
+    other_words: ClassVar[dict[str, str]] = {
+        "size": "resolution image_size",
+        "fov_deg": "fov hfov field_of_view angle",
+        "K": "intrinsics camera_matrix",
+        "distortion": "d dist dist_coeffs distortion_coefficients distortion_coeffs",
+        "distortion_model": "lens model",
+        "position": "location pos center centre",
+        "look_at": "target lookat",
+        "t": "translation",
+        "R": "rotation",
+        "calibration": "file",
+    }
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)  # cameras of files may have the names 0, 1, 2
+
+    size: tuple[int, int] | None = Field(
+        default=None,
+        examples=[[640, 480]],
+        description="width, height in pixels; from the calibration, or 640, 480, if absent",
+    )
+    calibration: FileName | None = Field(
+        default=None, description="a calibration file, or a file:// or package:// URL"
+    )
+    camera: _CameraOfFile | None = Field(
+        default=None, description="name of a camera in that file; its only camera if absent"
+    )
+    unit: float | None = Field(
+        default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
+    )
+    up_axis: Axis | None = Field(
+        default=None, description="up axis of that file; as its format defines if absent"
+    )
+    position: Vector3 | None = Field(
+        default=None, examples=[[3.1, 2.8, 2.2]], description="center of the camera in map, metres"
+    )
+    look_at: Vector3 | None = Field(
+        default=None, examples=[[0, 0, 0.8]], description="point of map at the image center, metres"
+    )
+    up: Vector3 = Field(
+        default=(0.0, 0.0, 1.0), description="direction that points up in the image; with look_at only"
+    )
+    fov_deg: float | None = Field(
+        default=None, gt=0, lt=180, description="horizontal field of view without distortion"
+    )
+    K: tuple[Vector3, Vector3, Vector3] | None = Field(
+        default=None, examples=[[[620, 0, 319.5], [0, 620, 239.5], [0, 0, 1]]], description="intrinsics"
+    )
+    R: tuple[Vector3, Vector3, Vector3] | None = Field(
+        default=None,
+        examples=[[[0, 1, 0], [0, 0, -1], [-1, 0, 0]]],
+        description="rotation from map to the optical frame",
+    )
+    t: Vector3 | None = Field(
+        default=None,
+        examples=[[0.1, 1.2, 3.4]],
+        description="translation from map to the optical frame, metres",
+    )
+    P: tuple[_Row4, _Row4, _Row4] | None = Field(default=None, description="projection matrix K [R | t]")
+    distortion: tuple[float, ...] = Field(default=(), description="coefficients in the order of ROS")
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = Field(
+        default=None, description="chosen by the number of coefficients if absent"
+    )
+    rectification: tuple[Vector3, Vector3, Vector3] | None = Field(
+        default=None, description="R of CameraInfo: rotation from the optical frame to that of image_rect"
+    )
+    rectified: tuple[_Row4, _Row4, _Row4] | None = Field(
+        default=None, description="P of CameraInfo, with the baseline of a stereo camera"
+    )
+    trajectory: TrajectoryConfig | None = Field(default=None, description="moves the camera")
+    binning: tuple[int, int] = Field(
+        default=(1, 1), description="pixels of the sensor per pixel along x and y"
+    )
+    roi: RegionConfig | None = Field(default=None, description="region of interest of the sensor")
+    sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensor")
+    faults: FaultsConfig | None = Field(default=None, description="faults of the camera; none if absent")
+    background: FileName | None = Field(
+        default=None, description="image behind everything; the background of the world if absent"
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> CameraConfig:
+        whole = self.calibration is not None or self.P is not None
+        seeing = {"fov_deg": self.fov_deg, "K": self.K, "P": self.P, "calibration": self.calibration}
+        given = [key for key, value in seeing.items() if value is not None]
+        if len(given) > 1:
+            raise ValueError(f"the intrinsics are given by {' and by '.join(given)}: give one of them")
+        for pair in (("position", "look_at"), ("R", "t")):
+            if (getattr(self, pair[0]) is None) != (getattr(self, pair[1]) is None):
+                raise ValueError(f"{pair[0]} and {pair[1]} go together: give both")
+        standing = {"position, look_at": self.position, "R, t": self.R, "trajectory": self.trajectory}
+        places = [key for key, value in standing.items() if value is not None]
+        sources = [*places, "P"] if self.P is not None else places
+        if len(sources) > 1:
+            raise ValueError(f"the pose is given by {' and by '.join(sources)}: give one of them")
+        if not places and not whole:
+            raise ValueError(
+                "the camera has no pose: give position and look_at, R and t, a trajectory, P, or a "
+                "calibration file"
+            )
+        if whole and (self.distortion or self.distortion_model):
+            raise ValueError("distortion goes with K or fov_deg only")
+        if whole and (self.rectification or self.rectified):
+            raise ValueError("rectification and rectified go with K or fov_deg only")
+        if self.calibration is None and (self.camera or self.unit or self.up_axis):
+            raise ValueError("camera, unit and up_axis go with a calibration file")
+        return self
+
+
+class RigConfig(ShortSection):
+    """Cameras of a calibration file."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)
+
+    file: FileName = Field(description="a calibration file, or a file:// or package:// URL")
+    cameras: tuple[_CameraOfFile, ...] | None = Field(
+        default=None, min_length=1, description="names of cameras in the file; all if absent"
+    )
+    size: tuple[int, int] | None = Field(
+        default=None, examples=[[640, 480]], description="width, height in pixels, if the file has none"
+    )
+    unit: float | None = Field(
+        default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
+    )
+    up_axis: Axis | None = Field(
+        default=None, description="up axis of that file; as its format defines if absent"
+    )
+    position: BoundedVector3 | None = Field(
+        default=None, description="position of the origin of that file in map, metres; 0 0 0 if absent"
+    )
+    rotation_deg: BoundedVector3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="rotation of that file in map: degrees about the x axis of map, then y, then z",
+    )
+    look_at: BoundedVector3 | None = Field(
+        default=None,
+        description="in place of position: point of map where the optical axes of the cameras meet",
+    )
+    binning: tuple[int, int] = Field(
+        default=(1, 1), description="pixels of the sensor per pixel along x and y"
+    )
+    sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensors")
+    faults: FaultsConfig | None = Field(default=None, description="faults of the cameras; none if absent")
+    background: FileName | dict[str, FileName] | None = Field(
+        default=None,
+        description="image behind everything: one file, where {name} is the name of the camera in the "
+        "calibration file, or a file for each of these names; the background of the world if absent",
+    )
+
+    @model_validator(mode="after")
+    def _one_position(self) -> RigConfig:
+        if self.position is not None and self.look_at is not None:
+            raise ValueError("the rig is placed by position and by look_at: give one of them")
+        return self

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -211,14 +212,23 @@ def pattern(seed: int, color: Sequence[int], side: int) -> Image:
 def _noise(rng: _Rng, shape: tuple[int, int], scale: float) -> Array:
     """Smooth noise with unit deviation that repeats at its edges."""
     spectrum = np.fft.rfft2(rng.standard_normal(shape))
+    spectrum *= _smoothing(shape, scale)
+    out = np.fft.irfft2(spectrum, shape)
+    out /= max(float(out.std()), 1e-9)
+    return np.asarray(out)
+
+
+@lru_cache(maxsize=8)
+def _smoothing(shape: tuple[int, int], scale: float) -> Array:
+    """Share of each frequency that remains in smooth noise."""
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
-    out = np.fft.irfft2(spectrum * np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)), shape)
-    return np.asarray(out / max(float(out.std()), 1e-9))
+    return np.asarray(np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)))
 
 
 def _shade(color: Sequence[int], amount: Array) -> Image:
-    image = np.array(color, dtype=float) * (1 + amount[..., None])
-    return np.clip(image, 0, 255).astype(np.uint8)
+    light = 1 + amount
+    channels = [np.clip(value * light, 0, 255).astype(np.uint8) for value in np.array(color, dtype=float)]
+    return np.stack(channels, axis=-1)
 
 
 def _plaster(rng: _Rng, color: Sequence[int], side: int = 256) -> Image:

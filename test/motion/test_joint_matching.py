@@ -17,6 +17,7 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_matching import loose_keys, match_names, match_table
 from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, plain_name, right_name
+from humansim_ros.resources import resource_path
 
 LIMBS = ("l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
 
@@ -30,6 +31,11 @@ def edited(tmp_path: Path, **changes: object) -> Path:
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(table("biovision").model_dump(mode="json") | {"name": "mine"} | changes))
     return path
+
+
+def test_built_in_tables_pass_the_checks_of_files() -> None:
+    files = sorted(resource_path("config/joint_names").glob("*.yaml"))
+    assert built_in_tables() == tuple(load_table(file) for file in files)
 
 
 def test_every_built_in_table_has_a_driver_for_every_bone() -> None:

@@ -42,6 +42,8 @@ MOVES = """\
 """
 #: The renderers that have to pass one test-suite.
 RENDERERS: tuple[RendererName, ...] = ("moderngl", "pyrender")
+#: The same as parameters: ``make test`` compares the second renderer in test_render_geometry.py only.
+EACH_RENDERER = ["moderngl", pytest.param("pyrender", marks=pytest.mark.nightly)]
 
 
 def renderer_or_skip(

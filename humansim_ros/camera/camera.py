@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -59,6 +59,8 @@ class Camera(Pictured):
     model: str | None = None
     rectification: Array | None = None
     rectified: Array | None = None
+    #: Distortion model and coefficients. Equal cameras share it: its derived values are computed once.
+    lens: Lens = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         width, height = _checked_size(self.size)
@@ -72,13 +74,14 @@ class Camera(Pictured):
             raise CameraError("K is singular or has a focal length that is not positive", key="K")
         if not np.allclose([k[1, 0], k[2, 0], k[2, 1]], 0, atol=1e-9 * k[0, 0]):
             raise CameraError("K must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]", key="K")
-        lens = Lens.of(self.distortion, self.model)
+        lens = _shared(Lens.of(self.distortion, self.model))
         object.__setattr__(self, "size", (width, height))
         object.__setattr__(self, "K", k)
         object.__setattr__(self, "R", r)
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "distortion", lens.coefficients)
         object.__setattr__(self, "model", lens.model)
+        object.__setattr__(self, "lens", lens)
         if self.rectification is not None:
             object.__setattr__(self, "rectification", _rotation(self.rectification, "rectification"))
         if self.rectified is not None:
@@ -164,12 +167,6 @@ class Camera(Pictured):
         signs = np.diag(np.sign(np.diag(k)))
         k, r = k @ signs, signs @ r
         return cls(size, k / k[2, 2], r, np.linalg.solve(k, p[:, 3]))
-
-    @cached_property
-    def lens(self) -> Lens:
-        """Distortion model and coefficients."""
-        assert self.model is not None
-        return _lens(self.model, self.distortion)
 
     @property
     def distorted(self) -> bool:
@@ -301,9 +298,9 @@ class Camera(Pictured):
 
 
 @lru_cache(maxsize=256)
-def _lens(model: str, coefficients: tuple[float, ...]) -> Lens:
-    """Lens that equal cameras share, so that its derived values are computed once."""
-    return Lens(model, coefficients)
+def _shared(lens: Lens) -> Lens:
+    """The first of equal lenses."""
+    return lens
 
 
 def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool = True) -> Array:

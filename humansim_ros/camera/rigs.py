@@ -50,7 +50,7 @@ class Optics:
             raise CameraError(f"the field of view of this lens is at most {widest:.1f} degrees", key="fov")
         k = ideal.K.copy()
         k[[0, 1], [0, 1]] = self.size[0] / 2 / edge
-        return replace(ideal, K=k, distortion=lens.coefficients, model=lens.model)
+        return replace(ideal, K=k, distortion=self.distortion, model=self.model)
 
 
 def ring(

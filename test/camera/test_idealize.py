@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +10,14 @@ import cv2
 import numpy as np
 import pytest
 from calibration_files import calibration_path
-from conftest import ROOT, if_shared
+from commands import humansim
+from conftest import if_shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from opencv_support import opencv_pixels
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
-from waiting import PATIENCE
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, write_calibration
@@ -290,12 +287,6 @@ def test_an_idealized_image_agrees_with_a_rendering_of_the_ideal_camera(
     assert error < 0.2 * uncorrected
 
 
-def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "humansim_ros.cli", "camera", "idealize", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment)
-
-
 @pytest.mark.slow
 def test_the_command_converts_images_and_reports_failures(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
@@ -310,7 +301,13 @@ def test_the_command_converts_images_and_reports_failures(tmp_path: Path) -> Non
     (tmp_path / "text.png").write_text("no image")
     names = ["small.png", "broken.png", "text.png", "none.png", "colored.png", "photo.jpg", "depth.png"]
     done = humansim(
-        tmp_path / "cam.yaml", *(tmp_path / name for name in names), "--nearest", "-o", tmp_path / "out"
+        "camera",
+        "idealize",
+        tmp_path / "cam.yaml",
+        *(tmp_path / name for name in names),
+        "--nearest",
+        "-o",
+        tmp_path / "out",
     )
     assert done.returncode == 2
     said = [line for line in done.stderr.splitlines() if "WARN" not in line]  # OpenCV's own
@@ -330,7 +327,7 @@ def test_the_command_converts_images_and_reports_failures(tmp_path: Path) -> Non
 def test_the_command_does_not_overwrite_its_input(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
     before = (tmp_path / "cam.yaml").read_text()
-    done = humansim(tmp_path / "cam.yaml", "-o", tmp_path)
+    done = humansim("camera", "idealize", tmp_path / "cam.yaml", "-o", tmp_path)
     assert done.returncode == 2
     assert "another folder" in done.stderr
     assert (tmp_path / "cam.yaml").read_text() == before

@@ -11,14 +11,14 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
-from render_scenes import RENDERERS, along_x, body, box, renderer_or_skip, wall
+from render_scenes import EACH_RENDERER, along_x, body, box, renderer_or_skip, wall
 
 from humansim_ros.render import AdjacentFrame, Lighting, Renderer, RendererName
 from humansim_ros.render.caches import LruCache, WeakCache
 from humansim_ros.render.pixel_geometry import _MAX_RAY_BYTES, _RAYS, _rays
 
 
-@pytest.fixture(scope="module", params=RENDERERS)
+@pytest.fixture(scope="module", params=EACH_RENDERER)
 def name(request: pytest.FixtureRequest) -> RendererName:
     return request.param
 

@@ -12,7 +12,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
-from render_scenes import RENDERERS, along_x, body, box, renderer_or_skip, wall
+from render_scenes import EACH_RENDERER, along_x, body, box, renderer_or_skip, wall
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
@@ -25,7 +25,7 @@ LARGE, SMALL = (960, 600), (64, 48)
 GAPS = 100
 
 
-@pytest.fixture(params=RENDERERS)
+@pytest.fixture(params=EACH_RENDERER)
 def name(request: pytest.FixtureRequest) -> RendererName:
     return request.param
 

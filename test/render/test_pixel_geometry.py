@@ -12,8 +12,8 @@ import trimesh
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
 from render_scenes import (
+    EACH_RENDERER,
     EVEN,
-    RENDERERS,
     block_means,
     box,
     cast,
@@ -220,7 +220,7 @@ def test_mattes_are_shares_of_pixels_and_add_up(scene: Scene) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize("name", EACH_RENDERER)
 def test_amodal_masks_are_of_each_body_alone(scene: Scene, name: RendererName) -> None:
     bodies = walkers(scene, 0.6, PLACES)
     renderer = renderer_or_skip([box((1.3, 0.9, 1.0), 0.3)], name=name)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from numpy.typing import NDArray
-from render_scenes import RENDERERS, renderer_or_skip
+from render_scenes import EACH_RENDERER, renderer_or_skip
 
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
@@ -24,7 +24,7 @@ DIFFERENT_PIXELS = 3
 DEPTH_TOLERANCE = 1e-5
 
 
-@pytest.fixture(scope="module", params=RENDERERS)
+@pytest.fixture(scope="module", params=EACH_RENDERER)
 def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
     renderer = renderer_or_skip(name=request.param)
     yield renderer

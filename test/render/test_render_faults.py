@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT
-from render_scenes import RENDERERS, along_x, body, box, cast, inner, renderer_or_skip, walkers, wall
+from render_scenes import EACH_RENDERER, along_x, body, box, cast, inner, renderer_or_skip, walkers, wall
 from waiting import PATIENCE
 
 from humansim_ros.camera import Camera
@@ -24,7 +24,7 @@ from humansim_ros.truth.boxes import view_boxes
 from humansim_ros.truth.vertices import visible_vertices
 
 
-@pytest.fixture(scope="module", params=RENDERERS)
+@pytest.fixture(scope="module", params=EACH_RENDERER)
 def name(request: pytest.FixtureRequest) -> RendererName:
     return request.param
 

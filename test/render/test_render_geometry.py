@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from render_scenes import (
+    EACH_RENDERER,
     EVEN,
-    RENDERERS,
     assert_agrees,
     box,
     centroids,
@@ -68,7 +68,7 @@ def markers(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Bo
         ("moderngl", "part", 0.25),
         ("pyrender", "part", 0.25),
         ("moderngl", "rgb", 0.05),
-        ("pyrender", "rgb", 0.05),
+        pytest.param("pyrender", "rgb", 0.05, marks=pytest.mark.nightly),
     ],
 )
 def test_markers_land_where_the_camera_projects_them(
@@ -113,7 +113,10 @@ def test_a_walking_body_is_what_rays_hit(scene: Scene, name: RendererName, secon
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "number"), [("moderngl", 0), ("moderngl", 1), ("pyrender", 0)])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("moderngl", 0), ("moderngl", 1), pytest.param("pyrender", 0, marks=pytest.mark.nightly)],
+)
 def test_two_bodies_behind_furniture_are_what_rays_hit(scene: Scene, name: RendererName, number: int) -> None:
     camera = CAMERAS[number]
     static = [box((0.9, 0.6, 0.4), 0.3), box((-0.7, 0.9, 0.9), 0.2), box((0, 0, -0.55), 0.5)]
@@ -124,7 +127,7 @@ def test_two_bodies_behind_furniture_are_what_rays_hit(scene: Scene, name: Rende
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize("name", EACH_RENDERER)
 def test_limbs_that_go_through_each_other_are_what_rays_hit(scene: Scene, name: RendererName) -> None:
     renderer = renderer_or_skip(name=name)
     (upright,) = walkers(scene, 0.2)

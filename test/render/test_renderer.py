@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_scenes import EVEN, RENDERERS, along_x, body, box, quad, renderer_or_skip, walkers, wall
+from render_scenes import EACH_RENDERER, EVEN, along_x, body, box, quad, renderer_or_skip, walkers, wall
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
@@ -20,7 +20,7 @@ def scene() -> Scene:
     return Scene.load()
 
 
-@pytest.fixture(scope="module", params=RENDERERS)
+@pytest.fixture(scope="module", params=EACH_RENDERER)
 def name(request: pytest.FixtureRequest) -> RendererName:
     return request.param
 
@@ -257,7 +257,7 @@ def test_cameras_of_different_size_share_a_renderer(room: Renderer, scene: Scene
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("other", RENDERERS)
+@pytest.mark.parametrize("other", EACH_RENDERER)
 def test_two_renderers_do_not_disturb_each_other(
     scene: Scene, name: RendererName, other: RendererName
 ) -> None:

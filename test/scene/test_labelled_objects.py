@@ -12,7 +12,17 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
-from render_scenes import MOVES, RENDERERS, assert_agrees, body, box, cast, inner, oblique, renderer_or_skip
+from render_scenes import (
+    EACH_RENDERER,
+    MOVES,
+    assert_agrees,
+    body,
+    box,
+    cast,
+    inner,
+    oblique,
+    renderer_or_skip,
+)
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
@@ -131,7 +141,7 @@ def test_labels_go_on_from_those_of_the_humans_in_the_order_of_the_file(simulati
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("renderer", EACH_RENDERER)
 @pytest.mark.parametrize("index", FRAMES)
 def test_masks_of_objects_are_where_rays_meet_them(
     simulation: Simulation, renderer: RendererName, index: int

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
-from render_scenes import RENDERERS, body, box, quad, renderer_or_skip, walkers
+from render_scenes import EACH_RENDERER, body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
@@ -123,7 +123,7 @@ class RayCaster:
 
 #: Scenes and their renderers; pyrender supports ideal lenses only, and no faces.
 OURS = [(name, "moderngl") for name in SCENES]
-ALL = [*OURS, ("room", "pyrender")]
+ALL = [*OURS, pytest.param(("room", "pyrender"), marks=pytest.mark.nightly)]
 
 
 @pytest.fixture(scope="module", params=ALL, ids="-".join)
@@ -297,7 +297,7 @@ def boxes_of(thing: Body, name: RendererName) -> tuple[NDArray[np.floating], flo
     return found.whole, found.truncation, found.visible_fraction, found.pixels
 
 
-@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize("name", EACH_RENDERER)
 def test_truncation_is_the_share_of_the_box_outside_the_image(name: RendererName) -> None:
     # from the middle of the image to the same distance beyond its right edge
     whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, 1.0), name)
@@ -309,7 +309,7 @@ def test_truncation_is_the_share_of_the_box_outside_the_image(name: RendererName
     assert truncation(np.array([50.0, 10, 50, 10]), (100, 80)) == 0  # a point
 
 
-@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize("name", EACH_RENDERER)
 def test_a_body_behind_the_camera_has_no_boxes(name: RendererName) -> None:
     whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, -1.0), name)
     assert np.isnan(whole).all()
@@ -317,7 +317,7 @@ def test_a_body_behind_the_camera_has_no_boxes(name: RendererName) -> None:
     assert np.isnan(fraction)
 
 
-@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize("name", EACH_RENDERER)
 def test_the_box_of_a_body_around_the_camera_is_that_of_its_part_in_front(name: RendererName) -> None:
     """A floor one metre below, from two metres behind to ten in front: cut at 5 cm."""
     floor = body(quad([(-1, 1, -2), (1, 1, -2), (1, 1, 10), (-1, 1, 10)]), instance=7)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import ros_support  # noqa: F401  (skips where ROS is missing)
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import messages
@@ -17,6 +16,7 @@ from humansim_ros.scene import Scene
 from humansim_ros.truth.boxes import BodyBox
 from humansim_ros.truth.joints import JointView
 
+pytest.importorskip("rclpy")
 STAMP = 1_700_000_000_123_456_789
 
 

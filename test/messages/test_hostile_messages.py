@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import SMALL_SCENE
 
 from humansim_ros import messages
 from humansim_ros.camera import Camera
@@ -27,6 +26,7 @@ from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.live import JointSource, LiveRetargeter
 from humansim_ros.scene.objects import ObjectPose
 
+pytest.importorskip("rclpy")
 NAN, INF = math.nan, math.inf
 #: Numbers that no honest sender sends.
 WRONG = (NAN, INF, -INF, 1e300, -1e300, 1e20, 1.0001e6)
@@ -34,9 +34,9 @@ WRONG = (NAN, INF, -INF, 1e300, -1e300, 1e20, 1.0001e6)
 
 @cache
 def scene() -> Scene:
-    import yaml
-
-    return Scene.from_dict(yaml.safe_load(SMALL_SCENE))
+    camera = {"position": [3.0, 2.6, 2.0], "look_at": [0, 0, 0.8], "fov_deg": 65}
+    first = {"motion": {"file": "walk", "position": [0.0, -1.59], "loop": "continue"}}
+    return Scene.from_dict({"room": None, "humans": {"first": first}, "cameras": {"left": camera}})
 
 
 # --- stamps and serialised messages

@@ -46,7 +46,7 @@ EXTRAS = {
     "plot": ("matplotlib",),
     "ray": ("fsspec", "mcap", "ray", "rosbags"),
     "record": ("mcap", "rosbags"),
-    "view": ("viser",),
+    "view": ("ruamel.yaml", "viser"),
 }
 
 _IMPORTS = """

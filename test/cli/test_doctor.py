@@ -108,7 +108,10 @@ def extras_of_setup() -> dict[str, list[str]]:
 
 
 def test_the_extras_are_those_of_the_package() -> None:
-    modules = {"pycollada": "collada", "ruamel-yaml": "ruamel.yaml"}  # the others have the name of their distribution
+    modules = {
+        "pycollada": "collada",
+        "ruamel-yaml": "ruamel.yaml",
+    }  # the others have the name of their distribution
     for name, needed in checks.EXTRAS.items():
         packages = {re.split(r"[\[<>=]", text)[0] for text in extras_of_setup()[name]}
         assert set(needed) == {modules.get(package, package) for package in packages}, name

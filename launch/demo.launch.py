@@ -15,13 +15,13 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from humansim_ros.apps.viewer_layouts import rviz_layout
+from humansim_ros.ros.lockstep.settings import TIME_ARGUMENTS, time_options, true_or_false, whole_number
 from humansim_ros.ros.processes.node_processes import (
     CANNOT_WRITE,
     EVALUATE_ARGUMENTS,
     QUIT,
     RECORD_ARGUMENTS,
     RECORDER_NODE,
-    TIME_ARGUMENTS,
     TIMED_OUT,
     WRONG_INPUT,
     NodeProcess,
@@ -30,9 +30,6 @@ from humansim_ros.ros.processes.node_processes import (
     relative_namespace,
     render_threads,
     scene_processes,
-    time_options,
-    true_or_false,
-    whole_number,
 )
 from humansim_ros.ros.transport import choose_transport, remove_dead_files
 from humansim_ros.scene.names import read_names

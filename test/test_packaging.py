@@ -23,8 +23,9 @@ from waiting import PATIENCE
 import humansim_ros
 from humansim_ros.errors import ResourceError, RosError, SceneError
 from humansim_ros.resources import resource_path, resource_root
+from humansim_ros.ros.lockstep.settings import TimeOptions
 from humansim_ros.ros.processes import node_processes as processes
-from humansim_ros.ros.processes.node_processes import NodeProcess, TimeOptions, scene_processes
+from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")

@@ -32,7 +32,8 @@ from slow_tracker import tracked_stamps
 
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.resources import resource_path
-from humansim_ros.ros.processes.node_processes import RecordOptions, TimeOptions, scene_processes
+from humansim_ros.ros.lockstep.settings import TimeOptions
+from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
 from humansim_ros.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]

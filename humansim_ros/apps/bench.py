@@ -16,7 +16,8 @@ from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.jobs.cores import cores
 from humansim_ros.messages.frames import Frames
 from humansim_ros.render.channels import CHANNEL_TABLE
-from humansim_ros.ros.processes.node_processes import TimeOptions, scene_processes
+from humansim_ros.ros.lockstep.settings import TimeOptions
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene import Scene

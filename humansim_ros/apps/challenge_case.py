@@ -142,8 +142,8 @@ def run_case(order: CaseOrder, is_stopped: Callable[[], bool]) -> dict[str, Any]
     from rclpy.signals import SignalHandlerOptions
 
     from humansim_ros.ros.guarded_node import GuardedNode
+    from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX
     from humansim_ros.ros.nodes.in_process import InProcessNodes
-    from humansim_ros.ros.processes.node_processes import TOPIC_PREFIX
     from humansim_ros.ros.runtime import make_executor
 
     scene = Scene.load(Path(order.scene))

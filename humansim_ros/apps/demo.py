@@ -19,7 +19,8 @@ from rich.table import Table
 from humansim_ros.drawing import canvas, views
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.messages.frames import Frames
-from humansim_ros.ros.processes.node_processes import TimeOptions, scene_processes
+from humansim_ros.ros.lockstep.settings import TimeOptions
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import EndedProcess, Supervisor
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.scene import Scene

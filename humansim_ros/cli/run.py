@@ -36,6 +36,7 @@ from humansim_ros.cli.output import check_output, print_error, print_text, to_js
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
 from humansim_ros.errors import HumansimError
 from humansim_ros.resources import resource_path
+from humansim_ros.ros.lockstep.settings import SETTINGS
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 
@@ -90,7 +91,10 @@ def run(
     frames: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Number of frames in lockstep; without end if absent.", min=1, max=MAX_FRAMES
+            metavar="N",
+            help=f"{SETTINGS['frames'].help}; without end if absent.",
+            min=1,
+            max=MAX_FRAMES,
         ),
     ] = None,
     wait_for: Annotated[
@@ -98,26 +102,29 @@ def run(
         list_option(
             "--wait-for",
             "NAME",
-            "Nodes that frames in lockstep wait for besides the cameras, and topics as topic:/NAME.",
+            f"{SETTINGS['wait_for'].help}.",
         ),
     ] = None,
     timeout: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", help="Seconds after which a frame waits no longer.", min=0.1, max=1e6
+            metavar="SECONDS",
+            help=f"{SETTINGS['timeout'].help}.",
+            min=SETTINGS["timeout"].low,
+            max=SETTINGS["timeout"].high,
         ),
     ] = None,
     on_timeout: Annotated[
         str | None,
-        typer.Option(metavar="stop|continue", help="Then stop, or continue without the nodes that are late."),
+        typer.Option(metavar="stop|continue", help=f"{SETTINGS['on_timeout'].help}."),
     ] = None,
     pace: Annotated[
         float | None,
         typer.Option(
             metavar="HZ",
-            help="Most frames per second in lockstep; as fast as possible if absent.",
-            min=0.01,
-            max=1e3,
+            help=f"{SETTINGS['pace'].help}; as fast as possible if absent.",
+            min=SETTINGS["pace"].low,
+            max=SETTINGS["pace"].high,
         ),
     ] = None,
     record: Annotated[
@@ -144,12 +151,12 @@ def run(
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.apps.first_images import FirstImages
     from humansim_ros.io.files import temporary_folder
+    from humansim_ros.ros.lockstep.settings import TimeOptions
     from humansim_ros.ros.processes.node_processes import (
         QUIT,
         WRONG_INPUT,
         EvaluateOptions,
         RecordOptions,
-        TimeOptions,
         relative_namespace,
         scene_processes,
     )

@@ -12,12 +12,11 @@ from std_msgs.msg import Header
 
 from humansim_ros.ros.graph import GraphWatch
 from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.lockstep.settings import CLOCK_SEARCH
 from humansim_ros.ros.qos import ALIVE
 
 #: Topic without messages: a player in lockstep that lives, also during a pause, has a live publisher of it.
 _LOCKSTEP_ALIVE = "/_lockstep_alive"
-#: Seconds in which nodes find each other.
-CLOCK_SEARCH = 2.0
 #: Most seconds between two calls that count.
 _MAX_STEP = 0.1
 #: Seconds in which a publisher that sends nothing may be a dead node: the middleware forgets it after 20 s.

@@ -296,6 +296,7 @@ def nodes_seen_by(client: Client, namespace: str = "/") -> set[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_users_see_the_same_nodes_and_diagnostics_for_any_number_of_processes(
     ros: None, scene_path: Path
 ) -> None:

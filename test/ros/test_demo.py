@@ -34,7 +34,7 @@ cameras:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["live", "empty"])
+@pytest.mark.parametrize("name", ["live", pytest.param("empty", marks=pytest.mark.nightly)])
 def test_the_demo_draws_any_scene(tmp_path: Path, name: str) -> None:
     scene = tmp_path / f"{name}.yaml"
     scene.write_text({"live": LIVE, "empty": EMPTY}[name])

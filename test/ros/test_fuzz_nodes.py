@@ -29,7 +29,9 @@ def stage(ros: None) -> Iterator[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NODES)
+@pytest.mark.parametrize(
+    "name", [NODES[0], *(pytest.param(name, marks=pytest.mark.nightly) for name in NODES[1:])]
+)
 def test_hostile_messages_do_no_harm(stage: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # processor time, too, grows on a loaded machine
     monkeypatch.setattr(fuzz_nodes, "LIMIT_MS", 10 * fuzz_nodes.LIMIT_MS)

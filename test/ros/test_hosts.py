@@ -159,6 +159,7 @@ def check_suite(scene: Path, first: Host, second: Host, network: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @needs_hosts
 @pytest.mark.parametrize("multicast", [True, False], ids=["multicast", "static_peers"])
 def test_player_and_cameras_find_each_other_over_hosts(tmp_path: Path, multicast: bool) -> None:
@@ -167,11 +168,13 @@ def test_player_and_cameras_find_each_other_over_hosts(tmp_path: Path, multicast
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_player_and_cameras_of_one_machine_may_be_two_runs(tmp_path: Path) -> None:
     check_suite(write_scene(tmp_path, SCENE), Host(), Host(), "")
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_name_of_no_node_is_refused(tmp_path: Path) -> None:
     scene = write_scene(tmp_path, SCENE)
     command = [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), "--only", "camera_1"]

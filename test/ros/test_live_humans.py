@@ -255,6 +255,7 @@ def test_the_report_of_the_first_images_names_domain_topics_and_a_next_command(
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_run_live_says_what_it_waits_for_and_follows_the_example(ros: None, tmp_path: Path) -> None:
     """The two lines of the README, in the folder of the repository."""
     output = tmp_path / "output"

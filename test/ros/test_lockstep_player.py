@@ -21,7 +21,7 @@ from waiting import wait_until
 
 from humansim_ros import messages
 from humansim_ros.errors import RosError
-from humansim_ros.ros.clock import CLOCK_SEARCH
+from humansim_ros.ros.lockstep.settings import CLOCK_SEARCH
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE
 from humansim_ros.ros.runtime import make_executor

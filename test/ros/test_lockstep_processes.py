@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from commands import humansim
 from conftest import ROOT
 from ros_support import write_scene
 from waiting import PATIENCE, end_process
@@ -53,6 +54,7 @@ def run(scene: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_every_frame_is_tracked_by_trackers_of_three_kinds(ros: None, tmp_path: Path) -> None:
     """One knows nothing of lockstep, one reports on frame_done, and one has a timer on simulated time."""
     frames, timer = 100, 0.2
@@ -79,6 +81,7 @@ def test_every_frame_is_tracked_by_trackers_of_three_kinds(ros: None, tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_no_frame_is_lost_when_each_process_is_killed_or_stopped(ros: None, tmp_path: Path) -> None:
     """Player, skinner, camera rig and tracker once each; the stop is one of the five faults."""
     tool = [sys.executable, str(TOOLS / "chaos.py"), str(write_scene(tmp_path, SCENE)), "--processes", "1"]
@@ -102,6 +105,7 @@ def test_a_member_that_never_comes_stops_the_run_with_its_name(ros: None, tmp_pa
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_goes_on_without_a_member_that_never_comes(ros: None, tmp_path: Path) -> None:
     options = ("--wait-for", "topic:/nobody", "--timeout", "2", "--on-timeout", "continue")
     done = run(write_scene(tmp_path, SCENE), "--frames", "9", *options)
@@ -125,7 +129,7 @@ def test_a_run_goes_on_without_a_member_that_never_comes(ros: None, tmp_path: Pa
 def test_a_wrong_option_of_lockstep_is_refused(
     ros: None, tmp_path: Path, options: tuple[str, ...], problem: str
 ) -> None:
-    done = run(write_scene(tmp_path, SCENE), *options)
+    done = humansim("run", write_scene(tmp_path, SCENE), "--lockstep", *options)
     assert done.returncode == 2, done.stdout + done.stderr
     assert problem in done.stderr and "Traceback" not in done.stderr
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT
+from commands import humansim
 from ros_support import rclpy
 from waiting import PATIENCE, wait_until
 
@@ -318,8 +316,7 @@ def test_a_path_without_a_bag_is_one_line_and_exit_code_2(tmp_path: Path, conten
         path.write_text("no bag")
     elif content == "folder":
         path.mkdir()
-    command = [sys.executable, "-m", "humansim_ros", "play", str(path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    done = humansim("play", path)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {path}: ") and done.stderr.count("\n") == 1
 

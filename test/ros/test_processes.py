@@ -312,6 +312,7 @@ def test_a_node_refuses_invalid_input_with_exit_code_2(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_demo_writes_its_pictures(tmp_path: Path) -> None:
     import cv2
 

@@ -775,7 +775,8 @@ def test_a_run_in_lockstep_records_every_frame_although_the_recorder_is_killed(
 
 def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: Path) -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.processes.node_processes import RecordOptions, TimeOptions, scene_processes
+    from humansim_ros.ros.lockstep.settings import TimeOptions
+    from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
 
     scene, bag = write_scene(tmp_path, SCENE), tmp_path / "bag"
     time_options = TimeOptions(lockstep=True, wait_for=["topic:/tracker/poses", "me"])

@@ -615,7 +615,7 @@ def test_without_the_package_a_player_has_its_own_services_only(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+@pytest.mark.parametrize("mode", [pytest.param("realtime", marks=pytest.mark.nightly), "lockstep"])
 def test_a_running_suite_is_driven_by_the_standard_alone(
     ros: None, interfaces: Path, tmp_path: Path, mode: str
 ) -> None:

@@ -180,7 +180,7 @@ def may_mount() -> bool:
 
 
 @pytest.mark.skipif(not may_mount(), reason="a /dev/shm of its own needs the right to mount (root)")
-@pytest.mark.parametrize("size", ["64m", "16m"])
+@pytest.mark.parametrize("size", [pytest.param("64m", marks=pytest.mark.nightly), "16m"])
 def test_no_image_is_lost_with_a_small_dev_shm(tmp_path: Path, size: str) -> None:
     """Docker gives 64 MB; with segments of 67 MB, the transport has none and loses most images."""
     (tmp_path / "publisher.py").write_text(PUBLISHER)
@@ -287,6 +287,7 @@ def test_a_run_is_found_on_this_machine_and_reached_from_no_other(
     assert "visible on this machine only; --network opens it\n" in text
 
 
+@pytest.mark.nightly
 def test_the_network_is_opened_by_an_option(run: Mapping[str, subprocess.Popen[str]], tmp_path: Path) -> None:
     parent = run["--network"]
     assert wait_until(lambda: "0.0.0.0" in set().union(*(udp_addresses(pid) for pid in nodes(parent.pid))))

@@ -1,29 +1,148 @@
-"""Settings of lockstep: from the scene, and parameters of the motion player."""
+"""Settings of lockstep: one list for the command line, the launch file and the parameters of the player."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import get_args
-
-from rclpy.parameter import Parameter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import RosError, printable
-from humansim_ros.ros.clock import CLOCK_SEARCH
 from humansim_ros.ros.lockstep.rules import OnTimeout
-from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.processes.node_processes import TOPIC_PREFIX
-from humansim_ros.scene.config import TimeConfig
+from humansim_ros.scene.names import LOCKSTEP
 
+if TYPE_CHECKING:
+    from humansim_ros.ros.node import SceneNode
+    from humansim_ros.scene.config import TimeConfig
+
+#: Prefix of a topic among the members of lockstep; other members are names of nodes.
+TOPIC_PREFIX = "topic:"
+#: Values of parameters.
+ParameterValue = str | bool | float | list[str]
+#: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
+CLOCK_SEARCH = 2.0
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MAX_NAME, _MAX_MEMBERS = 255, 100
+_REALTIME = "realtime"
+
+
+class Setting(NamedTuple):
+    """A setting of lockstep.
+
+    Attributes:
+        help: What it is, without the full stop.
+        low: Smallest value of a number.
+        high: Largest value of a number.
+    """
+
+    help: str
+    low: float = 0.0
+    high: float = 0.0
+
+
+#: The settings by name. A scene has them in its section ``time``, where ``pace`` is ``rate``.
+SETTINGS = {
+    "frames": Setting("Number of frames in lockstep", 1, MAX_FRAMES),
+    "wait_for": Setting(
+        f"Nodes that frames in lockstep wait for besides the cameras, and topics as {TOPIC_PREFIX}/NAME"
+    ),
+    "timeout": Setting("Seconds after which a frame in lockstep waits no longer", 0.1, 1e6),
+    "on_timeout": Setting("Then stop, or continue without the nodes that are late"),
+    "pace": Setting("Most frames per second in lockstep", 0.01, 1000.0),
+}
+
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """How time goes on, in place of the section ``time`` of a scene (docs/lockstep.md).
+
+    Values of None are as the scene says. Raises RosError for a value that is not valid.
+
+    Attributes:
+        lockstep: Lockstep, or real time.
+        wait_for: Names of nodes that frames wait for, and topics after ``topic:``.
+        timeout: Seconds after which a frame waits no longer.
+        on_timeout: ``stop`` or ``continue``.
+        pace: Most frames per second of the wall clock.
+        frames: Number of frames.
+        summary: File for a summary at the end.
+    """
+
+    lockstep: bool | None = None
+    wait_for: Sequence[str] | None = None
+    timeout: float | None = None
+    on_timeout: str | None = None
+    pace: float | None = None
+    frames: int | None = None
+    summary: str | None = None
+
+    def __post_init__(self) -> None:
+        read_members(self.wait_for or ())
+        if self.on_timeout is not None:
+            check_choice("on_timeout", self.on_timeout, get_args(OnTimeout))
+
+    @property
+    def parameters(self) -> dict[str, ParameterValue]:
+        """Parameters of the motion player."""
+        mode = None if self.lockstep is None else LOCKSTEP if self.lockstep else _REALTIME
+        wait_for = None if self.wait_for is None else list(self.wait_for)
+        values = {**asdict(self), "mode": mode, "wait_for": wait_for}
+        del values["lockstep"]
+        return {name: value for name, value in values.items() if value is not None}
+
+
+#: Launch arguments of :class:`TimeOptions`; empty: as the scene says.
+TIME_ARGUMENTS = {
+    "lockstep": "true: send the next frame when all nodes have finished this one; false: real time",
+    **{name: setting.help for name, setting in SETTINGS.items()},
+    "wait_for": f"{SETTINGS['wait_for'].help}, separated by commas",
+}
+
+
+def time_options(arguments: Mapping[str, str]) -> TimeOptions:
+    """Options of launch arguments. Raises RosError naming a wrong one."""
+    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
+    return TimeOptions(
+        lockstep=true_or_false("lockstep", given["lockstep"]) if "lockstep" in given else None,
+        wait_for=[each.strip() for each in given["wait_for"].split(",")] if "wait_for" in given else None,
+        timeout=_number("timeout", given),
+        on_timeout=given.get("on_timeout"),
+        pace=_number("pace", given),
+        frames=whole_number("frames", given.get("frames", "")),
+    )
+
+
+def whole_number(name: str, text: str) -> int | None:
+    """Read an argument of the launch file that is a number from 1, or empty. Raises RosError naming it."""
+    if not text.strip():
+        return None
+    if not text.strip().isdecimal() or int(text) < 1:
+        raise RosError(f"launch argument {name} must be a whole number from 1, or empty, not {text!r}")
+    return int(text)
+
+
+def true_or_false(name: str, text: str) -> bool:
+    """Read an argument of the launch file that is true or false. Raises RosError naming it."""
+    word = text.strip().lower()
+    if word not in ("true", "false"):
+        raise RosError(f"launch argument {name} must be true or false, not {text!r}")
+    return word == "true"
+
+
+def _number(name: str, arguments: Mapping[str, str]) -> float | None:
+    """A number of the launch arguments; None if it is not given. Raises RosError."""
+    if name not in arguments:
+        return None
+    try:
+        return float(arguments[name])
+    except ValueError:
+        raise RosError(f"launch argument {name} must be a number, not {arguments[name]!r}") from None
 
 
 @dataclass(frozen=True)
 class LockstepSettings:
-    """Settings of lockstep.
+    """Settings of a motion player in lockstep.
 
     Attributes:
         names: Names of nodes that report on ``frame_done``.
@@ -54,46 +173,38 @@ class LockstepSettings:
         Raises:
             RosError: A value is not valid.
         """
+        from rclpy.parameter import Parameter
+
         time = node.scene.config.time
-        mode = _choice(node, "mode", time.mode, ("realtime", "lockstep"), "Real time, or lockstep")
-        of_scene = member_texts(time)
-        description = f"Names of nodes that frames wait for, and topics as {TOPIC_PREFIX}/tracker/poses"
+        mode = _choice(node, "mode", time.mode, (_REALTIME, LOCKSTEP), "Real time, or lockstep")
+        default = member_texts(time) or Parameter.Type.STRING_ARRAY
         members: Sequence[str] = (
-            node.described_parameter(
-                "wait_for", of_scene or Parameter.Type.STRING_ARRAY, description, read_only=True
-            )
-            or ()
+            node.described_parameter("wait_for", default, SETTINGS["wait_for"].help, read_only=True) or ()
         )
         timeout = node.number_parameter(
-            "timeout", time.timeout, 0.1, 1e6, "Seconds after which a frame in lockstep waits no longer"
+            "timeout",
+            time.timeout,
+            SETTINGS["timeout"].low,
+            SETTINGS["timeout"].high,
+            SETTINGS["timeout"].help,
         )
         on_timeout = _choice(
-            node, "on_timeout", time.on_timeout, get_args(OnTimeout), "Stop, or continue without late nodes"
+            node, "on_timeout", time.on_timeout, get_args(OnTimeout), SETTINGS["on_timeout"].help
         )
-        description = "Most frames in lockstep per second of the wall clock; 0: as fast as possible"
-        pace = node.number_parameter("pace", time.rate or 0.0, 0.0, 1000.0, description)
-        description = "Number of frames in lockstep; 0: without end"
-        limits = (0.0, float(MAX_FRAMES))
+        description = f"{SETTINGS['pace'].help}; 0: as fast as possible"
+        pace = node.number_parameter("pace", time.rate or 0.0, 0.0, SETTINGS["pace"].high, description)
+        description = f"{SETTINGS['frames'].help}; 0: without end"
+        limits = (0.0, SETTINGS["frames"].high)
         frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
         summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
         recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
         description = "Seconds in which another publisher of /clock is looked for before the first frame"
         search = node.number_parameter("clock_search", CLOCK_SEARCH, 0.0, 60.0, description)
-        names, topics = _members([*members, recorder] if recorder else members)
-        if mode != "lockstep":
+        names, topics = read_members([*members, recorder] if recorder else members)
+        if mode != LOCKSTEP:
             return None
-        stops = on_timeout == "stop"
-        return cls(
-            names,
-            topics,
-            timeout,
-            "stop" if stops else "continue",
-            pace,
-            frames,
-            summary,
-            recorder,
-            search,
-        )
+        after: OnTimeout = "stop" if on_timeout == "stop" else "continue"
+        return cls(names, topics, timeout, after, pace, frames, summary, recorder, search)
 
 
 def member_texts(time: TimeConfig) -> list[str]:
@@ -101,21 +212,27 @@ def member_texts(time: TimeConfig) -> list[str]:
     return [each.node or f"{TOPIC_PREFIX}{each.topic}" for each in time.wait_for]
 
 
-def _members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and topics of the parameter ``wait_for``."""
+def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and topics of a setting ``wait_for``. Raises RosError if one is neither."""
     if len(texts) > _MAX_MEMBERS:
-        raise RosError(f"parameter wait_for: {len(texts)} members; at most {_MAX_MEMBERS}")
+        raise RosError(f"wait_for: {len(texts)} members; at most {_MAX_MEMBERS}")
     names: dict[str, None] = {}
     topics: dict[str, None] = {}
     for text in texts:
         name = text.removeprefix(TOPIC_PREFIX)
         if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
             raise RosError(
-                f"parameter wait_for: {printable(text, 60)!r} is neither the name of a node, such as tracker "
+                f"wait_for: {printable(text, 60)!r} is neither the name of a node, such as tracker, "
                 f"nor a topic, such as {TOPIC_PREFIX}/tracker/poses"
             )
         (topics if text != name else names)[name] = None
     return tuple(names), tuple(topics)
+
+
+def check_choice(name: str, value: str, values: Sequence[str]) -> None:
+    """Raise RosError if the value of a setting is none of some values."""
+    if value not in values:
+        raise RosError(f"{name}: {printable(value, 80)!r} must be {' or '.join(values)}")
 
 
 def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], description: str) -> str:
@@ -133,6 +250,5 @@ def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], des
     """
     constraints = " or ".join(values)
     value = str(node.described_parameter(name, default, description, constraints=constraints, read_only=True))
-    if value not in values:
-        raise RosError(f"parameter {name}: {printable(value, 80)!r} must be {constraints}")
+    check_choice(f"parameter {name}", value, values)
     return value

@@ -6,11 +6,12 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, did_you_mean
 from humansim_ros.jobs.cores import cores, thread_limits
+from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.names import LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
@@ -18,10 +19,6 @@ WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 #: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
 #: _, so that users see the same nodes for any number of processes.
 RIG_NODE = "_camera_rig"
-#: Values of parameters.
-ParameterValue = str | bool | float | list[str]
-#: Prefix of a topic among the members of lockstep; other members are names of nodes.
-TOPIC_PREFIX = "topic:"
 #: Exit code of a node that has reported wrong input: another start would report it again.
 WRONG_INPUT = 2
 #: Names for several nodes of a scene, or for one without its name.
@@ -71,40 +68,6 @@ class EvaluateOptions:
     output: str | os.PathLike[str] | None = None
     scale: float = 1.0
     axes: str = ""
-
-
-@dataclass(frozen=True)
-class TimeOptions:
-    """How time goes on, in place of the section ``time`` of a scene (docs/lockstep.md).
-
-    Values of None are as the scene says.
-
-    Attributes:
-        lockstep: Lockstep, or real time.
-        wait_for: Names of nodes that frames wait for, and topics after ``topic:``.
-        timeout: Seconds after which a frame waits no longer.
-        on_timeout: ``stop`` or ``continue``.
-        pace: Most frames per second of the wall clock.
-        frames: Number of frames.
-        summary: File for a summary at the end.
-    """
-
-    lockstep: bool | None = None
-    wait_for: Sequence[str] | None = None
-    timeout: float | None = None
-    on_timeout: str | None = None
-    pace: float | None = None
-    frames: int | None = None
-    summary: str | None = None
-
-    @property
-    def parameters(self) -> dict[str, ParameterValue]:
-        """Parameters of the motion player."""
-        mode = None if self.lockstep is None else LOCKSTEP if self.lockstep else "realtime"
-        wait_for = None if self.wait_for is None else list(self.wait_for)
-        values = {**asdict(self), "mode": mode, "wait_for": wait_for}
-        del values["lockstep"]
-        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -159,47 +122,6 @@ class NodeProcess:
         return arguments if self.log_level == "info" else [*arguments, "--log-level", self.log_level]
 
 
-def whole_number(name: str, text: str) -> int | None:
-    """Read an argument of the launch file that is a number from 1, or empty. Raises RosError naming it."""
-    if not text.strip():
-        return None
-    if not text.strip().isdecimal() or int(text) < 1:
-        raise RosError(f"launch argument {name} must be a whole number from 1, or empty, not {text!r}")
-    return int(text)
-
-
-def true_or_false(name: str, text: str) -> bool:
-    """Read an argument of the launch file that is true or false. Raises RosError naming it."""
-    word = text.strip().lower()
-    if word not in ("true", "false"):
-        raise RosError(f"launch argument {name} must be true or false, not {text!r}")
-    return word == "true"
-
-
-#: Launch arguments of :class:`TimeOptions`; empty: as the scene says.
-TIME_ARGUMENTS = {
-    "lockstep": "true: send the next frame when all nodes have finished this one; false: real time",
-    "frames": "Number of frames in lockstep",
-    "wait_for": "Nodes that frames wait for, and topics as topic:/NAME, separated by commas",
-    "timeout": "Seconds after which a frame in lockstep waits no longer",
-    "on_timeout": "stop or continue",
-    "pace": "Most frames per second in lockstep",
-}
-
-
-def time_options(arguments: Mapping[str, str]) -> TimeOptions:
-    """Options of launch arguments. Raises RosError naming a wrong one."""
-    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
-    return TimeOptions(
-        lockstep=true_or_false("lockstep", given["lockstep"]) if "lockstep" in given else None,
-        wait_for=[each.strip() for each in given["wait_for"].split(",")] if "wait_for" in given else None,
-        timeout=_number("timeout", given),
-        on_timeout=given.get("on_timeout"),
-        pace=_number("pace", given),
-        frames=whole_number("frames", given.get("frames", "")),
-    )
-
-
 #: Launch arguments of a recording, and their descriptions; all are empty by default.
 RECORD_ARGUMENTS = {
     "record": "Folder of a new bag for the topics of the scene; empty: none",
@@ -237,16 +159,6 @@ def evaluate_options(arguments: Mapping[str, str]) -> EvaluateOptions | None:
     return EvaluateOptions(
         given["evaluate"], given.get("evaluate_keypoints", ""), given.get("evaluate_output")
     )
-
-
-def _number(name: str, arguments: Mapping[str, str]) -> float | None:
-    """A number of the launch arguments; None if it is not given. Raises RosError."""
-    if name not in arguments:
-        return None
-    try:
-        return float(arguments[name])
-    except ValueError:
-        raise RosError(f"launch argument {name} must be a number, not {arguments[name]!r}") from None
 
 
 def relative_namespace(text: str) -> str:

@@ -30,7 +30,7 @@ check: lint
 	$(BIN)/python -m pytest -n auto -m "not ros and not process and not slow and not nightly"
 
 # Tests of nodes and processes share the machine's network and clock: two files at a time, each in a ROS
-# domain of its own, because they wait most of the time.
+# domain of its own. Tests that only build messages run with all others.
 test: TIER = and not nightly
 test test-all: env-test
 	$(BIN)/python -m pytest -n auto -m "not ros and not process $(TIER)"

@@ -26,7 +26,7 @@ ROOT = TESTS.parent
 pytest_plugins = ["humansim_ros.testing", "pytester"]
 #: Markers of tests that use one of these names in their own code, a fixture, or a helper of this folder.
 MARKED_BY_NAME = {
-    "ros": {"SceneGraph", "humansim_graph", "rclpy", "ros_support"},
+    "ros": {"SceneGraph", "humansim_graph", "create_node", "running_rclpy"},
     "gl": {
         "SceneGraph",
         "humansim_graph",
@@ -39,8 +39,6 @@ MARKED_BY_NAME = {
     "process": {"NodeProcesses", "multiprocessing", "runpytest_subprocess", "subprocess"},
     "real_files": {"needs_shared_data", "shared_data"},
 }
-#: Markers of all tests of a module that imports one of these names: it is skipped without rclpy.
-MARKED_BY_IMPORT = {"ros": {"rclpy", "ros_support"}}
 #: Real motions, meshes and calibrations: the folder of HUMANSIM_SHARED_DATA, or one beside the repository.
 SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data")
 
@@ -102,8 +100,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         names = {"needs_shared_data"} if needs_shared_data.mark in item.iter_markers("skipif") else set()
         names = names.union(item.fixturenames, *map(_names, (item.function, *fixtures, *parameters)))
         for marker, triggers in MARKED_BY_NAME.items():
-            imported = _imports(item.module) & MARKED_BY_IMPORT.get(marker, set())
-            if names & triggers or imported:
+            if names & triggers:
                 item.add_marker(marker)
 
 
@@ -132,11 +129,6 @@ def _skip_without_package(report: Any, path: Path) -> None:
         report.outcome = "skipped"
         reason = f"Skipped: {missing} is not installed (pip install '.[test]' installs what tests need)"
         report.longrepr = (str(path), 0, reason)
-
-
-def _imports(module: Any) -> set[str]:
-    """Names in a test module, and the modules that define them."""
-    return set(vars(module)) | {getattr(value, "__module__", None) for value in vars(module).values()}
 
 
 def _names(value: Any) -> set[str]:
@@ -195,7 +187,7 @@ def assets() -> Path:
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
     """Initialise rclpy with a transport for images, for the tests of one file."""
-    from humansim_ros.testing.domain import running_rclpy
+    from humansim_ros.testing.support import running_rclpy
 
     with running_rclpy():
         yield

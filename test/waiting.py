@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from humansim_ros.testing import waiting
-from humansim_ros.testing.waiting import patience
+from humansim_ros.testing import support as waiting
+from humansim_ros.testing.support import patience
 
 #: Seconds until a test gives up waiting. It is never slept: tests go on as soon as their condition is true.
 PATIENCE = patience(180.0)

@@ -50,7 +50,7 @@ def humansim_domain() -> Iterator[int]:
     ROS_DOMAIN_ID is set to it, and other hosts do not see it, until the end of the session.
     """
     from humansim_ros.ros.transport import claim_domain, domain_environment
-    from humansim_ros.testing.domain import environment
+    from humansim_ros.testing.support import environment
 
     domain = claim_domain()
     with environment(**domain_environment(domain)):

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import signal
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import Any
+from pathlib import Path
+from typing import Any, overload
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
@@ -22,10 +27,7 @@ from humansim_ros.ros.nodes.in_process import InProcessNodes
 from humansim_ros.ros.processes.node_processes import relative_namespace
 from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_profile, subscription_profile
 from humansim_ros.scene import Scene
-from humansim_ros.testing.domain import running_rclpy
-from humansim_ros.testing.received import ReceivedMessages, stamp_of
-from humansim_ros.testing.scene_nodes import NEVER, NodeProcesses
-from humansim_ros.testing.waiting import patience
+from humansim_ros.testing.support import patience, running_rclpy
 
 #: Node that subscribes for the test, and that frames wait for.
 _NODE = "humansim_test"
@@ -406,3 +408,113 @@ def _is_of(message: Any, first: int) -> bool:
     """Whether a message may be of a frame or a later one."""
     stamp = stamp_of(message)
     return stamp is None or stamp >= first
+
+
+def stamp_of(message: Any) -> int | None:
+    """Stamp of a message with a header, or of a header, in nanoseconds; None if it has neither."""
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    return None if stamp is None else to_nanoseconds(stamp)
+
+
+class ReceivedMessages(Sequence[Any]):
+    """Messages of one topic in the order of their arrival, one for each stamp.
+
+    A frame may be sent again, so that messages come again: the newest one of a stamp is kept.
+
+    Attributes:
+        topic: Full name of the topic.
+        every_frame: Frames wait for a message of this topic.
+        arrived: Number of messages that have arrived.
+        newest: Newest stamp in nanoseconds; -1 before the first one.
+    """
+
+    def __init__(self, topic: str, every_frame: bool) -> None:
+        self.topic, self.every_frame = topic, every_frame
+        self.arrived = 0
+        self.newest = -1
+        #: By stamp, or by negative number for messages without a stamp.
+        self._messages: dict[int, Any] = {}
+
+    def add(self, message: Any) -> None:
+        """Keep a message."""
+        self.arrived += 1
+        stamp = stamp_of(message)
+        self._messages[-self.arrived if stamp is None else stamp] = message
+        if stamp is not None:
+            self.newest = max(self.newest, stamp)
+
+    def at(self, moment: Any) -> Any:
+        """The message of a stamp: nanoseconds, or another message with this stamp.
+
+        Raises:
+            RosError: There is none.
+        """
+        stamp = moment if isinstance(moment, int) else stamp_of(moment)
+        if stamp is None or stamp not in self._messages:
+            raise RosError(f"{self.topic}: no message with stamp {stamp} ns among {len(self)}")
+        return self._messages[stamp]
+
+    @property
+    def stamps(self) -> list[int]:
+        """Stamps in nanoseconds, in the order of their first arrival."""
+        return [stamp for stamp in self._messages if stamp >= 0]
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    @overload
+    def __getitem__(self, index: int) -> Any: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Any]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        return list(self._messages.values())[index]
+
+    def __repr__(self) -> str:
+        return f"ReceivedMessages({self.topic!r}, {len(self)} messages)"
+
+
+#: Seconds after which a frame in lockstep waits no longer: never, because the test has a limit of its own.
+NEVER = 1e6
+#: Seconds in which ``humansim run`` must have ended.
+_END_WITHIN = 30.0
+#: Most characters of its output in an error.
+_MAX_OUTPUT = 2000
+
+
+class NodeProcesses:
+    """``humansim run`` of a scene file.
+
+    Args:
+        path: Scene file.
+        namespace: ROS namespace of the nodes.
+        member: Name of the node that frames wait for besides the cameras.
+    """
+
+    nodes: Sequence[Any] = ()
+
+    def __init__(self, path: Path, namespace: str, member: str) -> None:
+        self._output = tempfile.TemporaryFile("w+")  # noqa: SIM115  # closed with the processes
+        command = [sys.executable, "-m", "humansim_ros", "run", str(path), "--lockstep", "--wait-for", member]
+        command += ["--timeout", str(NEVER), *(["--namespace", namespace] if namespace else [])]
+        self._process = subprocess.Popen(command, stdout=self._output, stderr=subprocess.STDOUT)
+
+    def check(self) -> None:
+        """Raise RosError with the last output if the run has ended."""
+        if (code := self._process.poll()) is not None:
+            raise RosError(f"humansim run has ended with exit code {code}: {self.output}")
+
+    @property
+    def output(self) -> str:
+        """The end of what the processes have printed."""
+        self._output.seek(0)
+        return self._output.read()[-_MAX_OUTPUT:].strip()
+
+    def close(self) -> None:
+        """Stop all processes."""
+        self._process.send_signal(signal.SIGINT)
+        try:
+            self._process.wait(_END_WITHIN)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._output.close()

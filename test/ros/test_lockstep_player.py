@@ -165,7 +165,7 @@ def test_a_topic_without_a_header_is_refused(stage: Stage, kind: Any) -> None:
 )
 def test_a_type_of_the_graph_that_is_not_installed_is_refused(name: str) -> None:
     from humansim_ros.ros.graph import Endpoint
-    from humansim_ros.ros.lockstep.topic_members import _usable
+    from humansim_ros.ros.lockstep.playing import _usable
 
     with pytest.raises(RosError, match="wait_for /x: "):
         _usable("/x", [Endpoint("/tracker", name, True)])

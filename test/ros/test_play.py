@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -9,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import humansim
+from conftest import ROOT
 from ros_support import rclpy
 from waiting import PATIENCE, wait_until
 
@@ -309,14 +311,20 @@ def test_a_bag_without_messages_is_an_error(ros: None, tmp_path: Path) -> None:
         play(write_bag(tmp_path / "bag", []))
 
 
-@pytest.mark.parametrize("content", ["nothing", "file", "folder"])
-def test_a_path_without_a_bag_is_one_line_and_exit_code_2(tmp_path: Path, content: str) -> None:
+@pytest.mark.parametrize("content", ["nothing", "folder"])
+def test_a_path_without_a_bag_is_an_error(ros: None, tmp_path: Path, content: str) -> None:
     path = tmp_path / "bag"
-    if content == "file":
-        path.write_text("no bag")
-    elif content == "folder":
+    if content == "folder":
         path.mkdir()
-    done = humansim("play", path)
+    with pytest.raises(HumansimError, match=f"^{path}: "):
+        play(path)
+
+
+def test_a_path_without_a_bag_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    path.write_text("no bag")
+    command = [sys.executable, "-m", "humansim_ros", "play", str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {path}: ") and done.stderr.count("\n") == 1
 

@@ -166,7 +166,7 @@ def test_the_nodes_may_run_as_processes(tmp_path: Path, humansim_domain: int) ->
     from humansim_ros.messages import to_nanoseconds
     from humansim_ros.scene import Scene
     from humansim_ros.testing import SceneGraph
-    from humansim_ros.testing.scene_nodes import NodeProcesses
+    from humansim_ros.testing.graph import NodeProcesses
 
     path = tmp_path / "scene.yaml"
     path.write_text("cameras: {eye: {size: [32, 24], position: [3, 0, 1], look_at: [0, 0, 1]}}\nrate: 20")

@@ -5,26 +5,38 @@ from __future__ import annotations
 import copy
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from rclpy.clock import Clock as RosClock
 from rclpy.clock_type import ClockType
-from rclpy.qos import QoSProfile
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError, printable
-from humansim_ros.messages import to_nanoseconds, to_time
+from humansim_ros.messages import serialised_stamp, to_nanoseconds, to_time
+from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.clock import ClockOwner
-from humansim_ros.ros.graph import GraphWatch
-from humansim_ros.ros.lockstep.rules import Lockstep, LockstepSummary, Member, ProgressFile
-from humansim_ros.ros.lockstep.settings import LockstepSettings
-from humansim_ros.ros.lockstep.topic_members import TopicMembers
+from humansim_ros.ros.graph import Endpoint, GraphWatch
+from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.lockstep.rules import Lockstep, LockstepSummary, Member, OnTimeout, ProgressFile
+from humansim_ros.ros.lockstep.settings import (
+    CLOCK_SEARCH,
+    REALTIME,
+    SETTINGS,
+    check_choice,
+    member_texts,
+    read_members,
+)
+from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.player.playing import FramePlayer, Playing
 from humansim_ros.ros.processes.node_processes import TIMED_OUT, WRONG_INPUT
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
+from humansim_ros.scene.names import LOCKSTEP
 from humansim_ros.scene.playback import ScenePoses, Tick
 
 #: Seconds between two looks at the members.
@@ -39,6 +51,90 @@ _MAX_STAMP = 10**15
 _CLOCK_QUEUE = QoSProfile(depth=10)
 #: Most characters of a list of names in a log line.
 _MAX_TEXT = 500
+
+
+@dataclass(frozen=True)
+class LockstepSettings:
+    """Settings of a motion player in lockstep.
+
+    Attributes:
+        names: Names of nodes that report on ``frame_done``.
+        topics: Topics whose messages are reports.
+        timeout: Seconds after which a frame waits no longer.
+        on_timeout: What happens then.
+        pace: Most frames per second of the wall clock; 0: as fast as possible.
+        frames: Number of frames; 0: without end.
+        summary: File for a summary as JSON at the end; empty: none.
+        recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
+        clock_search: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
+    """
+
+    names: tuple[str, ...]
+    topics: tuple[str, ...]
+    timeout: float
+    on_timeout: OnTimeout
+    pace: float
+    frames: int
+    summary: str
+    recorder: str = ""
+    clock_search: float = CLOCK_SEARCH
+
+    @classmethod
+    def of_parameters(cls, node: SceneNode) -> LockstepSettings | None:
+        """Declare the parameters of lockstep; None if the mode is realtime.
+
+        Raises:
+            RosError: A value is not valid.
+        """
+        time = node.scene.config.time
+        mode = _choice(node, "mode", time.mode, (REALTIME, LOCKSTEP), "Real time, or lockstep")
+        default = member_texts(time) or Parameter.Type.STRING_ARRAY
+        members: Sequence[str] = (
+            node.described_parameter("wait_for", default, SETTINGS["wait_for"].help, read_only=True) or ()
+        )
+        timeout = node.number_parameter(
+            "timeout",
+            time.timeout,
+            SETTINGS["timeout"].low,
+            SETTINGS["timeout"].high,
+            SETTINGS["timeout"].help,
+        )
+        on_timeout = _choice(
+            node, "on_timeout", time.on_timeout, get_args(OnTimeout), SETTINGS["on_timeout"].help
+        )
+        description = f"{SETTINGS['pace'].help}; 0: as fast as possible"
+        pace = node.number_parameter("pace", time.rate or 0.0, 0.0, SETTINGS["pace"].high, description)
+        description = f"{SETTINGS['frames'].help}; 0: without end"
+        limits = (0.0, SETTINGS["frames"].high)
+        frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
+        summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
+        recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
+        description = "Seconds in which another publisher of /clock is looked for before the first frame"
+        search = node.number_parameter("clock_search", CLOCK_SEARCH, 0.0, 60.0, description)
+        names, topics = read_members([*members, recorder] if recorder else members)
+        if mode != LOCKSTEP:
+            return None
+        after: OnTimeout = "stop" if on_timeout == "stop" else "continue"
+        return cls(names, topics, timeout, after, pace, frames, summary, recorder, search)
+
+
+def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], description: str) -> str:
+    """Declare a parameter with some possible values, and return its value.
+
+    Args:
+        node: The node.
+        name: Name of the parameter.
+        default: Value unless it is overridden.
+        values: Possible values.
+        description: Text of the parameter descriptor.
+
+    Raises:
+        RosError: The value is none of them.
+    """
+    constraints = " or ".join(values)
+    value = str(node.described_parameter(name, default, description, constraints=constraints, read_only=True))
+    check_choice(f"parameter {name}", value, values)
+    return value
 
 
 class LockstepPlaying(Playing):
@@ -375,3 +471,84 @@ class LockstepPlaying(Playing):
 def _names(names: Any) -> str:
     """Names of members for a log line."""
     return printable(", ".join(names), _MAX_TEXT)
+
+
+#: Queue of a subscription, messages.
+_DEPTH = 50
+#: Bytes of the longest message; only its stamp is read.
+_MAX_BYTES = 1 << 30
+
+
+class TopicMembers:
+    """Subscribes to topics as soon as they have a publisher, with the type and reliability that it offers.
+
+    Args:
+        node: Node that subscribes.
+        topics: Names of the topics.
+        graph: Finds their publishers.
+        on_stamp: Called with topic and stamp of each message.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        topics: Iterable[str],
+        graph: GraphWatch,
+        on_stamp: Callable[[str, int], object],
+    ) -> None:
+        self._node, self._graph, self._on_stamp = node, graph, on_stamp
+        # by topic: subscription, its type and whether it is reliable
+        self._subscriptions: dict[str, tuple[Any, str, bool] | None] = dict.fromkeys(topics)
+
+    def update(self) -> None:
+        """Subscribe to topics that have a publisher now, or publishers of another type or reliability.
+
+        Raises:
+            RosError: The messages of a topic cannot be used.
+        """
+        for topic, held in self._subscriptions.items():
+            publishers = list(self._graph.publishers(self._node.resolve_topic_name(topic)).values())
+            if not publishers:
+                continue
+            # a reliable subscription gets nothing from a best-effort publisher
+            reliable = all(each.reliable for each in publishers)
+            kind = held[1] if held and any(each.type == held[1] for each in publishers) else None
+            if kind is None or held is None or held[2] != reliable:
+                self._subscribe(topic, *_usable(topic, publishers), reliable)
+
+    def _subscribe(self, topic: str, name: str, kind: Any, reliable: bool) -> None:
+        held = self._subscriptions[topic]
+        if held is not None:
+            self._node.destroy_subscription(held[0])
+        policy = QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT
+        subscription = self._node.create_subscription(
+            kind,
+            topic,
+            lambda data: self._on_stamp(topic, serialised_stamp(data)),
+            QoSProfile(depth=_DEPTH, reliability=policy),
+            raw=True,
+            max_bytes=_MAX_BYTES,
+        )
+        self._subscriptions[topic] = subscription, name, reliable
+
+
+def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
+    """Name and class of a message type of the publishers.
+
+    Raises:
+        RosError: None of their types can be used.
+    """
+    reasons = []
+    for name in dict.fromkeys(each.type for each in publishers):
+        try:
+            kind = message_type(name)
+        except RosError as error:
+            reasons.append(str(error))
+            continue
+        if begins_with_stamp(kind):
+            return name, kind
+        reasons.append(f"{printable(name, 80)} does not begin with a header")
+    raise RosError(
+        f"wait_for {topic}: {'; '.join(reasons)}. Let its node report on frame_done in its place "
+        "(docs/lockstep.md)"
+    )

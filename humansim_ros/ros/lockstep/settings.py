@@ -13,7 +13,6 @@ from humansim_ros.ros.lockstep.rules import OnTimeout
 from humansim_ros.scene.names import LOCKSTEP
 
 if TYPE_CHECKING:
-    from humansim_ros.ros.node import SceneNode
     from humansim_ros.scene.config import TimeConfig
 
 #: Prefix of a topic among the members of lockstep; other members are names of nodes.
@@ -24,7 +23,7 @@ ParameterValue = str | bool | float | list[str]
 CLOCK_SEARCH = 2.0
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MAX_NAME, _MAX_MEMBERS = 255, 100
-_REALTIME = "realtime"
+REALTIME = "realtime"
 
 
 class Setting(NamedTuple):
@@ -85,7 +84,7 @@ class TimeOptions:
     @property
     def parameters(self) -> dict[str, ParameterValue]:
         """Parameters of the motion player."""
-        mode = None if self.lockstep is None else LOCKSTEP if self.lockstep else _REALTIME
+        mode = None if self.lockstep is None else LOCKSTEP if self.lockstep else REALTIME
         wait_for = None if self.wait_for is None else list(self.wait_for)
         values = {**asdict(self), "mode": mode, "wait_for": wait_for}
         del values["lockstep"]
@@ -140,73 +139,6 @@ def _number(name: str, arguments: Mapping[str, str]) -> float | None:
         raise RosError(f"launch argument {name} must be a number, not {arguments[name]!r}") from None
 
 
-@dataclass(frozen=True)
-class LockstepSettings:
-    """Settings of a motion player in lockstep.
-
-    Attributes:
-        names: Names of nodes that report on ``frame_done``.
-        topics: Topics whose messages are reports.
-        timeout: Seconds after which a frame waits no longer.
-        on_timeout: What happens then.
-        pace: Most frames per second of the wall clock; 0: as fast as possible.
-        frames: Number of frames; 0: without end.
-        summary: File for a summary as JSON at the end; empty: none.
-        recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
-        clock_search: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
-    """
-
-    names: tuple[str, ...]
-    topics: tuple[str, ...]
-    timeout: float
-    on_timeout: OnTimeout
-    pace: float
-    frames: int
-    summary: str
-    recorder: str = ""
-    clock_search: float = CLOCK_SEARCH
-
-    @classmethod
-    def of_parameters(cls, node: SceneNode) -> LockstepSettings | None:
-        """Declare the parameters of lockstep; None if the mode is realtime.
-
-        Raises:
-            RosError: A value is not valid.
-        """
-        from rclpy.parameter import Parameter
-
-        time = node.scene.config.time
-        mode = _choice(node, "mode", time.mode, (_REALTIME, LOCKSTEP), "Real time, or lockstep")
-        default = member_texts(time) or Parameter.Type.STRING_ARRAY
-        members: Sequence[str] = (
-            node.described_parameter("wait_for", default, SETTINGS["wait_for"].help, read_only=True) or ()
-        )
-        timeout = node.number_parameter(
-            "timeout",
-            time.timeout,
-            SETTINGS["timeout"].low,
-            SETTINGS["timeout"].high,
-            SETTINGS["timeout"].help,
-        )
-        on_timeout = _choice(
-            node, "on_timeout", time.on_timeout, get_args(OnTimeout), SETTINGS["on_timeout"].help
-        )
-        description = f"{SETTINGS['pace'].help}; 0: as fast as possible"
-        pace = node.number_parameter("pace", time.rate or 0.0, 0.0, SETTINGS["pace"].high, description)
-        description = f"{SETTINGS['frames'].help}; 0: without end"
-        limits = (0.0, SETTINGS["frames"].high)
-        frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
-        summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
-        recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
-        description = "Seconds in which another publisher of /clock is looked for before the first frame"
-        search = node.number_parameter("clock_search", CLOCK_SEARCH, 0.0, 60.0, description)
-        names, topics = read_members([*members, recorder] if recorder else members)
-        if mode != LOCKSTEP:
-            return None
-        after: OnTimeout = "stop" if on_timeout == "stop" else "continue"
-        return cls(names, topics, timeout, after, pace, frames, summary, recorder, search)
-
-
 def member_texts(time: TimeConfig) -> list[str]:
     """Members of a scene as the parameter ``wait_for`` has them."""
     return [each.node or f"{TOPIC_PREFIX}{each.topic}" for each in time.wait_for]
@@ -233,22 +165,3 @@ def check_choice(name: str, value: str, values: Sequence[str]) -> None:
     """Raise RosError if the value of a setting is none of some values."""
     if value not in values:
         raise RosError(f"{name}: {printable(value, 80)!r} must be {' or '.join(values)}")
-
-
-def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], description: str) -> str:
-    """Declare a parameter with some possible values, and return its value.
-
-    Args:
-        node: The node.
-        name: Name of the parameter.
-        default: Value unless it is overridden.
-        values: Possible values.
-        description: Text of the parameter descriptor.
-
-    Raises:
-        RosError: The value is none of them.
-    """
-    constraints = " or ".join(values)
-    value = str(node.described_parameter(name, default, description, constraints=constraints, read_only=True))
-    check_choice(f"parameter {name}", value, values)
-    return value

@@ -34,8 +34,7 @@ from humansim_ros.messages.topics import (
     Topic,
     moving_camera_topics,
 )
-from humansim_ros.ros.lockstep.playing import LockstepPlaying
-from humansim_ros.ros.lockstep.settings import LockstepSettings
+from humansim_ros.ros.lockstep.playing import LockstepPlaying, LockstepSettings
 from humansim_ros.ros.player.motions import (
     MAX_SECONDS,
     MOTION_FOLDERS,

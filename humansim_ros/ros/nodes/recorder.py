@@ -1,4 +1,14 @@
-"""How often a faulty camera sends an image: a recorder must tell copies from frames that come again."""
+"""Node ``recorder``: records topics of a live graph into a bag, serialised as they arrive.
+
+The quality of service follows the publishers. Topics that appear later are recorded, too. Messages wait in a
+queue that is bounded in bytes, and a thread writes them.
+
+In real time, messages for which the queue has no space are dropped and counted. In lockstep nothing is
+dropped: the node reports on ``frame_done`` that all messages of a frame are in the file, and the player waits
+for it. A frame that the player sends again is kept once.
+
+Parameter ``resume`` continues a bag in a new file of it, such as after the node was killed.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""Log of the joint source of a human: its changes, and its silence."""
+"""Node ``skinner``: poses and skins one human from its motion messages.
+
+Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture, whose joint
+names, scale and rest pose are detected from its messages (docs/playing.md); to the legend of the motion
+player, ``humans/<id>/motion/legend``; and to ``humans/<id>/frame``, with which the motion player gives the
+stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers`` and, for
+subscribers, ``keypoints/<set>`` with the same stamp, and latched ``humans/<id>/mesh``.
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""ROS for the tests of one process: a ROS domain that no other process has, and rclpy's default context."""
+"""Support of tests: patience on a loaded machine, a ROS domain of their own, and rclpy's default context."""
 
 from __future__ import annotations
 
 import functools
 import os
+import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -78,3 +79,20 @@ def _destroy(node: Any) -> None:
             node.executor.remove_node(node)
             node.executor.shutdown()
         node.destroy_node()
+
+
+def patience(seconds: float) -> float:
+    """Seconds until a test gives up waiting: HUMANSIM_TEST_PATIENCE multiplies them for slow machines."""
+    return seconds * float(os.environ.get("HUMANSIM_TEST_PATIENCE") or 1)
+
+
+def wait_until(
+    condition: Callable[[], object], limit: float, step: Callable[[], object] = lambda: time.sleep(0.05)
+) -> bool:
+    """Call ``step`` until ``condition`` is true; False if it is not after ``limit`` seconds."""
+    end = time.monotonic() + limit
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        step()
+    return True

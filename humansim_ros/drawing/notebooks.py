@@ -46,7 +46,7 @@ _PHASES, _AZIMUTHS = 5, (0, 45, 180)
 def notebook_png(item: object) -> bytes:
     """PNG file of a picture with the text of the object as its title, at most WIDTH pixels wide."""
     with warnings.catch_warnings():
-        # whoever made the object has been told what is odd about it
+        # the warnings were shown when the object was made
         warnings.simplefilter("ignore", HumansimWarning)
         image = picture(item)
     return encode_png(np.concatenate([_title(repr(item), image.shape[1]), image]))

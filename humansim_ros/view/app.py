@@ -46,7 +46,7 @@ class ViewApp:
     All of it runs in the thread that calls :meth:`run`; callbacks of the page :meth:`post` functions to it.
 
     Args:
-        source: What is shown.
+        source: The scene, bag, graph or photographs to show.
         port: Port; the next free one if it is in use.
         reload: Makes the source again after its file has changed; None if it has no file.
         path: That file.
@@ -158,7 +158,7 @@ class ViewApp:
         self.refresh()
 
     def set_options(self, options: Options) -> None:
-        """Change what is drawn in 3D."""
+        """Change the drawings in 3D."""
         self.options = options
         self._stage.set_options(options)
         self.refresh()

@@ -176,7 +176,7 @@ def _is_scene(path: Path) -> bool:
     try:
         value, _ = read_yaml(path, SceneError, "scene")
     except HumansimError:
-        return not _is_calibration(path)  # the reader of scenes says with its line what is wrong
+        return not _is_calibration(path)  # the reader of scenes names the line of the error
     if not isinstance(value, Mapping):
         return False
     if value.keys() & _SECTIONS:
@@ -195,7 +195,7 @@ def is_views_file(path: Path) -> bool:
     try:
         value, _ = read_yaml(path, PhotographError, "views file")
     except HumansimError:
-        return False  # the reader of scenes says with its line what is wrong
+        return False  # the reader of scenes names the line of the error
     return isinstance(value, Mapping) and "views" in value
 
 

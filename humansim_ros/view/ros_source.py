@@ -80,9 +80,9 @@ _MAX_TRANSFORMS = 2000
 class RosViewSource(TopicSource):
     """A graph that is shown while it runs.
 
-    A thread receives; the thread of the page takes what is there, and never waits for it. Of each frame all
-    topics are shown that have its stamp. Images are received while they are shown: cameras of this package
-    render nothing that nobody receives.
+    A thread receives messages; the thread of the page takes them, and never waits. All topics of a frame have
+    its stamp. Images are received while they are shown: cameras of this package render nothing that nobody
+    receives.
 
     Args:
         estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
@@ -304,7 +304,7 @@ class _Receiver:
     Attributes:
         store: Messages that have arrived.
         topics: Topics that there are.
-        changes: Number of messages that have changed what there is, such as surfaces.
+        changes: Number of messages that have changed people, cameras or objects.
     """
 
     def __init__(self, estimate: str | None, namespace: str, reading: LiveOptions) -> None:

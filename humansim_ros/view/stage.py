@@ -74,7 +74,7 @@ class Stage:
 
     Args:
         server: The server.
-        source: What is shown.
+        source: Gives people, objects and cameras.
         on_click: Called with a name of a person or camera and a ray (origin (3,), direction (3,)) when it is
             clicked.
     """
@@ -136,7 +136,7 @@ class Stage:
         self._server.viser.flush()
 
     def set_options(self, options: Options) -> None:
-        """Change what is drawn; from the next frame on."""
+        """Change the drawings, from the next frame on."""
         self.options = options
         self._room.visible = options.room
         self._floor.visible = not options.room or not self._source.static

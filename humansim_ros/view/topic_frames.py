@@ -153,7 +153,7 @@ class TopicFrames:
             self.people.keys() | self.objects.keys()
         )
 
-    # --- what there is
+    # --- people, cameras and objects
 
     def see(self, topics: SeenTopics, data: Mapping[str, bytes]) -> None:
         """Take bodies, cameras and objects from messages.

@@ -72,7 +72,7 @@ class Page(Protocol):
     Attributes:
         server: The server.
         gui: Its elements.
-        source: What is shown.
+        source: The scene, bag, graph or photographs on the page.
         player: Time of the page.
         head: Folder above the tabs, for the time.
         tabs: Tabs by name.
@@ -81,7 +81,7 @@ class Page(Protocol):
         shown_channels: Channels that are shown.
         through: Camera that is looked through, whose image alone is shown; None: all are shown.
         chosen_camera: Camera that was chosen, or ``all``; it stays when the source is replaced.
-        options: What is drawn in 3D; it stays, too.
+        options: Drawings in 3D; they stay when the source is replaced.
     """
 
     server: PageServer
@@ -111,7 +111,7 @@ class Page(Protocol):
         """Pause, and show a frame."""
 
     def set_options(self, options: Options) -> None:
-        """Change what is drawn in 3D."""
+        """Change the drawings in 3D."""
 
     def set_dark(self, dark: bool) -> None:
         """Dark or light page."""

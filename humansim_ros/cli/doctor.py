@@ -306,7 +306,7 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
 )
 
 
-def diagnoses(checks: tuple[Callable[[], Diagnosis], ...] = CHECKS) -> Iterator[Diagnosis]:
+def diagnoses(checks: tuple[Callable[[], Diagnosis], ...]) -> Iterator[Diagnosis]:
     """Results of checks; one that fails itself is told as wrong."""
     for check in checks:
         try:
@@ -360,7 +360,7 @@ def doctor(
 ) -> None:
     """Check this machine (OpenGL, ROS, DDS, shared memory …), and print the line that mends what is wrong."""
     found = []
-    for finding in diagnoses():
+    for finding in diagnoses(CHECKS):
         found.append(finding)
         if not as_json:
             print_text(f"{_MARKS[finding.state]}  {finding.name}: {finding.text}")

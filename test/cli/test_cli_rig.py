@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from conftest import ROOT
-from waiting import PATIENCE
+from commands import humansim
 
 from humansim_ros.camera import read_calibration
 from humansim_ros.camera.rigs import Optics, stereo
-from humansim_ros.cli.main import make_app
-from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 
 TARGET = np.array([0.5, -1.0, 1.1])
 
 
-def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "humansim_ros.cli", "camera", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment)
-
-
 @pytest.mark.slow
 def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path) -> None:
     done = humansim(
+        "camera",
         "rig",
         "--stereo",
         0.2,
@@ -63,7 +53,7 @@ def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path)
     assert scene.config.room.size[0] / 2 > 4.5 + 1
 
     for option in ((), ("--coverage", "--area", -2, -2, 2, 2)):
-        drawn = humansim("plot", tmp_path / "rig", "-o", tmp_path / "rig.png", *option)
+        drawn = humansim("camera", "plot", tmp_path / "rig", "-o", tmp_path / "rig.png", *option)
         assert drawn.returncode == 0, drawn.stderr
     assert cv2.imread(str(tmp_path / "rig.png")).shape[1] == 2 * 770
 
@@ -81,6 +71,6 @@ def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path)
     ],
 )
 def test_wrong_options_of_a_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
-    with pytest.raises(HumansimError, match=said):
-        make_app()(["camera", "rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
+    done = humansim("camera", "rig", *options, "-o", tmp_path / "rig")
+    assert done.returncode == 2 and re.search(said, done.stderr), done.stderr
     assert not (tmp_path / "rig").exists()

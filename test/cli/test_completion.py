@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from commands import humansim
 from conftest import ROOT
 from waiting import PATIENCE
 
@@ -18,13 +19,18 @@ HEAVY = ("cv2", "moderngl", "scipy")
 
 def completed(line: str) -> list[str]:
     """What bash is offered for the last word of a line."""
-    words = line.split(" ")
-    variables = {
-        "_HUMANSIM_COMPLETE": "complete_bash",
-        "COMP_WORDS": line,
-        "COMP_CWORD": str(len(words) - 1),
-        "PYTHONPATH": str(ROOT),
-    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in variables_of(line).items():
+            patch.setenv(name, value)
+        return humansim().stdout.split()
+
+
+def variables_of(line: str) -> dict[str, str]:
+    count = str(len(line.split(" ")) - 1)
+    return {"_HUMANSIM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": count}
+
+
+def test_completion_does_not_load_what_takes_a_second_to_load() -> None:
     code = (
         "import atexit, sys\n"
         f"atexit.register(lambda: print([m for m in {HEAVY} if m in sys.modules], file=sys.stderr))\n"
@@ -37,10 +43,9 @@ def completed(line: str) -> list[str]:
         capture_output=True,
         text=True,
         timeout=PATIENCE,
-        env=os.environ | variables,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | variables_of("humansim snapshot --channels rgb,dep"),
     )
-    assert done.stderr.strip().splitlines()[-1] == "[]", "completion loads what takes a second to load"
-    return done.stdout.split()
+    assert done.stderr.strip().splitlines()[-1] == "[]" and done.stdout.split() == ["rgb,depth"]
 
 
 @pytest.mark.parametrize(
@@ -74,14 +79,8 @@ def test_export_formats_are_those_of_the_table() -> None:
         ("fish", "complete --command humansim"),
     ],
 )
-def test_the_script_of_each_shell_is_printed(shell: str, words: str) -> None:
+def test_the_script_of_each_shell_is_printed(shell: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # without the variable, the option is for the shell that has started Python, whatever is named here
-    variables = {"PYTHONPATH": str(ROOT), "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
-    done = subprocess.run(
-        [sys.executable, "-m", "humansim_ros", "--show-completion", shell],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        env=os.environ | variables,
-    )
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
+    done = humansim("--show-completion", shell)
     assert done.returncode == 0 and "_HUMANSIM_COMPLETE" in done.stdout and words in done.stdout

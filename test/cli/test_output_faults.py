@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import os
 import resource
 import subprocess
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pytest
+from commands import humansim
 from waiting import PATIENCE
 
 from humansim_ros import Camera, HumansimError, write_calibration
@@ -35,73 +40,99 @@ WRITERS = [
 PRINTERS = ["--help", "--version", "motion list", "motion joints walk --json", "camera show cameras.yaml"]
 
 
-def humansim(
-    words: list[str], folder: Path, largest: int | None = None, **streams: object
-) -> tuple[int, str]:
-    """Exit code and standard error of a command. ``largest``: bytes after which files are full."""
-
-    def limit() -> None:
-        if largest is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
-
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a calibration."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HUMANSIM_CACHE", "off")
     camera = Camera.look_at((3, 1, 1.8), (0, 0, 1))
-    write_calibration(folder / "cameras.yaml", {"left": camera}, "kalibr")
+    write_calibration(tmp_path / "cameras.yaml", {"left": camera}, "kalibr")
+    return tmp_path
+
+
+@contextmanager
+def full_after(size: int) -> Iterator[None]:
+    """Files are full after some bytes, as on a full disk."""
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limit[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+
+
+def run_process(words: str, stdout: Any) -> tuple[int, str]:
+    """Exit code and standard error of a command in a process of its own."""
     run = subprocess.run(
-        [sys.executable, "-m", "humansim_ros", *words],
-        cwd=folder,
-        env={**os.environ, "HUMANSIM_CACHE": "off", "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUNBUFFERED": ""},
+        [sys.executable, "-m", "humansim_ros", *words.split()],
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUNBUFFERED": ""},
+        stdout=stdout,
         stderr=subprocess.PIPE,
-        preexec_fn=limit,
         check=False,
         timeout=PATIENCE,
-        **{"stdout": subprocess.DEVNULL, **streams},  # type: ignore[call-overload]
     )
     return run.returncode, run.stderr.decode()
 
 
+def run_here(words: str, stdout: TextIO) -> tuple[int, str]:
+    """The same in this process."""
+    said = io.StringIO()
+    with warnings.catch_warnings(), redirect_stdout(stdout), redirect_stderr(said):
+        return cli.main(words.split()), said.getvalue()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("words", WRITERS, ids=" ".join)
-def test_a_full_disk_leaves_the_file_of_before(words: list[str], tmp_path: Path) -> None:
-    output = tmp_path / words[-1]
+def test_a_full_disk_leaves_the_file_of_before(words: list[str], folder: Path) -> None:
+    output = folder / words[-1]
     output.write_text("before")
-    code, said = humansim(words, tmp_path, largest=50)
-    assert code in (1, 2) and said.count("\n") == 1 and said.startswith("error: "), said
+    with full_after(50):
+        done = humansim(*words)
+    said = done.stderr
+    assert done.returncode in (1, 2) and said.count("\n") == 1 and said.startswith("error: "), said
     assert words[-1] in said and "File too large" in said
     assert output.read_text() == "before"
-    assert {path.name for path in tmp_path.iterdir()} == {output.name, "cameras.yaml"}
+    assert {path.name for path in folder.iterdir()} == {output.name, "cameras.yaml"}
 
 
-def test_a_full_device_is_an_error_and_stays_a_device(tmp_path: Path) -> None:
-    (tmp_path / "full.bvh").symlink_to("/dev/full")
-    code, said = humansim(["motion", "retarget", "walk", "-o", "full.bvh"], tmp_path)
-    assert (code, said) == (2, "error: full.bvh: cannot be written: No space left on device\n")
-    assert (tmp_path / "full.bvh").is_char_device() and (tmp_path / "full.bvh").is_symlink()
+def test_a_full_device_is_an_error_and_stays_a_device(folder: Path) -> None:
+    (folder / "full.bvh").symlink_to("/dev/full")
+    done = humansim("motion", "retarget", "walk", "-o", "full.bvh")
+    assert done.returncode == 2
+    assert done.stderr == "error: full.bvh: cannot be written: No space left on device\n"
+    assert (folder / "full.bvh").is_char_device() and (folder / "full.bvh").is_symlink()
 
 
-def test_a_folder_that_takes_no_files_is_an_error(tmp_path: Path) -> None:
-    code, said = humansim(["motion", "table", "walk", "-o", "/proc/out.yaml"], tmp_path)
-    assert (
-        code == 2 and said.startswith("error: /proc/out.yaml: cannot be written: ") and said.count("\n") == 1
-    )
-    code, said = humansim(["camera", "rig", "--ring", "3", "-o", "/proc/cameras"], tmp_path)
-    assert code == 2 and said.startswith("error: /proc/cameras") and said.count("\n") == 1
-
-
-@pytest.mark.parametrize("words", PRINTERS)
-def test_standard_output_on_a_full_disk_is_one_line_and_an_exit_code(words: str, tmp_path: Path) -> None:
-    with Path("/dev/full").open("w") as full:
-        code, said = humansim(words.split(), tmp_path, stdout=full)
-    assert code in (1, 2) and said.count("\n") == 1, said
-    assert said.startswith("error: ") and said.endswith("No space left on device\n")
+@pytest.mark.parametrize(
+    ("words", "path"),
+    [
+        ("motion table walk -o /proc/out.yaml", "/proc/out.yaml: cannot be written: "),
+        ("camera rig --ring 3 -o /proc/cameras", "/proc/cameras"),
+    ],
+)
+def test_a_folder_that_takes_no_files_is_an_error(words: str, path: str) -> None:
+    done = humansim(*words.split())
+    assert done.returncode == 2 and done.stderr.startswith(f"error: {path}") and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("words", PRINTERS)
-def test_a_pipe_that_nobody_reads_ends_a_command_quietly(words: str, tmp_path: Path) -> None:
-    read, write = os.pipe()
-    os.close(read)
-    with os.fdopen(write, "wb") as pipe:
-        code, said = humansim(words.split(), tmp_path, stdout=pipe)
-    assert code in (0, 1) and said == ""
+def test_standard_output_on_a_full_disk_is_one_line_and_an_exit_code(words: str, folder: Path) -> None:
+    for run in (run_here, run_process) if words == "--version" else (run_here,):
+        with Path("/dev/full").open("w") as full:
+            code, said = run(words, full)
+        assert code in (1, 2) and said.count("\n") == 1, said
+        assert said.startswith("error: ") and said.endswith("No space left on device\n")
+
+
+@pytest.mark.parametrize("words", PRINTERS)
+def test_a_pipe_that_nobody_reads_ends_a_command_quietly(words: str, folder: Path) -> None:
+    # the parser of the command line ends the process itself if the help cannot be written
+    for run in {"--version": (run_here, run_process), "--help": (run_process,)}.get(words, (run_here,)):
+        read, write = os.pipe()
+        os.close(read)
+        with os.fdopen(write, "w") as pipe:
+            code, said = run(words, pipe)
+        assert code in (0, 1) and said == ""
 
 
 def test_a_command_without_standard_output_writes_its_files(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from humansim_ros.apps.api import evaluate as evaluate
+from humansim_ros.apps.api import export as export
+from humansim_ros.apps.api import record as record
 from humansim_ros.camera.calibration import read_calibration as read_calibration
 from humansim_ros.camera.calibration import write_calibration as write_calibration
 from humansim_ros.camera.camera import Camera as Camera

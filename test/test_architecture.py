@@ -49,7 +49,8 @@ BASE = {"__init__", "bounds", "errors", "hierarchy", "pictures", "resources", "r
 DEPRECATED = {"body/__init__.py", "body/mesh.py", "ros/viewer_layouts.py"}
 PUBLIC = {
     "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View evaluate
-        idealize load_human read_bvh read_calibration read_mesh read_motion write_bvh write_calibration""",
+        export idealize load_human read_bvh read_calibration read_mesh read_motion record write_bvh
+        write_calibration""",
     "apps": "Comparison foxglove_layout rviz_layout",
     "bags": "BagMessage BagReader BagTopic BagWriter Qos encode_chunk",
     "body": "Skeleton fit_skeleton fit_to_skeleton hanim_skeleton rig skin",

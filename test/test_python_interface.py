@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import pickle
 import subprocess
 import sys
@@ -16,7 +17,18 @@ from conftest import ROOT
 from test_packaging import clean_environment, copy_sources, run
 from waiting import PATIENCE
 
-from humansim_ros import Camera, Frame, HumansimError, Scene, Simulation, View, load_human, read_motion
+from humansim_ros import (
+    Camera,
+    Frame,
+    HumansimError,
+    Scene,
+    Simulation,
+    View,
+    export,
+    load_human,
+    read_motion,
+    record,
+)
 from humansim_ros.errors import ChannelError, MeshError, MotionError
 from humansim_ros.io.assets import built_in_names
 
@@ -110,6 +122,26 @@ def test_descriptions_of_large_scenes_are_short() -> None:
     cameras = {f"camera_{number}": SCENE["cameras"]["front"] for number in range(64)}
     scene = Scene.from_dict({**SCENE, "cameras": cameras})
     assert len(repr(scene)) < 200 and "64 cameras" in repr(scene)
+
+
+def test_scenes_are_recorded_and_exported_by_functions(tmp_path: Path) -> None:
+    scene, done = Scene.from_dict(SCENE), []
+    bag = record(scene, tmp_path / "bag", frames=2, jobs=1, on_progress=lambda *counts: done.append(counts))
+    assert bag == tmp_path / "bag" and (bag / "metadata.yaml").is_file() and done[-1] == (2, 2)
+    folder = export(scene, tmp_path / "set", ["coco"], frames=range(1, 3), jobs=1)
+    assert (folder / "calibration.yaml").is_file() and len(list((folder / "images" / "front").iterdir())) == 2
+    with pytest.raises(HumansimError, match="give either frames or seconds"):
+        record(scene, tmp_path / "other")
+
+
+def test_functions_with_the_name_of_a_folder_are_both() -> None:
+    import humansim_ros.record.plan
+
+    for name in ("record", "export", "evaluate"):
+        folder = getattr(humansim_ros, name)
+        assert "on_progress" in inspect.signature(folder).parameters or name == "evaluate"
+        assert callable(folder) and inspect.unwrap(folder).__module__ == "humansim_ros.apps.api"
+    assert humansim_ros.record.plan.RecordingPlan  # type: ignore[attr-defined]
 
 
 def test_names_of_built_ins_are_read() -> None:

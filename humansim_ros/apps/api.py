@@ -7,9 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from humansim_ros.io.files import atomic_path
+
+if TYPE_CHECKING:
+    from humansim_ros.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,113 @@ def evaluate(
         min_score,
     )
     return compared
+
+
+def record(
+    scene: Scene | str | os.PathLike[str] | None,
+    output: str | os.PathLike[str],
+    *,
+    frames: int | None = None,
+    seconds: float | None = None,
+    topics: Sequence[str] = (),
+    images: Literal["raw", "jpeg", "png"] = "raw",
+    depth: Literal["raw", "png"] = "raw",
+    storage: Literal["mcap", "sqlite3"] = "mcap",
+    compression: Literal["none", "zstd", "lz4"] = "none",
+    max_bag_size: int = 0,
+    max_bag_duration: float = 0.0,
+    jobs: int | None = None,
+    resume: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, frames: None,
+) -> Path:
+    """Record a scene into a bag of rosbag2, frame by frame: no frame is lost, and ROS is not needed.
+
+    Args:
+        scene: Scene, or its file; None: the demo scene.
+        output: Folder of the bag, which must not exist unless ``resume``.
+        frames: Number of frames; or give ``seconds``.
+        seconds: Length of the recording, seconds.
+        topics: Names of topics, or patterns such as ``/camera_*/joints``; the default topics if empty.
+        images: Format of colour images.
+        depth: Format of depth images.
+        storage: Storage plugin of rosbag2.
+        compression: Compression of the chunks of an MCAP file; lossless.
+        max_bag_size: Bytes after which a new file begins; 0: one file.
+        max_bag_duration: Seconds after which a new file begins; 0: one file.
+        jobs: Number of worker processes; None: one per core.
+        resume: Continue an interrupted recording, or start it.
+        on_progress: Called after each frame with the number of finished frames and of all frames.
+
+    Returns:
+        Folder of the bag.
+
+    Raises:
+        HumansimError: The scene, a topic or the folder is wrong, or the disk is full.
+
+    Example:
+        >>> record("scene.yaml", "walk", frames=90, topics=["/camera_*/image_raw"])  # doctest: +SKIP
+        PosixPath('walk')
+    """
+    _work().write_bag(
+        scene,
+        Path(output),
+        frames,
+        seconds,
+        topics,
+        jobs,
+        resume,
+        on_progress,
+        images=images,
+        depth=depth,
+        storage=storage,
+        compression=compression,
+        max_size=max_bag_size,
+        max_duration=max_bag_duration,
+    )
+    return Path(output)
+
+
+def export(
+    source: Scene | str | os.PathLike[str] | None,
+    output: str | os.PathLike[str],
+    formats: Sequence[str],
+    *,
+    frames: int | range | None = None,
+    keypoints: str = "coco17",
+    images: Literal["png", "jpg"] = "png",
+    shard_size: int = 1_000_000_000,
+    jobs: int | None = None,
+    resume: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, frames: None,
+) -> Path:
+    """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions.
+
+    Args:
+        source: Scene, its file, or a bag; None: the demo scene.
+        output: Folder, which must not exist unless ``resume``.
+        formats: Names of formats, such as ``coco`` (docs/export.md).
+        frames: Number of frames, or their numbers; None: all of a bag.
+        keypoints: Keypoint set of the formats with keypoints.
+        images: Format of colour images.
+        shard_size: Size of the shards of ``webdataset``, bytes.
+        jobs: Number of worker processes; None: one per core.
+        resume: Continue an interrupted export, or start it.
+        on_progress: Called after each frame with the number of finished frames and of all frames.
+
+    Returns:
+        The folder.
+
+    Raises:
+        HumansimError: The scene, a format or the folder is wrong, or the disk is full.
+
+    Example:
+        >>> export("scene.yaml", "walk", ["coco", "depth-png"], frames=range(100, 200))  # doctest: +SKIP
+        PosixPath('walk')
+    """
+    _work().write_data_set(
+        source, Path(output), formats, frames, keypoints, images, shard_size, jobs, resume, on_progress
+    )
+    return Path(output)
 
 
 def _work() -> Any:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from humansim_ros.apps.api import Comparison
-from humansim_ros.errors import EvaluationError, RenderError, warn_about
+from humansim_ros.errors import BagError, EvaluationError, RenderError, warn_about
 
 if TYPE_CHECKING:
     from humansim_ros.evaluate.export_truth import ExportTruth
     from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth
+    from humansim_ros.export.formats import ExportFormat
+    from humansim_ros.export.source import ExportSource
+    from humansim_ros.scene import Scene
 
 
 def compare(
@@ -142,3 +145,97 @@ def _images(
             return image_html_report(result, pictures)
 
     return Comparison(to_data(result), show_images(result), page)
+
+
+def write_bag(
+    scene: Scene | str | os.PathLike[str] | None,
+    output: Path,
+    frames: int | None,
+    seconds: float | None,
+    topics: Sequence[str],
+    jobs: int | None,
+    resume: bool,
+    on_progress: Callable[[int, int], None],
+    **options: Any,
+) -> None:
+    """Record a scene; see :func:`humansim_ros.apps.api.record`.
+
+    Args:
+        scene: Scene.
+        output: Folder of the bag.
+        frames: Number of frames.
+        seconds: Length.
+        topics: Names and patterns.
+        jobs: Number of processes.
+        resume: Continue a bag.
+        on_progress: Called after each frame.
+        options: Options of :class:`RecordingPlan`.
+    """
+    from humansim_ros.jobs.cores import cores
+    from humansim_ros.record.recording import SceneRecording, record
+
+    if (frames is None) == (seconds is None):
+        raise BagError("give either frames or seconds", key="record")
+    loaded, processes = _loaded(scene), jobs or cores()
+    count = frames if frames is not None else max(1, round((seconds or 0.0) * loaded.config.rate))
+    recording = SceneRecording.of(loaded, count, topics, jobs=processes, **options)
+    record(recording, output, processes, resume, lambda state: on_progress(state.done, state.frames))
+
+
+def write_data_set(
+    source: Scene | str | os.PathLike[str] | None,
+    output: Path,
+    formats: Sequence[str],
+    frames: int | range | None,
+    keypoints: str,
+    images: str,
+    shard_size: int,
+    jobs: int | None,
+    resume: bool,
+    on_progress: Callable[[int, int], None],
+) -> None:
+    """Export a scene or bag; see :func:`humansim_ros.apps.api.export`.
+
+    Args:
+        source: Scene or bag.
+        output: Folder.
+        formats: Names of formats.
+        frames: Number of frames, or their range.
+        keypoints: Keypoint set.
+        images: png or jpg.
+        shard_size: Bytes.
+        jobs: Number of processes.
+        resume: Continue an export.
+        on_progress: Called after each frame.
+    """
+    from humansim_ros.export.exporting import Export, export
+    from humansim_ros.export.formats import chosen_formats
+    from humansim_ros.export.plan import ExportPlan
+    from humansim_ros.jobs.cores import cores
+
+    chosen = range(frames) if isinstance(frames, int) else frames
+    opened = export_source(source, tuple(chosen_formats(formats)), keypoints)
+    job = Export(opened, ExportPlan.of(opened, chosen, f".{images}", shard_size), output)
+    export(job, jobs or cores(), resume, lambda state: on_progress(state.done, state.frames))
+
+
+def export_source(
+    source: Scene | str | os.PathLike[str] | None, formats: tuple[ExportFormat, ...], keypoints: str
+) -> ExportSource:
+    """The scene or bag that is exported."""
+    from humansim_ros.evaluate.readers.estimates import is_bag
+    from humansim_ros.export.source import SimulatedSource
+    from humansim_ros.keypoints.sets import keypoint_set
+
+    points = keypoint_set(keypoints).name
+    if isinstance(source, (str, os.PathLike)) and is_bag(Path(source)):
+        from humansim_ros.export.bag import BagSource
+
+        return BagSource.read(Path(source), formats, points)
+    return SimulatedSource(_loaded(source), formats, points)
+
+
+def _loaded(scene: Scene | str | os.PathLike[str] | None) -> Scene:
+    from humansim_ros.scene import Scene
+
+    return scene if isinstance(scene, Scene) else Scene.load(scene)

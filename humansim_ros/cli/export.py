@@ -17,9 +17,9 @@ from humansim_ros.jobs.ray_cluster import PART_FRAMES
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
+    from humansim_ros.apps.work import export_source
+    from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.exporting import Export
-    from humansim_ros.export.formats import ExportFormat
-    from humansim_ros.export.source import ExportSource
     from humansim_ros.jobs.frame_job import FrameProgress
 
 
@@ -94,8 +94,8 @@ def export(
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range
     from humansim_ros.jobs.cores import cores
-    from humansim_ros.keypoints.sets import keypoint_set
     from humansim_ros.record.output import is_url
+    from humansim_ros.scene import Scene
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
@@ -105,28 +105,19 @@ def export(
     rows = tuple(chosen_formats(formats or ()))  # None for a comma alone
     if ray is not None and scene is not None:
         scene = scene.resolve()  # workers are in other folders
-    source = _source(scene, rows, keypoint_set(keypoints).name)
+    given: Scene | Path
+    if scene is not None and is_bag(scene):
+        given = scene
+    else:
+        given = Scene.load(scene)
+        warn_about_mistakes(given)
+    source = export_source(given, rows, keypoints)
     plan = ExportPlan.of(source, chosen, f".{images.value}", shard_size)
     job = Export(source, plan, Path(output) if ray is None else Path(output).resolve())
     if ray is None:
         _export(job, jobs or cores(), resume)
     else:
         _export_on_ray(job, ray, jobs, shard_frames, resume)
-
-
-def _source(path: Path | None, formats: tuple[ExportFormat, ...], keypoints: str) -> ExportSource:
-    """The scene or bag that is exported."""
-    from humansim_ros.evaluate.readers.estimates import is_bag
-    from humansim_ros.export.source import SimulatedSource
-    from humansim_ros.scene import Scene
-
-    if path is None or not is_bag(path):
-        scene = Scene.load(path)
-        warn_about_mistakes(scene)
-        return SimulatedSource(scene, formats, keypoints)
-    from humansim_ros.export.bag import BagSource
-
-    return BagSource.read(path, formats, keypoints)
 
 
 def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: int, resume: bool) -> None:

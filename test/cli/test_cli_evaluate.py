@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import humansim
 
-from humansim_ros import Scene
+from humansim_ros import Scene, evaluate
 from humansim_ros.cli import main as cli
 from humansim_ros.evaluate.truth import scene_truth
 from humansim_ros.keypoints import keypoint_set
@@ -41,6 +42,16 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
                     rows.append(f"{time * 1e-9:.9f},{person},{joint},{x:.9f},{y:.9f},{z:.9f}")
         (folder / f"{name}.csv").write_text("\n".join(rows))
     return folder
+
+
+def test_the_public_function_returns_what_the_command_writes(files: Path, tmp_path: Path) -> None:
+    given = (files / "scene.yaml", files / "swapped.csv")
+    result = evaluate(*given, scale=0.001, axes="y-up")
+    assert result.data["position"]["mpjpe"] == pytest.approx(0.01, abs=1e-6) and "10.0 mm" in str(result)
+    words = ("--truth", given[0], "--estimate", given[1], "--scale", 0.001, "--axes", "y-up", "--json")
+    assert json.loads(humansim("evaluate", *words).stdout) == json.loads(json.dumps(result.data))
+    result.write_report(tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text().startswith("<!DOCTYPE html>")
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: Any) -> int:

@@ -38,7 +38,7 @@ td, th { padding: 4px 10px 4px 0; text-align: left; border-bottom: 1px solid #e6
 
 
 def picture(report: Report, other: Report | None = None) -> Markup:
-    """The picture as SVG. ``other``: a second tracker, whose tiles stand below those of the first."""
+    """The picture as SVG. ``other``: a second tracker, whose tiles stand below the tiles of the first."""
     reports = [report] if other is None else [report, other]
     shapes = list(_head(reports))
     y = _HEAD + 26 * (len(reports) - 1)

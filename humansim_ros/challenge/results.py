@@ -32,7 +32,7 @@ class CaseResult:
         frames: Number of frames that were sent.
         estimates: Number of frames with an estimate.
         mpjpe: Mean joint error of people who were found.
-        pck: Share of joints within 150 mm; those of missed people are wrong.
+        pck: Share of joints within 150 mm; joints of missed people are wrong.
         recall: Share of people who were found.
         precision: Share of estimated people who are real.
         idf1: Score of identities; None if the tracker has none.

@@ -1,4 +1,4 @@
-"""Run a tracker through a suite, case by case, and keep what is finished."""
+"""Run a tracker through a suite, case by case, and keep the finished cases."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class TrackerProcess:
 
     Args:
         words: Command line.
-        environment: Environment variables beside those of this process.
+        environment: Environment variables that are added to the ones of this process.
         log: File for its output.
 
     Raises:

@@ -21,7 +21,7 @@ AXES = {"z-up": "x,y,z", "y-up": "z,x,y", "y-down": "x,z,-y"}
 _UNIT_FACTOR = 2.0
 #: Frames that the checks of unit and axes look at.
 _CHECKED_FRAMES = 50
-#: Stamps from this time on, nanoseconds, are those of a wall clock: 2001.
+#: Stamps from this time on (2001), nanoseconds, come from a wall clock.
 _WALL_CLOCK = 10**18
 #: Longest offset that is measured, seconds.
 MAX_OFFSET = 1.0
@@ -81,7 +81,7 @@ def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
 
     Frames of the truth between the first and the last pair that have no frame of the estimate are compared
     as well, because everybody in them is missed. If the estimate has fewer frames per second than the truth,
-    only as many are as it would have had.
+    gaps are compared at the rate of the estimate.
 
     Raises:
         EvaluationError: They do not overlap in time.
@@ -136,7 +136,7 @@ def _check_overlap(truth: PoseSequence, estimate: PoseSequence) -> None:
 
 
 def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -> None:
-    """Raise EvaluationError if the people of the estimate have not the size of those of the truth."""
+    """Raise EvaluationError if people of the truth and of the estimate differ in size."""
     sizes = [_size(people.values()) for people in _frames(truth, pairs.truth)]
     own = [_size(people.values()) for people in _frames(estimate, pairs.estimate)]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -36,7 +36,7 @@ from humansim_ros.evaluate.pose_sequence import PoseSequence, Timing, timing
 from humansim_ros.evaluate.tracking import TrackedFrame, TrackingScores, similarity, tracking_scores
 from humansim_ros.types import Array, Indices
 
-#: Greatest mean joint distance of a person who counts as found, metres: that of the recall of [Tu 2020].
+#: Greatest mean joint distance of a person who counts as found, metres, as for the recall of [Tu 2020].
 DEFAULT_GATE = 0.5
 #: Threshold of PCK, metres [Mehta 2017].
 PCK_THRESHOLD = 0.15
@@ -48,7 +48,7 @@ WORST = 10
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Frames: compared, those without an estimate among them, and those of the estimate without truth.
+    """Numbers of frames: compared, compared without an estimate, and of the estimate without truth.
 
     ``start`` and ``end`` are the first and last stamp that were compared, nanoseconds.
     """
@@ -70,7 +70,7 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class PeopleCounts:
-    """People in all frames: of the truth, found, missed; and those of the estimate who are nobody."""
+    """People in all frames: of the truth, found, missed; and people of the estimate who match nobody."""
 
     present: int
     found: int
@@ -291,7 +291,7 @@ class _Comparison:
         self.aligned_errors = joint_errors(self.matches.truth, aligned)
 
     def _match(self, frame: int, t: int, e: int) -> list[tuple[str, str]]:
-        """Count the people of a frame; names of those who match."""
+        """Count the people of a frame; names of the pairs that match."""
         truth = self.truth.people[t]
         estimate = self.estimate.people[e] if e >= 0 else {}
         people, own = list(truth), list(estimate)

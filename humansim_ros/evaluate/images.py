@@ -1,6 +1,6 @@
 """Compare detections in images with the truth: keypoints, boxes and masks of each camera.
 
-Average precision is that of pycocotools [Lin 2014]; the other numbers are of people and objects that match by
+pycocotools computes average precision [Lin 2014]; the other numbers are of people and objects that match by
 the Hungarian method on the same similarities.
 """
 
@@ -90,7 +90,7 @@ class PixelErrors:
 
 @dataclass(frozen=True)
 class ImageScores:
-    """Scores of detections of one kind, in all images or those of a camera.
+    """Scores of detections of one kind, in all images or in the images of a camera.
 
     Attributes:
         precision: Average precision and recall of pycocotools; None where it has none.
@@ -230,7 +230,7 @@ def _of_known_categories(truth: ImageTruth, results: list[_Record], source: str)
 
 @dataclass
 class _Group:
-    """What is counted in all images, or in those of one camera."""
+    """Counts of all images, or of the images of one camera."""
 
     similarities: list[float] = field(default_factory=list)
     found: int = 0

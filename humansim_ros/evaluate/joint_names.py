@@ -12,12 +12,12 @@ from humansim_ros.errors import EvaluationError, did_you_mean, some_of
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointSet
 
-#: Other spellings of joints, beside those of :mod:`humansim_ros.body.joint_names`.
+#: Spellings of joints that are not in :mod:`humansim_ros.body.joint_names`.
 _SPELLINGS = {
     "vt3": ("neck", "lower_neck", "upper_neck"),
     "vt3_end": ("head_top", "top_head", "head"),
 }
-#: An end of a limb: a joint, or joints of which it is the middle.
+#: An end of a limb: the middle of one or several joints.
 LimbEnd = tuple[int, ...]
 #: Ends of each limb by group, joints of the package's skeleton.
 _LIMBS = {

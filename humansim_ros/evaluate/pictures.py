@@ -16,7 +16,7 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array, Image
 
-#: Colours of truth and estimate: those of the plots.
+#: Colours of truth and estimate, as in the plots.
 TRUTH_COLOR, ESTIMATE_COLOR = (0, 114, 178), (213, 94, 0)
 #: Longest side of a drawn image in pixels: ten of them are at most about 1 MB.
 SIDE = 480

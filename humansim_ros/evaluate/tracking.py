@@ -1,6 +1,6 @@
 """HOTA, CLEAR MOT and IDF1: how well an estimate keeps the identities of people.
 
-The formulas are those of TrackEval, whose results the tests repeat. TrackEval itself is not used: its package
+The formulas follow TrackEval, and the tests compare their results. TrackEval itself is not used: its package
 on PyPI demands NumPy 2.3 and replaces OpenCV, which ROS installations cannot have.
 """
 
@@ -115,7 +115,7 @@ def _clear(frames: Sequence[TrackedFrame]) -> tuple[float, float, int, int]:
     for frame in frames:
         if not len(frame.truth) or not len(frame.estimate):
             continue  # as TrackEval: such a frame does not end a match either
-        # those who are matched already stay matched
+        # people who are matched stay matched
         stays = frame.estimate[None, :] == before[frame.truth][:, None]
         score = np.where(frame.similarity < _MATCH - _EPSILON, 0.0, 1000.0 * stays + frame.similarity)
         rows, columns = linear_sum_assignment(-score)

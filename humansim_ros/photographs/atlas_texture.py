@@ -53,7 +53,7 @@ _LEAST_SHARE, _CHUNK = 1e-3, 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Colours of C views: what is seen is gain times true colour plus bias, in sRGB values of 0 to 255.
+    """Colours of C views: a view sees gain times true colour plus bias, in sRGB values of 0 to 255.
 
     Attributes:
         gains: (C, 3); their geometric mean is 1.
@@ -167,7 +167,7 @@ def texture_atlas(
 
     Each texel takes its colour from the views that see it, those with more pixels for it counting more.
     Gains and biases between the cameras are removed first. Three bands of spatial frequency are blended with
-    different sharpness, so that neither seams nor blur appear. Hidden parts continue what is seen beside
+    different sharpness, so that neither seams nor blur appear. Hidden parts continue the colours beside
     them, or on the other side of the body.
 
     Args:
@@ -207,7 +207,7 @@ def texture_atlas(
 
 
 def with_coordinates(human: Human) -> Human:
-    """The human with texture coordinates that do not overlap: its own, or those of the package xatlas.
+    """The human with texture coordinates that do not overlap: its own, or new ones by the package xatlas.
 
     Raises:
         PhotographError: It has none, and xatlas is not installed.

@@ -65,7 +65,7 @@ def fit_person(
 
     Args:
         photos: Photographs with points.
-        human: Name or file of the human to start from; that of ``start`` or of the views file if None.
+        human: Name or file of the human to start from; if None, the human of ``start`` or of the views file.
         start: Fit of the same human to start from, such as one that points were corrected in.
         silhouettes: Use the masks, if there are any.
         progress: Called with the name of a step, finished and all frames.
@@ -153,7 +153,7 @@ def _noise(found: Sequence[Triangulation]) -> float:
     errors = np.concatenate([each.errors[each.inliers] for each in found])
     if not len(errors):
         return LEAST_NOISE
-    # a position takes up three of the 2 V numbers of V views; the median is that of a Rayleigh distribution
+    # a position takes up three of the 2 V numbers of V views; the lengths have a Rayleigh distribution
     views = np.concatenate(
         [np.broadcast_to(each.inliers.sum(0), each.inliers.shape)[each.inliers] for each in found]
     )

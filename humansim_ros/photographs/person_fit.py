@@ -23,7 +23,7 @@ from humansim_ros.types import Array, Float32Array
 
 #: Range of each factor.
 SMALLEST, LARGEST = 0.2, 5.0
-#: Most betas that are fitted: the first ones of a model are those that matter.
+#: Most betas that are fitted: the first ones of a model matter most.
 MOST = 10
 #: Standard deviation of a vertex about its place in the model, metres; and number of independent vertices.
 _NOISE, _INDEPENDENT = 0.01, 200

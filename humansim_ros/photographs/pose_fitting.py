@@ -1,8 +1,9 @@
 """Fit poses and proportions of a body to 2D points: robust nonlinear least squares over all frames at once.
 
-The unknowns are those of :class:`~humansim_ros.photographs.pose_model.PoseModel`: pose numbers of each frame,
-and one set of proportions. Frames are coupled by a prior of small accelerations, so that the normal equations
-are a band, bordered by the proportions: each step of Levenberg-Marquardt takes time linear in the frames.
+The unknowns are the numbers of :class:`~humansim_ros.photographs.pose_model.PoseModel`: pose numbers of
+each frame, and one set of proportions. Frames are coupled by a prior of small accelerations, so that the
+normal equations are a band, bordered by the proportions: each step of Levenberg-Marquardt takes time linear
+in the frames.
 """
 
 from __future__ import annotations
@@ -221,7 +222,7 @@ class _Problem:
         return bool(beyond.any())
 
     def solve(self, states: list[BodyState], tolerance: float | None = None) -> list[BodyState]:
-        """Levenberg-Marquardt from the states; ``tolerance``: that of the settings if None."""
+        """Levenberg-Marquardt from the states; ``tolerance``: the tolerance of the settings if None."""
         tolerance = self.settings.tolerance if tolerance is None else tolerance
         cost, damping = self._cost(states), 1e-3
         for _ in range(self.settings.steps):

@@ -91,7 +91,7 @@ class PoseModel:
         group_of: (B,) number of the group of each bone.
         girths: Names of the D groups of bones that have one factor of girth: left and right.
         girth_of: (B,) number of the girth group of each bone.
-        trust: (K,) how much each keypoint counts; those of the skin count less.
+        trust: (K,) how much each keypoint counts; keypoints of the skin count less.
     """
 
     def __init__(self, human: Human, keypoints: KeypointSet, shape: tuple[float, ...] = ()) -> None:

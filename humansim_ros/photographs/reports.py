@@ -340,7 +340,7 @@ def draw_sheet(person: TexturedPerson) -> Image:
 def _view_colors(person: TexturedPerson) -> Human:
     """The human in the colours of the views that its triangles take."""
     mesh, count = person.human.mesh, _count(person)
-    # a texture with a tile for each colour: texture coordinates are those of the middle of a tile
+    # a texture with a tile for each colour: texture coordinates are in the middle of a tile
     palette = np.repeat(np.repeat(_palette(count)[None], _PANEL, axis=0), _PANEL, axis=1)
     number = np.where(person.cameras < 0, 2 * count, person.cameras + count * ~person.seen)
     uv: Array = np.stack([(np.arange(2 * count + 1) + 0.5) / (2 * count + 1), np.full(2 * count + 1, 0.5)], 1)

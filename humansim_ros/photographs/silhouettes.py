@@ -40,7 +40,7 @@ _SPECK = 30
 _SMOOTH = 1.5
 #: Least length of a smoothed slope that has a direction.
 _LEAST_SLOPE = 0.3
-#: Outlines that are farther apart than this share of the size of the person are those of different things.
+#: Outlines that are farther apart than this share of the size of the person belong to different things.
 _FARTHEST = 0.5
 #: Pixels around two masks, so that slopes at their outlines are known.
 _MARGIN = 8
@@ -56,7 +56,7 @@ Faces = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class MaskOutline:
-    """MaskOutline of a mask (H, W)."""
+    """Outline of a mask (H, W)."""
 
     mask: NDArray[np.bool_]
 
@@ -298,7 +298,7 @@ def _points(
 
 
 def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
-    """Keypoints of a frame: those that are right, with left and right as they should be."""
+    """Keypoints of a frame without the wrong ones, with left and right as they should be."""
     points = _corrected(fit, photos, number)
     weights = np.where(fit.outliers[number], 0.0, points[..., 2] * model.trust)
     nowhere = np.full((points.shape[1], 3), np.nan)
@@ -313,7 +313,7 @@ def _corrected(fit: PersonFit, photos: PhotoSet, number: int) -> Array:
 
 
 def _noise(fit: PersonFit) -> float:
-    """Standard deviation of a coordinate of the keypoints: the median length is that of a Rayleigh one."""
+    """Standard deviation of a coordinate of the keypoints: the lengths have a Rayleigh distribution."""
     right = fit.residuals[np.isfinite(fit.residuals) & ~fit.outliers]
     return float(max(np.median(right) / np.sqrt(2 * np.log(2)), LEAST_NOISE)) if len(right) else LEAST_NOISE
 

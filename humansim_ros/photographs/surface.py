@@ -33,7 +33,7 @@ _LEAST_COSINE = 0.12
 _BORDER, _RAMP = 1.0, 4.0
 #: Jump of depth between neighbouring pixels that is a border, metres.
 _JUMP = 0.04
-#: Rounds of averaging over neighbours that make weights fade before a border of what is seen.
+#: Rounds of averaging over neighbours that make weights fade before the border of the seen surface.
 _FADE = 4
 #: Columns of tables of texels: OpenCV looks up images, not lists.
 _COLUMNS = 4096
@@ -120,7 +120,7 @@ class Surface:
 
 
 def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symmetry: bool = True) -> Array:
-    """Colours (P, 3) of all places, from those that are seen.
+    """Colours (P, 3) of all places, from the colours of seen places.
 
     Hidden places continue the colours at their border as smoothly as possible. Where the other side of the
     body is seen, they also have its differences of colour (Poisson's equation on the surface [Perez 2003]).
@@ -128,7 +128,7 @@ def fill_colours(surface: Surface, colours: Array, seen: NDArray[np.bool_], symm
 
     Args:
         surface: The surface.
-        colours: (P, 3); only those of seen places are used.
+        colours: (P, 3); only the colours of seen places are used.
         seen: (P,) the colour is known; some are.
         symmetry: Use the other side of the body.
     """
@@ -179,7 +179,7 @@ class SurfaceSight:
         depths: (P,) metres along the axis of the camera.
         tolerance: (P,) of depths, metres.
         weights: (P,) float32 how well the places are seen: 0 hidden, larger for more pixels for each metre;
-            it fades out towards borders of what is seen.
+            it fades out towards the border of the seen surface.
         depth_image: (H, W) float32 metres; infinite where the person is not, or the mask says so.
         inside: (H, W) float32 0 to 1: 0 where colours mix with those behind, growing away from borders.
     """
@@ -202,7 +202,7 @@ class SurfaceSight:
         return focal / float(np.median(self.depths[seen]))
 
     def texel_weights(self, surface: Surface, texels: SurfaceTexels) -> tuple[Float32Array, Float32Array]:
-        """Pixels (M, 2) of texels, and weights (M,): those of the corners; 0 where the texel is hidden."""
+        """Pixels (M, 2) of texels, and weights (M,) from the corners; 0 where the texel is hidden."""
         triangles = surface.triangles
         values = np.column_stack([self.pixels, self.depths, self.tolerance, self.weights])
         mixed = texels.mix(np.nan_to_num(values).astype(np.float32), triangles)

@@ -1,8 +1,8 @@
 """Texture a person from photographs as the thesis does: each face takes one photograph [thesis §6.2-6.4].
 
 The texture is the photographs side by side, and the texture coordinates are the projections of the vertices.
-The share of visible pixels is that of all pixels that the face covers; the pseudo-code of the thesis divides
-by the hidden pixels, which is another choice for one in a thousand faces.
+The visible pixels are divided by all pixels that the face covers; the pseudo-code of the thesis divides by
+the hidden pixels, which is another choice for one in a thousand faces.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def choose_cameras(
     """Choose the view of each triangle.
 
     A triangle takes the view with most of its visible pixels, of those in which at least a share of the
-    pixels that it covers is visible. A triangle without such a view takes that of most of its neighbours, in
+    pixels that it covers is visible. A triangle without such a view takes the view of most neighbours, in
     rounds from the triangles that have a view. The rest take the view in which they cover most pixels, or
     the view of most triangles. Of equal views the first is taken.
 

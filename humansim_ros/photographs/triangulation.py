@@ -1,4 +1,4 @@
-"""Keypoints in space from 2D points of calibrated views, some of which are wrong."""
+"""Keypoints in space from 2D points of calibrated views; some points are wrong."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _POINTS = 2.0
 _SHARE = 0.2
 #: Divisors of the limits: the noise is not known yet, and seen from the side, left and right are near.
 _SCALES = (1, 2, 4)
-#: Anatomical points of which the first is in front of the second.
+#: Pairs of anatomical points; the first is in front of the second.
 _IN_FRONT = (
     ("nose", "left_ear"),
     ("nose", "right_ear"),
@@ -292,7 +292,7 @@ def find_exchanged(
 ) -> NDArray[np.bool_]:
     """Views (V,) whose left and right are exchanged.
 
-    Left and right of a view are exchanged where more points then agree with those of the other views. If
+    Left and right of a view are exchanged where more points then agree with the other views. If
     that leaves open which views are right, or if all of them agree, the front of the body decides: the nose
     is in front of the ears, the toes are in front of the heels.
 

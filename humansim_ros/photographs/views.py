@@ -479,7 +479,7 @@ class _Reader:
 
 
 def default_points(views: str | os.PathLike[str], view: str) -> Path:
-    """File of the points of a view that names none: those of a detector, or those set by hand."""
+    """File of the points of a view that names none, from a detector or set by hand."""
     path = Path(views)
     return path.parent / f"{path.stem}_points" / f"{view}.json"
 

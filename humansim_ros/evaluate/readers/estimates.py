@@ -97,7 +97,7 @@ def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def in_map(sequence: PoseSequence, axes: str, options: ReadOptions) -> PoseSequence:
-    """The sequence with the scale and axes of ``options``; ``axes``: those of its format."""
+    """The sequence with the scale and axes of ``options``; ``axes``: axes of its format."""
     matrix = options.scale * axes_matrix(options.axes or axes)
     return sequence if np.array_equal(matrix, np.eye(3)) else sequence.mapped(matrix)
 

@@ -54,7 +54,7 @@ class ReadOptions:
         names: Names of the points, in their order, for formats without names.
         period: Nanoseconds between frames, for formats that number frames; 0 if unknown.
         start: Stamp of frame 0 and of time 0, nanoseconds.
-        axes: Axes of the file, as of ``axes_matrix``; those of its format if None.
+        axes: Axes of the file, as of ``axes_matrix``; the usual axes of its format if None.
         scale: Metres of a unit of the file, after the unit that the file states.
     """
 
@@ -104,7 +104,7 @@ def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str)
 
 
 def split_name(label: str, path: Path) -> tuple[str, str]:
-    """Person and joint of a label such as ``anna:l_knee``; the person is that of the file's name without."""
+    """Person and joint of a label such as ``anna:l_knee``; without a person, the file has its name."""
     person, found, joint = label.rpartition(":")
     return (person, joint) if found and person and joint else (path.stem, label)
 
@@ -277,7 +277,7 @@ def _points(path: Path) -> tuple[list[str], str, float, int, Array]:
 def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
     """Read a folder with a file a frame, or one such file. The folder may be a sequence of Panoptic.
 
-    Positions of Panoptic (centimetres, y down) become those of ``map``. The last number in the name of a
+    Positions of Panoptic (centimetres, y down) are converted to ``map``. The last number in the name of a
     file is its frame. Raises EvaluationError.
     """
     sequence = sorted(path.glob("hdPose3d_*/*.json"))

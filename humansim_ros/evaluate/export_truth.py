@@ -20,10 +20,8 @@ from humansim_ros.evaluate.readers.estimates import is_bag, read_estimates
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.truth import FIRST_STAMP
 from humansim_ros.export.coco import CHANNELS, CocoWriter, coco_document, scene_categories
-from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.plan import INDEX, read_index
-from humansim_ros.export.scene import ExportScene
-from humansim_ros.export.writer import ExportFrame, ExportSettings
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.io.files import read_bytes, read_text
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
 from humansim_ros.keypoints import KeypointSet, keypoint_set

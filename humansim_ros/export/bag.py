@@ -24,8 +24,8 @@ from humansim_ros.bags.reader import BagReader
 from humansim_ros.camera import Camera
 from humansim_ros.errors import BagError, ExportError, HumansimError, some_of, warn_about
 from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
-from humansim_ros.export.scene import ExportCamera, ExportScene
 from humansim_ros.export.source import versions
+from humansim_ros.export.writer import ExportCamera, ExportScene
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import Frames

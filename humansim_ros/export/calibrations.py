@@ -9,8 +9,7 @@ from tempfile import TemporaryDirectory
 
 from humansim_ros.camera.calibration import write_calibration
 from humansim_ros.errors import ExportError, HumansimError, HumansimWarning
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.writer import ExportSettings, FormatWriter
+from humansim_ros.export.writer import ExportFolder, ExportSettings, FormatWriter
 from humansim_ros.io.files import ANY_SIZE, read_text
 
 

@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.scene import ExportScene
-from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, FormatWriter, Record
 from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
 from humansim_ros.truth import OUTSIDE, BodyBox, KeypointView
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS

@@ -8,8 +8,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from humansim_ros import __version__
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.writer import FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, FormatWriter, Record
 
 #: Name of the card, in the root of the export.
 CARD = "croissant.json"

@@ -19,11 +19,18 @@ import numpy as np
 
 from humansim_ros.camera import write_calibration
 from humansim_ros.errors import ExportError, HumansimError
-from humansim_ros.export.folder import TEMPORARY, ExportFolder, FileEntry
 from humansim_ros.export.formats import ExportFormat, needed_channels
 from humansim_ros.export.plan import INDEX, ExportPlan, read_index
 from humansim_ros.export.source import ExportSource
-from humansim_ros.export.writer import ExportFrame, ExportSettings, Record, frame_name
+from humansim_ros.export.writer import (
+    TEMPORARY,
+    ExportFolder,
+    ExportFrame,
+    ExportSettings,
+    FileEntry,
+    Record,
+    frame_name,
+)
 from humansim_ros.io.files import read_text
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult, FrameWorker
 from humansim_ros.jobs.ray_cluster import (

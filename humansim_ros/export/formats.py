@@ -14,7 +14,6 @@ from humansim_ros.errors import ExportError, did_you_mean
 from humansim_ros.export.calibrations import AniposeWriter
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
-from humansim_ros.export.datasets import Human36mWriter, PanopticWriter
 from humansim_ros.export.glb import GlbWriter
 from humansim_ros.export.images import (
     DepthExrWriter,
@@ -24,16 +23,15 @@ from humansim_ros.export.images import (
     ImageWriter,
     KittiFlowWriter,
     LabelWriter,
+    VideoWriter,
 )
-from humansim_ros.export.markers import C3dWriter, TrcWriter
-from humansim_ros.export.mot import MotWriter
 from humansim_ros.export.openpose import OpenPoseWriter
+from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.poses import BvhWriter
+from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
 from humansim_ros.export.thesis import ThesisWriter
-from humansim_ros.export.video import VideoWriter
 from humansim_ros.export.webdataset import WebDatasetWriter
 from humansim_ros.export.writer import FormatWriter
-from humansim_ros.export.yolo import YoloWriter
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from humansim_ros import __version__
 from humansim_ros.errors import warn_about
-from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.poses import AnimatedHuman, PoseWriter
-from humansim_ros.export.writer import Record
+from humansim_ros.export.writer import ExportFolder, Record
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import decode_srgb, encode_image
 from humansim_ros.mesh.mesh import Mesh

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.export.calibrations import calibration_text
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.writer import ExportFrame, ExportSettings, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.truth import OCCLUDED, VISIBLE
 from humansim_ros.types import Array

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from humansim_ros.errors import warn_about
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.bvh import write_bvh
 from humansim_ros.motion.export import PosedBones

@@ -13,7 +13,7 @@ import numpy as np
 
 from humansim_ros import __version__
 from humansim_ros.export.formats import ExportFormat, needed_channels
-from humansim_ros.export.scene import ExportScene
+from humansim_ros.export.writer import ExportScene
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.camera import SceneCamera

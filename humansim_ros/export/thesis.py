@@ -19,9 +19,8 @@ from humansim_ros.camera import Camera, Ideal, idealize, write_calibration
 from humansim_ros.camera.thesis_cam import cam_of
 from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import CameraError, ExportError
-from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.images import encoded_image
-from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.io.files import read_text
 from humansim_ros.scene import HumanState
 from humansim_ros.types import Array

@@ -23,9 +23,8 @@ import numpy as np
 
 from humansim_ros.errors import ExportError
 from humansim_ros.export.coco import calibration_entry, person_keypoints
-from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.images import encoded_image
-from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.io.files import read_blocks
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.truth import BodyBox

@@ -1,4 +1,4 @@
-"""What the writer of an export format gets: settings of the export, and one frame after the other.
+"""What the writer of an export format gets: the scene, the folder, settings, and one frame after the other.
 
 A writer works in two steps, so that frames can be written by several processes and an interrupted export can
 go on: :meth:`FormatWriter.frame` writes the files of one frame, and returns what the files of the whole
@@ -7,13 +7,177 @@ export need of it. :meth:`FormatWriter.finish` gets this from all frames, in ord
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypedDict
 
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.scene import ExportScene
-from humansim_ros.scene import Frame
+from humansim_ros.camera import Camera
+from humansim_ros.errors import ExportError
+from humansim_ros.humans import Human
+from humansim_ros.io.files import atomic_path, read_blocks
+from humansim_ros.scene import Frame, Scene
+
+#: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
+TEMPORARY = ".frames"
+
+
+class FileEntry(TypedDict):
+    """A file of an export as its index lists it: hash, and size in bytes."""
+
+    sha256: str
+    bytes: int
+
+
+class ExportFolder:
+    """A folder of an export. All methods raise HumansimError with the path if a file cannot be written.
+
+    Names are relative to the folder, with ``/``; missing folders are made.
+
+    Args:
+        root: Folder of the whole export.
+        prefix: Path of this folder in it; "" is the root itself.
+
+    Attributes:
+        written: Files that were written here and in :meth:`subfolder`, by path relative to the root.
+    """
+
+    def __init__(self, root: Path, prefix: str = "") -> None:
+        self.root = root
+        self._prefix = f"{prefix}/" if prefix else ""
+        self.written: dict[str, FileEntry] = {}
+
+    def subfolder(self, name: str) -> ExportFolder:
+        """A folder in this one, with the same :attr:`written`."""
+        folder = ExportFolder(self.root, self._prefix + name)
+        folder.written = self.written
+        return folder
+
+    def root_folder(self) -> ExportFolder:
+        """The root of the export, with the same :attr:`written`."""
+        folder = ExportFolder(self.root)
+        folder.written = self.written
+        return folder
+
+    def write(self, name: str, content: bytes | str) -> None:
+        """Write a file at once; text as UTF-8."""
+        with self.path(name) as path:
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+
+    def write_temporary(self, name: str, content: bytes) -> None:
+        """Write a file that :meth:`temporary` finds until the export is complete."""
+        folder = ExportFolder(self.root, f"{TEMPORARY}/{self._prefix}".rstrip("/"))
+        folder.written = self.written
+        folder.write(name, content)
+
+    def temporary(self, name: str) -> Path:
+        """Path of a file of :meth:`write_temporary`."""
+        return self.root / TEMPORARY / f"{self._prefix}{name}"
+
+    @contextmanager
+    def path(self, name: str) -> Iterator[Path]:
+        """Temporary path to write a file to, which gets its name after the block."""
+        relative = self._prefix + name
+        target = self.root / relative
+        self._make_folder(target.parent)
+        with atomic_path(target) as temporary:
+            yield temporary
+            self.written[relative] = _entry(temporary)
+
+    def link(self, name: str, target: str) -> None:
+        """Make a symbolic link to a file or folder of the export, so that no image is written twice.
+
+        ``target``: path relative to the root of the export.
+        """
+        link = self.root / self._prefix / name
+        self._make_folder(link.parent)
+        text = os.path.relpath(self.root / target, link.parent)
+        try:
+            if link.is_symlink():
+                link.unlink()
+            link.symlink_to(text)
+        except OSError as reason:
+            raise ExportError(f"no link can be made: {reason.strerror or reason}", path=link) from None
+
+    @staticmethod
+    def _make_folder(folder: Path) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as reason:
+            raise ExportError(
+                f"this folder cannot be made: {reason.strerror or reason}", path=folder
+            ) from None
+
+
+def _entry(path: Path) -> FileEntry:
+    digest, size = hashlib.sha256(), 0
+    for block in read_blocks(path, ExportError, "export"):
+        digest.update(block)
+        size += len(block)
+    return {"sha256": digest.hexdigest(), "bytes": size}
+
+
+@dataclass(frozen=True)
+class ExportCamera:
+    """A camera of an export.
+
+    Attributes:
+        camera: Calibration of its images and pose; that of the first frame if it moves.
+        moves: It has another pose in each frame.
+        encoding: ROS encoding of its images, such as ``rgb8``.
+    """
+
+    camera: Camera
+    moves: bool = False
+    encoding: str = "rgb8"
+
+
+@dataclass(frozen=True)
+class ExportScene:
+    """A scene as the writers of formats know it.
+
+    Attributes:
+        title: Name of the scene or bag.
+        rate: Frames per second.
+        cameras: Cameras by name.
+        labels: Instance labels of people, then of labelled objects, by name.
+        objects: Kind of each labelled object by name, such as ``box``.
+        parts: Names of the values of body parts, from 1, by person.
+        humans: Bodies without pose by name; a bag has none.
+    """
+
+    title: str
+    rate: float
+    cameras: Mapping[str, ExportCamera]
+    labels: Mapping[str, int]
+    objects: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    humans: Mapping[str, Human] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scene: Scene) -> ExportScene:
+        """What is known of a scene."""
+        return cls(
+            title=scene.path.stem if scene.path else "scene",
+            rate=scene.config.rate,
+            cameras={
+                name: ExportCamera(camera.camera, camera.moves or camera.drifts, camera.encoding)
+                for name, camera in scene.scene_cameras.items()
+            },
+            labels=scene.labels,
+            objects={name: Path(scene.objects[name].shape).stem for name in scene.object_labels},
+            parts={name: actor.human.skeleton.names for name, actor in scene.actors.items()},
+            humans={name: actor.human for name, actor in scene.actors.items()},
+        )
+
+    @property
+    def people(self) -> list[str]:
+        """Names of the people."""
+        return [name for name in self.labels if name not in self.objects]
+
 
 #: What a frame leaves for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as
 #: lists.

@@ -54,6 +54,7 @@ def capture(
     channels: Collection[str],
     scene_time: int,
     faults: FrameFaults = NO_FAULTS,
+    frozen: Image | None = None,
 ) -> View:
     """Render what a camera sees during its exposure, and apply its sensor to rgb.
 
@@ -64,7 +65,11 @@ def capture(
         channels: Names of the channels. All but rgb show the scene at the stamp.
         scene_time: Nanoseconds; the sensor's noise depends on it.
         faults: Faults of the picture. Channels other than rgb have none.
+        frozen: Colours of an earlier frame that the camera shows in place of its own.
     """
+    if frozen is not None:
+        others = [channel for channel in channels if channel != "rgb"]
+        return capture(renderer, camera, exposure, others, scene_time).with_channels(rgb=frozen)
     times = camera.sensor.times() + faults.trigger_delay if "rgb" in channels else np.zeros(1)
     single = not times.any()
     rendered = [channel for channel in channels if single or channel != "rgb"]
@@ -127,6 +132,15 @@ class JointMotion:
         return self.joints[:, :3, 3]
 
 
+@dataclass(frozen=True)
+class CameraFrame:
+    """A camera at a stamp: the camera at its true pose, its images, and their ground truth."""
+
+    camera: Camera
+    view: View
+    truth: CameraTruth
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneState:
     """All bodies, objects and cameras of a scene at one stamp.
@@ -170,7 +184,30 @@ class SceneState:
         """Pose at the stamp that the scene gives a camera; a camera that drifts has another."""
         return self.cameras.get(camera.name, CameraPose.of(camera.camera))
 
-    def camera_truth(self, camera: Camera, view: View) -> CameraTruth:
+    def camera_frame(
+        self,
+        renderer: Renderer,
+        camera: SceneCamera,
+        exposure: Exposure,
+        channels: Collection[str],
+        faults: FrameFaults = NO_FAULTS,
+        frozen: Image | None = None,
+    ) -> CameraFrame:
+        """Render a camera, and put the ground truth beside its images.
+
+        Args:
+            renderer: Renderer of the scene.
+            camera: The camera with its sensor.
+            exposure: See :meth:`exposure`; with adjacent frames for channels that need them.
+            channels: Names of the channels.
+            faults: Faults of the picture.
+            frozen: Colours of an earlier frame that the camera shows in place of its own.
+        """
+        view = capture(renderer, camera, exposure, channels, self.scene_time, faults, frozen)
+        posed = camera.camera_at(exposure.pose_at(0.0))
+        return CameraFrame(posed, view, self._camera_truth(posed, view))
+
+    def _camera_truth(self, camera: Camera, view: View) -> CameraTruth:
         """Ground truth of a view of this state. ``camera``: with its pose at the stamp."""
         joints_of = self.joints_of  # not self: frames that are stored would hold the bodies of exposures
         return CameraTruth(

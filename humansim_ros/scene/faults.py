@@ -67,7 +67,7 @@ class FrameFaults:
 
 
 #: A frame without faults.
-NO_FAULTS = FrameFaults()
+NO_FAULTS: FrameFaults = FrameFaults()
 
 
 class FaultSchedule:

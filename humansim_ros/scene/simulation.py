@@ -23,7 +23,13 @@ from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import JointMotion, SceneState, capture, capture_rectified_depth
+from humansim_ros.scene.capture import (
+    Exposure,
+    JointMotion,
+    SceneState,
+    capture,
+    capture_rectified_depth,
+)
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
@@ -243,21 +249,25 @@ class Simulation:
             if faulty.picture and "rgb" in self.channels
         }
         poses, humans, state = self._at(self.scene.frame_time(index))
-        at_their_poses = {
-            name: camera.camera_at(state.exposure(camera).pose_at(0.0)) for name, camera in chosen.items()
-        }
-        views = {
-            name: self._view(camera, state, adjacent, frozen.get(name), faults.get(name, NO_FAULTS))
+        captured = {
+            name: state.camera_frame(
+                self.renderer,
+                camera,
+                _exposure(camera, state, adjacent),
+                self.channels,
+                faults.get(name, NO_FAULTS),
+                frozen.get(name),
+            )
             for name, camera in chosen.items()
         }
         return Frame(
             index=index,
             stamp=state.stamp,
             humans=humans,
-            views=views,
-            truth={name: state.camera_truth(at_their_poses[name], view) for name, view in views.items()},
+            views={name: each.view for name, each in captured.items()},
+            truth={name: each.truth for name, each in captured.items()},
             objects=poses.objects,
-            cameras=at_their_poses,
+            cameras={name: each.camera for name, each in captured.items()},
             bodies=state.bodies,
             labels=self.scene.labels,
             scene_time=state.scene_time,
@@ -284,33 +294,6 @@ class Simulation:
     def close(self) -> None:
         """Free the renderer."""
         self.renderer.close()
-
-    def _view(
-        self,
-        camera: SceneCamera,
-        state: SceneState,
-        adjacent: Mapping[AdjacentName, SceneState],
-        frozen: Image | None,
-        faults: FrameFaults,
-    ) -> View:
-        """View of a camera.
-
-        Args:
-            camera: The camera.
-            state: State of the scene.
-            adjacent: States of adjacent frames.
-            frozen: The colours that it shows in place of its own.
-            faults: Faults of the frame.
-        """
-        next_frame, previous_frame = (
-            other.exposure(camera).adjacent_frame(camera) if (other := adjacent.get(name)) else None
-            for name in ADJACENT_NAMES
-        )
-        exposure = replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)
-        if frozen is None:
-            return capture(self.renderer, camera, exposure, self.channels, state.scene_time, faults)
-        channels = [channel for channel in self.channels if channel != "rgb"]
-        return capture(self.renderer, camera, exposure, channels, state.scene_time).with_channels(rgb=frozen)
 
     def _frozen(self, camera: SceneCamera, index: int) -> Image:
         """Image of an earlier frame, at which a camera has frozen."""
@@ -348,3 +331,14 @@ class Simulation:
         if any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
             self._recent.append((elapsed, actors, (poses, humans, state)))
         return poses, humans, state
+
+
+def _exposure(
+    camera: SceneCamera, state: SceneState, adjacent: Mapping[AdjacentName, SceneState]
+) -> Exposure:
+    """Bodies and pose of a camera around the stamp. ``adjacent``: states of adjacent frames."""
+    next_frame, previous_frame = (
+        other.exposure(camera).adjacent_frame(camera) if (other := adjacent.get(name)) else None
+        for name in ADJACENT_NAMES
+    )
+    return replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)

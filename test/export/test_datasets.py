@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from humansim_ros import Camera, Scene
-from humansim_ros.export.datasets import Human36mWriter, PanopticWriter, human36m_text, panoptic_text
-from humansim_ros.export.folder import ExportFolder
-from humansim_ros.export.scene import ExportScene
-from humansim_ros.export.writer import ExportFrame, ExportSettings
+from humansim_ros.export.positions import Human36mWriter, PanopticWriter, human36m_text, panoptic_text
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.errors import ExportError
-from humansim_ros.export.markers import MarkerPaths, c3d_bytes, trc_text
+from humansim_ros.export.positions import MarkerPaths, c3d_bytes, trc_text
 
 NAMES = ("nose", "left_wrist", "right_wrist")
 

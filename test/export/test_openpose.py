@@ -15,7 +15,6 @@ from humansim_ros.camera.formats.syntax import tomllib  # tomli before Python 3.
 from humansim_ros.errors import ExportError
 from humansim_ros.export import openpose
 from humansim_ros.export.calibrations import AniposeWriter, calibration_text
-from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.openpose import (
     OpenPoseWriter,
     openpose_file,
@@ -23,8 +22,7 @@ from humansim_ros.export.openpose import (
     openpose_text,
     pose2sim_order,
 )
-from humansim_ros.export.scene import ExportScene
-from humansim_ros.export.writer import ExportFrame, ExportSettings
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.truth import OCCLUDED, OUTSIDE, VISIBLE
 

@@ -10,7 +10,7 @@ import yaml
 from export_support import exported, small_scene
 
 from humansim_ros import Frame, Simulation
-from humansim_ros.export.yolo import mirrored
+from humansim_ros.export.people_boxes import mirrored
 from humansim_ros.keypoints.sets import KEYPOINT_SETS
 from humansim_ros.truth import OUTSIDE
 

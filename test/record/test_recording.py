@@ -285,16 +285,16 @@ def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -
 def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.scene import simulation
+    from humansim_ros.scene import capture as module
 
     rendered: list[tuple[str, tuple[str, ...]]] = []
-    capture = simulation.capture
+    capture = module.capture
     monkeypatch.setattr(
-        simulation,
+        module,
         "capture",
-        lambda renderer, camera, exposure, channels, time, faults: (
+        lambda renderer, camera, exposure, channels, *others: (
             rendered.append((camera.name, tuple(channels)))
-            or capture(renderer, camera, exposure, channels, time, faults)
+            or capture(renderer, camera, exposure, channels, *others)
         ),
     )
     recorded(scene, tmp_path / "bag", "/noisy/depth/image", "/humans/*/joints")

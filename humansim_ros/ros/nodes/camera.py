@@ -17,7 +17,6 @@ from typing import Any
 from humansim_ros import messages
 from humansim_ros.errors import CameraError, RosError, SceneError
 from humansim_ros.messages.topics import CameraTopics
-from humansim_ros.render import View
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros.camera.calibration import PublishedCalibration, read_single_camera
 from humansim_ros.ros.camera.pose import CameraPosePublisher
@@ -33,7 +32,7 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.capture import Exposure, SceneState, capture, capture_rectified_depth
+from humansim_ros.scene.capture import CameraFrame, Exposure, SceneState, capture, capture_rectified_depth
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.types import Image
 
@@ -175,31 +174,27 @@ class CameraNode(SceneNode):
         self._infos.publish(self._calibration, stamp)
         if not rendered and not rectified:
             return
-        view = self._captured(state, exposure, rendered, faults)
+        captured = self._captured(state, exposure, rendered, faults)
+        view = captured.view
         self._images.publish(view, channels, stamp)
         if "rgb" in rectified:
             self._images.publish_rectified("rgb", self._camera.rectify(view.rgb), stamp)
         if "depth" in rectified:
             depth = capture_rectified_depth(self._renderer, self._camera, exposure)
             self._images.publish_rectified("depth", depth, stamp)
-        truth = state.camera_truth(self._camera.camera_at(exposure.pose_at(0.0)), view)
-        self._truth.publish(truth_topics, truth, stamp)
+        self._truth.publish(truth_topics, captured.truth, stamp)
         self.count("frames")
         self.report_lateness(stamp)
 
     def _captured(
         self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
-    ) -> View:
-        """View of a state; with the colours of an earlier frame while the camera is frozen."""
+    ) -> CameraFrame:
+        """Images and truth of a state; with the colours of an earlier frame while the camera is frozen."""
         frozen = self._last_colours if faults.picture and "rgb" in channels else None
-        if frozen is not None:
-            channels = channels - {"rgb"}
-        view = capture(self._renderer, self._camera, exposure, channels, state.scene_time, faults)
-        if frozen is not None:
-            return view.with_channels(rgb=frozen)
+        captured = state.camera_frame(self._renderer, self._camera, exposure, channels, faults, frozen)
         if self._freezes and "rgb" in channels:
-            self._last_colours = view.rgb
-        return view
+            self._last_colours = captured.view.rgb
+        return captured
 
 
 def main(scene: Scene | None = None) -> int:

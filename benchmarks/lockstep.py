@@ -14,7 +14,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections import defaultdict
 from pathlib import Path
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
@@ -26,6 +25,7 @@ from sensor_msgs.msg import Image
 from slow_tracker import tracked_stamps
 
 from humansim_ros.messages import serialised_stamp
+from humansim_ros.messages.frames import Frames
 from humansim_ros.resources import resource_path
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
@@ -83,8 +83,7 @@ class Receiver:
         self._node = rclpy.create_node("receiver")
         self._executor = make_executor()
         self._executor.add_node(self._node)
-        self._cameras = cameras
-        self._arrived: dict[int, set[str]] = defaultdict(set)
+        self._frames: Frames[None] = Frames(cameras)
         self.whole: set[int] = set()
         self._done = self._node.create_publisher(Header, "/frame_done", 10)
         for camera in cameras:
@@ -96,9 +95,8 @@ class Receiver:
         from humansim_ros.messages import header
 
         stamp = serialised_stamp(data)
-        self._arrived[stamp].add(camera)
-        if len(self._arrived[stamp]) == len(self._cameras):
-            del self._arrived[stamp]
+        if self._frames.add(camera, stamp, None):
+            self._frames.pop(stamp)
             self.whole.add(stamp)
             self._done.publish(header(stamp, "receiver"))
 

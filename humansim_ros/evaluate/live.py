@@ -189,7 +189,7 @@ class LiveEvaluation:
     def _evaluated(self, since: int) -> Evaluation:
         estimate = in_map(self.estimate.sequence(since), "z-up", self._options.reading)
         if self._scene is not None:
-            self._compute_truth(self._scene, int(estimate.times[0]), int(estimate.times[-1]))
+            self._compute_truth(self._scene, int(estimate.times[-1]))
         elif not len(self.truth):
             raise EvaluationError("no truth has arrived")
         truth = self.truth.sequence(since)
@@ -197,12 +197,13 @@ class LiveEvaluation:
             truth = replace(truth, arrivals=None)
         return evaluate_poses(truth, estimate, names=self._options.table, gate=self._options.gate)
 
-    def _compute_truth(self, scene: SceneTruth, first: int, last: int) -> None:
+    def _compute_truth(self, scene: SceneTruth, last: int) -> None:
         """Compute the truth of a scene up to a stamp, from where it is known."""
         newest = self.truth.newest
         if newest >= last:
             return
-        begin = first if newest < 0 else newest + 1
+        # the first computation may be of a window: others need the truth before it
+        begin = self.estimate.first if newest < 0 else newest + 1
         found = scene.poses((begin, last), 0.0, self._options.keypoints)
         for stamp, people in zip(found.times.tolist(), found.people, strict=True):
             if stamp > newest:

@@ -62,6 +62,11 @@ class EstimateStream:
         return self._frames.forgotten
 
     @property
+    def first(self) -> int:
+        """Smallest stamp of all frames that are kept, in nanoseconds; -1 before the first message."""
+        return min(self._frames.stamps(), default=-1)
+
+    @property
     def newest(self) -> int:
         """Newest stamp in nanoseconds; -1 before the first message."""
         return max(self._newest.values(), default=-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from evaluate_support import NAMES, PERIOD, pose, walking
 
 from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.evaluation import evaluate_poses
+from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
+from humansim_ros.evaluate.pose_sequence import PoseSequence
 from humansim_ros.evaluate.report import show, to_data
 from humansim_ros.evaluate.stream import MAX_JOINTS, EstimateStream
 from humansim_ros.messages.people import Pose, PoseFrame
@@ -89,3 +92,19 @@ def test_memory_is_bounded() -> None:
     with pytest.raises(EvaluationError, match="a name is longer than 256 characters: aaaa"):
         frames.add(PoseFrame(1, "map", long), "/poses", 20)
     assert len(frames) == 5
+
+
+def test_the_truth_of_a_scene_is_computed_for_all_frames_although_a_window_comes_first() -> None:
+    class Walkers:
+        """Truth of a scene, as of SceneTruth."""
+
+        def poses(self, span: tuple[int, int], offset: float, keypoints: Any) -> PoseSequence:
+            kept = (span[0] <= TRUTH.times) & (span[1] >= TRUTH.times)
+            people = [each for each, is_kept in zip(TRUTH.people, kept, strict=True) if is_kept]
+            return replace(TRUTH, times=TRUTH.times[kept], people=people)
+
+    live = LiveEvaluation("live", LiveOptions(), Walkers())  # type: ignore[arg-type]
+    for index in range(20):
+        live.add_estimate(frame(index, "anna", "bert"), "/poses", index)
+    assert live.window(5 * PERIOD * 1e-9).frames.compared < 10
+    assert live.total().frames.compared == 20

@@ -20,11 +20,11 @@ from ros_support import Client, deliver, rclpy
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
+from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.messages.topics import CameraTopics
-from humansim_ros.ros import messages
 from humansim_ros.ros.camera import pose as camera_pose
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode

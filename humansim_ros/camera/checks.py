@@ -122,7 +122,7 @@ def check_image_size(camera: Camera) -> list[str]:
         return []
     where = f"the principal point ({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%}"
     size = "{}x{}".format(*fitting)
-    what = f"this K is that of an image of about {size}; is the size wrong, or was the image scaled?"
+    what = f"this K belongs to an image of about {size}; is the size wrong, or was the image scaled?"
     return [f"{where} of a {width}x{height} image: {what}"]
 
 

@@ -86,7 +86,7 @@ def test_show_names_the_size_that_k_belongs_to(file: str, others: tuple[str, ...
     path = calibration_path(file)
     (camera,) = shown(path)["cameras"]
     assert (
-        "39% and 39% of a 1640x1232 image: this K is that of an image of about 1280x960"
+        "39% and 39% of a 1640x1232 image: this K belongs to an image of about 1280x960"
         in camera["warnings"][0]
     )
     assert shown(path, "--size", "1280x960")["cameras"][0]["warnings"] == []
@@ -251,7 +251,7 @@ def test_a_k_of_another_image_size_is_told(size: tuple[int, int], of: tuple[int,
     middle = np.array(of) / 2 * [1.004, 0.993] - 0.5
     wrong = camera(size=size, K=[[of[0], 0, middle[0]], [0, of[0], middle[1]], [0, 0, 1]])
     (message,) = check_camera(wrong)
-    assert f"of a {size[0]}x{size[1]} image: this K is that of an image of about {of[0] // 100}" in message
+    assert f"of a {size[0]}x{size[1]} image: this K belongs to an image of about {of[0] // 100}" in message
 
 
 def test_rigs_in_other_units_or_axes_are_reported() -> None:

@@ -222,7 +222,7 @@ def test_a_k_of_another_image_size_is_found(size: list[int]) -> None:
     scene["cameras"]["front"]["size"] = size
     finding = next(finding for finding in findings(scene, quick=True) if finding.key == "cameras.front.K")
     assert finding.severity == "warning"
-    assert "this K is that of an image of about 640x480" in finding.text
+    assert "this K belongs to an image of about 640x480" in finding.text
 
 
 @pytest.mark.parametrize(

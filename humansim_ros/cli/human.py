@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
@@ -276,6 +277,8 @@ def fit(
     ] = None,
 ) -> None:
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
+    # before NumPy is loaded: its threads cost more than they save for matrices of some hundred rows
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from humansim_ros.humans.human import write_human
     from humansim_ros.motion.bvh import write_bvh
     from humansim_ros.photographs.detector import detect_points

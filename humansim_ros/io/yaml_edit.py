@@ -33,6 +33,8 @@ FilePath = str | os.PathLike[str]
 _WIDTH = 110
 _NO_EDIT = "this cannot be edited where it stands: edit the file"
 _COMMENT = re.compile(r"(?:^|(?<=\s))#[^\r\n]*")
+#: An empty section below the comment of its key, where ruamel.yaml writes it.
+_EMPTY = re.compile(r"^( *[^\s#][^\n]*?:)([ ]*#[^\n]*(?:\n *#[^\n]*)*)\n *(\{\}|\[\])$", re.MULTILINE)
 #: Spaces before a key of a section, and a key with the dash of its first item.
 _INDENT = re.compile(r"^( +)[^\s#-]", re.MULTILINE)
 _LIST = re.compile(r"^( *)[^\s#][^\n]*:[ ]*(?:#.*)?\n(?:[ ]*(?:#.*)?\n)*( *)-[ ]", re.MULTILINE)
@@ -203,7 +205,7 @@ class _Editor:
         node = self._yaml.load(flow(value))
         if key is not None and isinstance(value, Mapping) and value:
             sections = depth == 0 and all(isinstance(part, Mapping) for part in value.values())
-            if sections or 2 * depth + len(f"{flow(key)}: {flow(value)}") > _WIDTH:
+            if sections or 2 * depth + len(f"{key}: {flow(value)}") > _WIDTH:
                 node.fa.set_block_style()
                 for name, part in value.items():
                     node[name] = self._new(part, name, depth + 1)
@@ -279,7 +281,7 @@ class _Editor:
     def _written(self) -> list[str]:
         stream = StringIO()
         self._yaml.dump(self.root, stream)
-        return stream.getvalue().split("\n")
+        return _EMPTY.sub(r"\1 \3\2", stream.getvalue()).split("\n")
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:

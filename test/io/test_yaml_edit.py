@@ -166,6 +166,17 @@ def test_quotes_comments_and_the_end_of_the_file_stay() -> None:
     assert set_value("# only a comment\n", ["a", "b"], 1, "f") == "# only a comment\na: {b: 1}\n"
     assert set_value("", ["a"], 1, "f") == "a: 1\n"
     assert remove_value("a:\n  b: 1  # c\nd: 2\n", ["a", "b"], "f") == "a: {}\nd: 2\n"
+    assert remove_value("a:  # c\n  b: 1\nd: 2\n", ["a", "b"], "f") == "a: {}  # c\nd: 2\n"
+    assert remove_value("a:\n- b:  # c\n  - 1\n", ["a", 0, "b", 0], "f") == "a:\n- b: []  # c\n"
+
+
+def test_names_in_quotes_stay_as_they_are() -> None:
+    text = 'a: {"*": {b: 1}, 2: c}\n"d":\n  x: 1  # of d\n'
+    assert set_value(text, ["a", "*"], {"e": 5}, "f") == text.replace("{b: 1}", "{e: 5}")
+    assert set_value(text, ["d"], {"e": 5}, "f") == 'a: {"*": {b: 1}, 2: c}\n"d": {e: 5}\n'
+    assert set_value(text, ["a", "2"], "f", "f") == text.replace("c}", "f}")
+    assert set_value(text, ["a", "*", "b"], 2, "f") == text.replace("b: 1", "b: 2")
+    assert rename_key(text, ["d"], "new", "f") == text.replace('"d"', "new")
 
 
 def test_names_are_changed_in_place() -> None:

@@ -281,7 +281,7 @@ class _Recorder:
         return pixels if convert is None else np.asarray(cv2.cvtColor(pixels, convert))
 
     def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
-        """Joints of a serialised message. Raises RosError unless they are those of the scene's humans."""
+        """Joints of a serialised message. Raises RosError unless humans of the scene have them."""
         from humansim_ros.messages import read_joint_view
         from humansim_ros.messages.cdr import deserialised
 

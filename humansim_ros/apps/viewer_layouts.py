@@ -1,6 +1,6 @@
 """Layouts of RViz and Foxglove for the topics of a scene: images, joints, skin, cameras and tf.
 
-config/humansim.rviz and config/humansim_foxglove.json are those of the demo scene
+config/humansim.rviz and config/humansim_foxglove.json are the layouts of the demo scene
 (tools/viewer_layouts.py). Nothing here needs ROS.
 """
 

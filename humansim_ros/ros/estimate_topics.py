@@ -1,4 +1,4 @@
-"""Topics of a live graph that hold an estimate: found, subscribed to, and read as those of bags."""
+"""Topics of a live graph that hold an estimate: found, subscribed to, and read as topics of bags are."""
 
 from __future__ import annotations
 

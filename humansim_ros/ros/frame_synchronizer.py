@@ -153,7 +153,7 @@ class FrameSynchronizer:
         self._store(topic, messages.serialised_stamp(data), data)
 
     def _read_vertices(self, human: str, message: PointCloud2) -> Float32Array:
-        """Vertices of a message. Raises RosError unless they are those of the body."""
+        """Vertices of a message. Raises RosError unless the body has as many."""
         vertices = messages.read_vertices(message)
         count = len(self._scene.actors[human].human.mesh.vertices)
         if len(vertices) != count:
@@ -161,7 +161,7 @@ class FrameSynchronizer:
         return vertices
 
     def _read_joints(self, human: str, data: bytes) -> JointMotion:
-        """Joints of a serialised message. Raises RosError unless they are those of the body."""
+        """Joints of a serialised message. Raises RosError unless the body has the same joints."""
         poses = messages.read_joints(deserialised(data, MultiDOFJointState))
         if poses.names != self._scene.actors[human].human.skeleton.joint_names:
             raise RosError(f"{human}: {len(poses.names)} joints that are not those of its body")

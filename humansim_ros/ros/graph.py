@@ -41,7 +41,7 @@ class TopicChoice:
         return cls(tuple(dict.fromkeys(patterns)))
 
     def has(self, topic: str) -> bool:
-        """Whether a topic is chosen. Patterns do not mean hidden topics (``_``), nor those of every node."""
+        """Whether a topic is chosen. Patterns mean neither hidden topics (``_``) nor topics of every node."""
         if topic in self.patterns:
             return True
         if topic in _OF_EVERY_NODE or "/_" in topic:
@@ -81,7 +81,7 @@ class Endpoint:
 
 
 class GraphWatch:
-    """Compares the graph with that of the last look.
+    """Compares the graph with the graph of the last look.
 
     ``node``: a node; its own endpoints are among those that it finds.
     """
@@ -108,7 +108,7 @@ class GraphWatch:
         return found
 
     def publishers(self, topic: str) -> dict[bytes, Endpoint]:
-        """Publishers of a topic by their ids, without those of the node itself."""
+        """Publishers of a topic by their ids, without publishers of the node itself."""
         from rclpy.qos import QoSReliabilityPolicy
 
         own = (self._node.get_name(), self._node.get_namespace())
@@ -135,7 +135,7 @@ _MAX_NAMED = 3
 
 
 class Neighbours:
-    """Warns once of each other node whose messages mix with those of a node.
+    """Warns once of each other node whose messages mix with messages of a node.
 
     It publishes a topic of the node, or has its name, or it is one of several senders of a topic that should
     have one.

@@ -22,7 +22,7 @@ from humansim_ros.messages.cdr import check_serialised, deserialised
 ANY_SIZE = -1
 #: Seconds between two log lines about errors of one callback.
 _LINE_EVERY = 1.0
-#: Most elements of a sequence in a request: of parameters to set, each of which is checked alone, and others.
+#: Most elements of a sequence in a request: each of the parameters to set is checked alone.
 _MAX_PARAMETERS, _MAX_REQUESTED = 300, 1000
 
 
@@ -121,7 +121,7 @@ class GuardedNode(Node):
             callback: Gets each message.
             qos_profile: Quality of service, or depth of the queue.
             raw: Pass serialised messages.
-            max_bytes: Bytes of the longest serialised message that is read; that of its type if None.
+            max_bytes: Bytes of the longest serialised message that is read; the limit of its type if None.
                 ANY_SIZE: messages are passed unchecked if ``raw``.
             options: Other options of ``Node.create_subscription``.
         """

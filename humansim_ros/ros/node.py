@@ -174,7 +174,7 @@ class SuiteNode(GuardedNode):
     def report_other_clock(self, topics: Iterable[str], seconds: float, others: str) -> None:
         """Log that the stamps of some topics come from another clock.
 
-        ``seconds``: by which they are ahead of those of the ``others``.
+        ``seconds``: by which they are ahead of the stamps of the ``others``.
         """
         names = ", ".join(map(self.resolve_topic_name, topics))
         side = "ahead of" if seconds > 0 else "behind"
@@ -249,7 +249,7 @@ def loaded_scene(path: str) -> Scene:
 
 
 class SceneNode(SuiteNode):
-    """Node with a scene: the one it is given, or that of parameter ``scene``."""
+    """Node with a scene: the one it is given, or the scene that parameter ``scene`` names."""
 
     def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(name, **options)

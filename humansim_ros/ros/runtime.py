@@ -158,7 +158,7 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     """Run one node, and nodes that it has created, until a stop signal; a second one ends it at once.
 
     Returns:
-        Exit code: that of the node if it has ended by itself (``exit_code``), 0 after a stop signal, 1 if the
+        Exit code: ``exit_code`` of a node that has ended by itself, 0 after a stop signal, 1 if the
         node cannot go on, 2 after invalid input.
     """
     end_process_on_stop(0)

@@ -223,7 +223,7 @@ def _warning(segment: int, free: float, participants: int | None) -> str:
     return f"/dev/shm has {free / 1e6:.0f} MB free, so {effect}. In Docker: --shm-size={gigabytes}g"
 
 
-#: Domains whose UDP ports lie below the ephemeral ports of Linux; 0 is that of everybody else.
+#: Domains whose UDP ports lie below the ephemeral ports of Linux; everybody else uses domain 0.
 _DOMAINS = range(1, 100)
 
 

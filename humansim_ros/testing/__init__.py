@@ -59,9 +59,9 @@ def humansim_domain() -> Iterator[int]:
 
 @pytest.fixture
 def humansim_scene(request: pytest.FixtureRequest) -> Scene:
-    """Scene of the test: two people and two small cameras, or that of the marker ``humansim_scene``, or of an
-    indirect parameter: a file relative to that of the test, a mapping with the keys of a scene file, or a
-    Scene.
+    """Scene of the test: two people and two small cameras unless the marker ``humansim_scene`` or an indirect
+    parameter names another: a file relative to the file of the test, a mapping with the keys of a scene file,
+    or a Scene.
     """
     from humansim_ros.resources import resource_path
 
@@ -81,8 +81,7 @@ def humansim_graph(
 ) -> Iterator[SceneGraph]:
     """Nodes of the fixture ``humansim_scene`` in lockstep, in a ROS domain of their own (docs/testing.md).
 
-    The marker ``humansim_graph`` has its options: those of :class:`SceneGraph`. Without ROS 2 the test is
-    skipped.
+    The marker ``humansim_graph`` takes the options of :class:`SceneGraph`. Without ROS 2 the test is skipped.
     """
     from humansim_ros.errors import RosError
     from humansim_ros.ros.runtime import require_ros
@@ -103,7 +102,7 @@ def humansim_graph(
 
 
 def _load(scene: Any, folder: Path) -> Scene:
-    """Scene of a file, of a mapping, or a Scene as it is. ``folder``: that of relative files."""
+    """Scene of a file, of a mapping, or a Scene as it is. ``folder``: folder of relative files."""
     from humansim_ros.scene.scene import Scene
 
     if isinstance(scene, (str, os.PathLike)):

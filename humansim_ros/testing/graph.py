@@ -31,7 +31,7 @@ from humansim_ros.testing.support import patience, running_rclpy
 
 #: Node that subscribes for the test, and that frames wait for.
 _NODE = "humansim_test"
-#: Seconds of a wait for callbacks, with the nodes of one rclpy context, and with those of several.
+#: Seconds of a wait for callbacks, with the nodes of one rclpy context, and with nodes of several.
 _STEP, _SHORT_STEP = 0.05, 0.002
 #: Most seconds in which the nodes of the test handle all that they have received: timers may go on for ever.
 _MAX_REST = 1.0
@@ -107,7 +107,7 @@ class SceneGraph:
         return int(self._context.get_domain_id())
 
     def add_node(self, node: Any) -> None:
-        """Spin a node of the test with those of the scene, in this thread.
+        """Spin a node of the test with the nodes of the scene, in this thread.
 
         An exception of its callbacks ends the test. A node that waits in a callback, such as for a service,
         needs an executor of its own in a thread of its own.
@@ -136,13 +136,13 @@ class SceneGraph:
 
         Args:
             topic: Name; a relative one is in the namespace of the scene.
-            type: Message class. If None, that of the scene, or of a publisher, which is waited for.
+            type: Message class. If None, the class that the scene or a publisher has, which is waited for.
             qos: Quality of service. If None, all messages of all publishers arrive.
             every_frame: Frames wait for a message of this topic with their stamp or a newer one; if it has no
                 stamp, for any message.
 
         Returns:
-            The messages; those of later frames are added.
+            The messages; messages of later frames are added.
 
         Raises:
             RosError: No node publishes the topic within the limit.
@@ -190,7 +190,7 @@ class SceneGraph:
         Args:
             topic: Name; a relative one is in the namespace of the scene.
             count: Number of messages.
-            type: Message class. If None, that of the scene, or of a publisher, which is waited for.
+            type: Message class. If None, the class that the scene or a publisher has, which is waited for.
             qos: Quality of service. If None, all messages of all publishers arrive.
             every_frame: Each frame waits for its message. False, for nodes that do not answer each frame:
                 frames wait for the cameras only.
@@ -220,7 +220,7 @@ class SceneGraph:
 
         Args:
             topic: Name; a relative one is in the namespace of the scene.
-            type: Message class. If None, that of the scene, or of a publisher, which is waited for.
+            type: Message class. If None, the class that the scene or a publisher has, which is waited for.
             qos: Quality of service. If None, all messages of all publishers arrive.
 
         Raises:
@@ -235,7 +235,7 @@ class SceneGraph:
     def spin_until(self, condition: Callable[[], object], text: str = "the condition is not true") -> None:
         """Let all nodes work until a condition is true; no frame follows meanwhile.
 
-        ``text``: what is missing, for the error. Raises RosError after the limit.
+        ``text``: the missing thing, for the error. Raises RosError after the limit.
         """
         self._start()
         self._spin_until(condition, text)

@@ -27,7 +27,7 @@ def environment(**values: str) -> Iterator[None]:
 def running_rclpy() -> Iterator[None]:
     """Context manager that initialises rclpy's default context, with a transport for images.
 
-    At the end, nodes of this context that have been left behind are destroyed: those of an EventsExecutor
+    At the end, nodes of this context that have been left behind are destroyed: nodes of an EventsExecutor
     would stay in the graph for ever, with their publishers and their memory. If the context is initialised
     already, it belongs to somebody else, and nothing is done.
     """

@@ -1,7 +1,7 @@
 """Published calibration of a camera node: topic ``camera_info`` and service ``set_camera_info``.
 
 The published calibration may differ from the lens, as with a real camera: to calibrate it anew does not
-change its lens. Images and ground truth are always those of the rendered lens.
+change its lens. Images and ground truth always show the rendered lens.
 """
 
 from __future__ import annotations

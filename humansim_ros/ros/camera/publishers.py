@@ -273,7 +273,7 @@ class FaultsPublisher:
         self._publishers = [(topic, _publisher(node, topic)) for topic in topics.faults]
 
     def publish(self, faults: FrameFaults, stamp: int) -> None:
-        """Publish what is wrong with a frame."""
+        """Publish the faults of a frame."""
         for kind in faults.kinds:
             self._node.count(f"fault_{kind}")
         for topic, publisher in self._publishers:

@@ -45,7 +45,7 @@ _LOOK_EVERY = 0.05
 _GRAPH_EVERY, _GRAPH_AFTER = 0.25, 0.3
 #: Most seconds that count between two looks: while the player itself was stopped, nobody is late.
 _MAX_STEP = 0.5
-#: Newest stamp of lockstep, eleven days; those of the wall clock are of an earlier run in real time.
+#: Newest stamp of lockstep, eleven days; stamps of the wall clock come from an earlier run in real time.
 _MAX_STAMP = 10**15
 #: Queue of ``/clock``.
 _CLOCK_QUEUE = QoSProfile(depth=10)
@@ -177,7 +177,7 @@ class LockstepPlaying(Playing):
         self._is_over = False
         self._is_due = True
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        #: Stamp with which a player that is started again goes on: that of its file, or of the cameras.
+        #: Stamp with which a player that is started again goes on: from its file, or from the cameras.
         self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
         self._newest = self._progress.stamp if self._progress else 0
         player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)

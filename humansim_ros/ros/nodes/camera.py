@@ -86,7 +86,7 @@ class CameraNode(SceneNode):
         self.get_logger().info(f"{name}: {width}x{height} on {self._renderer.device}")
 
     def _select_camera(self, name: str) -> SceneCamera:
-        """Camera ``name``, or that of parameter ``camera``, with the lens of ``camera_info_url``."""
+        """Camera ``name``, or the camera of parameter ``camera``, with the lens of ``camera_info_url``."""
         name = name or self.text_parameter("camera", "", "Camera of the scene; empty: the first")
         url = self.text_parameter(
             "camera_info_url", "", "Calibration file of the lens to render; empty: the lens of the scene"

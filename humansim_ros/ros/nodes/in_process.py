@@ -22,7 +22,7 @@ class InProcessNodes:
         scene: The scene.
         namespace: ROS namespace of the nodes.
         player: Parameters of the motion player, such as the mode.
-        is_simulated: The time of skinners and cameras is that of ``/clock``.
+        is_simulated: Skinners and cameras take the time from ``/clock``.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class InProcessNodes:
 
     @property
     def output(self) -> str:
-        """Nothing: the log is that of the test."""
+        """Do nothing: the test has the log."""
         return ""
 
     def close(self) -> None:

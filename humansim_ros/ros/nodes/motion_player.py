@@ -11,8 +11,8 @@ report each finished frame on ``frame_done``; the player skips frames that a cam
 all cameras show the same frames.
 
 Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/restart`` control it
-(docs/playing.md), and those of the package simulation_interfaces, where that is installed. Values that cannot
-be played are rejected with the reason, and the old motion goes on.
+(docs/playing.md), and services of the package simulation_interfaces, where it is installed. Values that
+cannot be played are rejected with the reason, and the old motion goes on.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class MotionPlayerNode(FramePlayer):
         return change, JointSource.of_actor(change.actor)
 
     def _allowed_motions(self) -> RequestedMotions:
-        """Motions that parameters may be set to over the network; those of the start are among them."""
+        """Motions that parameters may name over the network; the motions of the start are among them."""
         folders = self.described_parameter(
             MOTION_FOLDERS,
             Parameter.Type.STRING_ARRAY,

@@ -49,7 +49,7 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.faults import FaultSchedule
 
-#: Frames whose images are remembered: late images come after those of newer frames.
+#: Frames whose images are remembered: late images come after images of newer frames.
 _REMEMBERED = 1000
 #: Most copies of an image that faults make.
 _MOST = 2

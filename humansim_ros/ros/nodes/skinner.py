@@ -58,7 +58,7 @@ class SourceLog:
         """Log a change of the source: at once, and then at most every ten seconds.
 
         Args:
-            number: Number of the source; 0 for that of the scene.
+            number: Number of the source; 0 for the source of the scene.
             text: Description of the source.
             now: Monotonic seconds.
 

@@ -76,7 +76,7 @@ _SETTINGS = {
         "speed", Parameter.Type.DOUBLE, "seconds of the file per second of the scene", (0.0, 100.0)
     ),
 }
-#: Settings with a parameter for all humans; parameter ``speed`` without a human is that of the clock.
+#: Settings with a parameter for all humans; parameter ``speed`` without a human is the speed of the clock.
 _SHARED = tuple(name for name in _SETTINGS if name != "speed")
 
 

@@ -260,7 +260,7 @@ def _recorder(
         record: What is recorded.
         names: Names of the scene.
         scene: Parameters of all nodes that follow the player.
-        wait_for: Members of lockstep; those of the scene if None.
+        wait_for: Members of lockstep; the members of the scene if None.
 
     Raises:
         RosError: The path of the bag exists, or a camera has the name of the recorder.

@@ -17,8 +17,6 @@ from humansim_ros.jobs.ray_cluster import PART_FRAMES
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.apps.work import export_source
-    from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.exporting import Export
     from humansim_ros.jobs.frame_job import FrameProgress
 
@@ -90,6 +88,8 @@ def export(
     ] = False,
 ) -> None:
     """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions."""
+    from humansim_ros.apps.work import export_source
+    from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range

@@ -93,8 +93,8 @@ def read_calibration(
         size: Width and height of the images in pixels; overrides the size in the file. Without ``size`` and
             ``image``, a file without sizes gets a common size that fits its principal points, with a
             HumansimWarning.
-        unit: Metres per unit of the file, if it is not that of the format.
-        up: Axis of the file that points up, such as ``z`` or ``-y``, if it is not that of the format.
+        unit: Metres per unit of the file, if it is not the unit of the format.
+        up: Axis of the file that points up, such as ``z`` or ``-y``, if it is not the axis of the format.
         image: PNG or JPEG file with the size of the images.
 
     Returns:
@@ -282,7 +282,7 @@ def _detect_format(path: str, text: str, size: ImageSize | None) -> tuple[Calibr
 def _sizes(
     path: str, raw: Mapping[str, RawCamera], format: CalibrationFormat, given: ImageSize | None
 ) -> dict[str, ImageSize]:
-    """Image sizes: the given one, else that of the file, else one that fits the principal points."""
+    """Image sizes: the given size, else the size in the file, else one that fits the principal points."""
     sizes = {name: given or camera.size for name, camera in raw.items()}
     unknown = [name for name, size in sizes.items() if size is None]
     if unknown:

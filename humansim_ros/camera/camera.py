@@ -3,7 +3,7 @@
 The extrinsics transform a world point to the optical frame. It is divided by its depth, distorted by the lens
 (``camera/lens.py``), and mapped to pixels by K.
 
-Frames and pixels are those of OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z
+Frames and pixels are as in OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z
 forward, x right, y down); a pixel is (x, y) = (column, row), and the centre of the top-left pixel is (0, 0).
 """
 
@@ -48,7 +48,7 @@ class Camera(Pictured):
         rectified: P of CameraInfo, (3, 4), if a file or a stereo rig defines it.
 
     Raises:
-        CameraError: The values are not those of a camera. Its key is the name of the wrong argument.
+        CameraError: No camera has these values. Its key is the name of the wrong argument.
     """
 
     size: ImageSize
@@ -155,7 +155,7 @@ class Camera(Pictured):
         P is decomposed by RQ decomposition [thesis §9.8].
 
         Raises:
-            CameraError: P is singular, or its K or R is not that of a camera.
+            CameraError: P is singular, or no camera has its K or R.
         """
         p = _matrix(P, (3, 4), "P")
         if abs(np.linalg.det(p[:, :3])) <= 1e-12 * np.abs(p[:, :3]).max() ** 3:

@@ -27,7 +27,7 @@ _BETTER, _SAME_SHAPE = 6.0, 0.02
 #: Distance from the centre that no lens has, and largest difference of that fraction between both sides for
 #: an image that was scaled, not cropped.
 _FAR_OFF, _SAME_SCALE = 0.2, 0.1
-#: Plausible focal lengths of the rectified image, as multiples of those of the real image.
+#: Plausible focal lengths of the rectified image, as multiples of the focal lengths of the real image.
 _ZOOM = (0.4, 2.5)
 #: Largest plausible difference of the focal lengths, and largest skew, as fractions of a focal length.
 _NOT_SQUARE, _SKEWED = 0.1, 0.02
@@ -102,7 +102,7 @@ def check_rig(cameras: Mapping[str, Camera]) -> list[str]:
 
 
 def check_image_size(camera: Camera) -> list[str]:
-    """Check whether K is that of an image of another size. Returns messages.
+    """Check whether K belongs to an image of another size. Returns messages.
 
     Principal points of real cameras may be far from the centre. The evidence is strong only if the image
     centre of another size fits much better, and that image has the same shape.

@@ -66,7 +66,7 @@ class Ideal:
 
     @cached_property
     def _real_from_ideal_frame(self) -> Array:
-        """Rotation (3, 3) from the optical frame of the ideal camera to that of the real one."""
+        """Rotation (3, 3) from the optical frame of the ideal camera to the frame of the real one."""
         if self.real.R is self.camera.R:
             return np.eye(3)
         return np.asarray(self.real.R @ self.camera.R.T, dtype=float)
@@ -150,7 +150,7 @@ def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
     last, center = np.array(camera.size) - 1.0, k[:2, 2]
     outline = _outline(camera, inner=fit == "all") * k.diagonal()[:2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # distance of each point from the image centre, as a fraction of that of the image edge
+        # distance of each point from the image centre, as a fraction of the distance of the image edge
         reach = np.where(outline > 0, outline / (last - center), -outline / center)
     reach = np.where(outline == 0, 0.0, reach).max(axis=1)
     axis = camera.K[:2, 2]

@@ -1,6 +1,6 @@
 """Lens distortion models: from points of the normalised image plane (x / z, y / z) to distorted points.
 
-The models and their coefficients are those of CameraInfo in ROS (``distortion_model`` of REP-104) and of
+The models and their coefficients are as in CameraInfo of ROS (``distortion_model`` of REP-104) and of
 OpenCV.
 """
 

@@ -150,7 +150,7 @@ def place_by_tilt(
         roll: Angle by which it is turned clockwise about its optical axis, radians.
 
     Returns:
-        The placement; ``roll_deg`` is that of the other cameras.
+        The placement; ``roll_deg`` is the roll of the other cameras.
     """
     if not abs(tilt) <= np.pi / 2:
         raise CameraError("must be from -90 to 90 degrees", key="tilt")
@@ -163,7 +163,7 @@ def place_by_tilt(
 
 
 def place_by_floor(cameras: Mapping[str, Camera], points: Sequence[FloorPoint]) -> FoundPlacement:
-    """Place a rig by three or more points of the floor, of which some may be known in ``map``.
+    """Place a rig by three or more points of the floor; some of them may be known in ``map``.
 
     Raises:
         CameraError: There are too few points, they lie on a line, or the rays of their pixels do not meet.
@@ -216,7 +216,7 @@ def place_by_board(
     above = float(np.median((centers - board[:3, 3]) @ board[:3, 2]))
     ups = {"z_up": board[:3, 2], "z_down": -board[:3, 2], "standing": -board[:3, 1]}
     ups["floor"] = ups["z_up"] if above >= 0 else ups["z_down"]
-    # its x axis is that of map
+    # its x axis is the x axis of map
     up, along = ups[side], board[:3, 0]
     rotation = np.stack([along, np.cross(up, along), up])
     placement = RigPlacement(rotation, np.array([0, 0, height]) - rotation @ board[:3, 3])

@@ -22,9 +22,9 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: From the axes of a Blender camera (right, up, backward) to those of the thesis (up, right, forward) (9.18).
+#: From the axes of a Blender camera (right, up, backward) to the thesis (up, right, forward) (9.18).
 BLENDER_TO_CAMERA = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-#: From the camera axes of the thesis to those of a ROS optical frame (right, down, forward).
+#: From the camera axes of the thesis to the axes of a ROS optical frame (right, down, forward).
 _OPTICAL = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 #: From (row, column) from the corner to (column, row) from the centre of the first pixel.
 _PIXELS = np.array([[0.0, 1, -0.5], [1, 0, -0.5], [0, 0, 1]])
@@ -139,7 +139,7 @@ def image_shift(K: ArrayLike, size: tuple[int, int]) -> Array:
 
 
 def camera_of(cam: CamFile) -> Camera:
-    """Camera of a ``.cam`` file. Raises CameraError if its values are not those of a camera."""
+    """Camera of a ``.cam`` file. Raises CameraError if no camera has its values."""
     k = _PIXELS @ calibration_matrix(cam.focal, cam.size, cam.aspect) @ _OPTICAL.T
     r = _OPTICAL @ camera_rotation(np.radians(cam.euler_deg))
     return Camera(cam.size, k, r, -r @ np.array(cam.center))

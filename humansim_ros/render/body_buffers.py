@@ -28,7 +28,7 @@ from humansim_ros.render.renderer import Body
 from humansim_ros.render.target import Rectangle
 from humansim_ros.types import Array, Float32Array
 
-#: Poses of a body whose derived arrays are cached: those of some frames, and of an exposure.
+#: Poses of a body whose derived arrays are cached: the poses of some frames and of an exposure.
 _MAX_POSES = 12
 
 
@@ -281,7 +281,7 @@ class ProjectedPoints:
     def covering(self, corners: Sequence[NDArray[np.intp]]) -> NDArray[np.bool_]:
         """(M,) whether each triangle may cover a pixel center; ``corners``: its vertices, three of (M,).
 
-        The other triangles, half of those of a human, leave no trace in the image.
+        The other triangles, half of the triangles of a human, leave no trace in the image.
         """
         covering: NDArray[np.bool_] = np.ones(len(corners[0]), bool)
         for positions in self.pixels:

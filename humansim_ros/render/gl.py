@@ -95,7 +95,7 @@ class GLRenderer(Renderer):
         shadows = ["STATIC_SHADOWS", "MOVING_SHADOWS"] if light.shadow == "soft" else []
         skin = ["SKIN_AND_CLOTH"] if light.materials and light.mode == "lit" else []
         with self._context.current():
-            # rows of an image run down, those of OpenGL run up: images are mirrored
+            # rows of an image run down, rows of OpenGL run up: images are mirrored
             self._ctx.front_face = "cw"
             self._lit = lit_program(self._ctx, light, (*shadows, *skin))
             self._ids = link(self._ctx, "triangle_ids.vert", "triangle_ids.frag")

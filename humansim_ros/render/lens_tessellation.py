@@ -187,7 +187,7 @@ class LensView:
             )
             cut, further = tested[halved], ~enough[halved]
             new = 2 * int(np.count_nonzero(further))
-            # by edge; the last entry is that of edge -1
+            # by edge; the last entry belongs to edge -1
             middle, half = np.full((2, len(ends) + 1), -1)
             middle[cut] = len(points) + np.arange(len(cut))
             half[cut[further]] = np.arange(0, new, 2)

@@ -60,7 +60,7 @@ class MaterialBuffers:
     """Texture and material of a mesh on the device."""
 
     def __init__(self, ctx: moderngl.Context, mesh: Mesh, texture: moderngl.Texture | None = None) -> None:
-        """``texture``: that of another mesh with the same image and without material; a new one if None."""
+        """``texture``: texture of another mesh with the same image and no material; a new one if None."""
         self.material = material = mesh.material
         self.texture = texture or _texture(ctx, mesh.texture, mesh.skin)
         self._maps: dict[str, moderngl.Texture] = {}
@@ -77,7 +77,7 @@ class MaterialBuffers:
 
     @classmethod
     def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[MaterialBuffers]:
-        """Materials of several meshes; those with the same image share its texture."""
+        """Materials of several meshes; meshes with the same image share its texture."""
         made: list[MaterialBuffers] = []
         shared: dict[tuple[int, int], moderngl.Texture] = {}
         for mesh in meshes:

@@ -107,7 +107,7 @@ class RenderedFrame:
     It does not refer to the bodies. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w)
     metres, 0 where no body is. ``rgba``: (h, w, 4), alpha is the share of direct light that bodies leave.
     ``outline``: crossings of outlines with pixels. ``alone``: by instance, (H, W) mask of the body without
-    occluders. Each is None if its pass was not requested. ``static_labels``: those of the static bodies.
+    occluders. Each is None if its pass was not requested. ``static_labels``: labels of the static bodies.
     """
 
     passes: Passes

@@ -366,7 +366,7 @@ def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:
 
 
 def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCamera]:
-    """Create the cameras of a scene by name, those of its rig first. Raises HumansimError with the key."""
+    """Create the cameras of a scene by name, its rig first. Raises HumansimError with the key."""
     cameras: dict[str, SceneCamera] = {}
     if config.rig is not None:
         with in_section("rig"):
@@ -492,7 +492,7 @@ def _topic_name(name: str) -> str:
 
 
 def random_cameras(cameras: Mapping[str, SceneCamera], randomise: RandomiseConfig) -> dict[str, SceneCamera]:
-    """Cameras moved and rotated at random, except those with a trajectory."""
+    """Cameras moved and rotated at random; cameras with a trajectory stay."""
     jitter = randomise.camera_jitter
     if not jitter.position and not jitter.rotation_deg:
         return dict(cameras)

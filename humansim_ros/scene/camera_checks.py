@@ -30,7 +30,7 @@ _IN_WALL = 0.02
 _LOWEST = -0.05
 #: Flesh around the joints, metres, and the nearest visible depth.
 _FLESH, _NEAR = 0.1, 0.05
-#: Plausible fields of view in degrees; the widest is that of a lens without distortion.
+#: Plausible fields of view in degrees; the widest is for a lens without distortion.
 _NARROWEST, _WIDEST = 3.0, 170.0
 #: Largest plausible distance of a principal point from the image centre, as a share of the image side.
 _OFF_CENTER = 0.35
@@ -315,7 +315,7 @@ def _check_intrinsics(name: str, scene: Scene) -> Iterator[tuple[str, str, str]]
 
 
 def _wrong_size(camera: Camera) -> list[str]:
-    """Messages about a K that is not that of the image."""
+    """Messages about a K that does not belong to the image."""
     messages = check_image_size(camera)
     share = (camera.K[:2, 2] + 0.5) / camera.size
     if messages or np.abs(share - 0.5).max() <= _OFF_CENTER:
@@ -343,7 +343,7 @@ _MAX_FRAMES = 3000
 
 
 def check_faults(samples: SceneSamples) -> Iterator[Finding]:
-    """Check the faults of all cameras; those of a rig once for all of its cameras."""
+    """Check the faults of all cameras; the faults of a rig once for all of its cameras."""
     of_rig: dict[str, tuple[Finding, list[str]]] = {}
     for name, camera in samples.scene.scene_cameras.items():
         for finding in _check_camera_faults(camera, samples):

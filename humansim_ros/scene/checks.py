@@ -37,7 +37,7 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
         scene: The scene.
         quick: Check fewer times, the first 50 humans, and not the furniture of the room, as ``humansim run``
             does.
-        processors: Cores that play the scene, for the estimate of the rate; those of this machine if None,
+        processors: Cores that play the scene, for the estimate of the rate; all of this machine if None,
             unless it has a GPU.
 
     Returns:

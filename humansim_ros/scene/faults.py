@@ -30,7 +30,7 @@ from humansim_ros.scene.camera_config import (
 from humansim_ros.scene.config import frame_at, frame_time
 from humansim_ros.types import Array, Float32Array
 
-#: Nanoseconds between messages of which one follows the other.
+#: Nanoseconds between two messages that follow each other.
 FOLLOWING = 1
 #: Frames whose exposures are looked at together for the last step.
 _BLOCK = 4096
@@ -42,10 +42,10 @@ class FrameFaults:
 
     Attributes:
         sent: Nanoseconds after the stamp of the frame at which its image is sent; empty: it is lost.
-        stamp_error: Nanoseconds that the stamp of its image is ahead of that of the frame.
+        stamp_error: Nanoseconds that the stamp of its image is ahead of the stamp of the frame.
         picture: Number of frames since the one whose picture it shows; 0: its own.
         trigger_delay: Seconds from the stamp of the frame whose picture it shows to the exposure of it.
-        stops: Exposure of the picture, in stops above that of the sensor.
+        stops: Exposure of the picture, in stops above the exposure of the sensor.
         kinds: What is wrong, by key of the scene, with its values.
     """
 
@@ -90,7 +90,7 @@ class FaultSchedule:
         self._camera = camera
         self._rate = rate
         self._last: tuple[int, FrameFaults] = (-1, NO_FAULTS)
-        #: By size of the image; that of the last size.
+        #: Dirt of the last image size, by size.
         self._transmissions: dict[tuple[int, int], Float32Array] = {}
 
     def at_time(self, scene_time: int) -> FrameFaults:
@@ -252,7 +252,7 @@ class FaultSchedule:
         return NormalDist().inv_cdf(float(self._draws(kind, index, index)[0, 0]))
 
     def _generator(self, kind: str) -> np.random.Generator:
-        """Random numbers of what is the same in all frames."""
+        """Random numbers that are the same in all frames."""
         return _generator(self.config.seed, kind, self._camera)
 
     def _draws(self, kind: str, first: int, last: int) -> Array:
@@ -274,7 +274,7 @@ class CalibrationError:
     Attributes:
         rotation: Rotation (3, 3) from the optical frame of the scene to the published one.
         translation: (3,) from the position of the scene to the published one, metres in ``map``.
-        focal: Published focal lengths relative to those of the camera.
+        focal: Published focal lengths relative to the focal lengths of the camera.
         turn: Motion of the true optical frame: rotation vector (3,), radians per second, in it.
         shift: Motion of the true position: (3,) metres per second in ``map``.
     """
@@ -322,7 +322,7 @@ class CalibrationError:
         return replace(camera, K=k, rectified=rectified)
 
     def size(self, seconds: float) -> dict[str, float]:
-        """Difference of what is published from the true camera at a scene time in seconds.
+        """Difference of the published camera from the true camera at a scene time in seconds.
 
         Returns:
             ``rotation``: degrees; ``translation``: metres; ``focal``: share of the true focal length.

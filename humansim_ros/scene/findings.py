@@ -133,7 +133,7 @@ def numbers(values: Iterable[float], digits: int = 2) -> str:
 _FURNITURE = 6.0
 #: A closed part of less volume is a sheet of two sides, cubic metres.
 _SHEET = 1e-7
-#: Triangles of a mesh of which closed parts are searched; larger meshes are scans.
+#: Most triangles of a mesh whose closed parts are searched; larger meshes are scans.
 _MOST_TRIANGLES = 300_000
 #: Height below which surfaces of the room are its floor and carpet, metres.
 _FLOOR = 0.03

@@ -62,7 +62,7 @@ class JointSource:
 
     @classmethod
     def of_poses(cls, poses: JointPoses, retargeter: Retargeter, since: int = 0) -> JointSource:
-        """Source of which some poses (N >= 1) are known."""
+        """Source with some known poses (N >= 1)."""
         links_of_poses = _links(poses, retargeter.match)
         links = links_of_poses.mean(0)
         if retargeter.positions_only:  # without rotations only the lengths are constant

@@ -29,7 +29,7 @@ def skinner_node(human: str) -> str:
 
 @dataclass(frozen=True)
 class SceneNames:
-    """Names of the humans, and of the cameras with those of the rig; whether the scene plays in lockstep."""
+    """Names of the humans, and of all cameras with the rig; whether the scene plays in lockstep."""
 
     humans: tuple[str, ...]
     cameras: tuple[str, ...]

@@ -238,7 +238,7 @@ class Playback:
         Args:
             name: Name of the human.
             settings: Keys of a section ``motion`` of a scene file.
-            source: Finds the files; that of the scene if None.
+            source: Finds the files; the source of the scene if None.
 
         Raises:
             HumansimError: The motion cannot be played; with the key.
@@ -256,7 +256,7 @@ class Playback:
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, source, None if read_again else before.motion.motion)
-        actor.motion.sample(0.0)  # compute now what is computed once for all frames
+        actor.motion.sample(0.0)  # compute the shared values of all frames now
         return Change(name, new, actor, bool(different & _RESTART_KEYS), bool(different & _ROUND_KEYS))
 
     def apply(self, change: Change) -> None:

@@ -1,6 +1,6 @@
 """A procedural furnished room: textured floor, walls and furniture.
 
-Furniture is along the walls; the middle is free. Coordinates are those of ``map``: metres, z up, floor at
+Furniture is along the walls; the middle is free. Coordinates are in ``map``: metres, z up, floor at
 z = 0.
 """
 

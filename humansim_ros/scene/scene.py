@@ -287,7 +287,7 @@ def _add_objects(
     tracks: Mapping[tuple[str, str], KeyframeTrack],
     actors: Mapping[str, Actor],
 ) -> None:
-    """Add objects; their labels continue those of humans and objects."""
+    """Add objects; their labels continue the labels of humans and objects."""
     last = len(actors) + sum(item.instance > 0 for item in objects.values())
     for name, config in configs.items():
         with in_section(f"objects.{name}"):

@@ -66,8 +66,8 @@ class Frame(Pictured):
         rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
             requested.
         models: Humans without pose by name.
-        faults: Faults of cameras that have any, by camera. ``views`` show those of the image; whether and
-            when it is sent is in ``sent``.
+        faults: Faults of cameras that have any, by camera. ``views`` show the faults of the image; ``sent``
+            says whether and when it is sent.
     """
 
     index: int
@@ -228,7 +228,7 @@ class Simulation:
         Args:
             index: Number of the frame, from 0.
             cameras: Names of the cameras to render; all if None.
-            rectified_depth: Names of those whose depth without lens distortion is rendered, too.
+            rectified_depth: Names of the cameras whose depth without lens distortion is rendered, too.
 
         Raises:
             SceneError: There is no camera of a name.

@@ -38,7 +38,7 @@ class SceneSource:
         path: The scene file; None for a scene that is made in memory.
         folder: Folder that relative file names start from.
         objects: Humans, motions and meshes in memory, by their names in the configuration.
-        text: Content of the scene file in place of that on disk, while it is edited.
+        text: Content of the scene file in place of the file on disk, while it is edited.
     """
 
     path: Path | None = None
@@ -103,7 +103,7 @@ class SceneSource:
         Args:
             name: Name of a built-in, path, or name of an object in memory.
             outfit: Name of an outfit; the first if None.
-            skinning: Skinning function; that of the file if None.
+            skinning: Skinning function; the function of the file if None.
             key: Key of the scene that has the name, for errors.
         """
         with in_section(key):
@@ -126,7 +126,7 @@ class SceneSource:
         return read_motion(find_motion(name, self.folder, SceneError), positions)
 
     def mesh(self, name: str) -> Mesh | None:
-        """A mesh in memory; None if the name is that of a file."""
+        """A mesh in memory; None if it is the name of a file."""
         return self._object(name, Mesh)
 
     def _object(self, name: str, kind: type[T]) -> T | None:

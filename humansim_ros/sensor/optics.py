@@ -80,7 +80,7 @@ def sample_times(height: int, exposure: float, row_time: float, samples: int) ->
     Args:
         height: Number of image rows.
         exposure: Exposure time of a row, seconds.
-        row_time: Time from the exposure of a row to that of the next, seconds; 0 for a global shutter.
+        row_time: Time between the exposures of a row and the next, seconds; 0 for a global shutter.
         samples: Number of times.
 
     Returns:
@@ -105,7 +105,7 @@ def row_weights(height: int, exposure: float, row_time: float, samples: int) -> 
     Args:
         height: Number of image rows.
         exposure: Exposure time of a row, seconds.
-        row_time: Time from the exposure of a row to that of the next, seconds.
+        row_time: Time between the exposures of a row and the next, seconds.
         samples: Number of times.
 
     Returns:

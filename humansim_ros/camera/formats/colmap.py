@@ -28,7 +28,7 @@ from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
 #: Largest file of a rig; larger ones are models of large scenes.
 MAX_BYTES = 64 << 20
-#: Parameters of COLMAP's camera models; the names of coefficients are those of :data:`_COEFFICIENTS`.
+#: Parameters of COLMAP's camera models; the coefficients have their names in :data:`_COEFFICIENTS`.
 _MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",

@@ -44,7 +44,7 @@ _H36M_SIZES = {
     "58860488": (1000, 1000),
     "60457274": (1000, 1002),
 }
-#: Keys of the intrinsics in Shelf and Campus, of which one is enough to recognise them.
+#: Keys of the intrinsics in Shelf and Campus; one of them is enough to recognise a file.
 _SHELF_INTRINSICS = {"fx", "k", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
@@ -225,7 +225,7 @@ def _write_panoptic(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 
 def _panel_and_node(name: str, index: int) -> dict[str, int]:
-    """Panel and node of the studio, of which the names are made."""
+    """Panel and node of the studio: the parts of a name."""
     matched = _PANEL_AND_NODE.fullmatch(name)
     panel, node = (int(matched[1]), int(matched[2])) if matched else (0, index)
     return {"panel": panel, "node": node}

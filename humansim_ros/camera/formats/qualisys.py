@@ -2,8 +2,8 @@
 
 The rows of r11 … r33 are the axes of the camera in the world: x right, y up, z backward; x, y, z is its
 centre. Focal lengths and principal points are in 1/64 pixel of the sensor; a pixel of the video is that of
-the sensor minus the corner of fov_video. Poses and K are those of Pose2Sim's conversion. The distortion
-coefficients are those of OpenCV, without a unit; Pose2Sim divides them by 64 as well, which leaves almost no
+the sensor minus the corner of fov_video. Poses and K are as in Pose2Sim's conversion. The distortion
+coefficients are as in OpenCV, without a unit; Pose2Sim divides them by 64 as well, which leaves almost no
 distortion. https://github.com/perfanalytics/pose2sim
 """
 

@@ -36,7 +36,7 @@ _MODELS = {
     **dict.fromkeys(("brown conrady", "4"), "plumb_bob"),
     **dict.fromkeys(("kannala brandt4", "5"), "equidistant"),
 }
-#: Models that are those of OpenCV only nearly.
+#: Models that are only nearly the models of OpenCV.
 _NEARLY = ("modified brown conrady", "1", "inverse brown conrady", "2")
 _WRITTEN = {"plumb_bob": "brown_conrady", "equidistant": "kannala_brandt4"}
 _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})

@@ -1,6 +1,6 @@
 """Camera info of ROS, and camera chains of Kalibr.
 
-- YAML files of camera_calibration, printed messages, and the older INI files. Names and order are those of
+- YAML files of camera_calibration, printed messages, and the older INI files. Names and order are as in
   ROS's camera_calibration_parsers. Neither format stores extrinsics.
 - camchain.yaml and camchain-imucam.yaml of Kalibr: x_cn = T_cn_cnm1 x_cn-1, metres. The world frame is the
   first camera, or the IMU if the file has T_cam_imu, or T_imu_cam (its inverse) as in OpenVINS.
@@ -326,7 +326,7 @@ def _transform(file: CalibrationFile, *keys: Key) -> Array:
 
 
 def _rigid(matrix: Array) -> Array:
-    """The same transform with an exact rotation, where its error is that of rounding."""
+    """The same transform with an exact rotation, where rounding explains its error."""
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
         return matrix

@@ -64,7 +64,7 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _names(file: CalibrationFile) -> list[str]:
-    """Names of the cameras: those of their images."""
+    """Names of the cameras: the names of their images."""
     names = []
     for index, _ in enumerate(file.need("frames")):
         image = file.get("frames", index, "file_path")
@@ -95,7 +95,7 @@ def _camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCam
 
 
 def _keys(file: CalibrationFile, index: int, key: str) -> tuple[Key, ...]:
-    """Key path of a value of a frame: its own one, or that of all frames."""
+    """Key path of a value of a frame: its own key, or the key of all frames."""
     own: tuple[Key, ...] = ("frames", index, key)
     return own if file.get(*own) is not None else (key,)
 

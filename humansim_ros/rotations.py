@@ -94,18 +94,19 @@ def quaternion_to_rotation_vector(quaternion: NDArray[Any]) -> Array:
 
 
 def multiply_quaternions(a: NDArray[Any], b: NDArray[Any]) -> Array:
-    """Unit quaternions (..., 4) xyzw of rotation ``b`` followed by rotation ``a``; any lengths but zero."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = (np.moveaxis(_normalised(q), -1, 0) for q in (a, b))
+    """Unit quaternions (..., 4) xyzw of rotation ``b`` followed by rotation ``a``."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = (np.moveaxis(q, -1, 0) for q in (a, b))
     product = (
         aw * bx + bw * ax + (ay * bz - az * by),
         aw * by + bw * ay + (az * bx - ax * bz),
         aw * bz + bw * az + (ax * by - ay * bx),
         aw * bw - ax * bx - ay * by - az * bz,
     )
-    return _normalised(np.stack(product, axis=-1))
+    return normalised(np.stack(product, axis=-1))
 
 
-def _normalised(quaternion: NDArray[Any]) -> Array:
+def normalised(quaternion: NDArray[Any]) -> Array:
+    """Quaternions (..., 4) divided by their length, also where rounding explains the difference from 1."""
     x, y, z, w = np.moveaxis(np.asarray(quaternion, dtype=float), -1, 0)
     return np.asarray(quaternion / np.sqrt(x * x + y * y + z * z + w * w)[..., None], dtype=float)
 

@@ -19,6 +19,7 @@ from humansim_ros.hierarchy import levels
 from humansim_ros.pictures import Pictured
 from humansim_ros.rotations import (
     multiply_quaternions,
+    normalised,
     quaternion_to_matrix,
     quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
@@ -237,7 +238,7 @@ class JointPoses:
         steps = np.asarray(seconds, dtype=float)[:, None, None]
         positions = self.positions + self.linear * steps
         turns = rotation_vector_to_quaternion(self.angular * steps)
-        return JointPoses(self.names, positions, multiply_quaternions(turns, self.rotations))
+        return JointPoses(self.names, positions, multiply_quaternions(turns, normalised(self.rotations)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,5 +274,5 @@ def central_difference(
     Returns:
         Linear and angular velocity, (..., 3) each.
     """
-    turn = multiply_quaternions(rotation_after, rotation_before * (-1, -1, -1, 1))
+    turn = multiply_quaternions(normalised(rotation_after), normalised(rotation_before) * (-1, -1, -1, 1))
     return (after - before) / seconds, quaternion_to_rotation_vector(turn) / seconds

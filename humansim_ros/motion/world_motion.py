@@ -19,6 +19,7 @@ from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     matrix_to_quaternion,
     multiply_quaternions,
+    normalised,
     quaternion_to_matrix,
     slerp,
 )
@@ -373,7 +374,7 @@ class WorldMotion:
         unit, axes, offset = self.frame.unit, self._map_from_file, self._translation
         placed = (unit * translations @ axes.T + offset - cycle_translation) @ cycle_rotation
         back = scipy.spatial.transform.Rotation.from_matrix(axes.T @ cycle_rotation.T @ axes).as_quat()
-        return (placed - offset) @ axes / unit, multiply_quaternions(back, rotations)
+        return (placed - offset) @ axes / unit, multiply_quaternions(back, normalised(rotations))
 
     def _to_map(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
         """Positions (N, J, 3) in ``map`` and rotations from rest (N, J, 3, 3) of local poses."""

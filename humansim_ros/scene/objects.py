@@ -24,6 +24,7 @@ from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.render import Body
 from humansim_ros.rotations import (
     multiply_quaternions,
+    normalised,
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
     transform,
@@ -58,7 +59,9 @@ class ObjectPose:
             return self
         turn = rotation_vector_to_quaternion(seconds * self.velocity.angular)
         position = self.position + seconds * self.velocity.linear
-        return replace(self, position=position, rotation=multiply_quaternions(turn, self.rotation))
+        return replace(
+            self, position=position, rotation=multiply_quaternions(turn, normalised(self.rotation))
+        )
 
     @property
     def matrix(self) -> Array:
@@ -148,7 +151,7 @@ class SceneObject:
         times, key = self.keyframes.around(seconds)
         turn = scipy.spatial.transform.Rotation.from_quat(key.quaternion)
         position = key.position + turn.apply(key.size * self.initial_pose.position)
-        rotation = multiply_quaternions(key.quaternion, self.initial_pose.rotation)
+        rotation = multiply_quaternions(normalised(key.quaternion), normalised(self.initial_pose.rotation))
         velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
         return ObjectPose(position[1], rotation[1], key.size[1] * self.initial_pose.size, velocity)
 

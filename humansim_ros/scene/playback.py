@@ -18,7 +18,7 @@ from humansim_ros.errors import MotionError, in_section
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
-from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions
+from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, normalised
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
@@ -279,7 +279,7 @@ class Playback:
         turn, offset = self._shifts[name]
         position, rotation = (
             turn.apply(pose.position) + offset,
-            multiply_quaternions(turn.as_quat(), pose.rotation),
+            multiply_quaternions(turn.as_quat(), normalised(pose.rotation)),
         )
         velocity = pose.velocity
         if velocity is not None:
@@ -295,9 +295,8 @@ class Playback:
             rotation: (4,) quaternion xyzw.
         """
         pose = self.scene.moving_objects[name].at(self.elapsed * 1e-9)
-        turn = scipy.spatial.transform.Rotation.from_quat(
-            multiply_quaternions(rotation, pose.rotation * (-1, -1, -1, 1))
-        )
+        rotate = scipy.spatial.transform.Rotation.from_quat
+        turn = rotate(rotation) * rotate(pose.rotation).inv()
         self._shifts[name] = turn, position - turn.apply(pose.position)
         self.version += 1
 

@@ -147,7 +147,7 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
 
 #: Words for defaults that stand for no value, or for one that another key or file gives.
 NO_DEFAULT = re.compile(
-    r"–|\d+, |(none|all|detected|computed|as of|as in|the first|by|its only|built-in|middle|see|that of"
+    r"–|\d+, |(none|all|detected|computed|as of|as in|the first|by|its only|built-in|middle|see"
     r"|without|ideal|as fast)\b"
 )
 

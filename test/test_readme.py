@@ -130,7 +130,7 @@ def test_the_page_of_topics_lists_topics_that_the_nodes_have() -> None:
 
 
 def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: Path) -> None:
-    from humansim_ros.scene import Scene, config
+    from humansim_ros.scene import Scene, camera_config, config
 
     text = (ROOT / "docs" / "scene.md").read_text()
     example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
@@ -138,8 +138,8 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
     scene = tmp_path / "scene.yaml"
     scene.write_text(example.group(1))
     assert len(Scene.load(scene).cameras) == 2
-    sections = (config.HumanConfig, config.MotionConfig, config.ObjectConfig, config.CameraConfig)
-    cameras = (config.RigConfig, config.TrajectoryConfig, config.RegionConfig)
+    sections = (config.HumanConfig, config.MotionConfig, config.ObjectConfig, camera_config.CameraConfig)
+    cameras = (camera_config.RigConfig, camera_config.TrajectoryConfig, camera_config.RegionConfig)
     for section in (*sections, *cameras, config.RoomConfig, config.TimeConfig):
         for key in section.model_fields:
             assert f"`{key}`" in text or f".{key}`" in text, key

@@ -69,7 +69,7 @@ def evaluate(
 
     Example:
         >>> result = evaluate("scene.yaml", "poses.csv", offset="auto")  # doctest: +SKIP
-        >>> result.data["position"]["mpjpe"]  # doctest: +SKIP
+        >>> result.data["position"].get("mpjpe")  # doctest: +SKIP
         0.031
         >>> result.write_report("report.html")  # doctest: +SKIP
     """

@@ -157,7 +157,7 @@ def used_vertices(mesh: Mesh) -> NDArray[np.float64]:
     return mesh.vertices[used]
 
 
-#: Joints detected in the mesh, or those of the general skeleton.
+#: Joints detected in the mesh, or joints of the general skeleton.
 JointMethod = Literal["fitted", "general"]
 MAX_VERTICES = 2_000_000
 #: Valid statures, metres.
@@ -190,7 +190,7 @@ def fit_skeleton(
         up: Up axis of the file, such as ``z`` or ``-y``; detected if absent.
         facing: Axis of the file that the person faces; detected if absent.
         unit: Metres per unit of the file.
-        stature: Height of the person in metres. Without unit and stature it is that of the general skeleton.
+        stature: Height of the person in metres. Without unit and stature, the general skeleton's height.
 
     Returns:
         The mesh in body space, and its skeleton.

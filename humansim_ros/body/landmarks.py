@@ -34,7 +34,7 @@ _LEGS = 0.2
 _BAND, _REACH = 0.01, 0.56
 #: Distances from the finger tip: ranges of the wrist and the forearm, minimum of the armpit.
 _WRIST, _FOREARM, _ARMPIT = (0.08, 0.17), (0.2, 0.3), 0.3
-#: Ratio of the section of the trunk to that of the forearm.
+#: Ratio of the sections of trunk and forearm.
 _TRUNK_RATIO = 3.0
 #: Range of the groin, maximum width of the neck; outside, a skirt or hair hides them.
 _PLAUSIBLE_GROIN, _PLAUSIBLE_NECK = (0.36, 0.56), 0.8
@@ -356,7 +356,7 @@ def known_joints(mesh: Mesh) -> dict[str, Array] | None:
 
 
 def is_makehuman(mesh: Mesh) -> bool:
-    """Whether the first vertices and their faces are those of MakeHuman's skin."""
+    """Whether the first vertices and their faces are MakeHuman's skin."""
     table: dict[str, Any] = joint_file()["makehuman"]
     if len(mesh.vertices) < SKIN_VERTICES:
         return False

@@ -55,7 +55,7 @@ class SkinningFunction(Protocol):
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, rotated with the bones from ``rest`` (V, 3).
 
-        A fast approximation of normals and tangents; near joints those of the deformed surface differ
+        A fast approximation of normals and tangents; near joints it differs from the deformed surface
         (docs/skinning.md). :class:`humansim_ros.mesh.normals.SurfaceNormals` computes exact normals.
         """
 

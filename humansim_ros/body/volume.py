@@ -82,7 +82,7 @@ def surface_points(mesh: Mesh, spacing: float) -> Array:
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.ceil(sides / spacing).astype(np.int64)
     if (parts.astype(float) ** 2 / 2).sum() > _MAX_VOXELS:
-        raise MeshError("the mesh has faces far larger than those of a person")
+        raise MeshError("the mesh has faces far larger than a person's")
     points = [mesh.vertices[np.unique(mesh.triangles)]]
     for count in np.unique(parts[parts > 1]):
         i, j = np.indices((count + 1, count + 1)).reshape(2, -1)

@@ -57,7 +57,7 @@ class MeshHuman(Section):
         default="heat", description="rigging method of a mesh without skeleton"
     )
     skeleton: Literal["fitted", "general"] = Field(
-        default="fitted", description="detected joints, or those of the general skeleton"
+        default="fitted", description="detected joints, or joints of the general skeleton"
     )
     unit: float | None = Field(default=None, gt=0, le=1e6, description="metres per unit of the file")
     stature: float | None = Field(default=None, ge=0.2, le=5, description="height of the person, metres")

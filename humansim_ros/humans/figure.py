@@ -43,14 +43,14 @@ def to_body_space(
         Mesh in body space (metres, y up, facing +z, soles at height 0), skeleton, and weights (V, B).
 
     Raises:
-        MeshError: The skeleton is not that of a person standing upright.
+        MeshError: The skeleton is not a person standing upright.
     """
     rest = _rest_motion(figure)
     try:
         match = match_motion(rest)
         frame = detect_file_frame(rest, match, unit, up, facing)
     except MotionError as error:
-        raise MeshError(f"the skeleton is not that of a person: {error.message}") from None
+        raise MeshError(f"the skeleton is not a person's: {error.message}") from None
     if frame.rest_from_body.ndim != 2:
         raise MeshError("the rest pose does not stand upright: export the mesh in a T or A pose")
     stature = float(np.ptp(figure.mesh.vertices @ frame.rest_from_body[:, 1]))
@@ -196,7 +196,7 @@ def _tails(
 
 
 def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
-    """Unit direction (3,) of a bone without a child: that of its parent; forwards for feet."""
+    """Unit direction (3,) of a bone without a child: its parent's direction; forwards for feet."""
     if names[number] in ("l_ankle", "r_ankle"):
         return np.array([0.0, 0.0, 1.0])
     if names[number] == "vt3":

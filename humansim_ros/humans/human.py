@@ -252,7 +252,7 @@ def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArra
 
 
 def joint_surfaces(human: Human) -> NDArray[np.bool_]:
-    """Part labels (J, 256) that are skin around each joint: those of the bones that meet there."""
+    """Part labels (J, 256) that are skin around each joint: the bones that meet there."""
     skeleton = human.skeleton
     with_skin = set((human.triangle_parts - 1).tolist())
     bones_of_joints: list[set[int]] = []

@@ -187,7 +187,7 @@ def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
 
 
 def _warn_about_stature(path: str | os.PathLike[str], human: Human, options: MeshHuman) -> None:
-    """Warn about a height that is not that of a person, unless the options give it."""
+    """Warn about a height that no person has, unless the options give it."""
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
     low, high = _USUAL_STATURE
     if options.stature is None and not low <= stature <= high:
@@ -303,7 +303,7 @@ def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skel
 
 
 def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str, NDArray[np.uint8]]:
-    """Outfits of a mesh: those of the options, else its own texture or colours, else colours by body part."""
+    """Outfits of a mesh: by the options, else its own texture or colours, else colours by body part."""
     mesh = human.mesh
     if not outfits and mesh.texture is not None:
         return {"default": encode_image(mesh.texture)}

@@ -324,7 +324,7 @@ _MEDIAPIPE33 = _make(
     "V. Bazarevsky et al.: BlazePose: on-device real-time body pose tracking, 2020. "
     "https://ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker",
 )
-#: Markers of one side: those of the arm and head, then those of the leg.
+#: Markers of one side: of arm and head, then of the leg.
 _ARM_MARKERS = {
     **_rows("SHO acromion, UPA upper_arm_{share}, ELB elbow_lateral, FRM forearm_{share}"),
     **_rows("WRA wrist_thumb, WRB wrist_pinky, FIN hand_back"),

@@ -53,8 +53,8 @@ def _of_side(side: str) -> dict[str, Mapping[str, float]]:
     }
 
 
-#: Shares of joints in each point between joints. Those of SMPL are the shares of its mean body between hips
-#: and neck; the middle of the skull is that of the skeleton of Human3.6M.
+#: Shares of joints in each point between joints. SMPL's shares are measured on its mean body between hips
+#: and neck; the middle of the skull is taken from the skeleton of Human3.6M.
 MIXES: Mapping[str, Mapping[str, float]] = {
     "mid_hip": _HIPS,
     "mid_shoulder": _SHOULDERS,

@@ -68,7 +68,7 @@ class DracoMesh:
             self.attributes: dict[int, NDArray[Any]] = {
                 int(attribute["unique_id"]): np.asarray(attribute["data"]) for attribute in decoded.attributes
             }
-        except Exception as reason:  # also those of the C++ library, which have no common class
+        except Exception as reason:  # also errors of the C++ library, which have no common class
             raise MeshError(f"the Draco data cannot be decoded: {str(reason)[:100]}") from None
 
 

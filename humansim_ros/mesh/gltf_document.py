@@ -125,7 +125,7 @@ class Gltf:
     def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:
         """Transforms (..., N, 4, 4) of the nodes in their parents.
 
-        ``properties`` replace those of the file, such as ``(3, "rotation"): (..., 4)``.
+        ``properties`` replace properties of the file, such as ``(3, "rotation"): (..., 4)``.
         """
         properties = properties or {}
         shape = next((value.shape[:-1] for value in properties.values()), ())

@@ -46,7 +46,7 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
         if not has_uv:
             ignored.append(f"the {what}, because the mesh has no texture coordinates")
         elif leading is not None and _mapping(info) != _mapping(leading):
-            ignored.append(f"the {what}, because its texture coordinates are not those of the colour")
+            ignored.append(f"the {what}, because the colour has other texture coordinates")
         else:
             image = read_image(gltf, info)
             if image is not None:

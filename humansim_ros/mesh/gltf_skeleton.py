@@ -76,8 +76,8 @@ def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
     """Similarity transform (4, 4) from bind time to the scene, and its scale.
 
     ``changes``: (J, 4, 4) of the joints. They are equal if the rest pose of the nodes is the bind pose. Else
-    each joint has its own rotation. So the scale is the median, and rotation and translation are those of the
-    joint whose rotation is nearest to all others; a mean of different rotations would be smaller.
+    each joint has its own rotation. So the scale is the median. Rotation and translation come from the joint
+    whose rotation is nearest to all others; a mean of different rotations would be smaller.
     """
     sizes = np.cbrt(np.abs(np.linalg.det(changes[:, :3, :3])))
     scale = float(np.median(sizes))
@@ -95,7 +95,7 @@ def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
 
 
 def _names(gltf: Gltf, nodes: NDArray[np.intp]) -> tuple[str, ...]:
-    """Unique names of the joints: those of the VRM bone map, or those of the nodes."""
+    """Unique names of the joints, from the VRM bone map or from the nodes."""
     human = _human_bones(gltf)
     taken = {human[int(node)] for node in nodes if int(node) in human}
     names: list[str] = []

@@ -23,7 +23,7 @@ from humansim_ros.rotations import (
 )
 from humansim_ros.types import Array, Indices
 
-#: Place of the rotations of pelvis, chest and feet that follow from positions, after those of all joints.
+#: Rotations of pelvis, chest and feet that follow from positions, in order after the rotations of all joints.
 LINE_ROTATIONS = ("pelvis", "chest", "l_ankle", "r_ankle")
 _LINE_OF_BONE = {
     "HumanoidRoot": "pelvis",
@@ -243,8 +243,8 @@ def has_rotations(poses: JointPoses) -> bool:
 def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[str, ...]:
     """Bones whose driving joint does not rotate as the lines between the joints do.
 
-    The rotation of such a joint does not describe the body: for example, that of hips which a neural network
-    predicts independently, or of a root that does not move. Rigid hips carry the line between the hip
+    The rotation of such a joint does not describe the body. Examples are hips that a neural network predicts
+    independently, and a root that does not move. Rigid hips carry the line between the hip
     joints. Chest and spine carry the line between the shoulders within some degrees, and joints of limbs
     their links.
 

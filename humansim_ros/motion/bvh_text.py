@@ -21,7 +21,7 @@ _MAX_CHARACTERS = 1 << 20
 #: Larger numbers cannot be measurements, and their squares may be infinite.
 LARGEST = 1e15
 BRACE = re.compile(r"([{}])")
-#: A minus sign that starts a new number without a space before it ("1.5-2.5"), but not that of "1e-5".
+#: A minus sign that starts a new number without a space before it ("1.5-2.5"); not the sign in "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 #: A comma that separates numbers for certain: with white space beside it, or the second of a word.
 _SEPARATOR = re.compile(r",(?:\s|$)|,[^\s,]+,")

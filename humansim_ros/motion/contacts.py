@@ -175,7 +175,7 @@ class FootContacts:
             )
             goal = ankle + shift[:, foot] * correction_share(hip, knee, ankle)
             thigh, shin = two_bone(hip, knee, ankle, goal)
-            # the source's leg rotates as that of the skeleton; its foot keeps its orientation
+            # the source's leg rotates as the skeleton's leg; its foot keeps its orientation
             new_knee = old[:, leg.hip] + rotate(thigh, old[:, leg.knee] - old[:, leg.hip])
             new_ankle = new_knee + rotate(shin, old[:, leg.ankle] - old[:, leg.knee])
             identity = np.broadcast_to(np.eye(3), thigh.shape)

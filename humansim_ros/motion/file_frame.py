@@ -15,7 +15,7 @@ from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import WORLD_FROM_BODY, angle_between, unit_vectors
 from humansim_ros.types import Array
 
-#: Angles (degrees) up to which trunk, legs, hips and shoulders count as those of a standing person.
+#: Angles (degrees) up to which trunk, legs, hips and shoulders count as a standing person's.
 _TRUNK_TO_LEGS, _LEG_TO_LEG, _HIPS_TO_SHOULDERS, _HIPS_TO_LEVEL = 35.0, 90.0, 35.0, 35.0
 
 #: Bones whose heads are the joints between which the lines go.
@@ -99,7 +99,7 @@ class BodyLines:
         return np.asarray(angle_between(self.trunk, up) + legs / 2 + across + _ARM_WEIGHT * arms)
 
     def stands(self) -> Array:
-        """Whether each pose (N,) is that of a standing person, in any orientation in space."""
+        """Whether each pose (N,) is a standing person's, in any orientation in space."""
         legs = unit_vectors(unit_vectors(self.thighs).sum(0))
         angles = np.degrees(
             [
@@ -207,7 +207,7 @@ def detect_file_frame(
         if (rest_up == detected_up).all():
             rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing, snap=True)
         else:
-            # the rest pose lies in file space and the root raises it: facing is that of the first frame
+            # the rest pose lies in file space and the root raises it: the first frame has the facing
             rest_axes = _body_axes(rest, roles, rest_up, motion, snap=True)
             axes = _body_axes(frames[0], roles, up_axis, motion, facing, snap=True)
     else:

@@ -135,7 +135,7 @@ def _to_motion(
 
 
 def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, str]]) -> tuple[Array, float]:
-    """Times (F,) of the frames and the step between them; those of evenly spaced keys."""
+    """Times (F,) of evenly spaced frames, and the step between them."""
     start = min(float(track[0][0]) for track in tracks.values())
     end = max(float(track[0][-1]) for track in tracks.values())
     longest = max((track[0] for track in tracks.values()), key=len)

@@ -140,7 +140,7 @@ def to_world(
         options: Other fields of :class:`WorldMotion`; ``loop`` is ``none`` by default.
 
     Raises:
-        MotionError: The motion is not that of a person, or a given value does not fit it.
+        MotionError: The motion is not a person's, or a given value does not fit it.
     """
     match = match_motion(motion, table, min_confidence)
     frame = detect_file_frame(motion, match, unit, up, facing)

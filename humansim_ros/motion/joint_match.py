@@ -28,7 +28,7 @@ REQUIRED_BONES = (
     "r_shoulder",
     "r_elbow",
 )
-#: A motion whose match has a lower confidence is refused as not being that of a person.
+#: A motion whose match has a lower confidence is refused: it is not a person's.
 MIN_CONFIDENCE = 0.12
 #: Below this confidence, scenes and commands state it.
 LOW_CONFIDENCE = 0.7
@@ -50,7 +50,7 @@ class JointMatch:
         confidence: 0 to 1.
         extra: Bone -> joint of the same name, for bones that the general skeleton lacks (fingers, for
             example).
-        reasons: Reasons why the motion may not be that of a person.
+        reasons: Reasons why the motion may not be a person's.
     """
 
     table: str

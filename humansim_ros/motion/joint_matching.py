@@ -52,7 +52,7 @@ _TAIL = re.compile(r"tail(?!or)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class BodySigns:
-    """Signs that a body is that of an animal.
+    """Signs of an animal's body.
 
     Attributes:
         fours: Share of the frames in which the body is on all fours, 0 to 1.
@@ -72,7 +72,7 @@ class BodySigns:
 
     @property
     def has_animal_proportions(self) -> bool:
-        """Whether legs are as short, and arms as long, as those of animals."""
+        """Whether legs are as short, and arms as long, as an animal's."""
         return self.legs < _SHORT_LEGS and self.arms > _LONG_ARMS
 
     @property
@@ -260,7 +260,7 @@ def match_motion(
     hierarchy fit best; else by the shape of the skeleton. Signs of an animal lower the confidence.
 
     Raises:
-        MotionError: The table does not fit, or the motion is not that of a person: its confidence is below
+        MotionError: The table does not fit, or the motion is not a person's: its confidence is below
             ``min_confidence`` (by default 0.12).
     """
     min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
@@ -332,7 +332,7 @@ def match_names(
 def _best_match(
     tables: Sequence[JointTable], joint_names: Sequence[str], parents: Indices | None, loose: bool = False
 ) -> JointMatch:
-    """Match by the table that fits best. Exactly spelt, the table of common names yields to all others."""
+    """Match by the table that fits best. If several are complete, the table of common names comes last."""
     matches = [match_table(candidate, joint_names, parents, loose) for candidate in tables]
     present = {comparison_key(name) for name in joint_names}
 

@@ -83,7 +83,7 @@ class JointTable(Section):
             return data
         mappings = [data.get(key) or {} for key in ("joints", "parallel", "difference")]
         if not all(isinstance(part, Mapping) and all(isinstance(k, str) for k in part) for part in mappings):
-            return data  # the schema says what is wrong
+            return data  # the schema names the fault
         joints = dict(data["joints"])
         for role, names in data["joints"].items():
             right = f"Right{role[4:]}"
@@ -126,7 +126,7 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
         raise schema_error(reason, JointTable, MotionError, path, tree) from None
 
 
-#: Names whose keys are held: those of all tables, and those of some motions.
+#: Names whose keys are held: the names of all tables and of some motions.
 _MAX_KEYS = 1 << 13
 
 

@@ -1,6 +1,6 @@
 """Keyframes that move, rotate and scale humans and objects over time, and their files (XML).
 
-docs/keyframes.md defines the format, which is that of [thesis §S6].
+docs/keyframes.md defines the format ([thesis §S6]).
 """
 
 from __future__ import annotations
@@ -504,7 +504,7 @@ class _Reader(ContentHandler):
 
 
 def _track(timeline: KeyframeTimeline, keys: list[tuple[int, _KeyValues]]) -> KeyframeTrack:
-    """Track of an object; a value that a key omits is that of the key before."""
+    """Track of an object; a key that omits a value keeps the value of the key before."""
     last = {part: [default] * 3 for part, default in _PARTS.items()}
     columns: dict[str, list[list[float]]] = {part: [] for part in _PARTS}
     for _, parts in keys:

@@ -201,7 +201,7 @@ class JointCoordinates(ABC):
         return JointAngles(values, offset)
 
     def bone_rotation(self, relative: Array, rotations: Array) -> Array:
-        """Rotation (N, 3, 3) of the bone itself, from that of the joint in anatomical axes (N, 3, 3)."""
+        """Rotation (N, 3, 3) of the bone, from the joint's rotation (N, 3, 3) in anatomical axes."""
         inherited = np.swapaxes(self._inherited(rotations), -1, -2)
         return np.asarray(inherited @ self.before.T @ relative @ self.after.T)
 
@@ -538,7 +538,7 @@ class JointLimits:
         return None if parent < 0 else tuple(chain)
 
     def _rest_axes(self, bone: str, along: AnatomicalDirection | None) -> Array:
-        """Anatomical axes (3, 3) of a bone at rest; those of a limb follow the bone, as from a T pose."""
+        """Anatomical axes (3, 3) of a bone at rest; the axes of a limb follow the bone, as from a T pose."""
         if along is None:
             return np.eye(3)
         rest = self.skeleton.rest[self.skeleton.bone(bone), :3, 1]
@@ -546,7 +546,7 @@ class JointLimits:
 
 
 def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton | None = None) -> JointLimits:
-    """Read a table of joint limits (YAML); by default that of healthy adults and for the general skeleton.
+    """Read a table of joint limits (YAML); by default of healthy adults and for the general skeleton.
 
     Raises:
         MotionError: The file is not a valid table; with file, line and key.

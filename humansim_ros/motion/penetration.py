@@ -142,8 +142,8 @@ def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matr
 
     A limb gets one capsule. Its radius is a typical distance of the vertices of the bone from it. A bone of
     the trunk, which is no cylinder, gets two side by side. Without ``mesh`` and its ``weights`` (V, B) the
-    radii are those of an average man of the same stature. Connectors, collars and bones without vertices get
-    none.
+    capsules have the radii of an average man of the same stature. Connectors, collars and bones without
+    vertices get none.
 
     Raises:
         MeshError: No bone gets a capsule.
@@ -305,7 +305,7 @@ def _average_capsules(skeleton: Skeleton) -> list[_CapsuleRow]:
 def _trunk_capsules(
     bone: int, middle: Array, height: float, radius: float, width: float
 ) -> list[_CapsuleRow]:
-    """Two upright capsules side by side; ``height`` and ``width`` are half of those of both together."""
+    """Two upright capsules side by side; ``height`` and ``width`` are half the size of the pair."""
     up = np.array([0.0, max(height - radius, 0.0), 0.0])
     offset = np.array([max(width - radius, 0.0), 0.0, 0.0])
     return [(bone, middle + side - up, middle + side + up, radius) for side in (offset, -offset)]

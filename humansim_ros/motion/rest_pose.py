@@ -36,7 +36,7 @@ _HINGE_AGREEMENT = 0.8
 #: Bones that leave their rest pose as their links do, instead of being parallel to them: in most files these
 #: links rise from the spine to the shoulders at rest.
 COLLARS = ("l_sternoclavicular", "r_sternoclavicular")
-#: Angle (degrees) by which the trunk of a body may differ from that of the joints.
+#: Angle (degrees) by which the trunks of body and joints may differ.
 _TRUNK_TOLERANCE = 13.0
 _TRUNK = ("sacroiliac", "vl5", "vl5_to_l_sternoclavicular", "vl5_to_r_sternoclavicular")
 #: Hinges of elbows and knees: upper and lower bone, axis of a bend forwards and backwards from a T pose.
@@ -170,7 +170,7 @@ def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
 
 
 def align_trunk(drivers: BoneDrivers, rest: Array, poses: JointPoses, posed: Array) -> Array:
-    """``rest`` with a trunk that differs from that of the joints by a tolerance at most.
+    """``rest`` with a trunk that differs from the joints' trunk by a tolerance at most.
 
     Skeletons place the shoulders a little in front of the hips or behind them, and a body keeps its own
     proportions. A larger difference is the posture of the person.

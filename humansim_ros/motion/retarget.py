@@ -59,7 +59,7 @@ _MAX_FITTED = 400
 class Retargeter:
     """Computes poses of a skeleton from joint poses in ``map``. It holds constants only.
 
-    The middle of the hips follows that of the motion, scaled by ``scale`` about ``origin`` and raised by
+    The middle of the hips follows the motion's hips, scaled by ``scale`` about ``origin`` and raised by
     ``lift``.
 
     Attributes:
@@ -139,10 +139,10 @@ class Retargeter:
     def fit_live(cls, poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> Retargeter:
         """Fit to some poses (N >= 1) of a live source, with the floor at z = 0.
 
-        Rotations may count from a standing rest pose that faces +x, as those of the motion player, or from
+        Rotations may count from a standing rest pose that faces +x, as in the motion player, or from
         any constant rest pose; the first pose then shows it. Without rotations (all zero, or all the same)
-        bones follow links only, and the trunk follows hips and shoulders. The scale is that of the legs,
-        about the origin of ``map``.
+        bones follow links only, and the trunk follows hips and shoulders. The ratio of the legs is
+        the scale about the origin of ``map``.
 
         Raises:
             MotionError: The legs have no length.
@@ -297,7 +297,7 @@ class Retargeter:
 
 
 def skeleton_ankle_to_head(skeleton: Skeleton) -> float:
-    """Ankle-to-head height of a skeleton along its bones, metres, to compare with that of a motion."""
+    """Ankle-to-head height of a skeleton along its bones, metres, to compare with a motion's height."""
 
     def lengths(*names: str) -> float:
         return float(sum(skeleton.lengths[skeleton.bone(name)] for name in names))
@@ -321,7 +321,7 @@ def _root_scale(
 
 
 def _leg_scale(poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> float:
-    """Length of the skeleton's legs divided by that of the joints' legs (median over the poses).
+    """Ratio of the leg lengths of the skeleton and of the joints (median over the poses).
 
     Legs go from hip to ankle, or to the knee where the ankle is unknown.
     """

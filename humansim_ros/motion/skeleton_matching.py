@@ -283,7 +283,7 @@ def _limbs(
 def _joint_triples(
     tree: JointTree, chain: list[int], typical: Array, above: float, end: re.Pattern[str]
 ) -> dict[tuple[int, int, int], float]:
-    """Places of three joints in a chain -> likelihood (0 to 1) that they are those of a limb.
+    """Places of three joints in a chain -> likelihood (0 to 1) that the joints form a limb.
 
     Parameters as in :func:`_limbs`.
     """

@@ -351,7 +351,7 @@ def test_a_grey_bump_map_is_of_heights_and_a_blue_one_of_normals(tmp_path: Path)
                 "normalTexture": {"index": 0, "texCoord": 1},
             },
             True,
-            "the normal map, because its texture coordinates are not those of the colour",
+            "the normal map, because the colour has other texture coordinates",
         ),
     ],
 )

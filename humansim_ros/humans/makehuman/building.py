@@ -64,7 +64,7 @@ def relax_hands(source: MakeHumanData, vertices: Array, points: Mapping[str, Arr
         points: Landmarks of the same body (see ``skeleton.landmarks``).
 
     Returns:
-        (N, 3) vertices; only those of the fingers differ.
+        (N, 3) vertices; only the vertices of the fingers differ.
     """
     weights = source.weights
     transforms, columns = [np.eye(4)], [np.zeros(len(vertices))]

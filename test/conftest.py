@@ -9,7 +9,7 @@ import re
 import signal
 import sys
 from collections import defaultdict
-from collections.abc import Generator, Iterator
+from collections.abc import Collection, Generator, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -42,6 +42,15 @@ MARKED_BY_NAME = {
 #: Real motions, meshes and calibrations: the folder of HUMANSIM_SHARED_DATA, or one beside the repository.
 SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data")
 
+#: Shared motions and meshes for the nightly tests: a quicker shared file or a stand-in of their family is in
+#: all tests.
+MORE_OF_A_FAMILY = {
+    "adakri_run", "aitviewer_sample", "alderson_contorsion", "animdraw_cmu1_jumping_jacks",
+    "animdraw_rokoko_jesse_dance", "assimp_Boxing_Toes", "coda02_woman", "griebel_Example1", "loadbvh_test",
+    "makehuman_tpose", "mh2007_female_A_dm.obj", "mh2007_male_T_dm.obj", "mocapbank_bvhpython",
+    "tomboudard_walkSit",
+}  # fmt: skip
+
 #: Modules that only tests import. Tests that need a missing one are skipped: rosdep does not have all of
 #: them, and `colcon test` has to pass without.
 TEST_PACKAGES = {
@@ -69,9 +78,18 @@ def if_shared(*values: Any) -> list[Any]:
 
     The other parameters are stand-ins, of which the same is shown (test/stand_ins.py).
     """
-    marked = [pytest.param(*each if isinstance(each, tuple) else (each,), marks=needs_shared_data)
-              for each in values]  # fmt: skip
+    rows = [each if isinstance(each, tuple) else (each,) for each in values]
+    marked = [pytest.param(*row, marks=[needs_shared_data, *_nightly(row[0])]) for row in rows]
     return marked if SHARED_DATA.is_dir() else []
+
+
+def nightly_but(kept: Collection[Any], values: Iterable[Any]) -> list[Any]:
+    """Values as parameters of a test: ``kept`` in all tests, the others in the nightly tests."""
+    return [pytest.param(value, marks=[pytest.mark.nightly] * (value not in kept)) for value in values]
+
+
+def _nightly(name: Any) -> list[pytest.MarkDecorator]:
+    return [pytest.mark.nightly] * (isinstance(name, str) and name in MORE_OF_A_FAMILY)
 
 
 def shared_motions(*without: str, fails: tuple[str, ...] = ()) -> list[Any]:
@@ -83,7 +101,8 @@ def shared_motions(*without: str, fails: tuple[str, ...] = ()) -> list[Any]:
     """
     yet = pytest.mark.xfail(strict=True, reason="the file is not read yet as it should be")
     names = sorted(path.stem for path in (SHARED_DATA / "bvh").glob("*.bvh") if path.stem not in without)
-    return [pytest.param(name, marks=[needs_shared_data, *[yet] * (name in fails)]) for name in names]
+    marks = {name: [needs_shared_data, *[yet] * (name in fails), *_nightly(name)] for name in names}
+    return [pytest.param(name, marks=marks[name]) for name in names]
 
 
 def pytest_configure() -> None:

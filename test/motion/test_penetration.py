@@ -155,7 +155,7 @@ def test_a_hand_penetrates_the_trunk_when_rays_say_so() -> None:
     skeleton, triangles = man().skeleton, man().mesh.triangles
     arm = [skeleton.bone(name) for name in ("l_shoulder", "l_elbow", "l_wrist")]
     others = triangles[~np.isin(owner[triangles], arm).all(1)]
-    hand = np.flatnonzero(owner == arm[2])[::7]
+    hand = np.flatnonzero(owner == arm[2])[::14]
     trunk = [p for p, (a, b) in enumerate(body.pair_names) if b == "l_wrist" and a in ("vl5", "sacroiliac")]
     seen = []
     for angle in (-120, -135, -140, -145, -150, -160):

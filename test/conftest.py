@@ -273,10 +273,12 @@ def cluster(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         return
     import ray_stand_in
 
+    from humansim_ros.export import exporting
     from humansim_ros.jobs import ray_cluster
+    from humansim_ros.record import cluster as recording
 
-    for module in ("record.cluster", "export.exporting"):
-        monkeypatch.setattr(f"humansim_ros.{module}.connected", ray_stand_in.connected)
+    for module in (recording, exporting):
+        monkeypatch.setattr(module, "connected", ray_stand_in.connected)
     monkeypatch.setattr(ray_cluster, "_ONE_CORE", {})  # variables of this process
     yield
     ray_cluster._worker.cache_clear()

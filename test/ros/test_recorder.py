@@ -671,6 +671,7 @@ def test_a_killed_recorder_leaves_a_readable_bag_and_continues_it(
     first.process.wait(PATIENCE)
     with pytest.warns(HumansimWarning, match="was not finished"), BagReader(first.folder) as reader:
         assert [bytes(message.data) for message in reader.messages()] == first.sent
+    first.sender.destroy_publisher(first._publisher)  # its messages are latched
     second = recorder_process("resume:=true")
     second.send(10, 100_000)
     assert wait_until(lambda: second.written() > 2_000_000)

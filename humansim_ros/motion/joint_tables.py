@@ -13,9 +13,10 @@ from pydantic import ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
+from humansim_ros.io.files import read_bytes
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_error
-from humansim_ros.io.yaml import read_yaml
+from humansim_ros.io.yaml import MAX_BYTES, read_yaml
 from humansim_ros.resources import resource_path
 
 #: Roles without which height, facing and place of a person are unknown.
@@ -135,7 +136,8 @@ def built_in_tables() -> tuple[JointTable, ...]:
     """Tables of the package (config/joint_names), whose keys a test checks as :func:`load_table` does."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # seven times faster than the checking loader
     files = sorted(resource_path("config/joint_names").glob("*.yaml"))
-    return tuple(JointTable.model_validate(yaml.load(file.read_bytes(), loader)) for file in files)
+    contents = (read_bytes(file, MotionError, "joint table", MAX_BYTES) for file in files)
+    return tuple(JointTable.model_validate(yaml.load(content, loader)) for content in contents)
 
 
 @functools.lru_cache(_MAX_KEYS)

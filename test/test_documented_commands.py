@@ -23,6 +23,7 @@ from waiting import PATIENCE
 
 from humansim_ros import Camera, Scene, write_calibration
 from humansim_ros.cli import main as cli
+from humansim_ros.cli.options import new_names
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.scene.config import SceneConfig, check_config
 
@@ -82,6 +83,8 @@ def prepare(text: str, folder: Path) -> None:
         elif word.endswith(".yaml"):
             name = Path(word).stem.lower()
             write_calibration(folder / word, {name: cameras.get(name, cameras["left"])}, "kalibr")
+        elif word.endswith(".toml"):
+            (folder / word).touch()
 
 
 def missing_files(words: list[str], folder: Path) -> list[str]:
@@ -113,6 +116,7 @@ def run_as_printed(words: list[str], folder: Path, patch: pytest.MonkeyPatch) ->
                 cli, "load_command", lambda name: parse_only if name == " ".join(key) else load(name)
             )
         assert cli.main() == 0, words
+    assert new_names(words, pytest.fail) == words
     if key is None:
         return
     assert parsed, words

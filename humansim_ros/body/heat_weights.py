@@ -129,7 +129,15 @@ def _normals(points: Array, triangles: NDArray[np.intp]) -> Array:
 def _sources(
     points: Array, normals: Array, skeleton: Skeleton, volume: Volume, height: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Heat source of each point: bone (P,) and its distance (P,)."""
+    """Heat source of each point: bone (P,) and its distance (P,).
+
+    Args:
+        points: Points on the skin, (P, 3) metres in body space.
+        normals: Unit normals of the skin at the points, (P, 3).
+        skeleton: Skeleton in the body.
+        volume: Inside of the body.
+        height: Height of the body, metres.
+    """
     score = np.full((len(points), len(skeleton)), -1.0)
     far = np.zeros_like(score)
     side = np.sign(points[:, 0])
@@ -151,7 +159,7 @@ def _sources(
         score[:, bone] = np.where(side * side_of(name) < 0, -1.0, angle)
     for letter in "lr":
         hip, shoulder = (skeleton.bone(f"{letter}_{joint}") for joint in ("hip", "shoulder"))
-        # the groin runs half way between the thigh and what joins it to the pelvis
+        # the groin runs half way between the thigh and its parent bone
         normal = along[hip] + along[skeleton.parents[hip]]
         normal /= max(float(np.linalg.norm(normal)), 1e-9)
         score[:, hip] *= np.clip(1 + (beyond(hip, normal) - _GROIN) / _SOFT, 0.0, 1.0)
@@ -171,7 +179,15 @@ def _sources(
 def _first_visible(
     points: Array, score: Array, skeleton: Skeleton, volume: Volume, most_air: float
 ) -> NDArray[np.intp]:
-    """Bone (P,) with the highest score (P, B) of those whose way to the point is inside the body."""
+    """Bone (P,) with the highest score among the bones whose way to a point is inside the body.
+
+    Args:
+        points: Points on the skin, (P, 3) metres in body space.
+        score: Score of each bone for each point, (P, B).
+        skeleton: Skeleton of B bones.
+        volume: Inside of the body.
+        most_air: Length outside the body up to which a way counts as inside, metres.
+    """
     source = score.argmax(axis=1)
     limbs = np.array([side_of(name) != 0 and "_to_" not in name for name in skeleton.names])
     rows = np.flatnonzero(limbs[source])
@@ -254,7 +270,15 @@ def _conjugate_gradients(matrix: sparse.csc_matrix, right: Array) -> Array:
 def _interpolation(
     mesh: Mesh, points: Array, triangles: NDArray[np.intp], number: NDArray[np.intp], size: float
 ) -> sparse.csr_matrix:
-    """Interpolation (V, P) from the point ``number`` (V,) of a vertex and its neighbours; rows sum to 1."""
+    """Interpolation (V, P) from the point of a vertex and its neighbours; rows sum to 1.
+
+    Args:
+        mesh: Mesh of V vertices.
+        points: Points of the coarser surface, (P, 3) metres.
+        triangles: Triangles between the points, (T, 3).
+        number: Point of each vertex, (V,).
+        size: Distance between neighbouring points, metres.
+    """
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     every = np.arange(len(points))
     rows = np.concatenate([every, edges[:, 0], edges[:, 1]])

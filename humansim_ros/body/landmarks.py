@@ -220,7 +220,15 @@ def _groin(depth: NDArray[np.integer], xs: Array, heights: Array, size: float) -
 def _trunk(
     filled: NDArray[np.bool_], xs: Array, heights: Array, zs: Array, size: float
 ) -> tuple[float, Array, Array]:
-    """Height of the neck (NaN if hair hides it), and front and back (Y,) of the trunk."""
+    """Height of the neck (NaN if hair hides it), and front and back (Y,) of the trunk.
+
+    Args:
+        filled: Voxels inside the body, (X, Y, Z).
+        xs: Positions of the voxels from right to left, (X,).
+        heights: Heights of the voxels, (Y,).
+        zs: Positions of the voxels from back to front, (Z,).
+        size: Edge of a voxel. All lengths are shares of the body height.
+    """
     front, back, width = (np.full(len(heights), np.nan) for _ in range(3))
     middle, core = np.abs(xs) < 1.2 * size, np.abs(xs) < _CORE
     for row in range(len(heights)):

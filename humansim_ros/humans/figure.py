@@ -163,8 +163,20 @@ def _tails(
     joints: Array,
     vertices: Array,
 ) -> Array:
-    """Tails (B, 3): at the end of the link, at the only child (or next bone of the general skeleton), or at
-    the end of the skin.
+    """Tails (B, 3) of the bones.
+
+    A tail is at the end of the link, at the only child (or next bone of the general skeleton), or at the end
+    of the skin.
+
+    Args:
+        figure: Skinned mesh.
+        match: Joints of the figure that drive bones.
+        names: Names of the B bones.
+        parents: Name of each bone's parent; None for the root.
+        heads: Heads of the bones, (3,) metres each.
+        name_of: Joint -> name of its bone.
+        joints: Positions of the J joints, (J, 3) metres.
+        vertices: Vertices in body space, (V, 3) metres.
     """
     general = hanim_skeleton()
     joint_of = {name: joint for joint, name in name_of.items()}

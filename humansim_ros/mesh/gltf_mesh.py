@@ -240,8 +240,8 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
 
 
 @dataclass(frozen=True)
-class _Placement:
-    """Place of the mesh of a node.
+class _Attachment:
+    """Transform and joints of the mesh of a node.
 
     ``to_common``: (4, 4) transform to the common space. ``joints``: number of each joint of the skin among
     all ``n_joints``. ``parent_joint``: joint that moves a mesh without skin. ``pose``: (J, 4, 4) transforms
@@ -261,30 +261,34 @@ def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> Iterator[
     if node.mesh is None:
         return
     key = f"meshes.{node.mesh}"
-    placement = _placement_in_scene(gltf, number) if skeleton is None else _placement(gltf, number, skeleton)
-    if placement is None:
+    attachment = (
+        _attachment_in_scene(gltf, number)
+        if skeleton is None
+        else _attachment_to_skeleton(gltf, number, skeleton)
+    )
+    if attachment is None:
         return
     for primitive in gltf.mesh(node.mesh).primitives:
-        piece = _piece(gltf, primitive, key, placement)
+        piece = _piece(gltf, primitive, key, attachment)
         if piece is not None:
             yield piece
 
 
-def _placement_in_scene(gltf: Gltf, number: int) -> _Placement:
+def _attachment_in_scene(gltf: Gltf, number: int) -> _Attachment:
     skin = gltf.nodes[number].skin
     if skin is None:
-        return _Placement(gltf.at_rest[number])
+        return _Attachment(gltf.at_rest[number])
     joints = np.array(gltf.skin(skin).joints)
     pose = gltf.at_rest[joints] @ np.linalg.inv(gltf.bind_matrices(skin))
-    return _Placement(gltf.at_rest[number], np.arange(len(joints)), n_joints=len(joints), pose=pose)
+    return _Attachment(gltf.at_rest[number], np.arange(len(joints)), n_joints=len(joints), pose=pose)
 
 
-def _placement(gltf: Gltf, number: int, skeleton: GltfSkeleton) -> _Placement | None:
+def _attachment_to_skeleton(gltf: Gltf, number: int, skeleton: GltfSkeleton) -> _Attachment | None:
     node, n_joints = gltf.nodes[number], len(skeleton.nodes)
     if node.skin is not None:
         joint_of_node = {int(n): joint for joint, n in enumerate(skeleton.nodes)}
         joints = np.array([joint_of_node[joint] for joint in gltf.skin(node.skin).joints])
-        return _Placement(skeleton.from_skin[node.skin], joints, n_joints=n_joints)
+        return _Attachment(skeleton.from_skin[node.skin], joints, n_joints=n_joints)
     parent_joint = skeleton.joint_of(gltf, number)
     if parent_joint is None:
         warn_about(gltf.path, f"{node.name or f'node {number}'!r} has no parent joint and is ignored")
@@ -292,10 +296,10 @@ def _placement(gltf: Gltf, number: int, skeleton: GltfSkeleton) -> _Placement | 
     # a mesh without skin, such as a hat, moves with its joint
     world = gltf.at_rest
     to_joint = np.linalg.inv(world[skeleton.nodes[parent_joint]]) @ world[number]
-    return _Placement(skeleton.bind[parent_joint] @ to_joint, parent_joint=parent_joint, n_joints=n_joints)
+    return _Attachment(skeleton.bind[parent_joint] @ to_joint, parent_joint=parent_joint, n_joints=n_joints)
 
 
-def _piece(gltf: Gltf, primitive: Primitive, key: str, placement: _Placement) -> _Piece | None:
+def _piece(gltf: Gltf, primitive: Primitive, key: str, attachment: _Attachment) -> _Piece | None:
     if primitive.mode < 4 or "POSITION" not in primitive.attributes:
         return None  # points or lines
     points = gltf.attribute(primitive, "POSITION", ["VEC3"], "positions").astype(float)
@@ -309,18 +313,18 @@ def _piece(gltf: Gltf, primitive: Primitive, key: str, placement: _Placement) ->
     if not len(triangles):
         return None
     weights: csr_matrix | None = None
-    to_common = placement.to_common
+    to_common = attachment.to_common
     vertices = points @ to_common[:3, :3].T + to_common[:3, 3]
     mirrored = np.linalg.det(to_common[:3, :3]) < 0
-    if placement.joints is not None and (placement.pose is None or "JOINTS_0" in primitive.attributes):
-        weights = _weights(gltf, primitive, key, placement.joints, len(points), placement.n_joints)
-        if placement.pose is not None:
-            vertices = _posed(points, normalise_weights(weights), placement.pose)
-            mirrored, weights = np.median(np.linalg.det(placement.pose[:, :3, :3])) < 0, None
-    elif placement.parent_joint is not None:
+    if attachment.joints is not None and (attachment.pose is None or "JOINTS_0" in primitive.attributes):
+        weights = _weights(gltf, primitive, key, attachment.joints, len(points), attachment.n_joints)
+        if attachment.pose is not None:
+            vertices = _posed(points, normalise_weights(weights), attachment.pose)
+            mirrored, weights = np.median(np.linalg.det(attachment.pose[:, :3, :3])) < 0, None
+    elif attachment.parent_joint is not None:
         ones = np.ones(len(points))
-        columns = np.full(len(points), placement.parent_joint)
-        shape = (len(points), placement.n_joints)
+        columns = np.full(len(points), attachment.parent_joint)
+        shape = (len(points), attachment.n_joints)
         weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=shape)
     if mirrored:
         triangles = triangles[:, ::-1]
@@ -363,7 +367,16 @@ def _posed(points: Array, weights: csr_matrix, pose: Array) -> Array:
 def _weights(
     gltf: Gltf, primitive: Primitive, key: str, joints: NDArray[np.intp], n_vertices: int, n_joints: int
 ) -> csr_matrix:
-    """Weights (V, J) of a primitive, summed over its sets of four joints."""
+    """Weights (V, J) of a primitive, summed over its sets of four joints.
+
+    Args:
+        gltf: Document.
+        primitive: Primitive of the skinned mesh.
+        key: Key of the primitive, for messages.
+        joints: Joint, 0 to J - 1, of each entry of the skin.
+        n_vertices: Number V of vertices.
+        n_joints: Number J of joints.
+    """
     total = csr_matrix((n_vertices, n_joints))
     count = 0
     while f"JOINTS_{count}" in primitive.attributes and f"WEIGHTS_{count}" in primitive.attributes:

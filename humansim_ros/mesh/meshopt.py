@@ -89,7 +89,16 @@ def _attributes(data: bytes, count: int, stride: int) -> Bytes:
 
 
 def _block(data: bytes, at: int, end: int, version: int, size: int, stride: int) -> tuple[Bytes, int]:
-    """Deltas (stride, size) of a block, and the position behind it."""
+    """Deltas (stride, size) of a block, and the position behind it.
+
+    Args:
+        data: Compressed bytes.
+        at: Position of the block in ``data``.
+        end: Position behind the last byte that the block may use.
+        version: Version of the codec, 0 or 1.
+        size: Number of vertices in the block.
+        stride: Bytes of a vertex.
+    """
     groups = -(-size // _GROUP)
     deltas = np.zeros((stride, groups * _GROUP), np.uint8)
     controls = data[at : at + stride // 4] if version else b""
@@ -116,7 +125,7 @@ def _block(data: bytes, at: int, end: int, version: int, size: int, stride: int)
 
 
 def _group(data: bytes, at: int, bits: int) -> tuple[Bytes, int]:
-    """16 deltas: packed, then those that do not fit; and the position behind them."""
+    """16 deltas (packed first, then the larger ones), and the position behind them."""
     packed = data[at : at + 2 * bits]
     at += 2 * bits
     if bits == 8:

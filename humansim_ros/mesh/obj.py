@@ -403,7 +403,16 @@ def _colored(obj: _Obj) -> Mesh | None:
 
 
 def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) -> int:
-    """Convert a 1-based OBJ index to 0-based; a negative index counts back from the last element so far."""
+    """Convert a 1-based OBJ index to 0-based; a negative index counts back from the last element so far.
+
+    Args:
+        word: Index as written.
+        so_far: Number of elements above this line.
+        total: Number of elements in the file.
+        what: Kind of element, for messages.
+        path: Path of the file, for messages.
+        line: Line number, for messages.
+    """
     try:
         number = int(word)
     except ValueError:

@@ -113,7 +113,7 @@ class Subdivision:
     edges: tuple[Indices, ...]
 
     def points(self, points: Array) -> Array:
-        """Points of the vertices of the finer mesh from those (V, 3) of the first mesh, also in a pose."""
+        """Vertices of the finer mesh from vertices (V, 3) of the first mesh, also in a pose."""
         for pairs in self.edges:
             points = np.concatenate([points, points[pairs].mean(axis=1)])
         return points

@@ -65,7 +65,7 @@ class DrivenBones:
         return cls(*np.array(rows, dtype=np.intp).reshape(-1, 4).T)
 
     def split(self, chosen: ArrayLike) -> tuple[DrivenBones, DrivenBones]:
-        """The bones that are not chosen (b,), and those that are."""
+        """The bones that are not chosen (b,), and the chosen bones."""
         pick = np.asarray(chosen, dtype=bool)
         every = (self.places, self.bones, self.starts, self.ends)
         return DrivenBones(*(part[~pick] for part in every)), DrivenBones(*(part[pick] for part in every))
@@ -105,12 +105,12 @@ class BoneDrivers:
 
     @cached_property
     def driven(self) -> tuple[DrivenBones, DrivenBones]:
-        """Of all bones, those driven by links, and those driven by joint rotations."""
+        """The bones driven by links, and the bones driven by joint rotations."""
         return self._split(np.arange(len(self.skeleton)))
 
     @cached_property
     def levels(self) -> tuple[tuple[Indices, DrivenBones, DrivenBones], ...]:
-        """For each level of the skeleton: its bones, those driven by links, those driven by rotations."""
+        """For each level of the skeleton: all bones, bones driven by links, bones driven by rotations."""
         return tuple((bones, *self._split(bones)) for bones in self.skeleton.levels)
 
     def inherited(self, rotations: Array, bones: Indices) -> Array:
@@ -164,7 +164,7 @@ class BoneDrivers:
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
-        """Bones with the rotation of their joint and a link; those without a link; and the others.
+        """Bones with the rotation of their joint and a link; bones with the rotation only; and the others.
 
         The others inherit their rotation, parents first. Each is a bone (1,) and its link, if it has one.
         """
@@ -244,9 +244,8 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     """Bones whose driving joint does not rotate as the lines between the joints do.
 
     The rotation of such a joint does not describe the body. Examples are hips that a neural network predicts
-    independently, and a root that does not move. Rigid hips carry the line between the hip
-    joints. Chest and spine carry the line between the shoulders within some degrees, and joints of limbs
-    their links.
+    independently, and a root that does not move. Rigid hips carry the line between the hip joints. Chest
+    and spine carry the line between the shoulders within some degrees, and joints of limbs their links.
 
     Args:
         poses: Joint poses.
@@ -259,7 +258,15 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     left = np.array([0.0, 1.0, 0.0]) if standing else None
 
     def deviates(joint: int, line: Array, most: float, rest: Array | None = None, share: float = 0.5) -> bool:
-        """Whether a share of lines (N, 3) differs more from their direction at rest, in a joint's axes."""
+        """Whether lines differ much from their direction at rest.
+
+        Args:
+            joint: Joint in whose axes the lines are compared.
+            line: Lines, (N, 3) metres in ``map``.
+            most: Largest angle that is no difference, degrees.
+            rest: Direction at rest, (3,) in the joint's axes; without it, the mean direction.
+            share: Share of the lines that must differ, 0 to 1.
+        """
         known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
         inside = rotate(back[known, joint], unit_vectors(line[known]))
         if not len(inside):

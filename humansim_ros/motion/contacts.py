@@ -90,7 +90,7 @@ def _bone_frame(along: Array, normal: Array) -> Array:
 
 #: Seconds of the cycles before and after, so that a stance across the end of a loop is one stance.
 _MARGIN = 2.0
-#: Largest correction of a foot, metres: what slides farther does not stand.
+#: Largest correction of a foot, metres: a foot that slides farther does not stand.
 _MAX_SHIFT = 0.25
 #: Largest lowering of the body (metres), and the time over which it is smoothed (seconds).
 _MAX_DROP, _DROP_TIME = 0.15, 0.12
@@ -235,7 +235,15 @@ def _posed_legs(
 
 
 def _drops(skeleton: Skeleton, hips: Array, goals: Array, standing: NDArray[np.bool_], step: float) -> Array:
-    """Smooth lowering (N,) of the body with which standing legs reach their goals (N, 2, 3)."""
+    """Smooth lowering (N,) of the body, in metres, with which standing legs reach their goals.
+
+    Args:
+        skeleton: Skeleton with legs.
+        hips: Hip joints, (N, 2, 3) metres.
+        goals: Goals of the ankles, (N, 2, 3) metres.
+        standing: Whether each foot stands, (N, 2).
+        step: Seconds between poses.
+    """
     drop: Array = np.zeros(len(hips))
     for foot, (_, side) in enumerate(_SIDES):
         longest = STRAIGHTEST * float(

@@ -90,7 +90,7 @@ class BodyLines:
     def bend(self, up: Array) -> Array:
         """Sum of angles (N,) in radians by which a pose differs from standing upright.
 
-        They are those between trunk and up, thighs and down, hips and shoulders, trunk and thighs. Raised
+        The angles are between trunk and up, thighs and down, hips and shoulders, trunk and thighs. Raised
         arms count a little, so that they decide between poses that are equal otherwise.
         """
         legs = sum(angle_between(-thigh, up) + angle_between(-thigh, self.trunk) for thigh in self.thighs)
@@ -291,9 +291,15 @@ def _body_axes(
     facing: str | None = None,
     snap: bool = False,
 ) -> Array:
-    """Body axes (left, up, forward as columns) in file space of a pose (J, 3).
+    """Body axes (left, up, forward as columns) of a pose in file space.
 
-    ``snap``: to the axes of the file, where hips and shoulders are nearly along one.
+    Args:
+        positions: Joint positions of the pose, (J, 3).
+        roles: Role -> joint.
+        up: Direction that points up, (3,).
+        motion: Motion of the pose, for messages.
+        facing: Axis that the person faces; detected if absent.
+        snap: Use an axis of the file if hips and shoulders are nearly along it.
     """
     if facing is not None:
         forward = axis_vector(facing)

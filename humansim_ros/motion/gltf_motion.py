@@ -100,7 +100,15 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
 def _to_motion(
     gltf: Gltf, skeleton: GltfSkeleton, rotations: Array, positions: Array, frame_time: float
 ) -> Motion:
-    """Motion of joints with world rotations (F, J, 3, 3) from the bind pose and positions (F, J, 3)."""
+    """Motion of the joints of a skeleton.
+
+    Args:
+        gltf: Document, for names and messages.
+        skeleton: Skeleton of J joints.
+        rotations: World rotations from the bind pose, (F, J, 3, 3).
+        positions: World positions, (F, J, 3).
+        frame_time: Seconds between frames.
+    """
     parents = skeleton.parents
     bound = skeleton.bind[:, :3, 3]
     roots = parents < 0

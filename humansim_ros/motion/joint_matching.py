@@ -361,7 +361,7 @@ def match_table(
         table: Joint table.
         joint_names: Names of J joints.
         parents: (J,) parent of each joint, where known; joints that contradict their role are left out.
-        loose: Compare names without what all joints begin or end with, and in any spelling of the sides.
+        loose: Compare names without the prefix and suffix of all joints, and in any spelling of the sides.
     """
     roles = _loose_roles(table, joint_names) if loose else _named_roles(table, joint_names)
     if parents is not None:
@@ -400,7 +400,7 @@ def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 
 def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, int]:
-    """Roles without those whose joint does not descend from the joint before it in a chain."""
+    """Roles, except where the joint does not descend from the joint before it in a chain."""
     consistent = dict(roles)
     for chain in _CHAINS:
         above: str | None = None

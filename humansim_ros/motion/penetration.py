@@ -38,8 +38,8 @@ _DETAIL_PERCENTILE = 5.0
 #: A bone with fewer vertices gets no capsule.
 _MIN_VERTICES = 8
 #: Percentile of the distances of a limb's vertices from its bone that is the capsule's radius. With it,
-#: depths are nearest to those between the convex hulls of the posed parts of assets/humans/adult_man (mean 9
-#: mm).
+#: depths are nearest to the depths between convex hulls of the posed parts of assets/humans/adult_man (mean
+#: 9 mm).
 _RADIUS_PERCENTILE = 40.0
 #: Capsule pairs times frames in a batch: their vectors stay in the processor's cache.
 _BATCH = 20_000
@@ -305,7 +305,15 @@ def _average_capsules(skeleton: Skeleton) -> list[_CapsuleRow]:
 def _trunk_capsules(
     bone: int, middle: Array, height: float, radius: float, width: float
 ) -> list[_CapsuleRow]:
-    """Two upright capsules side by side; ``height`` and ``width`` are half the size of the pair."""
+    """Two upright capsules side by side.
+
+    Args:
+        bone: Bone of the trunk.
+        middle: Middle of the pair, (3,) metres.
+        height: Half the height of the pair, metres.
+        radius: Radius of each capsule, metres.
+        width: Half the width of the pair, metres.
+    """
     up = np.array([0.0, max(height - radius, 0.0), 0.0])
     offset = np.array([max(width - radius, 0.0), 0.0, 0.0])
     return [(bone, middle + side - up, middle + side + up, radius) for side in (offset, -offset)]

@@ -29,7 +29,7 @@ from humansim_ros.rotations import (
 )
 from humansim_ros.types import Array
 
-#: Percentage of the poses, those with the lowest ankles, in which feet are flat on the floor.
+#: Percentage of the poses, lowest ankles first, in which feet are flat on the floor.
 _FLAT_PERCENTILE = 20
 #: A hinge axis is known where bends agree this well (length of the mean of unit axes).
 _HINGE_AGREEMENT = 0.8

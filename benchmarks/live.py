@@ -46,8 +46,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 
 from humansim_ros.apps.bench import CpuTime
+from humansim_ros.io.assets import resource_path
 from humansim_ros.messages import serialised_stamp
-from humansim_ros.resources import resource_path
 from humansim_ros.ros.processes.node_processes import cores, scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.qos import DATA

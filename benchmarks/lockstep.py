@@ -24,9 +24,9 @@ import rclpy
 from sensor_msgs.msg import Image
 from slow_tracker import tracked_stamps
 
+from humansim_ros.io.assets import resource_path
 from humansim_ros.messages import serialised_stamp
 from humansim_ros.messages.frames import Frames
-from humansim_ros.resources import resource_path
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 

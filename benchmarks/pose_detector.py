@@ -74,8 +74,8 @@ def render_humans(folder: Path, all_outfits: bool) -> dict[str, list[list[float]
     from humansim_ros.cli.human import built_in_humans
     from humansim_ros.drawing.canvas import write_png
     from humansim_ros.humans.loading import load_human
+    from humansim_ros.io.assets import resource_path
     from humansim_ros.render import GLRenderer
-    from humansim_ros.resources import resource_path
     from humansim_ros.scene.actor import Actor
     from humansim_ros.scene.config import MotionConfig
     from humansim_ros.scene.room import furnished_room

@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.apps.bench import CpuTime  # noqa: E402
 from humansim_ros.bags.reader import BagReader  # noqa: E402
-from humansim_ros.resources import resource_path  # noqa: E402
+from humansim_ros.io.assets import resource_path  # noqa: E402
 from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes  # noqa: E402
 from humansim_ros.ros.processes.supervisor import Supervisor  # noqa: E402
 from humansim_ros.ros.runtime import prepare_transport  # noqa: E402

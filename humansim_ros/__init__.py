@@ -96,7 +96,7 @@ def make_callable(folder: str) -> None:
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from humansim_ros.resources import package_version
+        from humansim_ros.io.assets import package_version
 
         return package_version()
     return _load(name)

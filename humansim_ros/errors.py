@@ -1,4 +1,4 @@
-"""Exceptions and warnings of the package.
+"""Exceptions and warnings of the package, and bounds of numbers from files, options and messages.
 
 Each message says what is wrong, where (file, line or key) and what to do. The command line prints errors
 without a traceback and exits with code 2.
@@ -11,7 +11,23 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+
+#: Largest coordinate and size in metres, and velocity in m/s or rad/s.
+MAX_COORDINATE = 1e6
+#: Most frames of a run or a recording: a month at 30 Hz.
+MAX_FRAMES = 100_000_000
+
+
+def within_bounds(numbers: ArrayLike) -> bool:
+    """Whether all numbers are finite and at most :data:`MAX_COORDINATE`."""
+    import numpy as np  # not needed by the command line, which imports the limits
+
+    return bool((np.abs(numbers) <= MAX_COORDINATE).all())  # False for NaN, too
 
 
 class HumansimError(Exception):

@@ -1,4 +1,4 @@
-"""Rotations and vectors as arrays with leading batch axes, for the inner loops.
+"""Rotations, vectors and the levels of joint trees, as arrays with leading batch axes, for the inner loops.
 
 Quaternions are ``xyzw`` (ROS, SciPy); matrices act on column vectors.
 """
@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.types import Array, FloatArray
+from humansim_ros.types import Array, FloatArray, Indices
+
+
+def levels(parents: Indices) -> tuple[Indices, ...]:
+    """Nodes of a tree by depth, roots first. ``parents``: (N,), parents first, -1 for a root."""
+    depth = np.zeros(len(parents), dtype=np.intp)
+    for node, parent in enumerate(parents):
+        depth[node] = 0 if parent < 0 else depth[parent] + 1
+    order = np.argsort(depth, kind="stable")
+    return tuple(np.split(order, np.flatnonzero(np.diff(depth[order])) + 1))
+
 
 #: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z
 #: up).

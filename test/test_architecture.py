@@ -44,7 +44,7 @@ LAYERS = (
     ("io",),
 )
 #: Modules of the top level, which every folder may import.
-BASE = {"__init__", "bounds", "errors", "hierarchy", "pictures", "resources", "rotations", "types"}
+BASE = {"__init__", "errors", "pictures", "rotations", "types"}
 #: Deprecated paths that lead to the folder above which they stood.
 DEPRECATED = {"body/__init__.py", "body/mesh.py", "ros/viewer_layouts.py"}
 PUBLIC = {

@@ -22,7 +22,7 @@ from waiting import PATIENCE
 
 import humansim_ros
 from humansim_ros.errors import ResourceError, RosError, SceneError
-from humansim_ros.resources import resource_path, resource_root
+from humansim_ros.io.assets import resource_path, resource_root
 from humansim_ros.ros.lockstep.settings import TimeOptions
 from humansim_ros.ros.processes import node_processes as processes
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
@@ -40,7 +40,7 @@ SOURCE_FILES = (
     "setup.cfg",
     "setup.py",
 )
-PRINT_ROOT = "from humansim_ros.resources import resource_root; print(resource_root())"
+PRINT_ROOT = "from humansim_ros.io.assets import resource_root; print(resource_root())"
 
 
 def setup_constants() -> dict[str, object]:
@@ -256,8 +256,8 @@ def test_resource_root_is_found_through_ament(tmp_path: Path, monkeypatch: pytes
     share = tmp_path / "share" / "humansim_ros"
     (share / "config").mkdir(parents=True)
     (share / "package.xml").touch()
-    monkeypatch.setattr("humansim_ros.resources.__file__", "/nowhere/humansim_ros/resources.py")
-    monkeypatch.setattr("humansim_ros.resources._pip_records", lambda: iter(()))
+    monkeypatch.setattr("humansim_ros.io.assets.__file__", "/nowhere/humansim_ros/io/assets.py")
+    monkeypatch.setattr("humansim_ros.io.assets._pip_records", lambda: iter(()))
     monkeypatch.setattr("sys.prefix", "/nowhere")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{tmp_path}")
     assert resource_root.__wrapped__() == share

@@ -31,7 +31,7 @@ from kill_nodes import node_pid
 from slow_tracker import tracked_stamps
 
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.lockstep.settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import RecordOptions, scene_processes
 from humansim_ros.scene import Scene

@@ -37,7 +37,7 @@ from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64MultiArray, String
 
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.ros.runtime import make_executor, prepare_transport

@@ -19,8 +19,8 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.volume import Volume, solid
 from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.io.assets import resource_path
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.resources import resource_path
 from humansim_ros.types import Array
 
 #: Height of a person in voxels.

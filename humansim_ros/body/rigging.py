@@ -38,7 +38,7 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
 
     Example:
         >>> from humansim_ros import load_human
-        >>> from humansim_ros.resources import resource_path
+        >>> from humansim_ros.io.assets import resource_path
         >>> child = load_human(resource_path("assets/humans/child.npz"))
         >>> weights = rig(child.mesh, child.skeleton, "thesis")
         >>> weights.shape == (len(child.mesh.vertices), 22)

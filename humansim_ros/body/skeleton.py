@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
-from humansim_ros.hierarchy import levels
 from humansim_ros.mesh.mesh import LARGEST
-from humansim_ros.rotations import from_y_axis, invert_rigid, quaternion_to_matrix, transform
+from humansim_ros.rotations import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
 from humansim_ros.types import Array
 
 

@@ -32,8 +32,8 @@ from humansim_ros.errors import (
     some_of,
     warn_about,
 )
+from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists, read_text
-from humansim_ros.resources import resource_root
 from humansim_ros.types import Array, ImageSize
 
 #: Rotation of the world of a file to z up, by its up axis: the rotation with the smallest angle.

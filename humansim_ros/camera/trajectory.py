@@ -10,9 +10,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humansim_ros.bounds import MAX_COORDINATE
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.errors import MAX_COORDINATE, CameraError, warn_about
 from humansim_ros.io.files import atomic_path, read_text
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.types import Array

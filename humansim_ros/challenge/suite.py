@@ -11,10 +11,10 @@ from typing import Annotated, Any
 from pydantic import Field, StringConstraints, ValidationError
 
 from humansim_ros.errors import ChallengeError, HumansimError, did_you_mean
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section, Share
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.io.yaml import line_of, read_yaml
-from humansim_ros.resources import resource_path
 from humansim_ros.scene.config import SceneConfig, check_config
 
 #: Suite of the package.

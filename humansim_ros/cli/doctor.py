@@ -59,7 +59,7 @@ import humansim_ros
 from humansim_ros.render import GLRenderer
 from humansim_ros import Camera, load_human
 from humansim_ros.render import Body
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 child = load_human(resource_path("assets/humans/child.npz"))
 # another camera for each picture: the renderer keeps pictures
 cameras = [Camera.look_at((0.1 * n, 1, 3), (0, 0.6, 0), size=(640, 480), up=(0, 1, 0)) for n in range(6)]

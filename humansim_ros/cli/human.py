@@ -24,7 +24,7 @@ from humansim_ros.cli.options import (
 from humansim_ros.cli.options import built_in_humans as completed_humans
 from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import HumansimError, MeshError
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 
 if TYPE_CHECKING:
     from humansim_ros.humans.human import Human

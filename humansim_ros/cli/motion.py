@@ -29,11 +29,11 @@ from humansim_ros.cli.output import (
     to_json,
 )
 from humansim_ros.errors import HumansimError, MotionError, some_of
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 
 if TYPE_CHECKING:
     from humansim_ros.motion import Motion
-    from humansim_ros.motion.export import PosedBones
+    from humansim_ros.motion.posed_bones import PosedBones
     from humansim_ros.motion.world_motion import WorldMotion
 
 
@@ -171,9 +171,9 @@ def retarget(
 
     from humansim_ros.body import hanim_skeleton
     from humansim_ros.motion.contacts import FootContacts
-    from humansim_ros.motion.export import PosedBones, check_suffix, write_bones
     from humansim_ros.motion.info import to_world
     from humansim_ros.motion.limits import load_limits
+    from humansim_ros.motion.posed_bones import PosedBones, check_suffix, write_bones
     from humansim_ros.motion.retarget import Retargeter
     from humansim_ros.motion.world_motion import Placement
 

@@ -11,9 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from humansim_ros.errors import CameraError, HumansimError, SceneError
-from humansim_ros.io.assets import built_in_names
+from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.io.files import exists, read_bytes
-from humansim_ros.resources import resource_path
 
 
 def split_commas(values: list[str] | None) -> list[str]:

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, TopicsOption
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
-from humansim_ros.errors import BagError
+from humansim_ros.errors import MAX_FRAMES, BagError
 from humansim_ros.jobs.ray_cluster import PART_FRAMES
 from humansim_ros.ros.processes.stop_signals import Stopped
 

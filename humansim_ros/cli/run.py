@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import typer
 
-from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.options import (
     AxesOption,
     BodyOption,
@@ -34,8 +33,8 @@ from humansim_ros.cli.options import (
 )
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
-from humansim_ros.errors import HumansimError
-from humansim_ros.resources import resource_path
+from humansim_ros.errors import MAX_FRAMES, HumansimError
+from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.lockstep.settings import SETTINGS
 from humansim_ros.ros.processes.stop_signals import Stopped
 

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.bounds import MAX_COORDINATE
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import MAX_COORDINATE, EvaluationError
 from humansim_ros.types import Array
 
 #: People of one frame: joints (K, 3) by the name of the person.

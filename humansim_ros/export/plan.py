@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros import __version__
-from humansim_ros.bounds import MAX_FRAMES
-from humansim_ros.errors import ExportError
+from humansim_ros.errors import MAX_FRAMES, ExportError
 from humansim_ros.export.source import ExportSource
 from humansim_ros.export.writer import SHARD_SIZE
 from humansim_ros.io.files import ANY_SIZE, read_text

@@ -11,7 +11,7 @@ from humansim_ros.errors import warn_about
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.bvh import write_bvh
-from humansim_ros.motion.export import PosedBones
+from humansim_ros.motion.posed_bones import PosedBones
 from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.types import Array
 

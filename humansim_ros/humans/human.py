@@ -96,7 +96,7 @@ class Human(Pictured):
         Example:
             >>> import numpy as np
             >>> from humansim_ros import load_human
-            >>> from humansim_ros.resources import resource_path
+            >>> from humansim_ros.io.assets import resource_path
             >>> child = load_human(resource_path("assets/humans/child.npz"))
             >>> rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(child.skeleton), 1))
             >>> vertices = child.pose(child.skeleton.pose(rotations))

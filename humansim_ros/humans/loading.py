@@ -33,14 +33,13 @@ from humansim_ros.humans.figure import to_body_space
 from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human, write_human
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
-from humansim_ros.io.assets import find_asset
+from humansim_ros.io.assets import find_asset, resource_path
 from humansim_ros.io.files import expand_user, missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image, encode_image
 from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, format_of, read_format
 from humansim_ros.mesh.obj import material_files
-from humansim_ros.resources import resource_path
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
 CACHE_VERSION = 2

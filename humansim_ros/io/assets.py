@@ -1,13 +1,90 @@
-"""Find humans and motions by the name of a built-in or by path."""
+"""Find the files of the package (config/, assets/, launch/), and humans and motions by name or path.
+
+In a source checkout or editable install the files are beside the package. After pip or colcon they are in
+``share/humansim_ros`` of the prefix. AMENT_PREFIX_PATH, which pip users do not have, is searched last.
+"""
 
 from __future__ import annotations
 
+import functools
+import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from humansim_ros.errors import HumansimError, did_you_mean
+from humansim_ros.errors import HumansimError, ResourceError, did_you_mean
 from humansim_ros.io.files import exists, expand_user, missing_file
-from humansim_ros.resources import resource_path
+
+_NAME = "humansim_ros"
+_SHARE = Path("share", _NAME)
+
+
+def resource_path(relative: str | os.PathLike[str]) -> Path:
+    """Absolute path of a file or folder of the package, such as ``config/scenes/demo.yaml``."""
+    root = resource_root()
+    path = root / relative
+    if not path.exists():
+        raise ResourceError(f"humansim_ros has no such file{_suggestion(path)}", path=path)
+    return path
+
+
+@functools.cache
+def package_version() -> str:
+    """Version of the package from ``package.xml``, which every kind of installation has."""
+    import xml.etree.ElementTree as ElementTree
+
+    return ElementTree.parse(resource_path("package.xml")).getroot().findtext("version", "unknown")
+
+
+@functools.cache
+def resource_root() -> Path:
+    """Folder with ``config``, ``assets`` and ``launch``."""
+    candidates = list(dict.fromkeys(_candidates()))
+    for folder in candidates:
+        # package.xml distinguishes this folder from others with a config/
+        if (folder / "package.xml").is_file() and (folder / "config").is_dir():
+            return folder
+    raise ResourceError(
+        "the configuration and assets of humansim_ros are missing; install it again. Searched folders: "
+        + ", ".join(map(str, candidates))
+    )
+
+
+def _candidates() -> Iterator[Path]:
+    # resolve links of colcon's symlink install
+    package = Path(__file__).resolve().parent
+    yield package.parent
+    for parent in package.parents:
+        yield parent / _SHARE
+    yield Path(sys.prefix) / _SHARE
+    yield from _pip_records()
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        yield Path(prefix) / _SHARE
+
+
+def _pip_records() -> Iterator[Path]:
+    # imported on use: most installations are found without
+    import importlib.metadata
+
+    try:
+        files = importlib.metadata.files(_NAME) or []
+    except importlib.metadata.PackageNotFoundError:
+        return
+    for file in files:
+        if file.parts[-3:] == (*_SHARE.parts, "package.xml"):
+            yield Path(str(file.locate())).resolve().parent
+
+
+def _suggestion(path: Path) -> str:
+    if not path.parent.is_dir():
+        return ""
+    names = sorted(entry.name for entry in path.parent.iterdir())
+    import difflib
+
+    close = difflib.get_close_matches(path.name, names, n=3) or names[:8]
+    return f"; there is {', '.join(close)}" if close else ""
+
 
 AssetKind = Literal["humans", "motions"]
 _SUFFIXES: dict[AssetKind, str] = {"humans": ".npz", "motions": ".bvh"}

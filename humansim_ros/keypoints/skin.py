@@ -21,7 +21,7 @@ from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.data import SOURCE
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError
-from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.io.schema_errors import schema_error
@@ -39,7 +38,7 @@ from humansim_ros.mesh.gltf_compression import (
     meshopt_view,
 )
 from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, GltfMesh, Node, Primitive, Skin
-from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.rotations import levels, quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: Maximum size of a file.

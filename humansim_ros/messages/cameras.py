@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from humansim_ros.bounds import within_bounds
 from humansim_ros.camera import Camera
 from humansim_ros.camera.camera import Region
-from humansim_ros.errors import CameraError, RosError
+from humansim_ros.errors import CameraError, RosError, within_bounds
 from humansim_ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.messages.types import (
     CameraInfo,

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import RosError
+from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.cdr import unpack
@@ -88,7 +87,7 @@ def _joint_state(
 def read_joints(message: MultiDOFJointState) -> JointPoses:
     """Read the joint poses (N = 1) of a ``motion`` or ``joints`` message.
 
-    Velocities that are not finite, or beyond :mod:`humansim_ros.bounds`, are left out.
+    Velocities that are not finite, or beyond :mod:`humansim_ros.errors`, are left out.
 
     Raises:
         RosError: Array lengths differ, there are too many joints, two have one name, a pose is not finite,

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import RosError
+from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.messages.types import ColorRGBA, Marker, Point, Pose, Quaternion, TwistStamped, Vector3
 from humansim_ros.motion.kinematics import Velocity
@@ -68,7 +67,7 @@ def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
 
 def read_twist(message: TwistStamped) -> Velocity | None:
     """Read the velocity of a ``twist`` message; None if it is not finite, or beyond
-    :mod:`humansim_ros.bounds`.
+    :mod:`humansim_ros.errors`.
     """
     parts = message.twist.linear, message.twist.angular
     linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humansim_ros.bounds import MAX_COORDINATE
-from humansim_ros.errors import EvaluationError, printable
+from humansim_ros.errors import MAX_COORDINATE, EvaluationError, printable
 from humansim_ros.messages.points import point_rows
 from humansim_ros.types import Array
 

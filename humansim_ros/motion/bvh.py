@@ -54,7 +54,7 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
 
     Example:
         >>> from humansim_ros import read_bvh
-        >>> from humansim_ros.resources import resource_path
+        >>> from humansim_ros.io.assets import resource_path
         >>> motion = read_bvh(resource_path("assets/motions/walk.bvh"))
         >>> motion.joint_names[:3], motion.n_frames, round(motion.duration, 3)
         (('Hips', 'Chest', 'Neck'), 121, 2.0)
@@ -117,7 +117,7 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
     Example:
         >>> from tempfile import TemporaryDirectory
         >>> from humansim_ros import read_bvh, write_bvh
-        >>> from humansim_ros.resources import resource_path
+        >>> from humansim_ros.io.assets import resource_path
         >>> motion = read_bvh(resource_path("assets/motions/wave.bvh"))
         >>> with TemporaryDirectory() as folder:
         ...     write_bvh(f"{folder}/copy.bvh", motion)

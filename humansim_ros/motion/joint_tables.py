@@ -13,11 +13,11 @@ from pydantic import ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_bytes
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.io.yaml import MAX_BYTES, read_yaml
-from humansim_ros.resources import resource_path
 
 #: Roles without which height, facing and place of a person are unknown.
 REQUIRED_ROLES = ("Hips", "LeftHip", "LeftKnee", "RightHip", "RightKnee")

@@ -20,8 +20,7 @@ import scipy
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
-from humansim_ros.bounds import MAX_COORDINATE
-from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.errors import MAX_COORDINATE, MotionError, did_you_mean
 from humansim_ros.io.files import atomic_path, read_bytes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix

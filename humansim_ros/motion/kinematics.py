@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import MotionError
-from humansim_ros.hierarchy import levels
 from humansim_ros.pictures import Pictured
 from humansim_ros.rotations import (
+    levels,
     multiply_quaternions,
     normalised,
     quaternion_to_matrix,

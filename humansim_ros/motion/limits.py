@@ -22,10 +22,10 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.io.yaml import read_yaml
-from humansim_ros.resources import resource_path
 from humansim_ros.rotations import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
 

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, within_bounds
 from humansim_ros.motion.bone_drivers import (
     SHORTEST_LINK,
     BoneDrivers,

@@ -9,8 +9,7 @@ import numpy as np
 import yaml
 from pydantic import Field, ValidationError
 
-from humansim_ros.bounds import MAX_COORDINATE
-from humansim_ros.errors import HumansimError, PhotographError
+from humansim_ros.errors import MAX_COORDINATE, HumansimError, PhotographError
 from humansim_ros.io.files import atomic_path
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_error

@@ -17,8 +17,8 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human, make_human
 from humansim_ros.humans.smpl import count_betas
 from humansim_ros.io.assets import find_asset
-from humansim_ros.motion.export import PosedBones
 from humansim_ros.motion.kinematics import Motion
+from humansim_ros.motion.posed_bones import PosedBones
 from humansim_ros.types import Array, Float32Array
 
 #: Range of each factor.

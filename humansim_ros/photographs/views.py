@@ -16,10 +16,9 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
-from humansim_ros.bounds import MAX_COORDINATE
 from humansim_ros.camera.calibration import load_calibration
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import HumansimError, PhotographError, did_you_mean, warn_about
+from humansim_ros.errors import MAX_COORDINATE, HumansimError, PhotographError, did_you_mean, warn_about
 from humansim_ros.io.files import atomic_path, exists, missing_file, read_bytes, read_text, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
 from humansim_ros.io.schema import Axis, Section

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 
 #: Bytes of a segment on a machine with enough memory: frames of several cameras.
 FULL_SEGMENT = 1 << 26

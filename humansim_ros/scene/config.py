@@ -14,8 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from humansim_ros.bounds import MAX_FRAMES
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import MAX_FRAMES, SceneError
 from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection
 from humansim_ros.io.schema_errors import Expected, schema_error
 from humansim_ros.io.yaml import read_yaml

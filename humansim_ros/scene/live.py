@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, within_bounds
 from humansim_ros.motion.bone_drivers import has_rotations
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_names

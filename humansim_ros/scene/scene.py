@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.humans.human import Human
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_blocks
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.pictures import Pictured
 from humansim_ros.render.renderer import Body
-from humansim_ros.resources import resource_path
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera, build_cameras, random_cameras
 from humansim_ros.scene.clutter import Obstacles, clutter
@@ -145,7 +145,7 @@ class Scene(Pictured):
 
         Example:
             >>> from humansim_ros import read_motion
-            >>> from humansim_ros.resources import resource_path
+            >>> from humansim_ros.io.assets import resource_path
             >>> wave = read_motion(resource_path("assets/motions/wave.bvh"))
             >>> camera = Camera.look_at((4, 0, 1.5), (0, 0, 1), size=(320, 240))
             >>> Scene.build(humans={"anna": {"motion": wave}}, cameras={"front": camera}, room=None, rate=25)

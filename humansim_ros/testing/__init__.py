@@ -63,7 +63,7 @@ def humansim_scene(request: pytest.FixtureRequest) -> Scene:
     parameter names another: a file relative to the file of the test, a mapping with the keys of a scene file,
     or a Scene.
     """
-    from humansim_ros.resources import resource_path
+    from humansim_ros.io.assets import resource_path
 
     marker = request.node.get_closest_marker("humansim_scene")
     if hasattr(request, "param"):

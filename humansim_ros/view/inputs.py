@@ -14,12 +14,11 @@ from humansim_ros.errors import HumansimError, PhotographError, SceneError, did_
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import is_bag
 from humansim_ros.humans import Human, load_human
-from humansim_ros.io.assets import built_in_names, find_asset
+from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
-from humansim_ros.resources import resource_path
 from humansim_ros.scene.config import check_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument

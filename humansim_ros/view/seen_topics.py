@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.bags.topics import message_types
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import RosError
+from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
 from humansim_ros.keypoints import KeypointSet
 from humansim_ros.messages.people import MESSAGE_TYPES

@@ -357,7 +357,7 @@ def test_every_reader_opens_files_in_one_place() -> None:
     own = (
         "io/files.py",
         "challenge/tracker.py",  # output that the challenge itself has redirected
-        "resources.py",
+        "io/assets.py",
         "bags/topics.py",
         "ros/lockstep/rules.py",
         "apps/bench.py",

@@ -14,10 +14,10 @@ from stand_ins import ALL, motion_path
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MotionError
+from humansim_ros.io.assets import resource_path
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_matching import loose_keys, match_names, match_table
 from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, plain_name, right_name
-from humansim_ros.resources import resource_path
 
 LIMBS = ("l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
 

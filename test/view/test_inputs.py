@@ -8,7 +8,7 @@ import pytest
 from conftest import SHARED_DATA, needs_shared_data
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.resources import resource_path
+from humansim_ros.io.assets import resource_path
 from humansim_ros.view.inputs import open_source
 
 pytest.importorskip("viser")

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.io.assets import built_in_names
+from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.render import GLRenderer
-from humansim_ros.resources import resource_path
 from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
-from humansim_ros.bounds import MAX_FRAMES
-from humansim_ros.errors import RosError, printable
+from humansim_ros.errors import MAX_FRAMES, RosError, printable
 from humansim_ros.ros.lockstep.rules import OnTimeout
 from humansim_ros.scene.names import LOCKSTEP
 

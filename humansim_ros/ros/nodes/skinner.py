@@ -18,8 +18,7 @@ import numpy as np
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import HumansimError, RosError, SceneError, printable
+from humansim_ros.errors import HumansimError, RosError, SceneError, printable, within_bounds
 from humansim_ros.messages import read_joints, read_legend, to_nanoseconds
 from humansim_ros.messages.topics import HumanTopics
 from humansim_ros.motion.joint_tables import built_in_tables, load_table

@@ -19,8 +19,7 @@ from geometry_msgs.msg import Accel, PoseStamped, Vector3
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
-from humansim_ros.bounds import within_bounds
-from humansim_ros.errors import HumansimError, printable
+from humansim_ros.errors import HumansimError, printable, within_bounds
 from humansim_ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
 from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer

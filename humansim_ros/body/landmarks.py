@@ -208,7 +208,14 @@ def predict(what: str, *measurements: float) -> float:
 
 
 def _groin(depth: NDArray[np.integer], xs: Array, heights: Array, size: float) -> float:
-    """Height below which the middle is empty, or thinner in ``depth`` (X, Y): legs may touch."""
+    """Height below which the middle is empty, or thinner than the legs beside it, because legs may touch.
+
+    Args:
+        depth: Number of voxels inside the body from front to back, (X, Y).
+        xs: Positions of the voxels from right to left, (X,).
+        heights: Heights of the voxels, (Y,).
+        size: Edge of a voxel.
+    """
     middle = depth[np.abs(xs) < 1.2 * size].min(axis=0)
     thick = depth[np.abs(xs) < _LEGS].max(axis=0)
     low, row = np.searchsorted(heights, _GROIN)
@@ -253,7 +260,14 @@ def _trunk(
 
 
 def _legs(filled: NDArray[np.bool_], aside: Array, heights: Array, zs: Array) -> Array:
-    """Centres (Y, 2) of the filled voxels of one half below the hips: distance from the middle, z."""
+    """Centres (Y, 2) of the filled voxels of one half below the hips: distance from the middle, z.
+
+    Args:
+        filled: Voxels inside the body, (X, Y, Z).
+        aside: Distances of the voxels from the middle, positive on the side of the leg, (X,).
+        heights: Heights of the voxels, (Y,).
+        zs: Positions of the voxels from back to front, (Z,).
+    """
     half = filled[(aside > 0) & (aside < _LEGS)]
     count = half.sum(axis=(0, 2)).astype(float)
     count[(count == 0) | (heights > _GROIN[1])] = np.nan

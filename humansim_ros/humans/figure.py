@@ -100,7 +100,14 @@ def joints_of_bones(match: JointMatch) -> dict[str, int]:
 def _skeleton(
     figure: SkinnedMesh, match: JointMatch, joints: Array, vertices: Array
 ) -> tuple[Skeleton, list[int]]:
-    """Skeleton with the bone names of the general skeleton, and the bone of each joint."""
+    """Skeleton with the bone names of the general skeleton, and the bone of each joint.
+
+    Args:
+        figure: Skinned mesh.
+        match: Joints of the figure that drive bones.
+        joints: Positions of its J joints in body space, (J, 3) metres.
+        vertices: Vertices in body space, (V, 3) metres.
+    """
     general = hanim_skeleton()
     parent_of = {
         n: general.names[p] if p >= 0 else None for n, p in zip(general.names, general.parents, strict=True)

@@ -180,7 +180,14 @@ def _map(path: Path, statements: Statements, keyword: str, images: DecodedImages
 
 
 def _image(path: Path, words: list[str], fallback: str, images: DecodedImages) -> Image | None:
-    """Image that a statement names after its options; None with a warning if the file is missing."""
+    """Image that a statement names after its options; None with a warning if the file is missing.
+
+    Args:
+        path: Path of the MTL file.
+        words: Words of the statement; the last one is the file.
+        fallback: Words that say in the warning how the material looks without the image.
+        images: Images that are already decoded.
+    """
     file = _file(path, words[-1])
     if file is None:
         warn_about(path, f"texture {words[-1][:60]!r} not found beside the file: {fallback}")

@@ -343,7 +343,11 @@ class _Rows:
     def _check_tail(self, word: str, block: str, blocks: Iterator[str], n_values: int) -> None:
         """Accept text after the last row with a warning; it must not hide rows.
 
-        ``word`` is the first of its line; ``block`` contains it.
+        Args:
+            word: First word of the text, at the start of a line.
+            block: Block of text that contains the word.
+            blocks: Blocks after it.
+            n_values: Number of values before the word.
         """
         line = self.text.line + 1
         is_damaged_number = _NUMBER_START.match(word)

@@ -162,7 +162,14 @@ def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, s
 
 
 def _sample(gltf: Gltf, key: tuple[int, str], track: tuple[Array, Array, str], times: Array) -> Array:
-    """Values (F, width) of a track at times; constant before the first key and after the last."""
+    """Values (F, width) of a track at times; constant before the first key and after the last.
+
+    Args:
+        gltf: Document, for messages.
+        key: Node of the track, and its path, such as ``rotation``.
+        track: Times (K,) of the keys in seconds, their values, and the interpolation.
+        times: Seconds, (F,).
+    """
     keys, values, interpolation = track
     times = np.clip(times, keys[0], keys[-1])
     if interpolation == "CUBICSPLINE":

@@ -65,7 +65,14 @@ def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
 
 
 def _in_front(knee: Array, hip: Array, ankle: Array, across: Array) -> Array:
-    """How far knees (F, 3) are in front of the line from hip to ankle, as shares of its length (F,)."""
+    """How far knees are in front of the line from hip to ankle, as shares of its length (F,).
+
+    Args:
+        knee: Positions of the knees, (F, 3).
+        hip: Positions of the hips, (F, 3).
+        ankle: Positions of the ankles, (F, 3).
+        across: Directions from the right to the left of the body, (F, 3).
+    """
     line = hip - ankle
     length = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
     forward = unit_vectors(np.cross(across, line))

@@ -240,7 +240,14 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _depths(starts: Array, ends: Array, radii: Array, pairs: Indices) -> Array:
-    """Depths (N, Q) of pairs (Q, 2) of capsules with axes (N, C, 3)."""
+    """Depths (N, Q) in metres of pairs of capsules; negative where a pair is apart.
+
+    Args:
+        starts: Starts of the axes of the capsules, (N, C, 3) metres.
+        ends: Ends of the axes, (N, C, 3) metres.
+        radii: Radii of the capsules, (C,) metres.
+        pairs: Capsules of each pair, (Q, 2).
+    """
     along = np.moveaxis(ends - starts, -1, 0)
     start = np.moveaxis(starts, -1, 0)
     first, second = pairs.T

@@ -385,20 +385,26 @@ def _wave(x: Array, period: float, share: float) -> Array:
 
 
 def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
-    """Mask (N,) of random balls, one in each cell."""
+    """Mask (N,), 0 to 1, of random balls, one in each cell.
+
+    Args:
+        p: Points, (N, 3) metres.
+        spacing: Edge of a cell, metres.
+        radius: Usual radius of a ball, metres.
+        seed: Seed of positions and sizes.
+    """
     cell = np.floor(p / spacing)
-    inside = np.zeros(len(p))
     shift = np.stack([noise(cell * 7.0 + 0.5, 1.0, seed + axis) for axis in range(3)], axis=1)
     centre = (cell + 0.5 + np.clip(0.9 * shift, -0.28, 0.28)) * spacing
     distance = np.linalg.norm(p - centre, axis=1)
     size = radius * (1.15 + 0.35 * np.clip(shift[:, 0], -1, 1))
-    return np.maximum(inside, ramp(distance, size + 0.0006, size - 0.0006))
+    return ramp(distance, size + 0.0006, size - 0.0006)
 
 
 def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of the shirt with folds and seams."""
     p, t = c.body, c.reference
-    # cloth is the same on everybody, so its pattern is laid out on who wears it
+    # cloth is the same on everybody, so its pattern is laid out on the wearer
     q, own = c.dressed, c.own
     on_trunk = np.abs(p[:, 0]) < 0.22
     beyond = np.maximum(np.abs(q[:, 0]) - own.shoulder_x, 0.0)

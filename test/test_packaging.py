@@ -23,6 +23,7 @@ from waiting import PATIENCE
 import humansim_ros
 from humansim_ros.errors import ResourceError, RosError, SceneError
 from humansim_ros.io.assets import resource_path, resource_root
+from humansim_ros.messages.types import _PACKAGES
 from humansim_ros.ros.lockstep.settings import TimeOptions
 from humansim_ros.ros.processes import node_processes as processes
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
@@ -100,6 +101,7 @@ def is_ros(module: str) -> bool:
 
 def test_package_xml_has_the_packages_of_ros_that_the_code_imports() -> None:
     used = {module for folder in ("humansim_ros", "launch") for module in imported(folder) if is_ros(module)}
+    used |= set(_PACKAGES.values())  # imported by name
     assert used == {name for name in dependencies("exec_depend") if not name.startswith("python3-")}
     of_tests = {module for module in imported("test") if is_ros(module)} - used
     assert of_tests == {name for name in dependencies("test_depend") if not name.startswith("python3-")}

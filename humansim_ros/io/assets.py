@@ -53,7 +53,7 @@ def resource_root() -> Path:
 
 def _candidates() -> Iterator[Path]:
     # resolve links of colcon's symlink install
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     yield package.parent
     for parent in package.parents:
         yield parent / _SHARE

@@ -51,7 +51,7 @@ def assert_sees(camera: Camera, pixels: Array, points: Array = POINTS) -> None:
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
-@pytest.mark.filterwarnings("ignore:.*is that of an image of about 1280x960")
+@pytest.mark.filterwarnings("ignore:.*belongs to an image of about 1280x960")
 def test_cameras_of_a_file_are_those_that_it_was_written_from(name: str) -> None:
     cameras, known = read_calibration(calibration_path(name)), CALIBRATIONS[name].cameras
     assert list(cameras) == list(known)
@@ -110,7 +110,7 @@ def test_formats_of_files_are_detected_by_content(
         calibration = load_calibration(anonymous)
     # one file has the K of another image size
     mislabelled = [
-        str(w.message) for w in caught if "is that of an image of about 1280x960" in str(w.message)
+        str(w.message) for w in caught if "belongs to an image of about 1280x960" in str(w.message)
     ]
     assert bool(mislabelled) == name.endswith("1640x1232.yaml")
     assert calibration.format is not None and calibration.format.name == form

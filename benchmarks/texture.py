@@ -27,8 +27,8 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.humans import Human, load_human  # noqa: E402
 from humansim_ros.photographs.atlas_texture import texture_atlas  # noqa: E402
-from humansim_ros.photographs.texture_view import TexturedPerson, TextureView  # noqa: E402
-from humansim_ros.photographs.thesis_texture import texture_thesis  # noqa: E402
+from humansim_ros.photographs.surface import TexturedPerson, TextureView  # noqa: E402
+from humansim_ros.photographs.texturing import texture_thesis  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
 from humansim_ros.types import Float32Array, Image  # noqa: E402
 

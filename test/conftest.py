@@ -238,7 +238,7 @@ def interfaces(built_interfaces: Path) -> Iterator[Path]:
 @pytest.fixture
 def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
     """Messages of cameras on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
-    from humansim_ros.ros.camera import pose as camera_pose
+    from humansim_ros.ros.nodes import camera as camera_pose
     from humansim_ros.ros.nodes.camera import CameraNode
 
     sent: dict[str, list[Any]] = defaultdict(list)

@@ -46,7 +46,7 @@ LAYERS = (
 #: Modules of the top level, which every folder may import.
 BASE = {"__init__", "errors", "pictures", "rotations", "types"}
 #: Deprecated paths that lead to the folder above which they stood.
-DEPRECATED = {"body/__init__.py", "body/mesh.py", "ros/viewer_layouts.py"}
+DEPRECATED = {"body/__init__.py", "body/mesh.py"}
 PUBLIC = {
     "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View evaluate
         export idealize load_human read_bvh read_calibration read_mesh read_motion record write_bvh

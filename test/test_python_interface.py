@@ -135,13 +135,13 @@ def test_scenes_are_recorded_and_exported_by_functions(tmp_path: Path) -> None:
 
 
 def test_functions_with_the_name_of_a_folder_are_both() -> None:
-    import humansim_ros.record.plan
+    import humansim_ros.record.recording
 
     for name in ("record", "export", "evaluate"):
         folder = getattr(humansim_ros, name)
         assert "on_progress" in inspect.signature(folder).parameters or name == "evaluate"
         assert callable(folder) and inspect.unwrap(folder).__module__ == "humansim_ros.apps.api"
-    assert humansim_ros.record.plan.RecordingPlan  # type: ignore[attr-defined]
+    assert humansim_ros.record.recording.RecordingPlan  # type: ignore[attr-defined]
 
 
 def test_names_of_built_ins_are_read() -> None:

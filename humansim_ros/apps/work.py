@@ -171,7 +171,7 @@ def write_bag(
         on_progress: Called after each frame.
         options: Options of :class:`RecordingPlan`.
     """
-    from humansim_ros.jobs.cores import cores
+    from humansim_ros.jobs.frame_job import cores
     from humansim_ros.record.recording import SceneRecording, record
 
     if (frames is None) == (seconds is None):
@@ -211,7 +211,7 @@ def write_data_set(
     from humansim_ros.export.exporting import Export, export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan
-    from humansim_ros.jobs.cores import cores
+    from humansim_ros.jobs.frame_job import cores
 
     chosen = range(frames) if isinstance(frames, int) else frames
     opened = export_source(source, tuple(chosen_formats(formats)), keypoints)

@@ -7,9 +7,9 @@ import scipy
 from numpy.typing import NDArray
 from scipy import sparse
 
+from humansim_ros.body.landmarks import Volume, solid
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.body.skinning import limit_bones
-from humansim_ros.body.volume import Volume, solid
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.normals import mean_normals

@@ -342,7 +342,7 @@ def _read(file: str, positions: PositionsChoice) -> Motion:
 
 
 def _warn_of(world: WorldMotion) -> None:
-    from humansim_ros.motion.motion_checks import playing_warnings
+    from humansim_ros.motion.world_motion import playing_warnings
 
     for text in playing_warnings(world):
         print_warning(f"{world.motion.path}: {text}")

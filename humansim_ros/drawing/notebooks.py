@@ -27,7 +27,7 @@ from humansim_ros.motion.kinematics import Motion
 from humansim_ros.render import View
 from humansim_ros.render.channels import check_channels
 from humansim_ros.scene import Frame, Scene
-from humansim_ros.truth.joints import OUTSIDE, VISIBLE
+from humansim_ros.truth.camera_truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Array, Image
 
 if TYPE_CHECKING:

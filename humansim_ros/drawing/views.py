@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.drawing.canvas import distinct_hues, draw_disc, draw_line, draw_text, hsv_colors
-from humansim_ros.truth.joints import OUTSIDE, VISIBLE
+from humansim_ros.truth.camera_truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Color, Image
 
 _VISIBLE_COLOR: Color = (60, 230, 90)
@@ -131,7 +131,7 @@ def draw_joints(
     Args:
         image: Image (H, W, 3).
         pixels: Pixels of the joints, (J, 2); NaN for a joint without one.
-        visible: State of the joints, (J,): visible, hidden or outside (:mod:`humansim_ros.truth.joints`).
+        visible: State, (J,): visible, hidden or outside (:mod:`humansim_ros.truth.camera_truth`).
         names: Names of the joints, (J,). The prefix ``l_`` or ``r_`` chooses the colour of the line.
         parents: Name of each joint's parent, (J,), to which a line is drawn; None for no line.
         radius: Radius of the discs in pixels.

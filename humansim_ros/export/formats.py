@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from humansim_ros.errors import ExportError, did_you_mean
-from humansim_ros.export.calibrations import AniposeWriter
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
-from humansim_ros.export.glb import GlbWriter
+from humansim_ros.export.glb import BvhWriter, GlbWriter
 from humansim_ros.export.images import (
     DepthExrWriter,
     DepthNpyWriter,
@@ -25,9 +24,8 @@ from humansim_ros.export.images import (
     LabelWriter,
     VideoWriter,
 )
-from humansim_ros.export.openpose import OpenPoseWriter
+from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
-from humansim_ros.export.poses import BvhWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.webdataset import WebDatasetWriter

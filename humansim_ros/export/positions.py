@@ -15,7 +15,7 @@ from humansim_ros.camera.calibration import Z_UP_FROM_FILE
 from humansim_ros.camera.formats import CalibrationFormat
 from humansim_ros.camera.formats.datasets import H36M, PANOPTIC
 from humansim_ros.errors import ExportError
-from humansim_ros.export.calibrations import calibration_text
+from humansim_ros.export.openpose import calibration_text
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.rotations import WORLD_FROM_BODY

@@ -25,8 +25,14 @@ from typing import Any, NamedTuple
 
 import humansim_ros
 from humansim_ros.errors import HumansimError
-from humansim_ros.jobs.cores import thread_limits
-from humansim_ros.jobs.frame_job import Buffer, FrameJob, FrameProgress, FrameResult, FrameWorker
+from humansim_ros.jobs.frame_job import (
+    Buffer,
+    FrameJob,
+    FrameProgress,
+    FrameResult,
+    FrameWorker,
+    thread_limits,
+)
 
 #: Step of copying data into memory that the other process has, too.
 COPYING = "copying"

@@ -25,12 +25,16 @@ if TYPE_CHECKING:
     from humansim_ros.messages.camera_truth import visible_vertices_message as visible_vertices_message
     from humansim_ros.messages.cameras import camera_info_message as camera_info_message
     from humansim_ros.messages.cameras import extrinsics_message as extrinsics_message
+    from humansim_ros.messages.cameras import object_message as object_message
     from humansim_ros.messages.cameras import pose_message as pose_message
     from humansim_ros.messages.cameras import projection_message as projection_message
     from humansim_ros.messages.cameras import read_camera_info as read_camera_info
     from humansim_ros.messages.cameras import read_extrinsics as read_extrinsics
+    from humansim_ros.messages.cameras import read_object as read_object
     from humansim_ros.messages.cameras import read_pose as read_pose
     from humansim_ros.messages.cameras import read_region as read_region
+    from humansim_ros.messages.cameras import read_twist as read_twist
+    from humansim_ros.messages.cameras import twist_message as twist_message
     from humansim_ros.messages.headers import WORLD_FRAME as WORLD_FRAME
     from humansim_ros.messages.headers import header as header
     from humansim_ros.messages.headers import optical_frame as optical_frame
@@ -67,10 +71,6 @@ if TYPE_CHECKING:
     from humansim_ros.messages.legends import motion_legend as motion_legend
     from humansim_ros.messages.legends import part_legend as part_legend
     from humansim_ros.messages.legends import read_legend as read_legend
-    from humansim_ros.messages.objects import object_message as object_message
-    from humansim_ros.messages.objects import read_object as read_object
-    from humansim_ros.messages.objects import read_twist as read_twist
-    from humansim_ros.messages.objects import twist_message as twist_message
     from humansim_ros.messages.points import point_cloud as point_cloud
     from humansim_ros.messages.points import read_points as read_points
 
@@ -106,7 +106,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "mesh_message": "humans",
         "motion_legend": "legends",
         "motion_message": "humans",
-        "object_message": "objects",
+        "object_message": "cameras",
         "optical_frame": "headers",
         "overlay_message": "camera_truth",
         "part_legend": "legends",
@@ -124,20 +124,20 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "read_joints": "humans",
         "read_legend": "legends",
         "read_mesh": "humans",
-        "read_object": "objects",
+        "read_object": "cameras",
         "read_pixels": "images",
         "read_points": "points",
         "read_pose": "cameras",
         "read_region": "cameras",
         "read_scene_time": "headers",
-        "read_twist": "objects",
+        "read_twist": "cameras",
         "read_vertices": "humans",
         "read_visible_vertices": "camera_truth",
         "scene_time_message": "headers",
         "serialised_stamp": "headers",
         "to_nanoseconds": "headers",
         "to_time": "headers",
-        "twist_message": "objects",
+        "twist_message": "cameras",
         "vertices_message": "humans",
         "visible_vertices_message": "camera_truth",
     },

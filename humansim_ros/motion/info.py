@@ -20,11 +20,10 @@ from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.motion_checks import playing_warnings, posture_warnings
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import find_stances, slide_distances
-from humansim_ros.motion.world_motion import WorldMotion, floor_height
+from humansim_ros.motion.world_motion import WorldMotion, floor_height, playing_warnings, posture_warnings
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 

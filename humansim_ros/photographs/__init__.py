@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from humansim_ros.photographs.person_fit import Proportions as Proportions
     from humansim_ros.photographs.person_fit import fit_motion as fit_motion
     from humansim_ros.photographs.person_fit import with_proportions as with_proportions
-    from humansim_ros.photographs.texture_view import TexturedPerson as TexturedPerson
+    from humansim_ros.photographs.surface import TexturedPerson as TexturedPerson
     from humansim_ros.photographs.texturing import texture_person as texture_person
     from humansim_ros.photographs.views import Photo as Photo
     from humansim_ros.photographs.views import PhotoSet as PhotoSet
@@ -25,7 +25,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "Photo": "views",
         "PhotoSet": "views",
         "Proportions": "person_fit",
-        "TexturedPerson": "texture_view",
+        "TexturedPerson": "surface",
         "fit_motion": "person_fit",
         "fit_person": "fitting",
         "read_fit": "fit_file",

@@ -18,8 +18,16 @@ from humansim_ros.humans.human import Human
 from humansim_ros.io.images import encode_image
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv, subdivide
-from humansim_ros.photographs.surface import Surface, SurfaceSight, fill_colours, lookup, see_surface
-from humansim_ros.photographs.texture_view import TexturedPerson, TextureView, check_views
+from humansim_ros.photographs.surface import (
+    Surface,
+    SurfaceSight,
+    TexturedPerson,
+    TextureView,
+    check_views,
+    fill_colours,
+    lookup,
+    see_surface,
+)
 from humansim_ros.render.gl import GLRenderer
 from humansim_ros.types import Array, Float32Array, Image, Indices
 

@@ -27,7 +27,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.silhouettes import Faces, intersection_over_union, render_faces
-from humansim_ros.photographs.texture_view import TexturedPerson
+from humansim_ros.photographs.surface import TexturedPerson
 from humansim_ros.photographs.views import Photo, PhotoSet
 from humansim_ros.types import Array, Color, Image
 

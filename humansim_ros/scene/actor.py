@@ -14,9 +14,8 @@ from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
-from humansim_ros.motion.motion_checks import playing_warnings
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import Placement, WorldMotion
+from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
 from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix, transform
 from humansim_ros.scene.config import HumanConfig, MotionConfig

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from humansim_ros.errors import some_of
-from humansim_ros.jobs.cores import cores
+from humansim_ros.jobs.frame_job import cores
 from humansim_ros.scene.camera_checks import (
     check_cameras,
     check_faults,

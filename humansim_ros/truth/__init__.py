@@ -1,9 +1,7 @@
 """Ground truth that follows from a view and the scene: joints, keypoints, boxes, vertices, surface points."""
 
 from humansim_ros.humans.human import joint_surfaces
-from humansim_ros.truth.boxes import BodyBox, view_boxes
-from humansim_ros.truth.camera_truth import CameraTruth, KeypointView, view_keypoints
-from humansim_ros.truth.joints import (
+from humansim_ros.truth.camera_truth import (
     NOTHING,
     OCCLUDED,
     OUTSIDE,
@@ -11,10 +9,17 @@ from humansim_ros.truth.joints import (
     SELF,
     THING,
     VISIBLE,
+    BodyBox,
+    CameraTruth,
     JointView,
+    KeypointView,
+    part_u_v,
+    rest_points,
+    view_boxes,
     view_joints,
+    view_keypoints,
+    visible_vertices,
 )
-from humansim_ros.truth.vertices import part_u_v, rest_points, visible_vertices
 
 __all__ = [
     "NOTHING",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +15,379 @@ from humansim_ros.humans import Human
 from humansim_ros.keypoints import KeypointLocator, keypoint_set
 from humansim_ros.render import Body, View
 from humansim_ros.render.channels import missing_channels
-from humansim_ros.truth.boxes import BodyBox, view_boxes
-from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, SELF, VISIBLE, JointView, view_joints
-from humansim_ros.truth.vertices import visible_points, visible_vertices
-from humansim_ros.types import Array
+from humansim_ros.render.lens_tessellation import NEAR, near_plane
+from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels
+from humansim_ros.render.renderer import Kind
+from humansim_ros.types import Array, Float32Array, Indices
+
+#: Visibility of a joint: outside the image (or behind the camera), occluded, or visible.
+OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
+#: Occluder of a joint: none, another part of the same person, another person, an object or the room.
+NOTHING, SELF, PERSON, THING = 0, 1, 2, 3
+
+
+@dataclass(frozen=True, repr=False)
+class JointView:
+    """Joints (J) of a human in the view of a camera.
+
+    Attributes:
+        optical: Positions (J, 3) in the optical frame, metres.
+        pixels: Projections (J, 2); NaN behind the camera and outside the field of view of the lens.
+        visible: OUTSIDE, OCCLUDED or VISIBLE, (J,).
+        occluder: SELF, PERSON or THING of an occluded joint, else NOTHING, (J,).
+        by: Instance label of the occluder (J,), the human's own for SELF; 0 without label or occluder.
+        behind: Metres along z from the first surface at the joint's pixel to the joint, (J,); -inf without
+            surface, NaN outside the image.
+    """
+
+    optical: Array
+    pixels: Array
+    visible: NDArray[np.uint8]
+    occluder: NDArray[np.uint8]
+    by: NDArray[np.uint16]
+    behind: NDArray[np.float32]
+
+    def __repr__(self) -> str:
+        counts = [int((self.visible == state).sum()) for state in (VISIBLE, OCCLUDED, OUTSIDE)]
+        return type(self).__name__ + "({} visible, {} occluded, {} outside)".format(*counts)
+
+
+def view_joints(
+    camera: Camera,
+    positions: Array,
+    view: View,
+    instance: int,
+    surfaces: NDArray[np.bool_],
+    objects: Collection[int] = (),
+) -> JointView:
+    """Compute visibility and occluders of the joints of a human.
+
+    A joint lies inside the body. It is visible if the first surface at its pixel is skin around that joint,
+    or if no surface is in front of it: the end of a limb may project beside the pixels of its skin.
+
+    Args:
+        camera: Camera of the view.
+        positions: Joints (J, 3) in ``map``, metres.
+        view: View with the channels depth, instance and part.
+        instance: Instance label of the human.
+        surfaces: Part labels (J, 256) that are skin around each joint, from
+            :func:`~humansim_ros.humans.human.joint_surfaces`.
+        objects: Instance labels of objects.
+    """
+    optical = camera.to_optical(positions)
+    pixels, depth = camera.project_optical(optical)
+    inside, row, column = nearest_pixels(pixels, camera.size)
+    with np.errstate(invalid="ignore"):  # joints that are not finite
+        behind = np.where(inside, depth - view.depth[row, column], np.nan)
+    first = view.instance[row, column]
+    own_skin = surfaces[np.arange(len(positions)), view.part[row, column]]
+    seen = ((first == instance) & own_skin) | (behind <= 0)
+    visible = np.where(inside, np.where(seen, VISIBLE, OCCLUDED), OUTSIDE)
+    is_thing = np.isin(first, [0, *objects])
+    occluder = np.where(is_thing, THING, np.where(first == instance, SELF, PERSON))
+    occluded = visible == OCCLUDED
+    return JointView(
+        optical,
+        pixels,
+        visible.astype(np.uint8),
+        np.where(occluded, occluder, NOTHING).astype(np.uint8),
+        np.where(occluded, first, 0).astype(np.uint16),
+        behind.astype(np.float32),
+    )
+
+
+def nearest_pixels(
+    pixels: Array, size: tuple[int, int]
+) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
+    """Find the nearest pixels of points (N, 2) in an image of a size (width, height).
+
+    Returns:
+        Mask (N,) of the points inside the image, and row and column (N,) of their pixels; 0, 0 outside.
+    """
+    inside = np.all((pixels > -0.5) & (pixels < np.array(size) - 0.5), axis=-1)  # false for NaN
+    column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.intp).T
+    return inside, row, column
+
+
+@dataclass(frozen=True)
+class BodyBox:
+    """Boxes of a human or labelled object in an image. A box is (4,): left, top, right, bottom, in pixels.
+
+    Attributes:
+        visible: Box of the visible pixels, areas included: one pixel (x, y) has x - 0.5, y - 0.5, x + 0.5,
+            y + 0.5. NaN without visible pixels.
+        whole: Box of the projection of the whole body, also outside the image and behind occluders. NaN if
+            nothing of the body is in front of the camera.
+        truncation: Share of the area of the whole box outside the image, 0 to 1; 1 if there is no whole box.
+        visible_fraction: Visible pixels as a share of the amodal mask; NaN if the mask is empty.
+        pixels: Number of visible pixels.
+        kind: Human or object.
+    """
+
+    visible: Array
+    whole: Array
+    truncation: float
+    visible_fraction: float
+    pixels: int
+    kind: Kind = "human"
+
+
+def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, BodyBox]:
+    """Compute the boxes of all labelled bodies by instance label.
+
+    ``view`` must have the channels instance and amodal.
+    """
+    boxes = {}
+    for body in bodies:
+        if not body.instance:
+            continue
+        visible, pixels = _box_of(view.instance == body.instance)
+        amodal = np.count_nonzero(view.amodal[body.instance])
+        whole = whole_box(camera, body)
+        boxes[body.instance] = BodyBox(
+            visible,
+            whole,
+            truncation(whole, camera.size),
+            pixels / amodal if amodal else np.nan,
+            pixels,
+            body.kind,
+        )
+    return boxes
+
+
+def whole_box(camera: Camera, body: Body) -> Array:
+    """Box (4,) of the projection of a whole body, also of its occluded parts; NaN if nothing is projected.
+
+    The body is cut at the near plane of the renderer (5 cm along the axis, 5 mm for wide fisheyes). Points
+    outside the field of view of the lens are left out.
+    """
+    points, plane = camera.to_optical(body.vertices), near_plane(camera)
+    near = points[:, 2] < plane
+    if near.any():
+        points = np.concatenate([points[~near], _crossings(points, body.mesh.triangles, plane)])
+    pixels = camera.project_optical(points)[0]
+    pixels = pixels[np.isfinite(pixels[:, 0])]
+    if not len(pixels):
+        return np.full(4, np.nan)
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+
+
+def truncation(whole: Array, size: tuple[int, int]) -> float:
+    """Share of the area of a box outside an image of a size (width, height), as "truncated" in KITTI
+    [Geiger 2012].
+    """
+    if not np.isfinite(whole).all():
+        return 1.0
+    inside = np.clip(whole.reshape(2, 2), -0.5, np.array(size) - 0.5)
+    sides = whole[2:] - whole[:2]
+    # a side without length is not truncated
+    shares = np.divide(inside[1] - inside[0], sides, out=np.ones(2), where=sides > 0)
+    return float(np.clip(1 - shares.prod(), 0, 1))
+
+
+def _box_of(mask: NDArray[np.bool_]) -> tuple[Array, int]:
+    """Box (4,) and number of the pixels of a mask (H, W); the box is NaN without pixels."""
+    image = mask.view(np.uint8)
+    pixels = cv2.countNonZero(image)
+    if not pixels:
+        return np.full(4, np.nan), 0
+    x, y, width, height = cv2.boundingRect(image)
+    return np.array([x, y, x + width, y + height]) - 0.5, pixels
+
+
+def _crossings(points: Array, triangles: NDArray[np.integer], plane: float) -> Array:
+    """Intersections (N, 3) of the edges of triangles with the plane z = ``plane``."""
+    edges, near = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), points[:, 2] < plane
+    a, b = points[edges[near[edges[:, 0]] != near[edges[:, 1]]].T]
+    share = (plane - a[:, 2]) / (b[:, 2] - a[:, 2])
+    return np.asarray(a + share[:, None] * (b - a), dtype=float)
+
+
+#: A vertex is hidden if it is this far (metres) behind all surfaces around its pixel.
+_HIDDEN_BEHIND_ALL = 0.05
+#: A vertex is hidden if it is this far (metres) behind the room or an unlabelled object at its pixel.
+_HIDDEN_BEHIND_SCENE = 0.01
+#: Share of a vertex's distance by which a triangle must be nearer to hide it.
+_MIN_GAP = 1e-5
+
+
+def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, NDArray[np.bool_]]:
+    """Compute masks (V,) of the visible vertices of all labelled bodies, by instance label.
+
+    A vertex is visible if it is inside the image and beyond the near plane (5 cm along the axis, 5 mm for
+    wide fisheyes), no triangle of a labelled body intersects the ray to it, and neither the room nor an
+    unlabelled object at its pixel is in front of it. ``view`` must have the channels depth and instance.
+    """
+    bodies = [body for body in bodies if body.instance]
+    if not bodies:
+        return {}
+    offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
+    points = np.concatenate([body.vertices for body in bodies])
+    visible = _visible(camera, bodies, points, np.arange(len(points)), view)
+    return {
+        body.instance: visible[start:end]
+        for body, start, end in zip(bodies, offsets[:-1], offsets[1:], strict=True)
+    }
+
+
+def visible_points(camera: Camera, bodies: Sequence[Body], points: Array, view: View) -> NDArray[np.bool_]:
+    """Compute a mask (N,) of the visible points (N, 3) of ``map``, by the rule of :func:`visible_vertices`.
+
+    A triangle that the point lies on does not hide it.
+
+    Args:
+        camera: Camera of the view.
+        bodies: All bodies at the stamp.
+        points: (N, 3) in ``map``, metres.
+        view: View with the channels depth and instance.
+    """
+    bodies = [body for body in bodies if body.instance]
+    vertices = [body.vertices for body in bodies]
+    first = sum(map(len, vertices))
+    asked = np.arange(first, first + len(points))
+    return _visible(camera, bodies, np.concatenate([*vertices, points]), asked, view)[asked]
+
+
+def _visible(
+    camera: Camera, bodies: Sequence[Body], points: Array, asked: Indices, view: View
+) -> NDArray[np.bool_]:
+    """Mask (P,) of the visible ones of some points.
+
+    Args:
+        camera: Camera of the view.
+        bodies: Labelled bodies.
+        points: (P, 3) in ``map``, the vertices of the bodies first.
+        asked: Indices of the points to test.
+        view: View with the channels depth and instance.
+    """
+    optical, near = camera.to_optical(points), near_plane(camera)
+    offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
+    triangles = [
+        _occluding_triangles(body, optical[offset : offset + len(body.vertices)], near) + offset
+        for body, offset in zip(bodies, offsets[:-1], strict=True)
+    ]
+    candidates = _candidates(camera, optical[asked], view.depth, view.instance) & (optical[asked, 2] >= near)
+    visible = np.zeros(len(points), bool)
+    hiding = np.concatenate([np.zeros((0, 3), np.intp), *triangles])
+    visible[_unoccluded(optical, asked[candidates], hiding, near)] = True
+    return visible
+
+
+def _candidates(
+    camera: Camera, points: Array, depth_image: NDArray[np.float32], labels: NDArray[np.uint16]
+) -> NDArray[np.bool_]:
+    """Mask (V,) of points (V, 3) of the optical frame inside the image that may be visible."""
+    pixels, depth = camera.project_optical(points)
+    inside, row, column = nearest_pixels(pixels, camera.size)
+    farthest = cv2.dilate(depth_image, np.ones((3, 3), np.uint8))
+    hidden = farthest[row, column] < depth - _HIDDEN_BEHIND_ALL
+    hidden |= (labels[row, column] == 0) & (depth_image[row, column] < depth - _HIDDEN_BEHIND_SCENE)
+    return np.asarray(inside & ~hidden)
+
+
+def _occluding_triangles(body: Body, points: Array, near: float) -> Indices:
+    """Triangles (N, 3) of a body that can hide a vertex. ``points``: its vertices (V, 3) in the optical
+    frame.
+
+    Triangles within ``near`` are left out, and back faces of a closed surface that is seen from outside:
+    a front face hides the same vertices.
+    """
+    triangles = body.mesh.triangles.astype(np.intp)
+    if not body.mesh.closed or points[:, 2].min() < 2 * NEAR:
+        far = points[:, 2] >= near
+        return triangles[np.logical_or.reduce(far[triangles.T])]
+    a, b, c = points[triangles.T]
+    return triangles[np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0]
+
+
+def _unoccluded(points: Array, candidates: Indices, triangles: Indices, near: float) -> Indices:
+    """Candidates (indices of points) that no triangle hides from the origin."""
+    point, triangle = _overlapping(points, candidates, triangles, near)
+    rays, corners = points[point], triangles[triangle].T
+    a, b, c = points[corners]
+    # a ray p intersects the triangle a b c where p . (b x c), p . (c x a) and p . (a x b) have one sign
+    across = np.cross(b, c), np.cross(c, a), np.cross(a, b)
+    volume = np.einsum("ij,ij->i", a, across[0])
+    sides = np.stack([np.einsum("ij,ij->i", n, rays) for n in across]) * np.sign(volume)
+    # and the intersection is at the share |volume| / sum of the ray
+    before = np.abs(volume) < sides.sum(axis=0) * (1 - _MIN_GAP)
+    crossed = np.logical_and.reduce([*(sides >= 0), before, *(corners != point)])
+    hidden = np.zeros(len(points), bool)
+    hidden[point[crossed]] = True
+    return candidates[~hidden[candidates]]
+
+
+def _overlapping(
+    points: Array, candidates: Indices, triangles: Indices, near: float
+) -> tuple[Indices, Indices]:
+    """Pairs (K,), (K,) of candidates (indices of points) and triangles with the candidate in their bounds."""
+    plane = points[:, :2] / np.maximum(points[:, 2:], near)
+    corners = plane.T[:, triangles.T]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    # the remaining part of a triangle that intersects the plane z = near
+    cut = np.flatnonzero(np.logical_or.reduce(points[triangles.T, 2] < near))
+    if len(cut):
+        beside = points[triangles[cut].T, :2].transpose(2, 0, 1) / near
+        low[:, cut] = np.minimum(low[:, cut], beside.min(axis=1))
+        high[:, cut] = np.maximum(high[:, cut], beside.max(axis=1))
+    (x0, y0), (x1, y1) = low, high
+    # about as many rows as candidates per row; candidates of a row are sorted by x
+    x, y = plane[candidates].T
+    count = len(candidates)
+    edges = np.sort(y)[:: max(1, int(np.sqrt(count)))]
+    rank = np.empty(count, np.intp)
+    rank[np.argsort(x, kind="stable")] = np.arange(count)
+    keys = np.searchsorted(edges, y, side="right") * (count + 1) + rank
+    order = np.argsort(keys)
+    keys, by_x = keys[order], np.sort(x)
+    # the rows of each triangle, and in each of these rows the candidates within its x range
+    first, last = np.searchsorted(edges, y0, side="right"), np.searchsorted(edges, y1, side="right")
+    triangle, row = _ranges(first, last + 1)
+    left, right = np.searchsorted(by_x, x0), np.searchsorted(by_x, x1, side="right")
+    start = np.searchsorted(keys, row * (count + 1) + left[triangle])
+    end = np.searchsorted(keys, row * (count + 1) + right[triangle])
+    which, position = _ranges(start, end)
+    triangle, candidate = triangle[which], order[position]
+    within = (y[candidate] >= y0[triangle]) & (y[candidate] <= y1[triangle])
+    return candidates[candidate[within]], triangle[within]
+
+
+def _ranges(start: Indices, end: Indices) -> tuple[Indices, Indices]:
+    """Index of the range, and number, for all numbers of the ranges start to end - 1."""
+    lengths = np.maximum(end - start, 0)
+    which = np.repeat(np.arange(len(start)), lengths)
+    firsts = np.cumsum(lengths) - lengths
+    return which, np.arange(len(which)) - firsts[which] + start[which]
+
+
+def part_u_v(view: View) -> Float32Array:
+    """Part label and texture coordinates (H, W, 3), v up, of each pixel; 0, NaN, NaN where no body is.
+
+    ``view`` must have the channels part and uv.
+    """
+    return np.dstack([view.part.astype(np.float32), view.uv])
+
+
+def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Float32Array:
+    """Points (H, W, 3) of the rest mesh that each pixel shows; NaN where no labelled body is.
+
+    Points of humans are in body space, metres. ``view`` must have the channels instance and face.
+    """
+    labelled = [body for body in bodies if body.instance]
+    owners = np.full(65536, -1)
+    owners[[body.instance for body in labelled]] = np.arange(len(labelled))
+    pixels = np.flatnonzero(view.instance)
+    visible = VisiblePixels(
+        pixels, owners[view.instance.ravel()[pixels]], view.face.ravel()[pixels] - np.intp(1)
+    )
+    weights = PixelGeometry(camera, labelled, visible).weights.T
+    points = np.full((*view.instance.shape, 3), np.nan, np.float32)
+    for index, body in enumerate(labelled):
+        own = visible.owner == index
+        corners = body.mesh.vertices[body.mesh.triangles[visible.triangle[own]]]
+        points.reshape(-1, 3)[pixels[own]] = np.einsum("mi,mik->mk", weights[own], corners)
+    return points
+
 
 #: Channels that a view must have for each property of :class:`CameraTruth`.
 REQUIRED_CHANNELS = {

@@ -15,7 +15,7 @@ from humansim_ros.errors import SceneError
 from humansim_ros.humans import Human
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame
-from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE
+from humansim_ros.truth.camera_truth import OCCLUDED, OUTSIDE, VISIBLE
 from humansim_ros.types import Array
 from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
 

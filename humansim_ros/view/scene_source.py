@@ -13,8 +13,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.drawing.views import color_channel, color_image, draw_joints
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans import Human
-from humansim_ros.jobs.cores import cores
-from humansim_ros.jobs.frame_job import Costs, FrameResult
+from humansim_ros.jobs.frame_job import Costs, FrameResult, cores
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.playback import Playback

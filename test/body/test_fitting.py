@@ -21,8 +21,7 @@ from scipy.spatial import cKDTree
 from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, landmarks, rig
 from humansim_ros.body import fitting as fitting_module
 from humansim_ros.body.fitting import body_from_file
-from humansim_ros.body.landmarks import known_joints
-from humansim_ros.body.volume import solid, surface_points
+from humansim_ros.body.landmarks import known_joints, solid, surface_points
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.load import read_mesh

@@ -20,12 +20,13 @@ from humansim_ros.challenge.results import CaseResult, Report
 from humansim_ros.challenge.run import (
     CaseProcess,
     ChallengeOptions,
+    TrackerProcess,
+    command_words,
     open_report,
     patience_with,
     run_challenge,
 )
 from humansim_ros.challenge.suite import Case, Suite
-from humansim_ros.challenge.tracker import TrackerProcess, command_words
 from humansim_ros.errors import ChallengeError, HumansimError
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.messages.people import Pose, PoseFrame

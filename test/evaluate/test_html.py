@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.html import html_report
+from humansim_ros.evaluate.html import _ticks, bar_plot, html_report, line_plot, pose_plot
 from humansim_ros.evaluate.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Shape, draw_over
-from humansim_ros.evaluate.plots import _ticks, bar_plot, line_plot, pose_plot
 from humansim_ros.types import Array
 
 

@@ -26,8 +26,7 @@ from humansim_ros.export.bag import BagSource, recorded_patterns
 from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.formats import BODIES, EXPORT_FORMATS, chosen_formats
 from humansim_ros.export.plan import ExportPlan
-from humansim_ros.record.plan import RecordingPlan
-from humansim_ros.record.recording import SceneRecording, record
+from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 
 FRAMES = 4
 #: Formats that a bag can be exported to: all but those of bodies.

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, load_human, read_motion
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.export.glb import glb_bytes, influences, split_seams
-from humansim_ros.export.poses import AnimatedHuman
+from humansim_ros.export.glb import AnimatedHuman, glb_bytes, influences, split_seams
 from humansim_ros.humans import Human
 from humansim_ros.mesh import Mesh
 from humansim_ros.rotations import WORLD_FROM_BODY

@@ -14,9 +14,10 @@ from humansim_ros import Scene, read_calibration
 from humansim_ros.camera.formats.syntax import tomllib  # tomli before Python 3.11
 from humansim_ros.errors import ExportError
 from humansim_ros.export import openpose
-from humansim_ros.export.calibrations import AniposeWriter, calibration_text
 from humansim_ros.export.openpose import (
+    AniposeWriter,
     OpenPoseWriter,
+    calibration_text,
     openpose_file,
     openpose_keypoints,
     openpose_text,

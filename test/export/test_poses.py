@@ -10,7 +10,7 @@ import pytest
 
 from humansim_ros import Scene, read_bvh
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.export.poses import AnimatedHuman, BvhWriter, posed_bones
+from humansim_ros.export.glb import AnimatedHuman, BvhWriter, posed_bones
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.scene import Frame

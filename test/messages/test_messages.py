@@ -13,8 +13,7 @@ from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RosError
 from humansim_ros.scene import Scene
-from humansim_ros.truth.boxes import BodyBox
-from humansim_ros.truth.joints import JointView
+from humansim_ros.truth.camera_truth import BodyBox, JointView
 
 pytest.importorskip("rclpy")
 STAMP = 1_700_000_000_123_456_789

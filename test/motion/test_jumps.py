@@ -16,8 +16,14 @@ from humansim_ros.cli import main as cli
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion
 from humansim_ros.motion.info import LoadedMotion, describe_motion, read_with_warnings, to_world
-from humansim_ros.motion.motion_checks import playing_warnings
-from humansim_ros.motion.world_motion import Placement, WorldMotion, find_jumps, joint_path, leading_rest
+from humansim_ros.motion.world_motion import (
+    Placement,
+    WorldMotion,
+    find_jumps,
+    joint_path,
+    leading_rest,
+    playing_warnings,
+)
 from humansim_ros.scene import Scene
 
 PERSON = stand_in("lafan1")

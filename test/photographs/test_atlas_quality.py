@@ -17,10 +17,8 @@ from humansim_ros.humans import Human, load_human
 from humansim_ros.mesh.texels import rasterise_uv
 from humansim_ros.photographs.atlas_texture import texture_atlas
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.surface import Surface
-from humansim_ros.photographs.texture_view import TexturedPerson, TextureView
-from humansim_ros.photographs.texturing import texture_person
-from humansim_ros.photographs.thesis_texture import triangle_neighbours
+from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView
+from humansim_ros.photographs.texturing import texture_person, triangle_neighbours
 from humansim_ros.photographs.views import read_views
 
 #: Cameras that took no photograph.

@@ -20,8 +20,7 @@ from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import Human, load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.photographs.atlas_texture import align_colours, texture_atlas
-from humansim_ros.photographs.surface import Surface, fill_colours
-from humansim_ros.photographs.texture_view import TexturedPerson, TextureView
+from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView, fill_colours
 
 #: Cameras that took no photograph.
 NEW = tuple(

@@ -11,7 +11,7 @@ from texture_scenes import texture_views, undressed
 from humansim_ros.drawing.canvas import PAPER, distinct_hues, hsv_colors
 from humansim_ros.humans import load_human
 from humansim_ros.photographs.reports import draw_sheet
-from humansim_ros.photographs.thesis_texture import texture_thesis
+from humansim_ros.photographs.texturing import texture_thesis
 
 
 def test_the_sheet_shows_the_person_the_chosen_views_and_the_gains() -> None:

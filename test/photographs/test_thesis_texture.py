@@ -14,13 +14,12 @@ from texture_scenes import photograph, psnr, texture_views, undressed
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import PhotographError
-from humansim_ros.export.glb import glb_bytes
-from humansim_ros.export.poses import AnimatedHuman
+from humansim_ros.export.glb import AnimatedHuman, glb_bytes
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import read_human, write_human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.photographs.texture_view import TexturedPerson, TextureView
-from humansim_ros.photographs.thesis_texture import (
+from humansim_ros.photographs.surface import TexturedPerson, TextureView
+from humansim_ros.photographs.texturing import (
     FaceCounts,
     choose_cameras,
     count_faces,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.humans import Human
-from humansim_ros.photographs.texture_view import TextureView
+from humansim_ros.photographs.surface import TextureView
 from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix
 

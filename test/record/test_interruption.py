@@ -20,7 +20,7 @@ from waiting import PATIENCE, wait_until
 
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.record.plan import PLAN
+from humansim_ros.record.recording import PLAN
 
 pytest.importorskip("rosbags")
 FRAMES = 60

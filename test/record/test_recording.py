@@ -11,8 +11,7 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import SCENE, hashes, write_scene
 
-from humansim_ros.record.plan import RecordingPlan
-from humansim_ros.record.recording import SceneRecording, record
+from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
@@ -258,13 +257,13 @@ def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
 def test_a_recording_in_one_process_has_one_context_and_one_table(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.record import plan
+    from humansim_ros.record import recording
     from humansim_ros.render.context import OpenGLContext
 
     made: list[str] = []
-    create, topics = OpenGLContext.__init__, plan.scene_topics
+    create, topics = OpenGLContext.__init__, recording.scene_topics
     monkeypatch.setattr(OpenGLContext, "__init__", lambda *words: (made.append("context"), create(*words))[1])
-    monkeypatch.setattr(plan, "scene_topics", lambda *words: (made.append("table"), topics(*words))[1])
+    monkeypatch.setattr(recording, "scene_topics", lambda *words: (made.append("table"), topics(*words))[1])
     record(SceneRecording.of(scene, 2, ["/noisy/image_raw"]), tmp_path / "bag")
     assert sorted(made) == ["context", "table"]
 

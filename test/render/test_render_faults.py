@@ -20,8 +20,7 @@ from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, Ren
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.render import AdjacentFrame, Body, Lighting, Renderer, RendererName, make_renderer
 from humansim_ros.scene import Scene
-from humansim_ros.truth.boxes import view_boxes
-from humansim_ros.truth.vertices import visible_vertices
+from humansim_ros.truth.camera_truth import view_boxes, visible_vertices
 
 
 @pytest.fixture(scope="module", params=EACH_RENDERER)

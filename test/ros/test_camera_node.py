@@ -25,8 +25,8 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.messages.topics import CameraTopics
-from humansim_ros.ros.camera import pose as camera_pose
 from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.nodes import camera as camera_pose
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

@@ -19,8 +19,7 @@ from std_msgs.msg import Float64MultiArray, String
 from humansim_ros import messages
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.messages.topics import scene_topics
-from humansim_ros.record.plan import RecordingPlan
-from humansim_ros.record.recording import SceneRecording, record
+from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.ros.camera.publishers import CameraDriver
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode

@@ -15,7 +15,7 @@ from humansim_ros import messages
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
-from humansim_ros.truth.joints import OCCLUDED, VISIBLE
+from humansim_ros.truth.camera_truth import OCCLUDED, VISIBLE
 
 #: A box passes in front of a person in front of a crate; its position gives the scene time.
 SCENE = """\

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -162,13 +161,3 @@ def test_layouts_of_other_scenes_name_their_topics_in_the_namespace(names: Scene
     panels = foxglove["configById"]
     assert sorted(leaves(foxglove["layout"])) == sorted(panels)
     assert set(panels["3D!world"]["topics"]) == {name for name in wanted if not name.endswith("image_raw")}
-
-
-def test_the_path_of_earlier_versions_warns(monkeypatch: pytest.MonkeyPatch) -> None:
-    import humansim_ros.ros
-
-    monkeypatch.delitem(sys.modules, "humansim_ros.ros.viewer_layouts", raising=False)
-    monkeypatch.delattr(humansim_ros.ros, "viewer_layouts", raising=False)
-    with pytest.warns(DeprecationWarning, match="humansim_ros.apps.viewer_layouts"):
-        from humansim_ros.ros import viewer_layouts
-    assert viewer_layouts.rviz_layout is rviz_layout

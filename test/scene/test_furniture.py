@@ -114,7 +114,7 @@ def test_moving_furniture_is_shown_by_rviz_as_triangles() -> None:
     pytest.importorskip("rclpy")
     from visualization_msgs.msg import Marker
 
-    from humansim_ros.messages.objects import object_message, read_object
+    from humansim_ros.messages.cameras import object_message, read_object
 
     thing = scene_with(mesh="chair", size=[1, 1, 2], position=[1, 2, 0]).objects["thing"]
     message = object_message(thing, thing.initial_pose, 1)

@@ -32,8 +32,7 @@ from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
-from humansim_ros.truth.joints import NOTHING, OCCLUDED, PERSON, SELF, THING
-from humansim_ros.truth.vertices import rest_points
+from humansim_ros.truth.camera_truth import NOTHING, OCCLUDED, PERSON, SELF, THING, rest_points
 
 #: A screen passes before two people, a crate stands behind them, a ball flies and grows, a wedge of a file
 #: stands half behind a post, which has no label.

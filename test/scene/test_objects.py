@@ -18,7 +18,7 @@ from humansim_ros.errors import MeshError, RenderError, SceneError
 from humansim_ros.render import Body
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.objects import SHAPES
-from humansim_ros.truth.joints import OCCLUDED, VISIBLE
+from humansim_ros.truth.camera_truth import OCCLUDED, VISIBLE
 
 #: A screen passes between a person that walks on the spot and the camera; a ball grows and turns as it flies.
 SCENE = """\

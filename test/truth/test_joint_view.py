@@ -11,7 +11,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human, joint_surfaces
 from humansim_ros.humans.loading import load_human
 from humansim_ros.render import View
-from humansim_ros.truth.joints import (
+from humansim_ros.truth.camera_truth import (
     NOTHING,
     OCCLUDED,
     OUTSIDE,

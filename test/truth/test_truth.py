@@ -23,9 +23,20 @@ from humansim_ros.humans.human import joint_surfaces
 from humansim_ros.keypoints import KeypointLocator, keypoint_set
 from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.truth.boxes import truncation, view_boxes
-from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
-from humansim_ros.truth.vertices import part_u_v, rest_points, visible_vertices
+from humansim_ros.truth.camera_truth import (
+    NOTHING,
+    OCCLUDED,
+    OUTSIDE,
+    PERSON,
+    SELF,
+    THING,
+    VISIBLE,
+    part_u_v,
+    rest_points,
+    truncation,
+    view_boxes,
+    visible_vertices,
+)
 
 PEOPLE = """
 rate: 10

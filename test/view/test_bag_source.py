@@ -20,8 +20,7 @@ from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.drawing.views import color_channel
 from humansim_ros.errors import BagError, HumansimError
 from humansim_ros.humans.human import write_human
-from humansim_ros.record.plan import RecordingPlan
-from humansim_ros.record.recording import SceneRecording, record
+from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.scene import Frame
 from humansim_ros.view.bag_source import BagViewSource
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info

@@ -208,8 +208,8 @@ def evaluate(path: Path, blender: str, renders: Path, output: Path | None) -> No
 
     from humansim_ros.humans import load_human
     from humansim_ros.photographs.atlas_texture import texture_atlas
-    from humansim_ros.photographs.texture_view import TextureView
-    from humansim_ros.photographs.thesis_texture import texture_thesis
+    from humansim_ros.photographs.surface import TextureView
+    from humansim_ros.photographs.texturing import texture_thesis
     from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix
 
     human = load_human(path)

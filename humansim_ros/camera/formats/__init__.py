@@ -10,14 +10,13 @@ lists of cameras and names of lens models.
 
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
-from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, H36M, PANOPTIC, SHELF
+from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
 from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, PROJECTION
 from humansim_ros.camera.formats.qualisys import QUALISYS
 from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
 from humansim_ros.camera.formats.ros import CAMERA_INFO, INI, KALIBR
 from humansim_ros.camera.formats.scene import SCENE
-from humansim_ros.camera.formats.thesis import CAM
 from humansim_ros.camera.formats.transforms import TRANSFORMS
 
 #: All formats, in the order in which they are tried: the first one that recognises a file reads it.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, did_you_mean
-from humansim_ros.jobs.cores import cores, thread_limits
+from humansim_ros.jobs.frame_job import cores, thread_limits
 from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.names import LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 

@@ -1,4 +1,4 @@
-"""Messages of a camera's calibration and pose: camera_info, pose, extrinsics, projection; and messages of moving objects."""
+"""Messages of a camera's calibration and pose, and messages of moving objects."""
 
 from __future__ import annotations
 

@@ -282,7 +282,7 @@ class Camera(Pictured):
 
         It has no lens: points of a distorted camera must be distorted first and keep their depth. OpenGL has
         pixel centres at half-integers, so the principal point is moved by +0.5. The first image row is the
-        lowest row of the window, so that images are read back with the top row first. Depth is that of the
+        lowest row of the window, so that images are read back with the top row first. Depth is as in the
         standard perspective matrix, -1 at ``near``.
         """
         width, height = self.size

@@ -141,7 +141,7 @@ def note_principal_points(cameras: Mapping[str, Camera]) -> list[str]:
     what = (
         f"the principal point of {name}, ({cx:.1f}, {cy:.1f}), is {far[name]:.0%} of a side from the centre"
     )
-    others = f", and those of {len(far) - 1} more are above {_OFF_CENTER:.1%}" if len(far) > 1 else ""
+    others = f", and {len(far) - 1} more are above {_OFF_CENTER:.1%}" if len(far) > 1 else ""
     return [f"note: {what} of its {width}x{height} image{others}: a real lens, or a cropped image"]
 
 
@@ -179,7 +179,7 @@ def _check_rectified(camera: Camera) -> Iterator[str]:
         return
     zoom = camera.rectified[[0, 1], [0, 1]] / camera.K[[0, 1], [0, 1]]
     if zoom.min() < _ZOOM[0] or zoom.max() > _ZOOM[1]:
-        yield f"P and K disagree: focal lengths of P are {zoom[0]:.2g} and {zoom[1]:.2g} times those of K"
+        yield f"P and K disagree: focal lengths of P are {zoom[0]:.2g} and {zoom[1]:.2g} times K"
     middle = camera.rectified[:2, 2] / camera.rectified[2, 2]
     if (middle < 0).any() or (middle > camera.size).any():
         yield f"the principal point of P, ({middle[0]:.1f}, {middle[1]:.1f}), is outside the image"

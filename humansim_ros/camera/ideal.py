@@ -19,7 +19,7 @@ from humansim_ros.camera.camera import Camera, ideal_matrix
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: Part of the real image that the ideal one shows: that of the same focal lengths, all of it (with black
+#: Part of the real image that the ideal one shows: the part of the same focal lengths, all of it (with black
 #: borders), or only a part without black pixels.
 Fit = Literal["focal", "all", "no_black"]
 
@@ -144,7 +144,7 @@ def rectify(camera: Camera) -> Ideal:
 
 
 def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
-    """Factor of the focal lengths of an ideal K for a fit: the border of the real image touches that of the
+    """Factor of the focal lengths of an ideal K for a fit: the border of the real image touches the
     ideal image from inside (``all``) or from outside (``no_black``).
     """
     last, center = np.array(camera.size) - 1.0, k[:2, 2]

@@ -100,7 +100,8 @@ class Trajectory:
                 "a number is not finite (NaN or infinity)": not np.isfinite(row).all(),
                 "the quaternion qx qy qz qw is far from length 1": not _SHORTEST < length < _LONGEST,
                 "a position is more than 1000 km away": max(map(abs, row[1:4])) > MAX_COORDINATE,
-                "the time is not later than that of the line before": bool(rows) and row[0] <= rows[-1][0],
+                "the time is not later than the time of the line before": bool(rows)
+                and row[0] <= rows[-1][0],
             }
             for message, wrong in errors.items():
                 if wrong:

@@ -364,7 +364,7 @@ def _warn(placed: Mapping[str, Camera], facts: dict[str, Any]) -> None:
     if blind:
         print_warning(f"the person is not in the view of {', '.join(blind[:4])}")
     if facts["scale"] is not None and abs(facts["scale"] - 1) > _OTHER_UNIT:
-        times = f"distances in map are {facts['scale']:.4g} times those of the file"
+        times = f"distances in map are {facts['scale']:.4g} times the distances of the file"
         print_warning(f"{times}: is the unit of the file correct? --fit-unit takes it from map")
     if facts["method"] == "level" and facts["residuals"]["roll_deg"] > _UPRIGHT:
         roll = f"the cameras are rolled by {facts['residuals']['roll_deg']:.0f} degrees"

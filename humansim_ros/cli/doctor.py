@@ -277,7 +277,7 @@ def check_extras() -> Diagnosis:
 
 
 def check_machine(folder: Path | None = None) -> Diagnosis:
-    """Cores, memory and disk. ``folder``: the disk of which is checked; the current folder if None."""
+    """Cores, memory and disk. ``folder``: its disk is checked; the current folder if None."""
     name = "machine"
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     free = shutil.disk_usage(folder or Path.cwd()).free
@@ -307,7 +307,7 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
 
 
 def diagnoses(checks: tuple[Callable[[], Diagnosis], ...]) -> Iterator[Diagnosis]:
-    """Results of checks; one that fails itself is told as wrong."""
+    """Results of checks; a check that raises an error counts as wrong."""
     for check in checks:
         try:
             yield check()

@@ -140,7 +140,7 @@ def rig(
         RiggingChoice, typer.Option(help="Method for the weights of a mesh without weights.")
     ] = RiggingChoice.heat,
     skeleton: Annotated[
-        SkeletonChoice, typer.Option(help="Joints detected in the mesh, or those of the general skeleton.")
+        SkeletonChoice, typer.Option(help="Joints detected in the mesh, or joints of the general skeleton.")
     ] = SkeletonChoice.fitted,
     skinning: Annotated[SkinningChoice, typer.Option(help="Skinning method.")] = SkinningChoice.linear,
     unit: UnitOption = None,

@@ -71,7 +71,7 @@ MinConfidenceOption = Annotated[
     float | None,
     typer.Option(
         metavar="FRACTION",
-        help="Lowest confidence that the motion is that of a person; 0.12 if absent, 0 for animals.",
+        help="Lowest confidence that the motion belongs to a person; 0.12 if absent, 0 for animals.",
         min=0.0,
         max=1.0,
     ),
@@ -163,7 +163,7 @@ def retarget(
 ) -> None:
     """Retarget a motion: print the head, tail (metres) and rotation_xyzw of each bone in the world.
 
-    The rotation is that of the frame of the bone, whose y axis is along the bone.
+    The rotation belongs to the frame of the bone, whose y axis is along the bone.
     """
     from dataclasses import replace
 

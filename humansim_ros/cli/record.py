@@ -169,7 +169,7 @@ def _record_on_ray(
     """Record with the workers of a Ray cluster."""
     from humansim_ros.record.cluster import record_on_cluster
 
-    # its numbers are those of camera-frames
+    # its numbers count camera-frames
     with frame_progress("recording", 1, "camera-frames") as display:
         try:
             state = record_on_cluster(recordings, address, workers=jobs, resume=resume, on_progress=display)

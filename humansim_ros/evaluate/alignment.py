@@ -147,7 +147,7 @@ def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -
     scale = power if 1 / _UNIT_FACTOR < factor / power < _UNIT_FACTOR else factor
     word = f"{1 / scale:g} times as large" if scale < 1 else f"{scale:g} times as small"
     raise EvaluationError(
-        f"the people of the estimate are {word} as those of the truth: is the estimate in another unit? "
+        f"the people of the estimate are {word} as the people of the truth: is the estimate in another unit? "
         f"Give --scale {scale:.3g}",
         path=estimate.source,
     )

@@ -28,7 +28,7 @@ from humansim_ros.keypoints import KeypointSet, keypoint_set
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.types import Image
 
-#: Formats with 3D poses, and the keypoint set that they have; None: that of the export.
+#: Formats with 3D poses, and the keypoint set that they have; None: the set of the export.
 _POSES: dict[str, str | None] = {"trc": None, "c3d": None, "panoptic": "panoptic19"}
 _COCO = "coco/instances.json"
 #: Greatest size of a file of truth.
@@ -141,7 +141,7 @@ class ExportTruth:
         data = read_bytes(self.folder / name, EvaluationError, "exported", _MAX_BYTES)
         if hashlib.sha256(data).hexdigest() != self._files[name].get("sha256"):
             raise EvaluationError(
-                "this file has changed since it was exported: its hash is not that of the index",
+                "this file has changed since it was exported: its hash differs from the index",
                 path=self.folder / name,
             )
 
@@ -149,7 +149,7 @@ class ExportTruth:
 class ExportPictures:
     """Colour images of an export.
 
-    Stamps of 3D files are rounded: an image is that of a stamp if it is the nearest.
+    Stamps of 3D files are rounded: an image belongs to a stamp if it is the nearest.
 
     Args:
         folder: Folder of the export.
@@ -237,7 +237,7 @@ class SceneImages:
         if len(frames) > MAX_RENDERED_FRAMES:
             raise EvaluationError(
                 f"the estimate has images of frames {frames[0]} to {frames[-1]}, more than "
-                f"{MAX_RENDERED_FRAMES}: are the numbers of the images those of an export of the scene? "
+                f"{MAX_RENDERED_FRAMES}: do the numbers of the images come from an export of the scene? "
                 "Give the export as --truth",
                 path=self.scene.path,
                 key="--truth",
@@ -266,7 +266,7 @@ class SceneImages:
 def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
     """Open the truth of images: an export, or a scene, which is rendered.
 
-    ``keypoints``: name of the keypoint set; that of the export, or coco17, if None.
+    ``keypoints``: name of the keypoint set; if None, the set of the export, or coco17.
 
     Raises:
         HumansimError: The scene or export is wrong, is a bag, or has other keypoints.

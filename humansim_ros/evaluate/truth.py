@@ -129,7 +129,7 @@ def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, 
     if last - first >= MAX_TRUTH_FRAMES or first >= 100 * MAX_TRUTH_FRAMES:
         start, end = (f"{time * 1e-9:.3f} s" for time in span)
         raise EvaluationError(
-            f"the times of the estimate, {start} to {end}, are not those of a scene, which begins at 0 s: "
+            f"the times of the estimate, {start} to {end}, are not times of a scene, which begins at 0 s: "
             "were they stamped with a wall clock? Record truth and estimate together and give the bag as "
             "--truth, or run the scene in lockstep",
             path=scene.path,

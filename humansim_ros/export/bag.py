@@ -68,7 +68,7 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True)
 class _Needed:
-    """Topics of which each frame needs a message, by what they hold.
+    """Topics that have a message for each whole frame, by what they hold.
 
     Attributes:
         channels: Topic by camera and channel.
@@ -164,12 +164,12 @@ def _parsed(text: str) -> Any:
 
 
 class _Survey:
-    """What a bag holds for some formats. Arguments are those of :meth:`BagSource.read`."""
+    """What a bag holds for some formats. Arguments as in :meth:`BagSource.read`."""
 
     def __init__(self, reader: BagReader, formats: tuple[ExportFormat, ...], keypoints: str) -> None:
         self._reader, self._formats, self._keypoints = reader, formats, keypoints
         counts = reader.info.counts
-        # in the order of the bag, which is that of the scene if humansim has recorded it
+        # in the order of the bag, which is the order of the scene if humansim has recorded it
         names = (topic.name for index, topic in enumerate(reader.topics) if counts.get(index))
         self._topics = dict.fromkeys(names)
         self._content = frozenset[str]().union(*(row.content for row in formats))
@@ -208,7 +208,7 @@ class _Survey:
         names = dict.fromkeys(name for name, _, rest in split if rest.startswith(ends))
         cameras = [name for name in names if name not in ("humans", "objects")]
         if all(row.content == {POSITIONS} and not row.keypoints for row in self._formats):
-            # nothing but paths of points is written: cameras of which too little is known are left out
+            # only paths of points are written: cameras with unknown parts are left out
             known = [
                 {f"/{name}/camera_info", f"/{name}/extrinsics"} <= self._topics.keys() for name in cameras
             ]
@@ -216,7 +216,7 @@ class _Survey:
         return cameras
 
     def _people(self) -> list[str]:
-        """People of which there are topics."""
+        """People who have topics."""
         parts = (topic.split("/") for topic in self._topics)
         return list(dict.fromkeys(each[2] for each in parts if each[1] == "humans" and len(each) > 3))
 
@@ -411,7 +411,7 @@ class BagFrames:
         for (chosen, person), topic in needed.positions.items():
             poses = read(topic, MultiDOFJointState, messages.read_joints)
             if poses.names != keypoint_set(chosen).names:
-                raise ExportError(f"the points are not those of {chosen}", path=source.path, key=topic)
+                raise ExportError(f"the points are not the points of {chosen}", path=source.path, key=topic)
             positions.setdefault(chosen, {})[person] = poses.positions[0]
         scene_time = place.stamp - source.frames[0].stamp
         if _SCENE_TIME in data:
@@ -481,7 +481,7 @@ class BagFrames:
             rows = rows[np.argsort(rows["joint"], kind="stable")]
             if rows["joint"].tolist() != list(range(count)):
                 raise ExportError(
-                    f"{len(rows)} points of {name} are not those of {self._source.keypoints}",
+                    f"{len(rows)} points of {name} are not the points of {self._source.keypoints}",
                     path=self._source.path,
                 )
             optical = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(float)

@@ -1,7 +1,7 @@
 """COCO: people with keypoints, boxes and masks, and objects as categories [Lin 2014].
 
 ``person_keypoints.json`` has the people, ``instances.json`` people and objects. Names of images start from
-the folder ``images`` of the export. Boxes and areas are those of the visible pixels; a body without any has
+the folder ``images`` of the export. Boxes and areas come from the visible pixels; a body without any has
 no annotation. Boxes are measured from the corner of the image, keypoints from the centre of its first pixel,
 as detectors expect them from COCO.
 """

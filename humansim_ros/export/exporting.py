@@ -313,7 +313,7 @@ def _begin(job: Export) -> None:
 
 
 def _remove_temporary_files(root: Path, files: Collection[str]) -> None:
-    """Remove files that processes were writing when they were killed. ``files``: those of the export."""
+    """Remove files that processes were writing when they were killed. ``files``: files of the export."""
     for folder, _, names in os.walk(root):
         for name in names:
             path = Path(folder) / name

@@ -54,7 +54,7 @@ class ExportFormat:
             :data:`POSITIONS` and :data:`BODIES`.
         keypoints: Keypoint set that it always has; empty if there is a choice.
         images: Its files name colour images: the tree of images is written, too.
-        needs: Python modules that it needs beyond those of the package.
+        needs: Python modules that it needs beyond the dependencies of the package.
     """
 
     name: str

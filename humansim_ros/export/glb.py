@@ -43,7 +43,7 @@ class AnimatedHuman:
 
 
 def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBones:
-    """Posed bones for BVH files, whose bones have constant lengths: those of the first frame.
+    """Posed bones for BVH files, whose bones have constant lengths, from the first frame.
 
     Warns (HumansimWarning) if keyframes change the size of the person. ``name``: of the person, for the
     warning. ``frame_time``: seconds.
@@ -110,8 +110,8 @@ _VERTICES, _TRIANGLES = 34962, 34963
 def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
     """Content of a GLB file with people, their skeletons, weights, textures and motions.
 
-    The axes are those of glTF: y up, metres, x_gltf = y_map, y_gltf = z_map, z_gltf = x_map. Vertices 0 to
-    V - 1 of a mesh are those of the human in their order; copies for seams of the texture follow, and the
+    The axes of glTF are: y up, metres, x_gltf = y_map, y_gltf = z_map, z_gltf = x_map. Vertices 0 to
+    V - 1 of a mesh are the human's in their order; copies for seams of the texture follow, and the
     attribute ``_VERTEX`` has the number of the original of each. A node of a bone has the axes of the bone (y
     along it). There is one animation; its time starts at 0. Warns (HumansimWarning) of humans with dual
     quaternion skinning: glTF has only linear blending, and their vertices differ.
@@ -324,7 +324,7 @@ def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np
     """Copy vertices that have several texture coordinates: glTF has one per vertex.
 
     Returns:
-        Original vertex (N,) of each vertex, of which the first V are 0 to V - 1; texture coordinates (N, 2),
+        Original vertex (N,) of each vertex; the first V are 0 to V - 1; texture coordinates (N, 2),
         v up, or None; and triangles (T, 3) of the N vertices.
     """
     count = len(mesh.vertices)

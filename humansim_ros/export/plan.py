@@ -27,7 +27,7 @@ class ExportPlan:
     Attributes:
         scene: Hash of the source: of the scene and of the files that it names, or of the bag.
         first: Number of the first frame.
-        end: Number after that of the last frame.
+        end: Number of the last frame plus one.
         formats: Names of the formats, images included if others need them.
         image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
         keypoints: Name of the keypoint set.

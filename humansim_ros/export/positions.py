@@ -59,7 +59,7 @@ class MarkerPaths:
 def trc_text(paths: MarkerPaths, name: str) -> str:
     """Text of a TRC file, as OpenSim, Pose2Sim and OpenCap read it: metres, y up.
 
-    The axes are those of OpenSim and of body space: x_trc = y_map, y_trc = z_map, z_trc = x_map. A missing
+    Axes as in OpenSim and body space: x_trc = y_map, y_trc = z_map, z_trc = x_map. A missing
     point has three empty fields. Frames count from 1, times are seconds from the start of the scene.
     ``name``: name of the file, which is in its first line.
 
@@ -104,7 +104,7 @@ def _trc_lines(name: str, paths: MarkerPaths) -> Iterator[str]:
 def c3d_bytes(paths: MarkerPaths) -> bytes:
     """Content of a C3D file (32 bit floats): millimetres, the axes of ``map`` (z up).
 
-    A missing point has the residual -1. The first frame is that of the scene, from 1. Needs the package c3d.
+    A missing point has the residual -1. Frames count as in the scene, from 1. Needs the package c3d.
 
     Raises:
         ExportError: A name is too long, or not in ASCII.

@@ -125,7 +125,7 @@ class ExportCamera:
     """A camera of an export.
 
     Attributes:
-        camera: Calibration of its images and pose; that of the first frame if it moves.
+        camera: Calibration of its images and pose; the pose of the first frame if it moves.
         moves: It has another pose in each frame.
         encoding: ROS encoding of its images, such as ``rgb8``.
     """

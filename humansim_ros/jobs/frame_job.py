@@ -110,7 +110,7 @@ class FrameProgress:
 
     @classmethod
     def of(cls, frames: int, missing: int | None = None) -> FrameProgress:
-        """Progress of work of which ``missing`` frames are not done; all if None."""
+        """Progress of work that has ``missing`` frames to do; all if None."""
         done = 0 if missing is None else frames - missing
         return cls(done, frames, done)
 

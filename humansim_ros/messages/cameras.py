@@ -38,7 +38,7 @@ _MAX_DISTORTION, _MAX_NAME = 14, 64
 def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:
     """Build ``<camera>/camera_info``.
 
-    Size, K, D, R and P are those of the whole sensor, as drivers publish them. K contains the skew, which
+    Size, K, D, R and P belong to the whole sensor, as drivers publish them. K contains the skew, which
     OpenCV and image_geometry ignore; P has no skew.
 
     Args:

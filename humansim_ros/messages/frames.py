@@ -56,7 +56,7 @@ class Frames(Generic[Content]):
     same time.
 
     Args:
-        required: Topics of which a whole frame has a message.
+        required: Topics that have a message in a whole frame.
         max_frames: Most frames that are held; None: any number.
         max_of_topic: Most messages of a topic that are held; the smallest stamps go. None: any number.
         max_size: Greatest sum of sizes that is held; None: any.
@@ -418,7 +418,7 @@ class PacedFrames(Frames[Any]):
         past = [each for each in self._frames if stamp - far <= each < stamp]
         for each in past:
             self.pop(each)
-        # the last frame again, of which not every message came: it is not lost
+        # the last frame again, without some of its messages: it is not lost
         repeated = self._last is not None and self._last[0] in past
         self._last = (stamp, now, steady)
         return WholeFrame(stamp, contents, len(past) - repeated)

@@ -267,11 +267,11 @@ class CameraTopics:
     Args:
         scene: The scene.
         camera: The camera.
-        frame: Optical frame; that of the name of the camera if None.
+        frame: Optical frame; if None, the frame of the name of the camera.
         channels: Channels that the renderer supports; other channels have no topic.
 
     Attributes:
-        images: Images of the channels; those of single bodies, one for each.
+        images: Images of the channels; channels of single bodies have an image for each.
         rectified: Images without lens distortion by channel; none if the camera has no distortion.
         info: Calibration, beside the colour image: image_transport takes it from the namespace of the image.
         truth_infos: True calibration, beside each other image.

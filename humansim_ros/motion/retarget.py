@@ -140,7 +140,7 @@ def collar_links(
 def collar_directions(poses: JointPoses, match: JointMatch, loose: Collection[str]) -> dict[str, Array]:
     """Directions (3,) of the links of the collars at joint rotation zero, in a body that faces +x.
 
-    Those of ``loose`` bones are the mean directions from the chest.
+    Directions of ``loose`` bones are the mean directions from the chest.
     """
     chest = line_rotations(poses, match)[:, LINE_ROTATIONS.index("chest")]
     at_zero = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))

@@ -156,7 +156,7 @@ class PersonFit:
         bones: Names of the B bones.
         root: (F, 4, 4) rigid transforms from body space to ``map``.
         rotations: (F, B, 4) quaternions xyzw of the bones, as :meth:`~humansim_ros.body.Skeleton.pose` takes
-            them. That of the first bone is the identity: ``root`` has its rotation.
+            them. The rotation of the first bone is the identity: ``root`` has its rotation.
         period: Nanoseconds between frames.
         keypoints: Name of the set of the points.
         views: Names of the V views.

@@ -61,7 +61,7 @@ _FOOT = 0.4
 _FARTHEST = 0.3
 #: A point is wrong if it is farther than this number of standard deviations of the noise.
 _DEVIATIONS = 3.5
-#: Least and greatest limit in pixels, so that exact points and points without a person have one.
+#: Least and greatest limit in pixels, for exact points and for points without a person.
 _LEAST_LIMIT, _ONLY_LIMIT = 1.0, 30.0
 #: Median of the squared length of a vector of two standard normal numbers.
 _MEDIAN_SQUARE = 2 * np.log(2)
@@ -452,7 +452,7 @@ def triangulate_photos(photos: PhotoSet) -> tuple[Triangulation, ...]:
         counts = ", ".join(f"{name} {count}" for name, count in zip(photos.names, seen, strict=True))
         raise PhotographError(
             "no keypoint is seen by two views that agree, so that the person has no place; numbers of "
-            f"points: {counts}. Check the points, and that the calibration is that of these images",
+            f"points: {counts}. Check the points, and that the calibration belongs to these images",
             path=photos.path,
         )
     frames = defaultdict[str, list[int]](list)

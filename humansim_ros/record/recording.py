@@ -285,7 +285,7 @@ class SceneRecording:
 
     @property
     def cameras(self) -> Sequence[str]:
-        """Names of the cameras of which topics are recorded."""
+        """Names of the cameras that have recorded topics."""
         return list(dict.fromkeys(topic.camera for topic in self.table if topic.camera))
 
     def start(self) -> RecordingWorker:
@@ -322,7 +322,7 @@ class RecordingWorker:
 
     def __init__(self, recording: SceneRecording, renderer: Renderer) -> None:
         self._compression = recording.plan.compression
-        #: Topics with their index, by camera; those of no camera first.
+        #: Topics with their index, by camera; topics of no camera first.
         self._parts: dict[str, list[tuple[int, Topic[Any]]]] = {}
         for index, topic in enumerate(recording.table):
             self._parts.setdefault(topic.camera, []).append((index, topic))

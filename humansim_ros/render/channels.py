@@ -39,7 +39,7 @@ class Channel:
         adjacent_frame: Frame that the channel compares with.
         occlusion: The adjacent frame has to be rendered too, to find what is hidden in it.
         per_body: There is one image for each labelled body.
-        labels_bodies: The channel describes labelled bodies only. Those of static bodies are cached.
+        labels_bodies: The channel describes labelled bodies only. Labels of static bodies are cached.
         rectified_topic: ROS topic of the channel without lens distortion, if there is one.
     """
 

@@ -36,7 +36,7 @@ _RIM, _BEYOND = 0.01, 0.1
 #: Points along each side of the image at which the lens is sampled.
 _GRID = 65
 _ROUNDS, _MAX_TRIANGLES = 14, 4_000_000
-#: Near plane in metres; that of wide lenses; and the tangent of the angle to the axis from which a lens is
+#: Near plane in metres, also for wide lenses, and the tangent of the angle to the axis from which a lens is
 #: wide: points beside the camera have a small depth at any distance.
 NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0
 
@@ -279,8 +279,8 @@ def _length(vectors: Array) -> Array:
 def _halves(corners: Indices, ends: Indices, half: Indices) -> Indices:
     """(N, 3, 2) edges of the halves of the sides of triangles (N, 3), the half at the start of a side first.
 
-    ``ends``: (N, 3, 2) of the edges of the sides. ``half``: (N, 3) edge of the half at the first end; that of
-    the other half is the next one; or -1.
+    ``ends``: (N, 3, 2) of the edges of the sides. ``half``: (N, 3) edge of the half at the first end; the edge
+    of the other half is the next one; or -1.
     """
     turned = (ends[..., 0] != corners).astype(np.intp)
     both = np.stack([half + turned, half + 1 - turned], axis=2)

@@ -99,7 +99,7 @@ class StaticLayers:
         return tuple(lit_program(self._ctx, self._lighting, names, sun) for names in (switches, *transparent))
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
-        """Return the image for a camera. That of a moving camera is not cached: the next one replaces it."""
+        """Return the image for a camera. Images of a moving camera are not cached."""
         if moving_camera:
             if self._moving is not None:
                 self._moving.release()

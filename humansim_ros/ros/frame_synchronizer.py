@@ -164,7 +164,7 @@ class FrameSynchronizer:
         """Joints of a serialised message. Raises RosError unless the body has the same joints."""
         poses = messages.read_joints(deserialised(data, MultiDOFJointState))
         if poses.names != self._scene.actors[human].human.skeleton.joint_names:
-            raise RosError(f"{human}: {len(poses.names)} joints that are not those of its body")
+            raise RosError(f"{human}: {len(poses.names)} joints that are not the joints of its body")
         return messages.joint_motion(poses)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:

@@ -211,6 +211,6 @@ def _text(name: str, is_namesake: bool, topics: list[str]) -> str:
     subject = f"another node is called {name}" if is_namesake else f"another node, {name},"
     action = f"{' and' if is_namesake else ''} publishes {named}" if topics else ""
     return (
-        f"{subject}{action}: its messages mix with those of this suite. Stop it, or give one of the two "
+        f"{subject}{action}: its messages mix with this suite's. Stop it, or give one of the two "
         "another ROS_DOMAIN_ID or namespace"
     )

@@ -230,7 +230,7 @@ class FlickerFault(Section):
 
 
 class ExposureStepsFault(_NumberSection):
-    """The exposure steps, as that of an automatic exposure does."""
+    """The exposure changes in steps, as with an automatic exposure."""
 
     probability: Share = Field(description="probability that the exposure steps at a frame")
     stops: tuple[_Stops, _Stops] = Field(
@@ -382,7 +382,8 @@ class CameraConfig(Section):
         default=None, description="chosen by the number of coefficients if absent"
     )
     rectification: tuple[Vector3, Vector3, Vector3] | None = Field(
-        default=None, description="R of CameraInfo: rotation from the optical frame to that of image_rect"
+        default=None,
+        description="R of CameraInfo: rotation from the optical frame to the frame of image_rect",
     )
     rectified: tuple[_Row4, _Row4, _Row4] | None = Field(
         default=None, description="P of CameraInfo, with the baseline of a stereo camera"

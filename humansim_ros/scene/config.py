@@ -111,7 +111,7 @@ class MotionConfig(ShortSection):
         default=None,
         ge=0,
         le=1,
-        description="lowest confidence that the motion is that of a person, 0.12 if absent; 0 for animals",
+        description="lowest confidence that the motion belongs to a person, 0.12 if absent; 0 for animals",
     )
     retarget: Literal["full", "thesis"] = Field(
         default="full", description="full rotations with twist, or bones parallel to links as in the thesis"

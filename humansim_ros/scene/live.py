@@ -1,5 +1,5 @@
 """Retarget joints of any joint source: the motion of the scene, a motion that the player has changed, or
-live motion capture, of which only messages are known.
+live motion capture, which is known by its messages only.
 """
 
 from __future__ import annotations

@@ -320,7 +320,7 @@ class Scene(Pictured):
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
         if config.renderer == "pyrender" and distorted:
             raise SceneError(
-                f"pyrender does not render distorted lenses, such as that of {distorted[0]}: use moderngl",
+                f"pyrender does not render distorted lenses, as of {distorted[0]}: use moderngl",
                 key="renderer",
             )
         random = frozenset(config.humans) - named

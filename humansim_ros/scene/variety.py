@@ -241,7 +241,7 @@ def _samples(mesh: Mesh) -> Array:
 
 
 def _seen_from_above(points: Array, area: Array) -> Array:
-    """Those of the surface points (N, 3) that are in the way, as (M, 2)."""
+    """Surface points (N, 3) that are in the way, as (M, 2)."""
     height = points[:, 2]
     in_the_way: NDArray[np.bool_] = (height > _LOW) & (height < _HIGH)
     flat = points[:, :2]

@@ -113,7 +113,7 @@ class PhotoDocument:
                 path=file,
             )
         if fit.bones != fit.body.skeleton.names:
-            raise PhotographError(f"its bones are not those of {fit.human}", path=file, key="bones")
+            raise PhotographError(f"its bones are not the bones of {fit.human}", path=file, key="bones")
         return cls(photos, fit)
 
     # --- state and drawings

@@ -204,7 +204,10 @@ def test_plausible_cameras_pass_all_checks() -> None:
         (camera(K=[[600, 30, 320], [0, 600, 240], [0, 0, 1]]), "a skew of 30, 5.0% of the focal length"),
         (camera(K=[[0.9, 0, 320], [0, 0.9, 240], [0, 0, 1]]), "is K in pixels?"),
         (camera(distortion=(-0.9, 0, 0, 0)), "of the image sees nothing: this lens model folds"),
-        (camera(rectified=[[2400, 0, 320, 0], [0, 2400, 240, 0], [0, 0, 1, 0]]), "4 and 4 times those of K"),
+        (
+            camera(rectified=[[2400, 0, 320, 0], [0, 2400, 240, 0], [0, 0, 1, 0]]),
+            "4 and 4 times K",
+        ),
         (camera(rectified=[[600, 0, -20, 0], [0, 600, 240, 0], [0, 0, 1, 0]]), "is outside the image"),
         (camera(rectified=[[600, 0, 320, -72000], [0, 600, 240, 0], [0, 0, 1, 0]]), "a baseline of 120 m"),
         (Camera.look_at((0, 0, 1), (0.1, 0, 5)), "looks straight up"),

@@ -202,7 +202,7 @@ def test_a_wrong_unit_is_told_by_known_places(
     path, _, _ = in_file
     floor = floor_file(tmp_path, True)
     _, _, err = run(capsys, monkeypatch, path, "--unit", 0.002, "--floor-points", floor)
-    assert "distances in map are 0.5 times those of the file: is the unit of the file correct?" in err
+    assert "distances in map are 0.5 times the distances of the file: is the unit of the file correct?" in err
     fitted = run(capsys, monkeypatch, path, "--unit", 0.002, "--floor-points", floor, "--fit-unit", "--json")
     facts = json.loads(fitted[1])
     assert facts["unit"] == pytest.approx(0.001) and not fitted[2]

@@ -310,9 +310,7 @@ def test_a_scene_with_a_lens_that_pyrender_does_not_know_is_refused(tmp_path: Pa
     path = tmp_path / "scene.yaml"
     camera = "{position: [3, 0, 1], look_at: [0, 0, 1], distortion: [0.1, 0, 0, 0]}"
     path.write_text(f"room: null\nrenderer: pyrender\ncameras:\n  bent: {camera}\n")
-    with pytest.raises(
-        HumansimError, match=r"scene.yaml:2: renderer: .*distorted lenses, such as that of bent"
-    ):
+    with pytest.raises(HumansimError, match=r"scene.yaml:2: renderer: .*distorted lenses, as of bent"):
         Scene.load(path)
 
 

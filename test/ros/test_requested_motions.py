@@ -74,7 +74,7 @@ def test_other_files_are_refused_whether_they_exist_or_not(
         assert "folder" in said or "regular" in said
         return
     assert said == (
-        "requests name built-in motions, and files below the folder of the scene or below those of the "
+        "requests name built-in motions, and files below the folder of the scene or below folders of the "
         "parameter motion_folders, which is set at the start"
     )
 

@@ -54,7 +54,7 @@ class RawCamera:
 
     ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R x + t; or ``center`` (3,) in place of t. R is None if
     the file has no extrinsics of the camera. ``locations``: location of each of these values in the file; ""
-    is that of the camera.
+    is the location of the camera.
     """
 
     K: Array
@@ -359,7 +359,7 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
 
     Returns:
         Cameras; empty if the document has none. Cameras of a list without names have their indices as names.
-        Names that several groups have, such as the streams of several devices, begin with that of the group.
+        Names that several groups have, such as the streams of several devices, begin with its name.
     """
     if is_camera(file.document):
         return [(_name(file.document, Path(file.path).stem), ())]

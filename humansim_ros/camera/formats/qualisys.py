@@ -1,7 +1,7 @@
 """Calibrations of Qualisys Track Manager (.qca.txt, XML): millimetres, z up.
 
 The rows of r11 … r33 are the axes of the camera in the world: x right, y up, z backward; x, y, z is its
-centre. Focal lengths and principal points are in 1/64 pixel of the sensor; a pixel of the video is that of
+centre. Focal lengths and principal points are in 1/64 pixel of the sensor; a pixel of the video is a pixel of
 the sensor minus the corner of fov_video. Poses and K are as in Pose2Sim's conversion. The distortion
 coefficients are as in OpenCV, without a unit; Pose2Sim divides them by 64 as well, which leaves almost no
 distortion. https://github.com/perfanalytics/pose2sim

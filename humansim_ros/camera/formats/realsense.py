@@ -1,6 +1,6 @@
 """Intrinsics as JSON: dumps of rs2_intrinsics (librealsense, pyrealsense2), and camera files of Open3D.
 
-The first have the fields of rs2_intrinsics, for one camera or for streams by name. Those of Open3D have
+The first have the fields of rs2_intrinsics, for one camera or for streams by name. Files of Open3D have
 matrices in column order, and may have extrinsics (x = R X + t, metres). Both measure pixels from the centre
 of the first one. https://github.com/realsenseai/librealsense/wiki/Projection-in-RealSense-SDK-2.0,
 https://www.open3d.org/docs/release/python_api/open3d.camera.html

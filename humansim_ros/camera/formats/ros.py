@@ -85,9 +85,7 @@ def _read_message(file: CalibrationFile) -> dict[str, RawCamera]:
     parts = ("x_offset", "y_offset", "height", "width")
     binned = any(file.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
     if binned or any(file.get("roi", part) for part in parts):
-        warn_about(
-            file.path, "binning and region of interest are ignored: the camera is that of the full image"
-        )
+        warn_about(file.path, "binning and region of interest are ignored: the camera has the full image")
     frame = str(file.get("header", "frame_id") or "").strip()
     return {frame.removesuffix("_optical_frame") or Path(file.path).stem: camera}
 

@@ -194,7 +194,7 @@ def _checked(row: Any, images: ImageNumbers, path: Path, key: str) -> _Record:
     size = images.size(row["image_id"])
     if size is None:
         raise EvaluationError(
-            f"the truth has no image {row['image_id']}; numbers are those of the COCO export of the scene",
+            f"the truth has no image {row['image_id']}; numbers are as in the COCO export of the scene",
             path=path,
             key=f"{key}.image_id",
         )
@@ -241,7 +241,7 @@ def _mask(value: Any, size: tuple[int, int], path: Path, key: str) -> _Record:
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         given = value.get("size") if isinstance(value, dict) else value
         raise EvaluationError(
-            f"the size is {str(given)[:40]}, but that of the image is [{height}, {width}]", path=path, key=key
+            f"the size is {str(given)[:40]}, but the image has [{height}, {width}]", path=path, key=key
         )
     counts = value.get("counts")
     try:
@@ -362,7 +362,7 @@ def _label_image(path: Path, size: tuple[int, int] | None) -> NDArray[Any]:
         raise EvaluationError("this is no PNG image", path=path)
     if declared != size:
         own, known = ("x".join(map(str, each or ())) for each in (declared, size))
-        raise EvaluationError(f"its size is {own}, but that of the image {known}", path=path)
+        raise EvaluationError(f"its size is {own}, but the image has {known}", path=path)
     labels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if labels is None or labels.ndim != 2:
         reason = "it is damaged" if labels is None else "it has colours; a label image has one channel"

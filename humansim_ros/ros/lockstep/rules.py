@@ -62,7 +62,7 @@ class Lockstep:
 
     Args:
         required: Names of the members that frames wait for from the start.
-        starting: Those of them that belong to the scene. Until each of them has reported once, or for 60 s,
+        starting: Members that belong to the scene. Until each of them has reported once, or for 60 s,
             no time-out counts.
         timeout: Seconds after which a member is overdue.
         now: Present time. All times are in seconds of one clock that never goes back.

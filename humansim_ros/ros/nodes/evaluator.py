@@ -51,14 +51,16 @@ class EvaluatorNode(SuiteNode):
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__("evaluator", **options)
-        path = self.text_parameter("scene", "", "Scene file whose truth is computed; empty: that of topics")
+        path = self.text_parameter(
+            "scene", "", "Scene file whose truth is computed; empty: the truth of topics"
+        )
         topic = self.text_parameter(
             "topic", "", "Topic of the estimate; * stands for the name of a person, as in /tracker/*/joints"
         )
         keypoints = self.text_parameter("keypoints", "", "Keypoint set such as coco17; empty: joints")
         names = self.text_parameter("names", "", "YAML file: names of joints, as humansim evaluate --names")
         scale = self.number_parameter("scale", 1.0, 1e-9, 1e9, "Metres of a unit of the estimate")
-        axes = self.text_parameter("axes", "", "Axes of the estimate, such as y-up; empty: those of map")
+        axes = self.text_parameter("axes", "", "Axes of the estimate, such as y-up; empty: the axes of map")
         description = "Greatest mean joint distance of a person who is found, metres"
         gate = self.number_parameter("gate", DEFAULT_GATE, 0.001, 1000.0, description)
         self._window = self.number_parameter("window", 5.0, 0.1, 3600.0, "Seconds of the sliding window")

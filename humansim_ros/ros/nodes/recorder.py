@@ -131,7 +131,7 @@ class RecorderNode(SuiteNode):
         super().__init__("recorder", **options)
         declare, texts = self.described_parameter, Parameter.Type.STRING_ARRAY
         path = self.text_parameter("scene", "", "Scene file whose topics are recorded; empty: none")
-        description = "Topics: names or patterns such as /left/*; none: those of the scene, or all"
+        description = "Topics: names or patterns such as /left/*; none: the topics of the scene, or all"
         names = declare("topics", texts, description, read_only=True) or ()
         description = (
             "Topics of other nodes that have a message for each frame in lockstep; they are recorded"

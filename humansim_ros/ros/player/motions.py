@@ -240,7 +240,7 @@ class RequestedMotions(SceneSource):
         path = None if file[:1] == "~" or "\0" in file else Path(os.path.realpath(self.folder / file))
         if path is None or not any(path.is_relative_to(folder) for folder in self.allowed):
             raise MotionError(
-                "requests name built-in motions, and files below the folder of the scene or below those of "
+                "requests name built-in motions, and files below the folder of the scene or below folders of "
                 f"the parameter {MOTION_FOLDERS}, which is set at the start"
             )
         try:

@@ -279,8 +279,8 @@ def _length(vectors: Array) -> Array:
 def _halves(corners: Indices, ends: Indices, half: Indices) -> Indices:
     """(N, 3, 2) edges of the halves of the sides of triangles (N, 3), the half at the start of a side first.
 
-    ``ends``: (N, 3, 2) of the edges of the sides. ``half``: (N, 3) edge of the half at the first end; the edge
-    of the other half is the next one; or -1.
+    ``ends``: (N, 3, 2) of the edges of the sides. ``half``: (N, 3) edge of the half at the first end;
+    the other half has the next edge; or -1.
     """
     turned = (ends[..., 0] != corners).astype(np.intp)
     both = np.stack([half + turned, half + 1 - turned], axis=2)

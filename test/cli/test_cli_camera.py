@@ -237,7 +237,7 @@ def test_principal_points_off_the_centre_are_one_note(tmp_path: Path) -> None:
     assert note.startswith(
         "note: the principal point of 00_03, (399.2, 233.7), is 12% of a side from the centre"
     )
-    assert "those of 4 more are above 7.5%" in note
+    assert "and 4 more are above 7.5%" in note
     read_calibration(tmp_path / "c.json")  # says nothing: no warning is an error here
 
 

@@ -248,7 +248,8 @@ def known_man(monkeypatch: pytest.MonkeyPatch) -> Mesh:
     if SHARED_DATA.is_dir():
         return figure("human_male_T_uv_m.obj")
     man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
-    quads = man.mesh.faces[(man.mesh.faces >= 0).all(axis=1)]
+    faces = man.mesh.faces
+    quads = faces[((faces >= 0) & (faces < landmarks.SKIN_VERTICES)).all(axis=1)]
     near = {name: cKDTree(man.mesh.vertices).query(head, 40)[1] for name, head in
             zip(man.skeleton.names, man.skeleton.heads, strict=True)}  # fmt: skip
     joints = {name: {"vertices": ring.tolist(), "shares": [1.0] * 40} for name, ring in near.items()}

@@ -208,7 +208,7 @@ def test_results_with_mistakes(run: Run, root: Path) -> None:
         ([first | {"keypoints": [float("inf")] * 51}], "inf is no finite number"),
         ([first | {"bbox": [1, 2, -3, 4]}], "[0].bbox: x, y, width and height: one is negative"),
         ([first | {"bbox": [1, 2]}], "2 numbers, but 4 are needed"),
-        ([first | {"segmentation": mask | {"size": [9, 9]}}], "the size is [9, 9], but that of the image"),
+        ([first | {"segmentation": mask | {"size": [9, 9]}}], "the size is [9, 9], but the image has"),
         ([first | {"segmentation": mask | {"counts": mask["counts"][:-1]}}], "do not fill the image"),
         ([first | {"segmentation": mask | {"counts": "\u00e9\u00e9"}}], "do not fill the image"),
         ([first | {"segmentation": mask | {"counts": [1, 2]}}], "do not fill the image"),
@@ -264,7 +264,7 @@ def test_openpose_and_labels_with_mistakes(run: Run, root: Path, tmp_path: Path)
         shutil.rmtree(tmp_path / "estimate")
     image = np.zeros((72, 96), np.uint8)
     for pixels, message in [
-        (image[:50], "its size is 96x50, but that of the image 96x72"),
+        (image[:50], "its size is 96x50, but the image has 96x72"),
         (np.zeros((72, 96, 3), np.uint8), "it has colours; a label image has one channel"),
         (None, "this is no PNG image"),
         (image, "there is no detection in it"),
@@ -285,7 +285,7 @@ def test_options_and_truths_that_do_not_fit(run: Run, root: Path) -> None:
         (("set", "results.json", "--gate", "2"), "--gate: is for 3D poses"),
         (("set", "set/trc", "--min-score", "0.5"), "--min-score: is for detections in images"),
         (("set", "results.json", "--estimate", "set/trc"), "these are no detections in images"),
-        (("scene.yaml", "far.json"), "more than 108000: are the numbers of the images those of an export"),
+        (("scene.yaml", "far.json"), "more than 108000: do the numbers of the images come from an export"),
         (("set/coco", "results.json"), "--truth: the truth of detections in images is a scene, or a folder"),
     ]:
         code, _, text = run(*words)

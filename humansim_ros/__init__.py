@@ -2,7 +2,7 @@
 
 The public names are the names below and those that the folders export; docs/api.md lists them. All other
 names are internal and may change. Names are imported on first use: importing the package takes milliseconds.
-__init__.pyi says their types.
+__init__.pyi names their modules.
 
 Example:
     >>> from humansim_ros import Scene
@@ -18,63 +18,40 @@ Example:
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 __version__: str
 
 
-def lazy_exports(
-    package: str, modules: Mapping[str, str]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Export names of a package that are imported on first use (PEP 562).
 
     Args:
         package: ``__name__`` of the package.
-        modules: Name to export -> module that defines it, relative to the package.
+        file: Its ``__file__``. The stub beside it (.pyi) imports the names from the modules that define them.
 
     Returns:
         ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
     """
+    stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
+    modules = {name: module for module, name in re.findall(r"(?m)^from (\S+) import (\w+) as", stub)}
 
     def load(name: str) -> Any:
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{modules[name]}"), name)
+        return getattr(import_module(modules[name]), name)
 
     names = sorted(modules)
     return load, lambda: names, names
 
 
-_load, __dir__, __all__ = lazy_exports(
-    __name__,
-    {
-        "Camera": "camera.camera",
-        "Frame": "scene.simulation",
-        "Human": "humans.human",
-        "HumansimError": "errors",
-        "HumansimWarning": "errors",
-        "Mesh": "mesh.mesh",
-        "Motion": "motion.kinematics",
-        "Scene": "scene.scene",
-        "Simulation": "scene.simulation",
-        "View": "render.channels",
-        "evaluate": "apps.api",
-        "export": "apps.api",
-        "idealize": "camera.ideal",
-        "load_human": "humans.loading",
-        "record": "apps.api",
-        "read_bvh": "motion.bvh",
-        "read_calibration": "camera.calibration",
-        "read_mesh": "mesh.load",
-        "read_motion": "motion.files",
-        "write_bvh": "motion.bvh",
-        "write_calibration": "camera.calibration",
-    },
-)
+_load, __dir__, __all__ = lazy_exports(__name__, __file__)
 
 
 class _CallableFolder(ModuleType):

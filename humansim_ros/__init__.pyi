@@ -1,4 +1,4 @@
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from humansim_ros.apps.api import evaluate as evaluate
@@ -27,5 +27,5 @@ __version__: str
 
 def make_callable(folder: str) -> None: ...
 def lazy_exports(
-    package: str, modules: Mapping[str, str]
+    package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]: ...

@@ -4,30 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from humansim_ros import lazy_exports
 from humansim_ros.errors import BagError
 
-if TYPE_CHECKING:
-    from humansim_ros.bags.chunks import BagMessage as BagMessage
-    from humansim_ros.bags.chunks import encode_chunk as encode_chunk
-    from humansim_ros.bags.reader import BagReader as BagReader
-    from humansim_ros.bags.topics import BagTopic as BagTopic
-    from humansim_ros.bags.topics import Qos as Qos
-    from humansim_ros.bags.writer import BagWriter as BagWriter
-
-__getattr__, __dir__, __all__ = lazy_exports(
-    __name__,
-    {
-        "BagMessage": "chunks",
-        "BagReader": "reader",
-        "BagTopic": "topics",
-        "BagWriter": "writer",
-        "Qos": "topics",
-        "encode_chunk": "chunks",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
 
 
 @contextmanager

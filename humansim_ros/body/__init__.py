@@ -2,29 +2,11 @@
 
 import warnings
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from humansim_ros import lazy_exports
 
-if TYPE_CHECKING:
-    from humansim_ros.body.fitting import fit_skeleton as fit_skeleton
-    from humansim_ros.body.fitting import fit_to_skeleton as fit_to_skeleton
-    from humansim_ros.body.rigging import rig as rig
-    from humansim_ros.body.skeleton import Skeleton as Skeleton
-    from humansim_ros.body.skeleton import hanim_skeleton as hanim_skeleton
-    from humansim_ros.body.skinning import skin as skin
-
-_load, __dir__, __all__ = lazy_exports(
-    __name__,
-    {
-        "Skeleton": "skeleton",
-        "fit_skeleton": "fitting",
-        "fit_to_skeleton": "fitting",
-        "hanim_skeleton": "skeleton",
-        "rig": "rigging",
-        "skin": "skinning",
-    },
-)
+_load, __dir__, __all__ = lazy_exports(__name__, __file__)
 
 _MOVED = {"Human": "humansim_ros.humans", "Mesh": "humansim_ros.mesh", "read_mesh": "humansim_ros.mesh"}
 

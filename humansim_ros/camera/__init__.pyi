@@ -1,0 +1,13 @@
+from humansim_ros.camera.calibration import Calibration as Calibration
+from humansim_ros.camera.calibration import load_calibration as load_calibration
+from humansim_ros.camera.calibration import read_calibration as read_calibration
+from humansim_ros.camera.calibration import resolve_url as resolve_url
+from humansim_ros.camera.calibration import write_calibration as write_calibration
+from humansim_ros.camera.camera import Camera as Camera
+from humansim_ros.camera.camera import Region as Region
+from humansim_ros.camera.coverage import Coverage as Coverage
+from humansim_ros.camera.ideal import Ideal as Ideal
+from humansim_ros.camera.ideal import idealize as idealize
+from humansim_ros.camera.ideal import rectify as rectify
+from humansim_ros.camera.lens import Lens as Lens
+from humansim_ros.camera.trajectory import Trajectory as Trajectory

@@ -1,0 +1,12 @@
+from humansim_ros.photographs.fit_file import read_fit as read_fit
+from humansim_ros.photographs.fit_file import write_fit as write_fit
+from humansim_ros.photographs.fitting import fit_person as fit_person
+from humansim_ros.photographs.person_fit import PersonFit as PersonFit
+from humansim_ros.photographs.person_fit import Proportions as Proportions
+from humansim_ros.photographs.person_fit import fit_motion as fit_motion
+from humansim_ros.photographs.person_fit import with_proportions as with_proportions
+from humansim_ros.photographs.surface import TexturedPerson as TexturedPerson
+from humansim_ros.photographs.texturing import texture_person as texture_person
+from humansim_ros.photographs.views import Photo as Photo
+from humansim_ros.photographs.views import PhotoSet as PhotoSet
+from humansim_ros.photographs.views import read_views as read_views

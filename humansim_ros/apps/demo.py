@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -38,24 +37,10 @@ _MAX_CLOCKS = 200
 _MAX_CAMERAS = 8
 #: Quality of the JPEG images that the frames of the video are held as.
 _JPEG_QUALITY = 92
-#: Element type and shape of a pixel, by image encoding.
-_PIXELS: dict[str, tuple[type, tuple[int, ...]]] = {
-    "rgb8": (np.uint8, (3,)),
-    "32FC1": (np.float32, ()),
-    "mono8": (np.uint8, ()),
-    "bgr8": (np.uint8, (3,)),
-    "bayer_rggb8": (np.uint8, ()),
-}
 #: Encoding of the other images.
 _ENCODINGS = {"depth/image": "32FC1", "part/image": "mono8"}
 #: Pixels from which on a joint is not drawn.
 _FAR_OUTSIDE = 1e5
-#: Conversion of ``image_raw`` to RGB, by image encoding.
-_TO_RGB = {
-    "bgr8": cv2.COLOR_BGR2RGB,
-    "mono8": cv2.COLOR_GRAY2RGB,
-    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,  # OpenCV names the pattern by its second row
-}
 
 
 def record_demo(scene_path: Path, output: Path, duration: float, video: str = "walk.mp4") -> bool:
@@ -265,20 +250,17 @@ class _Recorder:
 
     def _image(self, topic: str, data: bytes) -> NDArray[Any]:
         """Pixels of a serialised image. Raises RosError unless it is as the camera of the topic sends it."""
+        from humansim_ros.messages import read_image
         from humansim_ros.messages.cdr import deserialised
 
         message = deserialised(data, self._message_types[topic])
         camera, kind = topic[1:].split("/", 1)
         encoding = _ENCODINGS.get(kind, self.scene.scene_cameras[camera].encoding)
         width, height = self.scene.cameras[camera].size
-        dtype, pixel = _PIXELS[encoding]
-        shape = (height, width, *pixel)
-        whole = len(message.data) == np.dtype(dtype).itemsize * math.prod(shape)
-        if (message.encoding, message.width, message.height) != (encoding, width, height) or not whole:
+        if (message.encoding, message.width, message.height) != (encoding, width, height):
             raise RosError(f"this is no image of {width}x{height} pixels in {encoding}")
-        pixels: NDArray[Any] = np.frombuffer(message.data, dtype).reshape(shape)
-        convert = _TO_RGB.get(encoding) if kind == "image_raw" else None
-        return pixels if convert is None else np.asarray(cv2.cvtColor(pixels, convert))
+        pixels = read_image(message)
+        return views.color_image(pixels, encoding) if kind == "image_raw" else pixels
 
     def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
         """Joints of a serialised message. Raises RosError unless humans of the scene have them."""
@@ -314,14 +296,7 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
             pixels = np.stack([own["u"], own["v"]], axis=-1)
             pixels[np.abs(pixels) > _FAR_OUTSIDE] = np.nan
             overlay = views.draw_joints(overlay, pixels, own["visible"], names, parents)
-        rows.append(
-            [
-                image,
-                overlay,
-                views.color_depth(depth),
-                views.color_labels(part),
-            ]
-        )
+        rows.append([image, overlay, views.color_depth(depth), views.color_labels(part)])
     titles = ("image_raw", "image_raw with joints", "depth/image", "part/image")
     return views.contact_sheet(rows, titles, recorder.cameras)
 

@@ -71,11 +71,6 @@ class BagThread:
         self._thread.start()
         self._topics = {topic.name: number for number, topic in enumerate(opened.result())}
 
-    @property
-    def queued_bytes(self) -> int:
-        """Bytes of messages that are not in the file yet."""
-        return self._bytes
-
     def add_topic(self, topic: BagTopic) -> int:
         """Add a topic, unless the bag has it; returns its number for messages."""
         if topic.name not in self._topics:

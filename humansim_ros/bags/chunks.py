@@ -12,7 +12,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
@@ -98,22 +98,6 @@ class Chunk:
     def data(self) -> Buffer:
         """The bytes in one buffer."""
         return self.buffers[0] if len(self.buffers) == 1 else b"".join(self.buffers)
-
-    def copy_into(self, target: memoryview) -> Chunk:
-        """Copy the bytes to the start of ``target``, such as shared memory; the same chunk without bytes.
-
-        The result is small and can be pickled; in the other process :meth:`with_data` makes it whole again.
-        """
-        position = 0
-        for buffer in self.buffers:
-            size = memoryview(buffer).nbytes
-            target[position : position + size] = memoryview(buffer).cast("B")
-            position += size
-        return replace(self, buffers=())
-
-    def with_data(self, data: Buffer) -> Chunk:
-        """The same chunk with its bytes in one buffer, which is not copied."""
-        return replace(self, buffers=(memoryview(data)[: self.size],))
 
 
 def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "none") -> Chunk:

@@ -21,6 +21,8 @@ _SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (25
 #: Grey of the title row and of the gaps of a contact sheet.
 _SHEET = 28
 _GAP = 4
+#: Width of the images of a contact sheet, pixels.
+_SHEET_WIDTH = 480
 
 
 def color_depth(depth: NDArray[np.float32]) -> Image:
@@ -158,25 +160,16 @@ def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
     return [_SIDE_COLORS[side_of(name)] for name in names], _VISIBLE_COLOR, _HIDDEN_COLOR
 
 
-def contact_sheet(
-    rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str], width: int = 480
-) -> Image:
-    """Arrange images in a grid.
-
-    Args:
-        rows: Images (H, W, 3) of each row.
-        titles: Title above each column.
-        labels: Label in the lower left corner of each row.
-        width: Width that all images are scaled to, pixels.
-    """
-    lines = [_join_columns([_resized(image, width) for image in row]) for row in rows]
+def contact_sheet(rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str]) -> Image:
+    """Arrange images (H, W, 3) in a grid; ``titles`` of the columns, ``labels`` of the rows."""
+    lines = [_join_columns([_resized(image, _SHEET_WIDTH) for image in row]) for row in rows]
     for line, label in zip(lines, labels, strict=True):
         position = (12, line.shape[0] - 14)
         draw_text(line, label, position, 0.6, (0, 0, 0), 4)
         draw_text(line, label, position, 0.6, (255, 255, 255))
     head = np.full((40, lines[0].shape[1], 3), _SHEET, np.uint8)
     for column, title in enumerate(titles):
-        draw_text(head, title, (column * (width + _GAP) + 12, 27), 0.62, (235, 235, 235))
+        draw_text(head, title, (column * (_SHEET_WIDTH + _GAP) + 12, 27), 0.62, (235, 235, 235))
     gap = np.full((_GAP, lines[0].shape[1], 3), _SHEET, np.uint8)
     return np.concatenate([head, *[part for line in lines for part in (line, gap)]])
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, fields, is_dataclass
+from itertools import groupby
 from typing import Any
 
 from humansim_ros.evaluate.evaluation import Evaluation
@@ -108,44 +109,57 @@ def camera_count_rows(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
 
 def show(evaluation: Evaluation) -> str:
     """Tables for a terminal: the metrics, joints and people."""
+    joints = (
+        (
+            name,
+            millimetres(joint.mpjpe),
+            millimetres(joint.pa_mpjpe),
+            percent(joint.pck),
+            "–" if joint.bias is None else ", ".join(thousand(b) for b in joint.bias),
+        )
+        for name, joint in evaluation.by_joint.items()
+    )
+    people = (
+        (
+            name,
+            f"{person.found} of {person.present}",
+            millimetres(person.mpjpe),
+            millimetres(person.pa_mpjpe),
+            per_second("m/s")(person.velocity),
+        )
+        for name, person in evaluation.by_person.items()
+    )
+    return _terminal_text(
+        summary(evaluation),
+        ("", ("joint", "MPJPE", "PA-MPJPE", "PCK", "bias x, y, z (mm)"), joints),
+        ("", ("person", "found", "MPJPE", "PA-MPJPE", "velocity error"), people),
+        ("", ("cameras", "joints", "MPJPE"), camera_count_rows(evaluation)),
+    )
+
+
+#: Title, header and rows of a table.
+_Table = tuple[str, Sequence[str], Iterable[Sequence[str]]]
+
+
+def _terminal_text(metrics: Iterable[tuple[str, str, str]], *tables: _Table) -> str:
+    """Text of the main table and of others; those without rows are left out."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
     console = Console(width=100, highlight=False)
+    grouped = (
+        (group if row == 0 else "", name, value)
+        for group, rows in groupby(metrics, key=lambda each: each[0])
+        for row, (_, name, value) in enumerate(rows)
+    )
     with console.capture() as capture:
-        main = Table("", "metric", "value", box=box.SIMPLE, pad_edge=False)
-        before = ""
-        for group, name, value in summary(evaluation):
-            main.add_row(group if group != before else "", name, value)
-            before = group
-        console.print(main)
-        joints = Table(
-            "joint", "MPJPE", "PA-MPJPE", "PCK", "bias x, y, z (mm)", box=box.SIMPLE, pad_edge=False
-        )
-        for name, joint in evaluation.by_joint.items():
-            bias = "–" if joint.bias is None else ", ".join(thousand(b) for b in joint.bias)
-            joints.add_row(
-                name, millimetres(joint.mpjpe), millimetres(joint.pa_mpjpe), percent(joint.pck), bias
-            )
-        console.print(joints)
-        people = Table(
-            "person", "found", "MPJPE", "PA-MPJPE", "velocity error", box=box.SIMPLE, pad_edge=False
-        )
-        for name, person in evaluation.by_person.items():
-            people.add_row(
-                name,
-                f"{person.found} of {person.present}",
-                millimetres(person.mpjpe),
-                millimetres(person.pa_mpjpe),
-                per_second("m/s")(person.velocity),
-            )
-        console.print(people)
-        if evaluation.by_cameras:
-            cameras = Table("cameras", "joints", "MPJPE", box=box.SIMPLE, pad_edge=False)
-            for row in camera_count_rows(evaluation):
-                cameras.add_row(*row)
-            console.print(cameras)
+        for title, header, rows in (("", ("", "metric", "value"), grouped), *tables):
+            table = Table(*header, title=title or None, title_justify="left", box=box.SIMPLE, pad_edge=False)
+            for row in rows:
+                table.add_row(*row)
+            if table.row_count:
+                console.print(table)
     return "\n".join(line.rstrip() for line in capture.get().splitlines()).strip("\n")
 
 
@@ -215,28 +229,12 @@ def keypoint_rows(scores: KindScores) -> Iterator[tuple[str, str, str]]:
 
 def show_images(evaluation: ImageEvaluation) -> str:
     """Tables for a terminal: all metrics, then cameras, people and objects, and keypoints."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=100, highlight=False)
-    with console.capture() as capture:
-        main = Table("", "metric", "value", box=box.SIMPLE, pad_edge=False)
-        before = ""
-        for group, name, value in image_summary(evaluation):
-            main.add_row(group if group != before else "", name, value)
-            before = group
-        console.print(main)
-        for kind, scores in evaluation.kinds.items():
-            title, word = TITLES[kind]
-            for header, rows in (
-                (camera_header(kind), camera_rows(scores)),
-                (("person or object", "found", f"mean {word}"), name_rows(scores)),
-                (("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores)),
-            ):
-                table = Table(*header, title=title, title_justify="left", box=box.SIMPLE, pad_edge=False)
-                for row in rows:
-                    table.add_row(*row)
-                if table.row_count:
-                    console.print(table)
-    return "\n".join(line.rstrip() for line in capture.get().splitlines()).strip("\n")
+    tables: list[_Table] = []
+    for kind, scores in evaluation.kinds.items():
+        title, word = TITLES[kind]
+        tables += [
+            (title, camera_header(kind), camera_rows(scores)),
+            (title, ("person or object", "found", f"mean {word}"), name_rows(scores)),
+            (title, ("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores)),
+        ]
+    return _terminal_text(image_summary(evaluation), *tables)

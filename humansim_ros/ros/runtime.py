@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -154,7 +154,7 @@ def spin(
         pause = min(2 * pause, _SPIN_TIMEOUT)
 
 
-def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
+def run_node(make: Callable[[], Any]) -> int:
     """Run one node, and nodes that it has created, until a stop signal; a second one ends it at once.
 
     Returns:
@@ -173,8 +173,7 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     from rclpy.signals import SignalHandlerOptions
 
     # rclpy's own handlers destroy the context while messages are being sent
-    options = SignalHandlerOptions.NO
-    rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=options)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = None
     stop = StopRequest(again=end_process)
     try:

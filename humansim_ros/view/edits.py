@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -254,17 +254,14 @@ def set_keyframe(
     own = document.own_pose(kind, name)
     rotation = wanted.rotation @ own.rotation.T
     size = np.ones(3) if track is None else track.at(at).size
-    keys = _Keys.of(track)
-    before = (
-        keys.rotations[max(0, int(np.searchsorted(keys.frames, frame)) - 1)]
-        if len(keys.frames)
-        else np.zeros(3)
-    )
+    keys = _table(track)
+    before = keys[max(0, int(np.searchsorted(keys[:, 0], frame)) - 1), 4:7] if len(keys) else np.zeros(3)
     angles = np.round(RigPlacement(rotation).rotation_deg, 2) + 0.0
     # the shorter way from the key before
     angles = angles + 360 * np.round((before - angles) / 360)
     place = np.round(wanted.position - rotation @ (size * own.position), 4) + 0.0
-    keys.put(frame, place, angles, size)
+    keys = np.vstack([keys[keys[:, 0] != frame], [frame, *place, *angles, *size]])
+    keys = keys[np.argsort(keys[:, 0])]
     last = max(timeline.end, frame, timeline.start + 1)
     _write(document, kind, name, KeyframeTimeline(timeline.start, last, timeline.rate, timeline.loop), keys)
 
@@ -284,53 +281,29 @@ def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, secon
     track = document.track(kind, name)
     if track is None:
         raise SceneError("there are no keyframes", key=f"{kind}.{name}")
-    keys = _Keys.of(track)
     times = np.array(keyframe_times(document, kind, name))
-    keys.remove(int(np.argmin(abs(times - seconds))))
-    if not len(keys.frames):
+    keys = np.delete(_table(track), int(np.argmin(abs(times - seconds))), axis=0)
+    if not len(keys):
         document.remove([kind, name, "keyframes"])
         return
     _write(document, kind, name, track.timeline, keys)
 
 
-class _Keys:
-    """The keys of a track, to be changed."""
-
-    def __init__(self, frames: Array, positions: Array, rotations: Array, sizes: Array) -> None:
-        self.frames, self.positions, self.rotations, self.sizes = frames, positions, rotations, sizes
-
-    @classmethod
-    def of(cls, track: KeyframeTrack | None) -> _Keys:
-        if track is None:
-            return cls(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.ones((0, 3)))
-        return cls(track.frames, track.positions, track.rotations, track.sizes)
-
-    def put(self, frame: float, *values: Sequence[float] | Array) -> None:
-        same = np.flatnonzero(self.frames == frame)
-        if len(same):
-            self.remove(int(same[0]))
-        number = int(np.searchsorted(self.frames, frame))
-        self.frames = np.insert(self.frames, number, frame)
-        self.positions, self.rotations, self.sizes = (
-            np.insert(column, number, value, axis=0)
-            for column, value in zip((self.positions, self.rotations, self.sizes), values, strict=True)
-        )
-
-    def remove(self, number: int) -> None:
-        self.frames = np.delete(self.frames, number)
-        self.positions, self.rotations, self.sizes = (
-            np.delete(column, number, axis=0) for column in (self.positions, self.rotations, self.sizes)
-        )
+def _table(track: KeyframeTrack | None) -> Array:
+    """Keys (K, 10) of a track: frame, position, rotation and size of each."""
+    if track is None:
+        return np.zeros((0, 10))
+    return np.column_stack([track.frames, track.positions, track.rotations, track.sizes])
 
 
 def _write(
-    document: SceneDocument, kind: SectionName, name: str, timeline: KeyframeTimeline, keys: _Keys
+    document: SceneDocument, kind: SectionName, name: str, timeline: KeyframeTimeline, keys: Array
 ) -> None:
-    """Write the keys of one human or object, and name their file in the scene."""
+    """Write the keys (K, 10) of one human or object, and name their file in the scene."""
     if document.path is None:
         raise SceneError("keyframes are a file beside the scene: save the scene first")
     file = f"{document.path.stem}_{name}.xml"
-    track = KeyframeTrack(timeline, keys.frames, keys.positions, keys.rotations, keys.sizes)
+    track = KeyframeTrack(timeline, keys[:, 0], *np.split(keys[:, 1:], 3, axis=1))
     with document.step(f"Keyframe of {name}"):
         document.write_file(
             document.folder / file, lambda path: write_keyframes(path, Keyframes(timeline, {name: track}))

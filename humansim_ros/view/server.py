@@ -79,7 +79,7 @@ class PageServer:
         self.requests: dict[str, Callable[[Mapping[str, str]], None]] = {}
         self._page = _index_page(title)
         self._add_script("page.js")
-        self._compressed: dict[str, bytes] = {}
+        self._compressed = b""
         self._streams: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._latest: bytes | None = None
@@ -107,7 +107,7 @@ class PageServer:
         self._add_script(name)
         tag = f'<script src="{PREFIX}{name}"></script>'.encode()
         self._page = self._page.replace(b"</head>", tag + b"</head>", 1)
-        self._compressed.pop("index", None)
+        self._compressed = b""
 
     def _add_script(self, name: str) -> None:
         script = read_bytes(Path(__file__).with_name("page") / name, HumansimError, "script", _MOST_OWN)
@@ -203,7 +203,7 @@ class PageServer:
         if request.headers.get("Upgrade", "").lower() == "websocket":
             return None
         if path in ("/", "/index.html"):
-            return self._compressible(request, "index", "text/html; charset=utf-8", self._page)
+            return self._index(request)
         if path in self.requests:
             query = {name: values[0] for name, values in parse_qs(parts.query).items()}
             self.requests[path](query)
@@ -214,12 +214,12 @@ class PageServer:
             return _response(http.HTTPStatus.OK, kind, data)
         return None
 
-    def _compressible(self, request: Request, name: str, kind: str, data: bytes) -> Response:
+    def _index(self, request: Request) -> Response:
+        kind = "text/html; charset=utf-8"
         if "gzip" not in request.headers.get("Accept-Encoding", ""):
-            return _response(http.HTTPStatus.OK, kind, data)
-        if name not in self._compressed:
-            self._compressed[name] = gzip.compress(data, 5)
-        return _response(http.HTTPStatus.OK, kind, self._compressed[name], {"Content-Encoding": "gzip"})
+            return _response(http.HTTPStatus.OK, kind, self._page)
+        self._compressed = self._compressed or gzip.compress(self._page, 5)
+        return _response(http.HTTPStatus.OK, kind, self._compressed, {"Content-Encoding": "gzip"})
 
 
 def is_acceptable(data: object) -> bool:

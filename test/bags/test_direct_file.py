@@ -8,6 +8,7 @@ import os
 import random
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,8 @@ def test_chunks_in_aligned_memory_give_the_same_bytes(tmp_path: Path) -> None:
         for frame, size in enumerate(SIZES):
             for number, chunk in enumerate(chunks_of(frame, size=size)):
                 memory = mmap.mmap(-1, chunk.size)
-                whole = chunk.copy_into(memoryview(memory)).with_data(memory)
+                memory[:] = chunk.data()
+                whole = replace(chunk, buffers=(memoryview(memory),))
                 writer.append(whole, ends_group=number == 1)
     assert (tmp_path / "slots" / "bag" / "bag_0.mcap").read_bytes() == expected
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,9 @@ def test_the_same_messages_give_the_same_bytes(compression: Compression, tmp_pat
 
 def encode(frame: int, slot: memoryview) -> bytes:
     """As a worker does: the chunk goes to shared memory, and its description through a pipe."""
-    return pickle.dumps(chunks_of(frame, size=3000)[1].copy_into(slot))
+    chunk = chunks_of(frame, size=3000)[1]
+    slot[: chunk.size] = chunk.data()
+    return pickle.dumps(replace(chunk, buffers=()))
 
 
 def test_chunks_come_through_shared_memory(tmp_path: Path) -> None:
@@ -106,7 +109,8 @@ def test_chunks_come_through_shared_memory(tmp_path: Path) -> None:
             for frame in range(5):
                 described = encode(frame, memory.buf)
                 assert len(described) < 500
-                chunk = pickle.loads(described).with_data(memory.buf)
+                chunk = pickle.loads(described)
+                chunk = replace(chunk, buffers=(memory.buf[: chunk.size],))
                 writer.append(chunk)
                 assert writer.size > 0
                 del chunk

@@ -212,9 +212,9 @@ class _CompressedPublisher:
     def _value(self, name: str) -> Any:
         return self._node.get_parameter(self._parameters + name).value
 
-    def _restrict(self, name: str, *values: str) -> None:
-        """Reject other values of a parameter, now and later."""
-        full = self._parameters + name
+    def _restrict_format(self, *values: str) -> None:
+        """Reject other values of the parameter ``format``, now and later."""
+        full = f"{self._parameters}format"
 
         def check(parameters: Sequence[Any]) -> SetParametersResult:
             invalid = [p.value for p in parameters if p.name == full and p.value not in values]
@@ -236,7 +236,7 @@ class CompressedImagePublisher(_CompressedPublisher):
         self._driver = driver
         super().__init__(node, topics.compressed(default))
         self._declare("format", default.format, None, "jpeg or png")
-        self._restrict("format", "jpeg", "png")
+        self._restrict_format("jpeg", "png")
         self._declare("jpeg_quality", default.jpeg_quality, (1, 100), "JPEG quality, 1 to 100")
         self._declare("png_level", default.png_level, (0, 9), "PNG compression level, 0 to 9; lossless")
 
@@ -254,7 +254,7 @@ class CompressedDepthPublisher(_CompressedPublisher):
         self._topics = topics
         super().__init__(node, topics.compressed_depth(default))
         self._declare("format", "png", None, "png")
-        self._restrict("format", "png")
+        self._restrict_format("png")
         self._declare(
             "depth_max", default.depth_max, (1.0, 100.0), "Metres from which on depth is not encoded"
         )

@@ -152,17 +152,11 @@ class Lockstep:
         self._again = self._row[0] if self.is_finished else min(self._again, self._row[0])
         self._for_nodes = True
 
-    def add_report(self, name: str, stamp: int, now: float, joins: bool = True) -> bool:
+    def add_report(self, name: str, stamp: int, now: float) -> bool:
         """Note that somebody has finished the frame of a stamp.
 
         A stamp that is newer than the frame counts, too. An older one does not finish the frame; it tells
-        that its sender is there.
-
-        Args:
-            name: Who reports.
-            stamp: Stamp of the report.
-            now: Time of the report.
-            joins: Whether an unknown sender becomes a member, if it reports a frame that was sent.
+        that its sender is there. An unknown sender becomes a member if it reports a frame that was sent.
 
         Returns:
             Whether the report is of a member.
@@ -171,7 +165,7 @@ class Lockstep:
             return name in self.members
         member = self.members.get(name)
         if member is None:
-            if not joins or not self._first <= stamp <= self.stamp or self._joined() >= MAX_JOINED:
+            if not self._first <= stamp <= self.stamp or self._joined() >= MAX_JOINED:
                 return False
             finished = self._left.pop(name, 0)
             member = self.members[name] = Member(name, required=False, since=now, finished=finished)

@@ -6,6 +6,7 @@ A node is imported only after its process can be stopped quietly.
 from __future__ import annotations
 
 import sys
+from functools import partial
 from importlib import import_module
 
 from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_with_parent
@@ -17,34 +18,11 @@ def run(name: str) -> int:
     return int(import_module(f"humansim_ros.ros.nodes.{name}").main())
 
 
-def motion_player() -> int:
-    """Run the motion player."""
-    return run("motion_player")
-
-
-def skinner() -> int:
-    """Run a skinner."""
-    return run("skinner")
-
-
-def camera() -> int:
-    """Run a camera."""
-    return run("camera")
-
-
-def camera_rig() -> int:
-    """Run a camera rig."""
-    return run("camera_rig")
-
-
-def recorder() -> int:
-    """Run a recorder."""
-    return run("recorder")
-
-
-def evaluator() -> int:
-    """Run an evaluator."""
-    return run("evaluator")
+#: Functions of the installed scripts.
+motion_player, skinner, camera, camera_rig, recorder, evaluator = (
+    partial(run, name)
+    for name in ("motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator")
+)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ class Mosaic:
         return None
 
 
-def mosaic(images: Mapping[str, Mapping[str, Image]], width: int = _WIDTH) -> Mosaic | None:
+def mosaic(images: Mapping[str, Mapping[str, Image]]) -> Mosaic | None:
     """Arrange images (H, W, 3) by camera and channel: a column for each camera, a row for each channel.
 
     More than four cameras fill several blocks of rows. None without images.
@@ -58,7 +58,7 @@ def mosaic(images: Mapping[str, Mapping[str, Image]], width: int = _WIDTH) -> Mo
     if not cameras:
         return None
     columns = min(4 if len(cameras) <= 8 else 6, len(cameras))
-    across = min(width // columns, max(images[name][c].shape[1] for name in cameras for c in images[name]))
+    across = min(_WIDTH // columns, max(images[name][c].shape[1] for name in cameras for c in images[name]))
     tiles: list[tuple[Tile, Image]] = []
     top = 0
     for start in range(0, len(cameras), columns):

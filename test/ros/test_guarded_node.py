@@ -17,8 +17,12 @@ from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.runtime import make_executor
 
 
+def recurse() -> Any:
+    return recurse()
+
+
 def endless(*_: Any) -> Any:
-    return endless()
+    return recurse()  # Python 3.13 does not count calls of functions with any number of arguments
 
 
 def no_memory(*_: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import signal
 import subprocess
 import sys
 import tempfile
@@ -511,7 +510,7 @@ class NodeProcesses:
 
     def close(self) -> None:
         """Stop all processes."""
-        self._process.send_signal(signal.SIGINT)
+        self._process.terminate()  # it may ignore SIGINT, as a background job of a shell does
         try:
             self._process.wait(_END_WITHIN)
         except subprocess.TimeoutExpired:

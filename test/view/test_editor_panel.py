@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -298,7 +299,9 @@ def test_commands_run_on_the_saved_scene_with_their_progress_and_can_be_stopped(
     commands.update()
     assert job.code == 2 and job.state == "has failed with exit code 2"
     assert any("no_such_format" in line for line in job.lines)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in a background job of a shell
     commands.start("humansim record scene.yaml -o bag --frames 1000000")
+    signal.signal(signal.SIGINT, before)
     running = commands.job
     assert running is not None and running is not job and running.code is None
     running.take_line("250000 of 1000000 frames, 30 camera-frames/s\x1b[2J")

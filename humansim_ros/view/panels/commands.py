@@ -184,9 +184,10 @@ class Job:
         return "has finished" if self.code == 0 else f"has failed with exit code {self.code}"
 
     def stop(self) -> None:
-        """Ask it to end, as Ctrl-C does; at once."""
+        """Ask the process to end. Not by SIGINT, which background jobs of a shell ignore."""
         self._stopped = True
-        self._signal(signal.SIGINT)
+        if self.code is None:
+            self._process.terminate()
 
     def close(self) -> None:
         """End it, by force after ten seconds."""
@@ -195,14 +196,10 @@ class Job:
             try:
                 self._process.wait(_PATIENCE)
             except subprocess.TimeoutExpired:
-                self._signal(signal.SIGKILL)
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(self._process.pid, signal.SIGKILL)
                 self._process.wait()
         self._reader.join(1)
-
-    def _signal(self, number: signal.Signals) -> None:
-        with contextlib.suppress(ProcessLookupError):
-            if self.code is None:
-                os.killpg(self._process.pid, number)
 
     def _read(self) -> None:
         assert self._process.stdout is not None

@@ -249,11 +249,12 @@ class Suite:
 
 
 def children_of(run: int) -> list[int]:
-    """Process ids of the children of a run; none if it has ended."""
+    """Process ids of the children of a run, and of their children; none if it has ended."""
     try:
-        return [int(pid) for pid in Path(f"/proc/{run}/task/{run}/children").read_text().split()]
+        pids = [int(pid) for pid in Path(f"/proc/{run}/task/{run}/children").read_text().split()]
     except OSError:
         return []
+    return pids + [pid for child in pids for pid in children_of(child)]
 
 
 def node_pid(run: int, name: str) -> int | None:
@@ -261,9 +262,7 @@ def node_pid(run: int, name: str) -> int | None:
     for pid in children_of(run):
         with suppress(OSError):
             folder = Path(f"/proc/{pid}")
-            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-            # a spare process has become the node if it has its name, of which Linux keeps 15 letters
-            if f"__node:={name} " in line or (folder / "comm").read_text().strip() == name[:15]:
+            if (folder / "comm").read_text().strip() == name[:15]:  # Linux keeps 15 letters
                 return pid
     return None
 

@@ -66,10 +66,12 @@ def children(pid: int) -> dict[int, str]:
 
 
 def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str]:
-    """Node processes of a run by process id, with their command lines, once all of them answer."""
+    """Node processes of a run by process id, with their names, once all of them answer."""
 
     def nodes() -> dict[int, str]:
-        return {pid: line for pid, line in children(process.pid).items() if "humansim_ros.ros.nodes" in line}
+        starters = [pid for pid, line in children(process.pid).items() if "node_starter" in line]
+        pids = [pid for starter in starters for pid in children(starter)]
+        return {pid: Path(f"/proc/{pid}/comm").read_text().strip() for pid in pids}
 
     client = Client("onlooker")
 
@@ -121,7 +123,7 @@ def test_a_node_that_dies_is_named_and_the_others_stop(
     ros: None, running: subprocess.Popen[str], tmp_path: Path
 ) -> None:
     nodes = wait_for_nodes(running, 3)
-    (victim,) = [pid for pid, line in nodes.items() if "skinner_anna" in line]
+    (victim,) = [pid for pid, name in nodes.items() if name == "skinner_anna"]
     os.kill(victim, signal.SIGKILL)
     assert running.wait(PATIENCE) == 1
     assert "node skinner_anna ended unexpectedly (signal 9: Killed)" in (tmp_path / "output").read_text()

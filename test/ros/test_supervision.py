@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -10,6 +9,7 @@ import sys
 import time
 import uuid
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,11 @@ import pytest
 from conftest import ROOT
 from ros_support import write_scene
 from waiting import PATIENCE, wait_until
+
+from humansim_ros.io.assets import resource_path
+from humansim_ros.ros.processes.node_processes import NodeProcess
+from humansim_ros.ros.processes.node_starter import NodeStarter
+from humansim_ros.ros.processes.supervisor import Supervisor
 
 HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
 NODE = [sys.executable, "-m", "humansim_ros.ros.nodes"]
@@ -53,7 +58,7 @@ class Processes:
     def node(self, name: str) -> int | None:
         """Process id of the node of this name; None if it does not run."""
         for pid, line in self.lines().items():
-            # a standby process that has become a node has its name, of which Linux keeps 15 letters
+            # a node of a run is a copy with the name of the node, of which Linux keeps 15 letters
             if f"__node:={name} " in line or name_of(pid) == name[:15]:
                 return pid
         return None
@@ -149,8 +154,6 @@ def test_a_node_that_dies_again_and_again_is_given_up(
 
 
 def test_a_node_with_wrong_input_is_not_started_again(ros: None, tmp_path: Path) -> None:
-    from humansim_ros.ros.processes.node_processes import NodeProcess
-    from humansim_ros.ros.processes.supervisor import Supervisor
 
     scene = str(write_scene(tmp_path, SCENE))
     wrong = NodeProcess("skinner", "wrong", {"scene": scene, "human": "nobody"})
@@ -180,22 +183,38 @@ def test_killed_nodes_are_back_with_their_latched_topics(
     assert "left at the end: nothing" in done.stdout
 
 
-def test_a_standby_process_becomes_the_node_that_has_died(
+def test_a_node_is_started_again_with_the_scene_and_the_motion_that_were_read_at_the_start(
     ros: None, processes: Processes, tmp_path: Path, output: Path
 ) -> None:
-    run = processes.start([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))], output)
-
-    def standby() -> int | None:
-        return next((pid for pid, line in processes.lines().items() if "processes.standby" in line), None)
-
-    assert wait_until(standby)
-    pid = standby()
+    motion = tmp_path / "walk.bvh"
+    motion.write_bytes(resource_path("assets/motions/walk.bvh").read_bytes())
+    scene = write_scene(tmp_path, SCENE.replace("file: walk", "file: walk.bvh"))
+    run = processes.start([*HUMANSIM, "run", str(scene)], output)
+    assert is_said(output, "front delivers")
+    motion.write_text("nothing")
+    scene.write_text("nothing")
     os.kill(processes.node("skinner_anna"), signal.SIGKILL)
-    assert wait_until(lambda: name_of(pid) == "skinner_anna")
+    os.kill(processes.node("motion_player"), signal.SIGKILL)
     assert wait_until(lambda: output.read_text().count("[skinner_anna]: skinning anna") == 2)
+    assert wait_until(lambda: output.read_text().count("[motion_player]: playing 1 motions") == 2)
     run.send_signal(signal.SIGINT)
     assert run.wait(PATIENCE) == 0
     assert processes.are_gone()
+
+
+def test_all_nodes_are_started_again_when_the_process_that_starts_them_is_killed(
+    ros: None, tmp_path: Path
+) -> None:
+    scene = write_scene(tmp_path, SCENE)
+    skinner = NodeProcess("skinner", "skinner_anna", {"scene": str(scene), "human": "anna"})
+    with Supervisor([skinner, replace(skinner, node_name="second")]) as nodes:
+        first = nodes.pids
+        assert nodes._starter is not None
+        nodes._starter.process.kill()
+        while first.keys() & {name for name, pid in nodes.pids.items() if pid == first[name]}:
+            assert nodes.wait(time.monotonic() + 0.5, respawn=True) is None
+        assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first.values()))
+        assert nodes.dead() is None
 
 
 def test_a_node_is_started_again_although_nothing_can_be_said(
@@ -237,26 +256,26 @@ def test_a_run_goes_on_without_a_reader_of_its_output(
     assert processes.are_gone()
 
 
-STANDBY = [sys.executable, "-m", "humansim_ros.ros.processes.standby"]
+def test_errors_of_the_scene_are_reported_by_the_nodes(
+    ros: None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    gone = NodeProcess("skinner", "skinner_anna", {"scene": str(tmp_path / "gone.yaml"), "human": "anna"})
+    with Supervisor([gone]) as nodes:
+        ended = nodes.wait(time.monotonic() + PATIENCE, respawn=True)
+    assert ended is not None and ended.code == 2
+    error = capfd.readouterr().err
+    assert error.startswith("error: ") and "gone.yaml" in error
 
 
-def test_a_standby_process_ends_with_its_input(ros: None, tmp_path: Path) -> None:
-    standby = [*STANDBY, str(write_scene(tmp_path, SCENE))]
-    assert subprocess.run(standby, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False).returncode == 0
-
-
-def test_a_standby_process_leaves_errors_of_the_scene_to_the_node(ros: None, tmp_path: Path) -> None:
-    scene = str(tmp_path / "gone.yaml")
-    done = subprocess.run(
-        [*STANDBY, scene],
-        input=json.dumps(["skinner", "--ros-args", "-p", f"scene:={scene}"]) + "\n",
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and "gone.yaml" in done.stderr
+def test_copies_have_no_threads_of_the_process_that_starts_them(ros: None, tmp_path: Path) -> None:
+    """A copy has only the thread that forks: a pool of threads would hang there."""
+    starter = NodeStarter(str(write_scene(tmp_path, SCENE)), {**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    try:
+        node = starter.start(NodeProcess("skinner", "wrong", {"human": "nobody"}))
+        assert len(list(Path(f"/proc/{starter.process.pid}/task").iterdir())) == 1
+        assert node.wait(PATIENCE) == 2
+    finally:
+        starter.close()
 
 
 # Orphans
@@ -322,7 +341,7 @@ def test_a_command_that_has_not_finished_says_which_signal_stopped_it(
     if command == "run":
         assert wait_until(lambda: handles_hangup(process.pid))
     else:
-        assert wait_until(lambda: len(processes.lines()) == 4)
+        assert wait_until(lambda: len(processes.lines()) == 5)  # with the one that starts the nodes
     process.send_signal(number)
     assert process.wait(PATIENCE) == 128 + number
     assert "Traceback" not in output.read_text()
@@ -433,8 +452,6 @@ def test_installed_commands_lead_to_the_light_entry_points() -> None:
 def test_a_recorder_is_stopped_when_the_others_have_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.ros.processes.node_processes import NodeProcess
-    from humansim_ros.ros.processes.supervisor import Supervisor
 
     program = """
 import signal, sys, time
@@ -450,8 +467,8 @@ signal.signal(signal.SIGTERM, stop)
 signal.pause()
 """
 
-    def start(_: Supervisor, module: str, *arguments: str, **__: object) -> subprocess.Popen[bytes]:
-        return subprocess.Popen([sys.executable, "-c", program, str(tmp_path), arguments[0]])
+    def start(_: Supervisor, process: NodeProcess) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-c", program, str(tmp_path), process.executable])
 
     monkeypatch.setattr(Supervisor, "_start", start)
     processes = [NodeProcess("recorder", "recorder", {}, stops_last=True), NodeProcess("camera", "left", {})]

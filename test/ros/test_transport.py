@@ -260,11 +260,16 @@ def run(tmp_path: Path) -> Iterator[Mapping[str, subprocess.Popen[str]]]:
 
 
 def nodes(parent: int) -> list[int]:
-    """Node processes of a run, without the spare one."""
-    children = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True
-    )
-    return [int(line.split()[0]) for line in children.stdout.splitlines() if "ros.nodes " in line]
+    """Node processes of a run: children of the process that starts them."""
+
+    def children(pid: int) -> list[list[str]]:
+        listed = subprocess.run(
+            ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True
+        )
+        return [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
+
+    starters = [int(pid) for pid, line in children(parent) if "node_starter" in line]
+    return [int(pid) for starter in starters for pid, _ in children(starter)]
 
 
 def test_a_run_is_found_on_this_machine_and_reached_from_no_other(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -14,13 +13,12 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN, NodeProcess, render_threads
+from humansim_ros.ros.processes.node_starter import NodeStarter, StartedNode
 from humansim_ros.ros.processes.stop_signals import PARENT_PID
 from humansim_ros.ros.transport import SharedMemoryFiles, remove_dead_files
 
 #: Seconds that a process that is no node has to stop after SIGTERM.
 _STOP_LIMIT = 6.0
-#: Seconds after the last start of a node from which a standby process may take computing time.
-_STANDBY_AFTER = 4.0
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,8 @@ class EndedProcess:
 class Supervisor:
     """Context manager that runs node processes and stops them at its end.
 
-    Nodes do not repeat scene warnings; the parent has shown them. They end when the thread ends that has
-    started them.
+    One process loads the scene and starts the nodes as copies of itself (``node_starter.py``). Nodes do not
+    repeat scene warnings; the parent has shown them. They end when the thread ends that has started them.
     """
 
     def __init__(
@@ -59,10 +57,10 @@ class Supervisor:
         threads = render_threads(processes)
         own = {WARNINGS_SHOWN: "1", PARENT_PID: str(os.getpid())}
         self._environment = {**os.environ, **threads, **own, **(environment or {})}
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._running: dict[str, StartedNode] = {}
         self._started: dict[str, float] = {}
         self._helpers: list[subprocess.Popen[bytes]] = []
-        self._standby: subprocess.Popen[bytes] | None = None
+        self._starter: NodeStarter | None = None
         self._shared_memory = SharedMemoryFiles()
 
     def __enter__(self) -> Supervisor:
@@ -85,12 +83,19 @@ class Supervisor:
         return {name: process.pid for name, process in self._running.items()}
 
     @property
-    def _all(self) -> list[subprocess.Popen[bytes]]:
-        return [*self._helpers, *self._running.values(), *([self._standby] if self._standby else [])]
+    def _all(self) -> list[StartedNode | subprocess.Popen[bytes]]:
+        return [*self._helpers, *self._running.values()]
 
     def start_helper(self, module: str, *arguments: str) -> None:
         """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
-        self._helpers.append(self._start(module, *arguments))
+        self._helpers.append(
+            subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                env=self._environment,
+                # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
+                start_new_session=True,
+            )
+        )
 
     def dead(self) -> EndedProcess | None:
         """A process that has ended unexpectedly; None while all run."""
@@ -133,8 +138,6 @@ class Supervisor:
                 when = f"in {delay:g} s" if delay else "now"
                 with suppress(OSError):  # of a terminal that is gone, or a full disk
                     print(f"{dead}; started again {when}", file=sys.stderr)
-            if respawn and not starts and time.monotonic() > max(self._started.values()) + _STANDBY_AFTER:
-                self._start_standby()
             for name in [name for name, start in starts.items() if start <= time.monotonic()]:
                 del starts[name]
                 self._start_node(name)
@@ -155,6 +158,8 @@ class Supervisor:
             self._send(signal.SIGTERM)
         finally:
             self._send(signal.SIGKILL)
+            if self._starter is not None:
+                self._starter.close()
             self._shared_memory.remove(pids)
             remove_dead_files()  # of nodes that were killed while they started
 
@@ -173,37 +178,16 @@ class Supervisor:
     def _start_node(self, name: str) -> None:
         process = self._processes[name]
         self._started[name] = time.monotonic()
-        self._running[name] = self._take_standby(process) or self._start(
-            "humansim_ros.ros.nodes", process.executable, *process.ros_arguments
-        )
+        self._running[name] = self._start(process)
 
-    def _start_standby(self) -> None:
-        """Start a process that becomes the next node that is started again, in less time."""
-        if self._standby is None and all(helper.poll() is not None for helper in self._helpers):
-            scene = next(iter(self._processes.values())).parameters["scene"]
-            module = "humansim_ros.ros.processes.standby"
-            self._standby = self._start(module, str(scene), stdin=subprocess.PIPE)
-
-    def _take_standby(self, process: NodeProcess) -> subprocess.Popen[bytes] | None:
-        """Let the standby process become a node; None if there is none, or it has ended."""
-        standby, self._standby = self._standby, None
-        if standby is None or standby.stdin is None:
-            return None
-        try:
-            with standby.stdin:
-                standby.stdin.write(json.dumps([process.executable, *process.ros_arguments]).encode() + b"\n")
-        except BrokenPipeError:
-            return None
-        return standby
-
-    def _start(self, module: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            env=self._environment,
-            stdin=stdin,
-            # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
-            start_new_session=True,
-        )
+    def _start(self, process: NodeProcess) -> StartedNode:
+        """Start a node; and first the process that starts nodes, if there is none or it has ended."""
+        if self._starter is None or not self._starter.is_running:
+            if self._starter is not None:
+                self._starter.close()
+            scene = next(iter(self._processes.values())).parameters.get("scene", "")
+            self._starter = NodeStarter(str(scene), self._environment)
+        return self._starter.start(process)
 
 
 #: Seconds before the first start of a row, the second, and so on. After the last one the node is given up.

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import os
-import select
 import shlex
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from humansim_ros.challenge.case import CaseJob, CaseOrder, ChallengeOptions
 from humansim_ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.challenge.suite import Case, Suite
-from humansim_ros.errors import ChallengeError, printable
+from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.io.files import atomic_path
+from humansim_ros.jobs.frame_job import FrameProgress
+from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.ros.transport import claim_domain, domain_environment
 
@@ -86,6 +86,11 @@ class TrackerProcess:
         self.stop()
 
     @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    @property
     def death(self) -> str:
         """How the process has ended; empty while it runs."""
         code = self._process.poll()
@@ -140,42 +145,6 @@ _LOOK_EVERY = 0.05
 _BESIDE, _END_WITHIN = 60.0, 20.0
 #: Least patience with a tracker in a case with a patience of its own, in multiples of its time for a frame.
 _TIMES_LATENCY = 4.0
-#: Seconds from the death of a tracker to the end of its case: its last messages arrive.
-_AFTER_DEATH = 0.3
-
-
-@dataclass(frozen=True)
-class ChallengeOptions:
-    """How a tracker is run.
-
-    Attributes:
-        tracker: Command line.
-        topic: Topic of its estimate.
-        keypoints: Keypoint set of its estimate; None: as its names say.
-        timeout: Seconds that a frame waits for it.
-        start_within: Seconds until it must publish its topic.
-        is_realtime: Frames follow the wall clock.
-        is_quick: The short form of the suite.
-        scale: Metres of a unit of its estimate.
-        axes: Axes of its estimate; None: the axes of ``map``.
-    """
-
-    tracker: str
-    topic: str = "/tracker/poses"
-    keypoints: str | None = None
-    timeout: float = 10.0
-    start_within: float = 20.0
-    is_realtime: bool = False
-    is_quick: bool = False
-    scale: float = 1.0
-    axes: str | None = None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Everything but the command, and the defaults that older reports do not have."""
-        added = {"scale": 1.0, "axes": None}
-        values = {key: value for key, value in asdict(self).items() if key != "tracker"}
-        return {key: value for key, value in values.items() if key not in added or value != added[key]}
 
 
 def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: bool) -> Report:
@@ -228,7 +197,7 @@ def run_challenge(
     options: ChallengeOptions,
     report: Report,
     folder: Path,
-    on_result: Callable[[CaseResult], object],
+    on_result: Callable[[CaseResult, FrameProgress], object],
 ) -> None:
     """Run all cases that have no result yet; results are written after each case.
 
@@ -237,17 +206,17 @@ def run_challenge(
         options: How the tracker is run.
         report: Gets the results.
         folder: Folder of the report.
-        on_result: Called with each new result.
+        on_result: Called with each new result, and the number of cases that are done.
 
     Raises:
         HumansimError: The tracker cannot be started or fails without a difficulty, or a file cannot be
             written. What was finished is in the folder.
     """
     command_words(options.tracker, {})
+    cases = [case for case in suite.cases if case.name not in report.results]
+    progress, start = FrameProgress.of(len(suite.cases), len(cases)), time.monotonic()
     with CaseProcess(folder / CASES / "nodes.log") as nodes:
-        for case in suite.cases:
-            if case.name in report.results:
-                continue
+        for case in cases:
             result = run_case(
                 case, options, folder / CASES, nodes, patience_with(case, options.timeout, report.baseline)
             )
@@ -259,7 +228,9 @@ def run_challenge(
                 )
             report.results[case.name] = result
             report.write(folder)
-            on_result(result)
+            progress.done += 1
+            progress.seconds = time.monotonic() - start
+            on_result(result, progress)
 
 
 class CaseProcess:
@@ -271,7 +242,7 @@ class CaseProcess:
 
     def __init__(self, log: Path) -> None:
         self._log = log
-        self._process: subprocess.Popen[bytes] | None = None
+        self._workers: Workers | None = None
         domain = os.environ.get("ROS_DOMAIN_ID", "")
         self.domain = int(domain) if domain.isdecimal() else claim_domain()
 
@@ -279,57 +250,48 @@ class CaseProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._process is not None:
-            self._kill()
+        self.close()
 
-    def _kill(self) -> None:
-        assert self._process is not None
-        self._process.kill()
-        self._process.wait()
-        self._process = None
+    @property
+    def processes(self) -> list[subprocess.Popen[bytes]]:
+        """The process, if it runs."""
+        return [] if self._workers is None else self._workers.processes
 
-    def start(self) -> None:
-        """Start the process unless it runs."""
-        if self._process is not None and self._process.poll() is None:
-            return
-        with _writing(self._log), self._log.open("ab") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "humansim_ros.apps.challenge_case"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                env={**os.environ, **domain_environment(self.domain)},
-                start_new_session=True,
-            )
-
-    def send(self, line: str) -> None:
-        """Send a line; a process that has ended is noticed by :meth:`answer`."""
-        assert self._process is not None and self._process.stdin is not None
-        with suppress(BrokenPipeError):
-            self._process.stdin.write(line.encode() + b"\n")
-            self._process.stdin.flush()
+    def ask(self, order: CaseOrder) -> None:
+        """Begin a case; starts the process unless it runs."""
+        with self._errors():
+            if self._workers is None:
+                self._workers = Workers(CaseJob(self._log, self.domain), 1)
+                self._workers.wait_until_ready()
+            self._workers.ask(order)
 
     def answer(self, wait: float) -> dict[str, Any] | None:
         """The answer to a case; None if there is none within ``wait`` seconds.
 
         Raises:
-            ChallengeError: The process has ended.
+            HumansimError: The process has ended, or the case cannot be run.
         """
-        assert self._process is not None and self._process.stdout is not None
-        if not select.select([self._process.stdout], [], [], wait)[0]:
-            return None
-        line = self._process.stdout.readline()
-        if not line:
-            raise ChallengeError(f"the nodes of the case have ended with an error; see {self._log}")
-        answer = json.loads(line)
-        if "error" in answer:
-            raise ChallengeError(answer["error"])
-        return dict(answer)
+        assert self._workers is not None
+        with self._errors():
+            for _, answer in self._workers.arrived(wait):
+                if isinstance(answer, HumansimError):
+                    raise answer
+                return dict(answer.value)
+        return None
 
-    def restart(self) -> None:
-        """Give the process up."""
-        if self._process is not None:
-            self._kill()
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except WorkerDiedError:
+            self.close()
+            raise ChallengeError(f"the nodes of the case have ended with an error; see {self._log}") from None
+
+    def close(self) -> None:
+        """End the process, and the case in progress."""
+        workers, self._workers = self._workers, None
+        if workers is not None:
+            workers.close()
 
 
 def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
@@ -369,24 +331,11 @@ def run_case(
         temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
     values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
     words = command_words(options.tracker, values)
-    order = {
-        "scene": str(scene.resolve()),
-        "domain": nodes.domain,
-        "topic": options.topic,
-        "frames": case.frames,
-        "patience": patience,
-        "start_within": options.start_within,
-        "is_realtime": options.is_realtime,
-        "keypoints": options.keypoints,
-        "scale": options.scale,
-        "axes": options.axes,
-    }
-    nodes.start()
     log = folder / f"{case.name}.log"
     with _writing(log):
         tracker = TrackerProcess(words, domain_environment(nodes.domain), log)
     with tracker:
-        nodes.send(json.dumps(order))
+        nodes.ask(CaseOrder(str(scene.resolve()), tracker.pid, case.frames, patience, options))
         limit = time.monotonic() + _BESIDE + options.start_within + case.frames * patience
         answer, failure = _wait(nodes, tracker, limit)
     known = {field.name for field in fields(CaseResult)}
@@ -400,21 +349,24 @@ def run_case(
 
 def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[dict[str, Any] | None, str]:
     """Wait for the end of a case: its answer, and why it ended early."""
-    failure = ""
-    while not failure:
-        if (answer := nodes.answer(_LOOK_EVERY)) is not None:
-            return answer, ""
-        if failure := tracker.death:
-            time.sleep(_AFTER_DEATH)
-        elif tracker.is_too_talkative:
-            failure = "the tracker prints more than a megabyte"
-        elif time.monotonic() > limit:
-            failure = "the case took too long: the tracker is too slow or hangs"
-    nodes.send("stop")
-    answer = nodes.answer(_END_WITHIN)
-    if answer is None:
-        nodes.restart()
+    failure, end = "", 0.0
+    while (answer := nodes.answer(_LOOK_EVERY)) is None:
+        if failure and time.monotonic() > end:
+            nodes.close()
+            break
+        if not failure and (failure := _failure(tracker, limit)):
+            tracker.stop()  # its end ends the case
+            end = time.monotonic() + _END_WITHIN
     return answer, failure
+
+
+def _failure(tracker: TrackerProcess, limit: float) -> str:
+    """Why a case ends early; empty if it goes on. ``limit``: monotonic seconds."""
+    if tracker.is_too_talkative:
+        return "the tracker prints more than a megabyte"
+    if time.monotonic() > limit:
+        return "the case took too long: the tracker is too slow or hangs"
+    return tracker.death
 
 
 @contextmanager

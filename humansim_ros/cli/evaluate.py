@@ -16,7 +16,7 @@ from humansim_ros.cli.options import (
     ScaleOption,
     list_option,
 )
-from humansim_ros.cli.output import check_output, print_text, to_json
+from humansim_ros.cli.output import check_output, print_text, time_left, to_json
 from humansim_ros.errors import ChallengeError, EvaluationError
 from humansim_ros.io.files import atomic_path
 
@@ -175,8 +175,10 @@ def challenge(
     if tracker is None:
         report = Report.read(output)
     else:
-        from humansim_ros.challenge.run import ChallengeOptions, open_report, run_challenge
+        from humansim_ros.challenge.case import ChallengeOptions
+        from humansim_ros.challenge.run import open_report, run_challenge
         from humansim_ros.challenge.suite import load_suite
+        from humansim_ros.jobs.frame_job import FrameProgress
         from humansim_ros.ros.runtime import require_ros
 
         require_ros()
@@ -193,13 +195,11 @@ def challenge(
             axes,
         )
         report = open_report(chosen, options, output, resume)
-        todo = sum(case.name not in report.results for case in chosen.cases)
 
-        def show(result: CaseResult) -> None:
-            nonlocal todo
-            todo -= 1
+        def show(result: CaseResult, progress: FrameProgress) -> None:
             text = result.failure or f"score {result.score:.0f}"
-            print_text(f"{result.axis} {result.label}: {text} ({todo} left)")
+            left = f"{progress.frames - progress.done} cases, {time_left(progress)}"
+            print_text(f"{result.axis} {result.label}: {text} ({left})")
 
         run_challenge(chosen, options, report, output, show)
     if other is not None and other.suite != report.suite:

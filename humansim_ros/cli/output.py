@@ -152,7 +152,7 @@ def frame_progress(
         task = bar.add_task("", total=None, rate="starting")
 
         def show(progress: FrameProgress) -> None:
-            rate = f"{rate_text(progress, cameras)}, {_left(progress)}"
+            rate = f"{rate_text(progress, cameras)}, {time_left(progress)}"
             bar.update(task, total=progress.frames, completed=progress.done, rate=rate)
 
         yield show
@@ -167,13 +167,13 @@ def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:
         if time.monotonic() - last >= _LINE_EVERY:
             last = time.monotonic()
             done = f"{progress.done} of {progress.frames} {unit}"
-            text = f"{done}, {rate_text(progress, cameras)}, {_left(progress)}"
+            text = f"{done}, {rate_text(progress, cameras)}, {time_left(progress)}"
             print(text, file=sys.stderr, flush=True)
 
     return show
 
 
-def _left(progress: FrameProgress) -> str:
+def time_left(progress: FrameProgress) -> str:
     """Time left in words, from the rate of this process: a continued recording had another one."""
     if not progress.rate:  # no task of a cluster has ended
         return "unknown time left"

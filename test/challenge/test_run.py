@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,8 @@ import ros_support  # noqa: F401  # a ROS domain of this process
 from challenge_support import SUITE, small_suite
 from waiting import wait_until
 
-from humansim_ros.apps.challenge_case import MAX_MESSAGES, CaseOrder, measured
 from humansim_ros.challenge import run
+from humansim_ros.challenge.case import MAX_MESSAGES, CaseOrder, measured
 from humansim_ros.challenge.results import CaseResult, Report
 from humansim_ros.challenge.run import (
     CaseProcess,
@@ -42,7 +43,7 @@ def options(command: str = FAKE) -> ChallengeOptions:
 def run_fake(suite: Suite, command: str, folder: Path, resume: bool = False) -> Report:
     chosen = options(command)
     report = open_report(suite, chosen, folder, resume)
-    run_challenge(suite, chosen, report, folder, lambda result: None)
+    run_challenge(suite, chosen, report, folder, lambda *_: None)
     return report
 
 
@@ -72,10 +73,11 @@ def collected(tmp_path: Path, *frames: PoseFrame, messages: int | None = None) -
     """Result of a case of two frames in which a tracker has sent some messages."""
     case = small_suite(tmp_path).cases[0]
     scene = Scene.from_config(case.scene)
-    order = CaseOrder("", 0, "/tracker/poses", 2, 1.0, 1.0, False, None)
-    stream = EstimateStream(order.topic)
+    order = CaseOrder("", 0, 2, 1.0, ChallengeOptions("tracker"))
+    topic = order.options.topic
+    stream = EstimateStream(topic)
     for frame in frames:
-        stream.add(frame, order.topic, 0)
+        stream.add(frame, topic, 0)
     collector = SimpleNamespace(
         stream=stream,
         frames={1: 0, 50_000_001: 50_000_000},
@@ -83,7 +85,7 @@ def collected(tmp_path: Path, *frames: PoseFrame, messages: int | None = None) -
         people=sum(len(frame.people) for frame in frames),
         finite=any(np.isfinite(pose.positions).any() for frame in frames for pose in frame.people),
         fault="",
-        topics=SimpleNamespace(found=[order.topic]),
+        topics=SimpleNamespace(found=[topic]),
     )
     return measured(order, scene, collector, MAX_MESSAGES)
 
@@ -152,7 +154,7 @@ def test_results_of_something_else_are_not_continued(
 ) -> None:
     suite, chosen, folder = small_suite(tmp_path), options("one"), tmp_path / "report"
     monkeypatch.setattr(run, "run_case", FinishedCases())
-    run_challenge(suite, chosen, open_report(suite, chosen, folder, False), folder, lambda result: None)
+    run_challenge(suite, chosen, open_report(suite, chosen, folder, False), folder, lambda *_: None)
     if other == "suite":
         suite = replace(suite, version="2")
     else:
@@ -204,12 +206,18 @@ def test_a_tracker_that_prints_without_end_is_stopped(tmp_path: Path) -> None:
 
 
 def test_nodes_of_a_case_whose_process_dies_are_an_error(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("room: null\ncameras: {front: {position: [3, 0, 1.5], look_at: [0, 0, 1]}}\n")
+    order = CaseOrder(str(scene), os.getpid(), 2, 100.0, ChallengeOptions("tracker", start_within=100.0))
     with CaseProcess(tmp_path / "log") as nodes:
-        nodes.start()
-        nodes.send("{")
-        with pytest.raises(ChallengeError, match="nodes of the case have ended"):
+        nodes.ask(order)
+        (process,) = nodes.processes
+        process.kill()
+        with pytest.raises(ChallengeError, match=r"nodes of the case have ended with an error; see .*log"):
             nodes.answer(100.0)
-        nodes.start()
+        nodes.ask(replace(order, scene=str(tmp_path / "nothing.yaml")))
+        with pytest.raises(HumansimError, match=r"nothing\.yaml"):
+            nodes.answer(100.0)
 
 
 @pytest.mark.parametrize(

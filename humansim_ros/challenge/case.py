@@ -1,39 +1,70 @@
-"""Nodes of one case of a challenge after the other in this process, and what a tracker publishes meanwhile.
+"""A case of a challenge: its nodes in one process, and what the tracker publishes meanwhile.
 
-    python -m humansim_ros.apps.challenge_case
-
-Each line of standard input is a case as JSON (:class:`CaseOrder`), or the word ``stop``, which ends the case
-in progress. Each case is answered by a line of JSON on standard output, when its nodes are gone.
+:class:`CaseJob` runs cases in a worker process (``jobs/workers.py``), one after the other.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import select
-import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.errors import EvaluationError, HumansimError, show_warnings
+from humansim_ros.errors import EvaluationError, show_warnings
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.joint_names import set_of_names
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.evaluate.truth import truth_at
+from humansim_ros.jobs.frame_job import Costs, FrameResult
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.people import PoseFrame
+from humansim_ros.ros.transport import domain_environment
 from humansim_ros.scene import Scene
 
 #: Most messages of a tracker for each frame, and for a case besides: more are a flood.
 MAX_MESSAGES_PER_FRAME, MAX_MESSAGES = 50, 1000
 #: Seconds without a message after which nothing of the last frames is expected.
 _REST = 0.7
+#: Seconds from the end of the tracker to the end of its case: its last messages arrive.
+_AFTER_END = 0.3
+
+
+@dataclass(frozen=True)
+class ChallengeOptions:
+    """How a tracker is run.
+
+    Attributes:
+        tracker: Command line.
+        topic: Topic of its estimate.
+        keypoints: Keypoint set of its estimate; None: as its names say.
+        timeout: Seconds that a frame waits for it.
+        start_within: Seconds until it must publish its topic.
+        is_realtime: Frames follow the wall clock.
+        is_quick: The short form of the suite.
+        scale: Metres of a unit of its estimate.
+        axes: Axes of its estimate; None: the axes of ``map``.
+    """
+
+    tracker: str
+    topic: str = "/tracker/poses"
+    keypoints: str | None = None
+    timeout: float = 10.0
+    start_within: float = 20.0
+    is_realtime: bool = False
+    is_quick: bool = False
+    scale: float = 1.0
+    axes: str | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything but the command, and the defaults that older reports do not have."""
+        added = {"scale": 1.0, "axes": None}
+        values = {key: value for key, value in asdict(self).items() if key != "tracker"}
+        return {key: value for key, value in values.items() if key not in added or value != added[key]}
 
 
 @dataclass(frozen=True)
@@ -42,51 +73,17 @@ class CaseOrder:
 
     Attributes:
         scene: Scene file.
-        domain: ROS domain.
-        topic: Topic of the estimate.
+        tracker: Process id of the tracker; the case ends with it.
         frames: Number of frames.
         patience: Seconds that a frame in lockstep waits for the tracker.
-        start_within: Seconds until the topic must have a publisher.
-        is_realtime: Frames follow the wall clock.
-        keypoints: Keypoint set of the estimate; None: as its names say.
-        scale: Metres of a unit of the estimate.
-        axes: Axes of the estimate; None: the axes of ``map``.
+        options: How the tracker is run.
     """
 
     scene: str
-    domain: int
-    topic: str
+    tracker: int
     frames: int
     patience: float
-    start_within: float
-    is_realtime: bool
-    keypoints: str | None
-    scale: float = 1.0
-    axes: str | None = None
-
-
-class _Orders:
-    """Lines of standard input, without waiting."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-        self.is_closed = False
-
-    def next_line(self, wait: float = 0.0) -> str | None:
-        """The next line; None if there is none within ``wait`` seconds."""
-        while b"\n" not in self._rest:
-            if self.is_closed or not select.select([0], [], [], wait)[0]:
-                return None
-            part = os.read(0, 65536)
-            self.is_closed = not part
-            self._rest += part
-        line, self._rest = self._rest.split(b"\n", 1)
-        return line.decode()
-
-    @property
-    def is_stopped(self) -> bool:
-        """Whether the case in progress must end."""
-        return self.next_line() is not None or self.is_closed
+    options: ChallengeOptions
 
 
 class _Collector:
@@ -98,8 +95,9 @@ class _Collector:
         from humansim_ros.ros.estimate_topics import PoseTopics
         from humansim_ros.ros.qos import DATA, SCENE_TIME
 
-        names = keypoint_set(order.keypoints).names if order.keypoints else None
-        self.stream = EstimateStream(order.topic)
+        options = order.options
+        names = keypoint_set(options.keypoints).names if options.keypoints else None
+        self.stream = EstimateStream(options.topic)
         #: Scene time and time of the first arrival by stamp; nanoseconds and seconds.
         self.frames: dict[int, int] = {}
         self.sent: dict[int, float] = {}
@@ -108,7 +106,10 @@ class _Collector:
         self.last = time.monotonic()
         self.fault = ""
         self.topics = PoseTopics(
-            node, order.topic, ReadOptions(names, axes=order.axes, scale=order.scale), self._on_frame
+            node,
+            order.options.topic,
+            ReadOptions(names, axes=order.options.axes, scale=order.options.scale),
+            self._on_frame,
         )
         node.create_subscription(TimeReference, SCENE_TIME, self._on_time, DATA)
 
@@ -132,7 +133,18 @@ class _Collector:
             self.fault = str(error)
 
 
-def run_case(order: CaseOrder, is_stopped: Callable[[], bool]) -> dict[str, Any]:
+def has_ended(process: int) -> bool:
+    """Whether there is no process with this id; one that its parent has not noticed is there."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:  # of another user
+        pass
+    return False
+
+
+def run_case(order: CaseOrder) -> dict[str, Any]:
     """Run a case; keys of its result, as of ``CaseResult``.
 
     Raises:
@@ -147,7 +159,6 @@ def run_case(order: CaseOrder, is_stopped: Callable[[], bool]) -> dict[str, Any]
     from humansim_ros.ros.runtime import make_executor
 
     scene = Scene.load(Path(order.scene))
-    os.environ["ROS_DOMAIN_ID"] = str(order.domain)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node, nodes = None, None
     try:
@@ -156,31 +167,32 @@ def run_case(order: CaseOrder, is_stopped: Callable[[], bool]) -> dict[str, Any]
         executor = make_executor()
         executor.add_node(node)
         player: dict[str, Any] = {"mode": "realtime"}
-        if not order.is_realtime:
+        if not order.options.is_realtime:
             player = {
                 "mode": "lockstep",
-                "wait_for": [f"{TOPIC_PREFIX}{order.topic}"],
+                "wait_for": [f"{TOPIC_PREFIX}{order.options.topic}"],
                 "timeout": order.patience,
                 "on_timeout": "continue",
                 "frames": order.frames,
                 "clock_search": 0.0,
             }
         start = time.monotonic()
-        while not collector.topics.found and time.monotonic() < start + order.start_within:
+        while not collector.topics.found and time.monotonic() < start + order.options.start_within:
             executor.spin_once(0.05)
-            if is_stopped():
+            if has_ended(order.tracker):
                 return {}
-        nodes = InProcessNodes(scene, "", player, is_simulated=not order.is_realtime)
+        nodes = InProcessNodes(scene, "", player, is_simulated=not order.options.is_realtime)
         for each in nodes.nodes:
             executor.add_node(each)
         start = time.monotonic()
         most = MAX_MESSAGES + MAX_MESSAGES_PER_FRAME * order.frames
         end = order.frames / scene.config.rate
-        stopped = False
-        while not (stopped or collector.messages > most):
+        last = float("inf")
+        while time.monotonic() < last and collector.messages <= most:
             executor.spin_once(0.05)
-            stopped = is_stopped()
-            if order.is_realtime:
+            if has_ended(order.tracker):
+                last = min(last, time.monotonic() + _AFTER_END)
+            if order.options.is_realtime:
                 first = min(collector.sent.values(), default=time.monotonic())
                 is_over = time.monotonic() > first + end + _REST
             else:
@@ -215,9 +227,9 @@ def measured(order: CaseOrder, scene: Scene, collector: Any, most: int) -> dict[
     if not collector.messages:
         found = collector.topics.found
         result["failure"] = (
-            f"the tracker published nothing that can be read on {order.topic}"
+            f"the tracker published nothing that can be read on {order.options.topic}"
             if found
-            else f"nobody published {order.topic} with a type that holds poses"
+            else f"nobody published {order.options.topic} with a type that holds poses"
         )
         return result
     if not frames:
@@ -247,7 +259,9 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
         if not (np.abs(own - stamp) <= half).any():
             stream.add(PoseFrame(stamp, "map", ()), "", 0)
     estimate = stream.sequence()
-    points = keypoint_set(order.keypoints) if order.keypoints else set_of_names(estimate.names)
+    points = (
+        keypoint_set(order.options.keypoints) if order.options.keypoints else set_of_names(estimate.names)
+    )
     truth = truth_at(scene, np.array(list(frames.values()), np.int64), stamps, points)
     found = evaluate_poses(truth, estimate)
     return {
@@ -261,27 +275,40 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
     }
 
 
-def main() -> int:
-    """Run the cases of standard input until it is closed."""
-    from humansim_ros.ros.runtime import prepare_transport
+class CaseWorker:
+    """Runs cases in this process."""
 
-    show_warnings()
-    prepare_transport(network=False)
-    orders = _Orders()
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # libraries print to standard output
-    while not orders.is_closed:
-        line = orders.next_line(1.0)
-        if line is None or line == "stop":
-            continue
-        try:
-            answer = run_case(CaseOrder(**json.loads(line)), lambda: orders.is_stopped)
-        except HumansimError as error:
-            answer = {"error": str(error)}
-        answers.write(json.dumps(answer) + "\n")
-        answers.flush()
-    return 0
+    def __init__(self) -> None:
+        self.costs = Costs()
+
+    def work(self, order: CaseOrder) -> FrameResult:
+        """Run a case; ``value`` has the keys of its result."""
+        return FrameResult(run_case(order))
+
+    def close(self) -> None:
+        """Do nothing: each case ends its nodes."""
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+@dataclass(frozen=True)
+class CaseJob:
+    """Cases of a challenge in a worker process.
+
+    Attributes:
+        log: File for the output of the nodes.
+        domain: ROS domain.
+    """
+
+    log: Path
+    domain: int
+
+    def start(self) -> CaseWorker:
+        """Prepare this process for ROS. Raises HumansimError if this machine cannot run nodes."""
+        from humansim_ros.ros.runtime import prepare_transport
+
+        with self.log.open("ab") as log:
+            os.dup2(log.fileno(), 1)
+            os.dup2(log.fileno(), 2)
+        os.environ.update(domain_environment(self.domain))
+        show_warnings()
+        prepare_transport(network=False)
+        return CaseWorker()

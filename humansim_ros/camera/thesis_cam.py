@@ -5,8 +5,7 @@ no distortion, and a centred principal point. Numbers in parentheses are equatio
 that contradict each other are corrected so that the round trip camera -> P -> camera is exact.
 
 The thesis indexes pixels by (u, v) = (row, column) from the image corner, as OpenGL does. In this package
-and in ROS, pixels are (x, y) = (column, row) from the centre of the first pixel. :func:`ros_from_thesis`
-converts.
+and in ROS, pixels are (x, y) = (column, row) from the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -73,16 +72,6 @@ def decompose_euler(rotation: ArrayLike) -> Array:
     return np.array([alpha, beta, np.arctan2(c * sine - b * cosine, e * cosine - f * sine)])
 
 
-def focal_of_lens(lens: float) -> float:
-    """f of a Blender lens in millimetres on a 32 mm sensor (9.17): 16 mm is 90 degrees on the longer side."""
-    return lens / 16.0
-
-
-def lens_of_focal(focal: float) -> float:
-    """Blender lens in millimetres of f (9.17)."""
-    return 16.0 * focal
-
-
 def camera_rotation(euler: ArrayLike) -> Array:
     """Rotation (3, 3) from the world to the camera of Euler angles (3,), radians (9.19)."""
     return np.asarray(BLENDER_TO_CAMERA @ compose_euler(euler).T, dtype=float)
@@ -94,26 +83,6 @@ def calibration_matrix(focal: float, size: tuple[int, int], aspect: tuple[float,
     m = max(width * kv, height * ku)
     mu, mv = m / (2 * ku), m / (2 * kv)
     return np.array([[-mu * focal, 0, height / 2], [0, mv * focal, width / 2], [0, 0, 1]])
-
-
-def projection_matrix(cam: CamFile) -> Array:
-    """P = K [R | -R C], (3, 4), in (row, column) order (9.23), with (9.20) corrected."""
-    k, r = calibration_matrix(cam.focal, cam.size, cam.aspect), camera_rotation(np.radians(cam.euler_deg))
-    return np.asarray(k @ np.column_stack([r, -r @ np.array(cam.center)]), dtype=float)
-
-
-def ros_from_thesis(P: ArrayLike) -> Array:
-    """Convert a projection matrix (3, 4) of the thesis to ROS pixels.
-
-    The first two rows are swapped, and pixels are shifted by half a pixel, from the image corner to the
-    centre of the first pixel.
-    """
-    return np.asarray(_PIXELS @ np.asarray(P, dtype=float), dtype=float)
-
-
-def thesis_from_ros(P: ArrayLike) -> Array:
-    """The inverse of :func:`ros_from_thesis`."""
-    return np.linalg.solve(_PIXELS, np.asarray(P, dtype=float))
 
 
 def aspect_of(K: ArrayLike) -> float:

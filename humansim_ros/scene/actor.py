@@ -12,7 +12,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.keyframes import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
+from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
@@ -159,11 +159,6 @@ class Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
         return replace(changed, keyframes=self.keyframes)
-
-    @property
-    def motion_names(self) -> tuple[str, ...]:
-        """Joint names of :meth:`joint_poses`: of the motion, and SPACE_JOINTS with keyframes."""
-        return self.motion.names if self.keyframes is None else (*self.motion.names, *SPACE_JOINTS)
 
     def joint_poses(self, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""

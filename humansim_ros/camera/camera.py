@@ -145,7 +145,7 @@ class Camera(Pictured):
         x = right / np.linalg.norm(right)
         rotation = np.stack([x, np.cross(z, x), z])
         f = width / 2 / np.tan(fov / 2)
-        k = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
+        k = pinhole(f, f, (width - 1) / 2, (height - 1) / 2)
         return cls(size, k, rotation, -rotation @ centre)
 
     @classmethod
@@ -316,6 +316,11 @@ def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool =
     if square:
         fx = fy = float(np.sqrt(fx * fy))
     cx, cy = ((n - 1) / 2 for n in size) if center else K[:2, 2]
+    return pinhole(fx, fy, cx, cy)
+
+
+def pinhole(fx: float, fy: float, cx: float, cy: float) -> Array:
+    """K (3, 3) without skew."""
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=float)
 
 

@@ -6,6 +6,7 @@ and writes cameras that are already in that unit and those axes; ``camera/calibr
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -147,6 +148,21 @@ class CalibrationFile:
             return np.array([to_number(v) for v in _flat(self.need(*keys), most)], dtype=float)
         except ValueError as reason:
             raise self.error(str(reason), *keys) from None
+
+    def optional_numbers(self, *keys: Key) -> Array:
+        """All numbers (N,) of a value in row order; (0,) if it is absent or an empty list."""
+        return np.zeros(0) if self.get(*keys) in (None, []) else self.some_numbers(*keys)
+
+    def pose_matrix(self, *keys: Key, rows: int, tolerance: float = 1e-9) -> Array:
+        """Matrix (3, 4) or (4, 4) of R and t, whose fourth row is 0 0 0 1 to a tolerance."""
+        matrix = self.numbers((rows, 4), *keys)
+        if rows == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=tolerance):
+            raise self.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
+        return matrix
+
+    def locations(self, at: Sequence[Key], **parts: str) -> dict[str, SourceLocation]:
+        """Locations of a camera and of its parts. ``parts``: their keys below the key path of the camera."""
+        return {"": self.location(*at), **{part: self.location(*at, key) for part, key in parts.items()}}
 
     def size(self, width: Sequence[Key], height: Sequence[Key]) -> ImageSize:
         """Image size from the key paths of its width and height."""
@@ -312,9 +328,14 @@ def row(values: Iterable[float], between: str = " ") -> str:
     return between.join(number(v) for v in values)
 
 
-def nested(matrix: Array) -> list[Any]:
+def nested(matrix: Array | Sequence[float]) -> list[Any]:
     """Nested lists of a matrix for JSON, without -0.0."""
     return (np.asarray(matrix, dtype=float) + 0.0).tolist()
+
+
+def json_file(content: Any) -> dict[str, str]:
+    """Texts by file name of a format whose only file is JSON."""
+    return {"": json.dumps(content, indent=1) + "\n"}
 
 
 def without_suffix(name: str) -> str:
@@ -403,6 +424,26 @@ def _name(camera: Any, otherwise: str) -> str:
     return otherwise
 
 
+def reader_of(
+    find: Callable[[CalibrationFile], list[tuple[str, Keys]]],
+    read_camera: Callable[[CalibrationFile, Keys], RawCamera],
+) -> tuple[Callable[[CalibrationFile], bool], Callable[[CalibrationFile], dict[str, RawCamera]]]:
+    """``matches`` and ``read`` of a format.
+
+    Args:
+        find: Names and key paths of the cameras of a file, as from :func:`find_cameras`.
+        read_camera: Reads the camera at a key path.
+    """
+
+    def read(file: CalibrationFile) -> dict[str, RawCamera]:
+        cameras: dict[str, RawCamera] = {}
+        for name, at in find(file):
+            file.add(cameras, name, read_camera(file, at), *at)
+        return cameras
+
+    return lambda file: bool(find(file)), read
+
+
 def has_keys(*needed: set[str]) -> Predicate:
     """Function that tells whether a value is a mapping with a key of each of these sets."""
     return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)
@@ -470,6 +511,11 @@ def check_count(
         count = " or ".join(map(str, counts))
         hint = "; thin prism and tilted sensor models are not supported" if len(distortion) > 8 else ""
         raise file.error(f"{model} has {count} coefficients, not {len(distortion)}{hint}", *distortion_keys)
+
+
+def opencv_model(distortion: Array) -> str:
+    """Model with the number of coefficients (N,) that are used, where OpenCV does not name it."""
+    return "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
 
 
 def _model_without_name(

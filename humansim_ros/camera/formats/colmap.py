@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
     CalibrationFormat,
@@ -113,7 +113,7 @@ def _model(
     elif any(parameters.get(name) for name in ("k4", "k5", "k6")):
         ros_model = "rational_polynomial"
     return RawCamera(
-        np.array([[fx, 0, parameters["cx"] - 0.5], [0, fy, parameters["cy"] - 0.5], [0, 0, 1]]),
+        pinhole(fx, fy, parameters["cx"] - 0.5, parameters["cy"] - 0.5),
         size=(int(values[0]), int(values[1])),
         distortion=tuple(parameters.get(name, 0.0) for name in _COEFFICIENTS[ros_model].split()),
         model=ros_model,

@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     LARGEST,
     CalibrationFile,
@@ -29,7 +28,10 @@ from humansim_ros.camera.formats.base import (
     check_count,
     find_cameras,
     has_keys,
+    json_file,
     nested,
+    opencv_model,
+    reader_of,
     rotation_of,
     row,
     vector_of,
@@ -124,7 +126,7 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
         subject, serial = (matched[1], matched[2]) if matched else ("S1", name)
         parameters = {
             "calibration_matrix": nested(camera.K),
-            "distortion": nested(np.array(camera.distortion[:5])),
+            "distortion": nested(camera.distortion[:5]),
         }
         if intrinsics.setdefault(serial, parameters) != parameters:
             message = "this format needs the same K and lens of a camera for all subjects"
@@ -133,7 +135,7 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
         if serial in poses:
             raise CameraError(f"there are two cameras {serial} of subject {subject}", key=name)
         poses[serial] = {"R": nested(camera.R), "t": nested(camera.t[:, None])}
-    return _json({"intrinsics": intrinsics, "extrinsics": extrinsics})
+    return json_file({"intrinsics": intrinsics, "extrinsics": extrinsics})
 
 
 # -- Shelf and Campus: x = R (X - T), where T is the camera centre; millimetres, z up
@@ -141,17 +143,6 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 def _shelf_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
     return find_cameras(file, has_keys({"R"}, {"T"}, _SHELF_INTRINSICS), has_keys({"R", "T", "fx", "f"}))
-
-
-def _is_shelf(file: CalibrationFile) -> bool:
-    return bool(_shelf_cameras(file))
-
-
-def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for name, at in _shelf_cameras(file):
-        file.add(cameras, name, _shelf_camera(file, at), *at)
-    return cameras
 
 
 def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
@@ -167,19 +158,13 @@ def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
         tangential = file.numbers((2,), *at, "p")
     posed = file.get(*at, "R") is not None or file.get(*at, "T") is not None
     return RawCamera(
-        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        pinhole(fx, fy, cx, cy),
         file.numbers((3, 3), *at, "R") if posed else None,
         center=file.numbers((3,), *at, "T") if posed else None,
         size=file.pair_size(*at, "imgSize"),
         distortion=(*radial[:2], *tangential, radial[2]),
         model="plumb_bob",
-        locations={
-            "": file.location(*at),
-            "K": file.location(*at, "fx"),
-            "R": file.location(*at, "R"),
-            "t": file.location(*at, "T"),
-            "distortion": file.location(*at, "k"),
-        },
+        locations=file.locations(at, K="fx", R="R", t="T", distortion="k"),
     )
 
 
@@ -197,7 +182,7 @@ def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
             "k": nested(np.array([[k1], [k2], [k3]])),
             "p": nested(np.array([[p1], [p2]])),
         }
-    return _json(data)
+    return json_file(data)
 
 
 # -- CMU Panoptic: x = R X + t in centimetres, y down
@@ -212,9 +197,7 @@ def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for index in range(len(file.need("cameras"))):
         at: tuple[Key, ...] = ("cameras", index)
-        distortion: Array = np.zeros(0)
-        if file.get(*at, "distCoef") is not None:
-            distortion = file.some_numbers(*at, "distCoef")
+        distortion = file.optional_numbers(*at, "distCoef")
         check_count(file, "plumb_bob", distortion, (*at, "distCoef"))
         posed = file.get(*at, "R") is not None or file.get(*at, "t") is not None
         camera = RawCamera(
@@ -224,12 +207,7 @@ def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
             size=file.pair_size(*at, "resolution"),
             distortion=tuple(distortion),
             model="plumb_bob",
-            locations={
-                "": file.location(*at),
-                **{part: file.location(*at, part) for part in ("K", "R", "t")},
-                "distortion": file.location(*at, "distCoef"),
-                "size": file.location(*at, "resolution"),
-            },
+            locations=file.locations(at, K="K", R="R", t="t", distortion="distCoef", size="resolution"),
         )
         file.add(cameras, str(file.need(*at, "name")), camera, *at)
     return cameras
@@ -243,13 +221,13 @@ def _write_panoptic(cameras: Mapping[str, Camera]) -> dict[str, str]:
             "resolution": list(camera.size),
             **_panel_and_node(name, index),
             "K": nested(camera.K),
-            "distCoef": nested(np.array(camera.distortion[:5])),
+            "distCoef": nested(camera.distortion[:5]),
             "R": nested(camera.R),
             "t": nested(camera.t[:, None]),
         }
         for index, (name, camera) in enumerate(cameras.items())
     ]
-    return _json({"cameras": written})
+    return json_file({"cameras": written})
 
 
 def _panel_and_node(name: str, index: int) -> dict[str, int]:
@@ -257,10 +235,6 @@ def _panel_and_node(name: str, index: int) -> dict[str, int]:
     matched = _PANEL_AND_NODE.fullmatch(name)
     panel, node = (int(matched[1]), int(matched[2])) if matched else (0, index)
     return {"panel": panel, "node": node}
-
-
-def _json(data: Any) -> dict[str, str]:
-    return {"": json.dumps(data, indent=1) + "\n"}
 
 
 H36M = CalibrationFormat(
@@ -281,8 +255,7 @@ SHELF = CalibrationFormat(
     "Shelf/Campus JSON",
     ".json",
     "json",
-    _is_shelf,
-    _read_shelf,
+    *reader_of(_shelf_cameras, _shelf_camera),
     _write_shelf,
     unit=0.001,
     holds_size=False,
@@ -314,32 +287,18 @@ _PARTS = {"matrix", "rotation", "translation", "distortions"}
 
 
 def _cameras_anipose(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    return find_cameras(file, has_keys({"matrix"}), has_keys(_PARTS))
-
-
-def _is_anipose(file: CalibrationFile) -> bool:
-    return bool(_cameras_anipose(file))
-
-
-def _read_anipose(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for table, at in _cameras_anipose(file):
-        name = str(file.get(*at, "name") or "").strip() or table
-        file.add(cameras, name, _camera_anipose(file, at), *at)
-    return cameras
+    found = find_cameras(file, has_keys({"matrix"}), has_keys(_PARTS))
+    return [(str(file.get(*at, "name") or "").strip() or table, at) for table, at in found]
 
 
 def _camera_anipose(file: CalibrationFile, at: Keys) -> RawCamera:
     matrix = file.numbers((3, 3), *at, "matrix")
-    distortion: Array = np.zeros(0)
-    if file.get(*at, "distortions") not in (None, []):
-        distortion = file.some_numbers(*at, "distortions")
+    distortion = file.optional_numbers(*at, "distortions")
     model = _model(file, at, distortion)
     rotation, t = file.get(*at, "rotation"), file.get(*at, "translation")
     if (rotation is None) != (t is None):
         present, missing = ("rotation", "translation") if t is None else ("translation", "rotation")
         raise file.error(f"needs {missing} as well", *at, present)
-    keys = {"K": "matrix", "distortion": "distortions", "R": "rotation", "t": "translation", "size": "size"}
     return RawCamera(
         matrix,
         None if rotation is None else rotation_of(file, *at, "rotation"),
@@ -347,7 +306,9 @@ def _camera_anipose(file: CalibrationFile, at: Keys) -> RawCamera:
         size=file.pair_size(*at, "size"),
         distortion=tuple(distortion),
         model=model,
-        locations={"": file.location(*at), **{part: file.location(*at, key) for part, key in keys.items()}},
+        locations=file.locations(
+            at, K="matrix", distortion="distortions", R="rotation", t="translation", size="size"
+        ),
     )
 
 
@@ -355,10 +316,7 @@ def _model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
     fisheye = file.get(*at, "fisheye")
     if fisheye is not None and not isinstance(fisheye, bool):
         raise file.error("needs true or false", *at, "fisheye")
-    if fisheye:
-        model = "equidistant"
-    else:
-        model = "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
+    model = "equidistant" if fisheye else opencv_model(distortion)
     if len(distortion) >= 4 or model == "equidistant":
         check_count(file, model, distortion, (*at, "distortions"))
     return model
@@ -414,8 +372,7 @@ ANIPOSE = CalibrationFormat(
     "Anipose, FreeMoCap, Pose2Sim TOML",
     ".toml",
     "toml",
-    _is_anipose,
-    _read_anipose,
+    *reader_of(_cameras_anipose, _camera_anipose),
     _write_anipose,
     lenses={"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4},
     find_unit=_find_unit,
@@ -434,27 +391,13 @@ def _is_camera(value: object) -> bool:
     return isinstance(value, dict) and "K" in value and not value.keys().isdisjoint(("RT", "imgSize"))
 
 
-def _is_association(file: CalibrationFile) -> bool:
-    return bool(_cameras_association(file))
-
-
-def _read_association(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for name, at in _cameras_association(file):
-        file.add(cameras, name, _camera_association(file, at), *at)
-    return cameras
-
-
 def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
     k = file.numbers((3, 3), *at, "K")
     r, t, (r_key, t_key) = _pose(file, at)
     lens = next((key for key in _LENS if file.get(*at, key) not in (None, [])), _LENS[0])
-    distortion: Array = np.zeros(0)
-    if file.get(*at, lens) not in (None, []):
-        distortion = file.some_numbers(*at, lens)
-    model = "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
+    distortion = file.optional_numbers(*at, lens)
+    model = opencv_model(distortion)
     check_count(file, model, distortion, (*at, lens))
-    keys = {"K": "K", "R": r_key, "t": t_key, "distortion": lens, "size": "imgSize"}
     return RawCamera(
         k,
         r,
@@ -462,17 +405,15 @@ def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
         size=file.pair_size(*at, "imgSize"),
         distortion=tuple(distortion),
         model=model,
-        locations={"": file.location(*at), **{part: file.location(*at, key) for part, key in keys.items()}},
+        locations=file.locations(at, K="K", R=r_key, t=t_key, distortion=lens, size="imgSize"),
     )
 
 
 def _pose(file: CalibrationFile, at: Keys) -> tuple[Array | None, Array, tuple[str, str]]:
     """R and t, and their keys: from RT (3x4 or 4x4), or from R and T; R is None without any."""
     if file.get(*at, "RT") is not None:
-        values = file.some_numbers(*at, "RT")
-        matrix = file.numbers((4, 4) if len(values) == 16 else (3, 4), *at, "RT")
-        if len(matrix) == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
-            raise file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *at, "RT")
+        rows = 4 if len(file.some_numbers(*at, "RT")) == 16 else 3
+        matrix = file.pose_matrix(*at, "RT", rows=rows)
         return matrix[:3, :3], matrix[:3, 3], ("RT", "RT")
     t_key = next((key for key in ("T", "t") if file.get(*at, key) is not None), "T")
     if file.get(*at, "R") is None and file.get(*at, t_key) is None:
@@ -481,16 +422,17 @@ def _pose(file: CalibrationFile, at: Keys) -> tuple[Array | None, Array, tuple[s
 
 
 def _write_association(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    data = {
-        name: {
-            "K": nested(camera.K.ravel()),
-            "RT": nested(np.column_stack([camera.R, camera.t]).ravel()),
-            "distCoeff": nested(np.array(camera.distortion)),
-            "imgSize": list(camera.size),
+    return json_file(
+        {
+            name: {
+                "K": nested(camera.K.ravel()),
+                "RT": nested(np.column_stack([camera.R, camera.t]).ravel()),
+                "distCoeff": nested(camera.distortion),
+                "imgSize": list(camera.size),
+            }
+            for name, camera in cameras.items()
         }
-        for name, camera in cameras.items()
-    }
-    return {"": json.dumps(data, indent=1) + "\n"}
+    )
 
 
 ASSOCIATION = CalibrationFormat(
@@ -498,8 +440,7 @@ ASSOCIATION = CalibrationFormat(
     "4DAssociation JSON",
     ".json",
     "json",
-    _is_association,
-    _read_association,
+    *reader_of(_cameras_association, _camera_association),
     _write_association,
     lenses={"plumb_bob": 5, "rational_polynomial": 8},
 )

@@ -26,7 +26,9 @@ from humansim_ros.camera.formats.base import (
     RawCamera,
     SourceLocation,
     find_model,
-    number,
+    json_file,
+    nested,
+    opencv_model,
     rotation_of,
     row,
     vector_of,
@@ -207,9 +209,7 @@ def _model(entries: Mapping[str, _Entry | None], distortion: Array) -> str | Non
     word = "" if name is None else str(name.value).strip().lower()
     if word in ("", "pinhole", "perspective", "opencv"):
         is_fisheye = fisheye is not None and str(fisheye.value).strip().lower() not in ("0", "false", "no")
-        word = "equidistant" if is_fisheye else "plumb_bob"
-        if not is_fisheye and len(np.trim_zeros(distortion, "b")) > 5:
-            word = "rational_polynomial"
+        word = "equidistant" if is_fisheye else opencv_model(distortion)
         if distortion_entry is not None and not is_fisheye and len(distortion) == 4 and distortion.any():
             hint = "if they are of cv2.fisheye, add distortion_model: equidistant"
             warn_about(
@@ -320,16 +320,11 @@ def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
     def item(value: _Value) -> Any:
         if not isinstance(value, np.ndarray):
             return value
-        data = [float(number(v)) for v in value.ravel()]
-        return {
-            "type_id": "opencv-matrix",
-            "rows": value.shape[0],
-            "cols": value.shape[1],
-            "dt": "d",
-            "data": data,
-        }
+        rows, columns = value.shape
+        data = nested(value.ravel())
+        return {"type_id": "opencv-matrix", "rows": rows, "cols": columns, "dt": "d", "data": data}
 
-    return {"": json.dumps({key: item(value) for key, value in _entries(cameras).items()}, indent=1) + "\n"}
+    return json_file({key: item(value) for key, value in _entries(cameras).items()})
 
 
 def _format(name: str, title: str, suffix: str, syntax: str, write: Any) -> CalibrationFormat:

@@ -8,14 +8,13 @@ https://www.open3d.org/docs/release/python_api/open3d.camera.html
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
     CalibrationFormat,
@@ -24,10 +23,12 @@ from humansim_ros.camera.formats.base import (
     check_count,
     find_cameras,
     has_keys,
+    json_file,
     nested,
+    reader_of,
 )
 from humansim_ros.errors import warn_about
-from humansim_ros.types import Array, ImageSize
+from humansim_ros.types import Array
 
 #: Names of rs2_distortion without case, and its numbers.
 _MODELS = {
@@ -46,17 +47,6 @@ def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
     return find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
 
 
-def _is_realsense(file: CalibrationFile) -> bool:
-    return bool(_realsense_cameras(file))
-
-
-def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for name, at in _realsense_cameras(file):
-        file.add(cameras, name, _realsense_camera(file, at), *at)
-    return cameras
-
-
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     fx, fy = (float(file.numbers((), *at, key)) for key in ("fx", "fy"))
     cx, cy = (
@@ -64,22 +54,14 @@ def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
         for keys in (("ppx", "cx"), ("ppy", "cy"))
     )
     key = "coeffs" if file.get(*at, "coeffs") is not None else "distortion"
-    distortion: Array = np.zeros(0)
-    if file.get(*at, key) not in (None, []):
-        distortion = file.some_numbers(*at, key)
+    distortion = file.optional_numbers(*at, key)
     model = _model(file, at, key, distortion)
-    size = file.size((*at, "width"), (*at, "height"))
     return RawCamera(
-        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-        size=size,
+        pinhole(fx, fy, cx, cy),
+        size=file.size((*at, "width"), (*at, "height")),
         distortion=tuple(distortion) if model else (),
         model=model,
-        locations={
-            "": file.location(*at),
-            "K": file.location(*at, "fx"),
-            "distortion": file.location(*at, key),
-            "size": file.location(*at, "width"),
-        },
+        locations=file.locations(at, K="fx", distortion=key, size="width"),
     )
 
 
@@ -107,11 +89,11 @@ def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array
 
 
 def _write_realsense(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    data = {}
+    content = {}
     for name, camera in cameras.items():
         k = camera.K
         bent = camera.distorted
-        data[name] = {
+        content[name] = {
             "width": camera.size[0],
             "height": camera.size[1],
             "fx": k[0, 0],
@@ -119,9 +101,9 @@ def _write_realsense(cameras: Mapping[str, Camera]) -> dict[str, str]:
             "ppx": k[0, 2],
             "ppy": k[1, 2],
             "model": _WRITTEN[str(camera.model)] if bent else "none",
-            "coeffs": [*nested(np.array(camera.distortion)), 0.0][:5] if bent else [0.0] * 5,
+            "coeffs": [*nested(camera.distortion), 0.0][:5] if bent else [0.0] * 5,
         }
-    return {"": json.dumps(data, indent=1) + "\n"}
+    return json_file(content)
 
 
 # -- Open3D
@@ -138,33 +120,25 @@ def _is_open3d_camera(value: Any) -> bool:
     return "intrinsic_matrix" in (inner if isinstance(inner, dict) else value)
 
 
-def _is_open3d(file: CalibrationFile) -> bool:
-    return bool(_open3d_cameras(file))
-
-
-def _read_open3d(file: CalibrationFile) -> dict[str, RawCamera]:
-    cameras: dict[str, RawCamera] = {}
-    for name, at in _open3d_cameras(file):
-        inner = (*at, "intrinsic") if isinstance(file.get(*at, "intrinsic"), dict) else at
-        k = file.numbers((3, 3), *inner, "intrinsic_matrix").T
-        rotation, t = None, np.zeros(3)
-        if file.get(*at, "extrinsic") is not None:
-            pose = file.numbers((4, 4), *at, "extrinsic").T
-            if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
-                raise file.error(
-                    "needs 4 x 4 numbers in column order, the last row 0 0 0 1", *at, "extrinsic"
-                )
-            rotation, t = pose[:3, :3], pose[:3, 3]
-        size: ImageSize | None = None
-        if file.get(*inner, "width") is not None:
-            size = file.size((*inner, "width"), (*inner, "height"))
-        locations = {
-            "": file.location(*at),
+def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    inner = (*at, "intrinsic") if isinstance(file.get(*at, "intrinsic"), dict) else at
+    rotation, t = None, np.zeros(3)
+    if file.get(*at, "extrinsic") is not None:
+        pose = file.numbers((4, 4), *at, "extrinsic").T
+        if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+            raise file.error("needs 4 x 4 numbers in column order, the last row 0 0 0 1", *at, "extrinsic")
+        rotation, t = pose[:3, :3], pose[:3, 3]
+    sized = file.get(*inner, "width") is not None
+    return RawCamera(
+        file.numbers((3, 3), *inner, "intrinsic_matrix").T,
+        rotation,
+        t,
+        size=file.size((*inner, "width"), (*inner, "height")) if sized else None,
+        locations={
+            **file.locations(at, R="extrinsic", t="extrinsic"),
             "K": file.location(*inner, "intrinsic_matrix"),
-            **dict.fromkeys(("R", "t"), file.location(*at, "extrinsic")),
-        }
-        file.add(cameras, name, RawCamera(k, rotation, t, size=size, locations=locations), *at)
-    return cameras
+        },
+    )
 
 
 def _write_open3d(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -183,8 +157,7 @@ def _write_open3d(cameras: Mapping[str, Camera]) -> dict[str, str]:
         }
         for name, camera in cameras.items()
     ]
-    data = {"class_name": "PinholeCameraTrajectory", "parameters": parameters, **version}
-    return {"": json.dumps(data, indent=1) + "\n"}
+    return json_file({"class_name": "PinholeCameraTrajectory", "parameters": parameters, **version})
 
 
 REALSENSE = CalibrationFormat(
@@ -192,13 +165,17 @@ REALSENSE = CalibrationFormat(
     "RealSense intrinsics JSON",
     ".json",
     "json",
-    _is_realsense,
-    _read_realsense,
+    *reader_of(_realsense_cameras, _realsense_camera),
     _write_realsense,
     holds_pose=False,
     holds_skew=False,
     lenses={"plumb_bob": 5, "equidistant": 4},
 )
 OPEN3D = CalibrationFormat(
-    "open3d", "Open3D camera JSON", ".json", "json", _is_open3d, _read_open3d, _write_open3d
+    "open3d",
+    "Open3D camera JSON",
+    ".json",
+    "json",
+    *reader_of(_open3d_cameras, _open3d_camera),
+    _write_open3d,
 )

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     COUNTS,
     CalibrationFile,
@@ -94,8 +94,7 @@ def _camera(file: CalibrationFile, size: tuple[int, int], keys: Mapping[str, tup
     k = file.numbers((3, 3), *keys["K"])
     if not k.any():
         raise file.error("is all zeros, which means 'not calibrated' in ROS", *keys["K"])
-    value = file.get(*keys["distortion"])
-    distortion = np.zeros(0) if value in (None, []) else file.some_numbers(*keys["distortion"])
+    distortion = file.optional_numbers(*keys["distortion"])
     return RawCamera(
         k,
         size=size,
@@ -306,21 +305,14 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
         # with extrinsics of the IMU for the first camera, the chain starts there
         imu = next((key for key in _IMU if file.get(name, key) is not None), None)
         if imu is not None and (pose is None or file.get(names[0], imu) is not None):
-            pose, key = _transform(file, name, imu), imu
+            pose, key = file.pose_matrix(name, imu, rows=4), imu
             pose = invert_rigid(_rigid(pose)) if imu == "T_imu_cam" else pose
         elif pose is None:
             pose, key = np.eye(4), "T_cn_cnm1"
         else:
-            pose, key = _transform(file, name, "T_cn_cnm1") @ pose, "T_cn_cnm1"
+            pose, key = file.pose_matrix(name, "T_cn_cnm1", rows=4) @ pose, "T_cn_cnm1"
         file.add(cameras, name, _camera_kalibr(file, name, pose, key), name)
     return cameras
-
-
-def _transform(file: CalibrationFile, *keys: Key) -> Array:
-    matrix = file.numbers((4, 4), *keys)
-    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
-        raise file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
-    return matrix
 
 
 def _rigid(matrix: Array) -> Array:
@@ -348,20 +340,15 @@ def _camera_kalibr(file: CalibrationFile, name: str, pose: Array, pose_key: str)
         check_count(file, model, distortion, (name, "distortion_coeffs"))
     file.numbers((2,), name, "resolution")
     return RawCamera(
-        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        pinhole(fx, fy, cx, cy),
         pose[:3, :3],
         pose[:3, 3],
         size=file.size((name, "resolution", 0), (name, "resolution", 1)),
         distortion=tuple(distortion),
         model=model,
-        locations={
-            "": file.location(name),
-            "K": file.location(name, "intrinsics"),
-            "distortion": file.location(name, "distortion_coeffs"),
-            "R": file.location(name, pose_key),
-            "t": file.location(name, pose_key),
-            "size": file.location(name, "resolution"),
-        },
+        locations=file.locations(
+            (name,), K="intrinsics", distortion="distortion_coeffs", R=pose_key, t=pose_key, size="resolution"
+        ),
     )
 
 

@@ -57,9 +57,7 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
     if file.get(*at, "size") is not None:
         file.numbers((2,), *at, "size")
         size = file.size((*at, "size", 0), (*at, "size", 1))
-    distortion: Array = np.zeros(0)
-    if file.get(*at, "distortion") not in (None, []):
-        distortion = file.some_numbers(*at, "distortion")
+    distortion = file.optional_numbers(*at, "distortion")
     name_in_file = file.get(*at, "distortion_model")
     model_keys, distortion_keys = (*at, "distortion_model"), (*at, "distortion")
     k, r, t = _matrices(file, at, size)
@@ -79,11 +77,7 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
         else find_model(file, name_in_file, distortion, model_keys, distortion_keys),
         rectification=rectification,
         rectified=rectified,
-        locations={
-            "": file.location(*at),
-            **{part: file.location(*at, part) for part in _PARTS},
-            "model": file.location(*model_keys),
-        },
+        locations=file.locations(at, **{part: part for part in _PARTS}, model="distortion_model"),
     )
 
 

@@ -7,13 +7,12 @@ https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
@@ -22,6 +21,7 @@ from humansim_ros.camera.formats.base import (
     RawCamera,
     SourceLocation,
     image_names,
+    json_file,
     nested,
     without_suffix,
 )
@@ -77,9 +77,8 @@ def _names(file: CalibrationFile) -> list[str]:
 
 def _camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCamera:
     keys = ("frames", index, "transform_matrix")
-    pose = file.numbers((3, 4) if len(file.some_numbers(*keys)) == 12 else (4, 4), *keys)
-    if len(pose) == 4 and not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
-        raise file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
+    rows = 3 if len(file.some_numbers(*keys)) == 12 else 4
+    pose = file.pose_matrix(*keys, rows=rows, tolerance=1e-6)
     k = _matrix(file, index, file.given_size or size)
     model, distortion = _lens(file, index)
     at = file.location(*keys)
@@ -131,7 +130,7 @@ def _matrix(file: CalibrationFile, index: int, size: ImageSize | None) -> Array:
         raise file.error("is missing", *_keys(file, index, "cx" if cx is None else "cy"))
     cx = (width or 0) / 2 if cx is None else cx
     cy = (height or 0) / 2 if cy is None else cy
-    return np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]], dtype=float)
+    return pinhole(fx, fy, cx - 0.5, cy - 0.5)
 
 
 def _focal_length(file: CalibrationFile, index: int, axis: str, side: int | None) -> float | None:
@@ -188,7 +187,7 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     fisheye = (
         {"is_fisheye": True} if all(camera.model == "equidistant" for camera in cameras.values()) else {}
     )
-    return {"": json.dumps({**fisheye, "frames": frames}, indent=1) + "\n"}
+    return json_file({**fisheye, "frames": frames})
 
 
 TRANSFORMS = CalibrationFormat(

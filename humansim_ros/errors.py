@@ -79,6 +79,29 @@ def in_section(section: str) -> Iterator[None]:
         raise error.within(section) from (error.__cause__ if error.path is None else error)
 
 
+@contextmanager
+def located(
+    error: type[HumansimError] | None = None,
+    path: str | os.PathLike[str] | None = None,
+    line: int | None = None,
+    key: str | None = None,
+) -> Iterator[None]:
+    """Give errors a place where they have none.
+
+    Args:
+        error: Class of the errors; their own if None.
+        path: File, for errors without one.
+        line: Line, for errors without one.
+        key: Key, for errors without one.
+    """
+    try:
+        yield
+    except HumansimError as found:
+        at = found.line if found.line is not None else line
+        raised = (error or type(found))(found.message, path=found.path or path, line=at, key=found.key or key)
+        raise raised from None
+
+
 def near_names(word: str, known: Iterable[str], least: float = 0.65) -> list[str]:
     """Names that resemble a word, the nearest first; case does not matter. ``least``: similarity, 0 to 1."""
     from difflib import get_close_matches  # only when something is wrong

@@ -238,6 +238,12 @@ def fit_similarity(
     return factor, rotation, goal[..., 0, :] - factor[..., None] * rotate(rotation, middle[..., 0, :])
 
 
+def nearest_axis(direction: Array) -> Array:
+    """Signed unit axis (3,) nearest to a direction (3,)."""
+    axis = int(np.argmax(np.abs(direction)))
+    return np.eye(3)[axis] * (1.0 if direction[axis] > 0 else -1.0)
+
+
 def angle_between(a: Array, b: Array) -> Array:
     """Angle (...,) between vectors (..., 3), radians; a quarter turn where one has no length."""
     dot = np.einsum("...i,...i->...", a, b)

@@ -16,6 +16,7 @@ from humansim_ros.body.landmarks import joint_positions, known_joints, measure
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.rotations import nearest_axis
 from humansim_ros.types import Array
 
 #: Samples of a surface: their mean distance is 1 % of a person's height.
@@ -281,14 +282,9 @@ def skeleton_at(joints: dict[str, Array]) -> Skeleton:
 
 def _rotation_of_joints(joints: dict[str, Array]) -> Array:
     """Rotation (3, 3), a permutation of axes, to y up, facing +z, from the joints of a body."""
-    upward = _nearest_axis(joints["vt3"] - joints["HumanoidRoot"])
-    left = _nearest_axis((joints["l_hip"] - joints["r_hip"]) * (1 - np.abs(upward)))
+    upward = nearest_axis(joints["vt3"] - joints["HumanoidRoot"])
+    left = nearest_axis((joints["l_hip"] - joints["r_hip"]) * (1 - np.abs(upward)))
     return np.stack([left, upward, np.cross(left, upward)])
-
-
-def _nearest_axis(direction: Array) -> Array:
-    axis = int(np.argmax(np.abs(direction)))
-    return np.eye(3)[axis] * (1.0 if direction[axis] > 0 else -1.0)
 
 
 def _stature(height: float, unit: float | None, stature: float | None) -> float | None:

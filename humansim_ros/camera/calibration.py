@@ -23,15 +23,7 @@ from humansim_ros.camera.formats import FORMATS, CalibrationFile, CalibrationFor
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
-from humansim_ros.errors import (
-    CameraError,
-    HumansimError,
-    HumansimWarning,
-    ResourceError,
-    did_you_mean,
-    some_of,
-    warn_about,
-)
+from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
 from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists, read_text
 from humansim_ros.types import Array, ImageSize
@@ -187,15 +179,7 @@ def _with_poses(path: str, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
 def _folder(
     folder: Path, size: ImageSize | None, unit: float | None, up: str | None, all_cameras: bool
 ) -> Calibration:
-    """Read all calibrations of a folder.
-
-    Args:
-        folder: The folder.
-        size: As for :func:`load_calibration`, as all arguments.
-        unit: Metres per unit of the files.
-        up: Axis of the files that points up.
-        all_cameras: Keep cameras without extrinsics.
-    """
+    """Read all calibrations of a folder; arguments as for :func:`load_calibration`."""
     try:
         files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES and f.is_file())
     except OSError as reason:
@@ -396,10 +380,8 @@ def _share_folder(package: str, url: str) -> Path:
         if folder.is_dir():
             return folder
     if package == "humansim_ros":
-        try:
+        with located(CameraError, key=url):
             return resource_root()
-        except ResourceError as error:
-            raise CameraError(error.message, key=url) from None
     where = ", ".join(prefixes) if prefixes else "AMENT_PREFIX_PATH, which is empty: source your workspace"
     raise CameraError(f"no package {package}; looked in {where}", key=url)
 
@@ -438,11 +420,9 @@ def write_calibration(
     try:
         if len(texts) > 1 or next(iter(texts)).parent == target:
             target.mkdir(exist_ok=True)
-        with ExitStack() as stack:
+        with located(CameraError), ExitStack() as stack:
             for file, text in texts.items():
                 stack.enter_context(atomic_path(file)).write_text(text, encoding="utf-8")
-    except HumansimError as error:
-        raise CameraError(error.message, path=error.path) from None
     except OSError as reason:  # of the folder
         raise CameraError(f"cannot be written: {reason.strerror or reason}", path=target) from None
     except UnicodeEncodeError:
@@ -512,7 +492,7 @@ def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterato
 
 def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str]:
     """Text of each file by its path."""
-    try:
+    with located(path=target):
         if format.multiple or (len(cameras) == 1 and target.suffix and not target.is_dir()):
             texts = format.write(cameras)
             if "" in texts:
@@ -532,7 +512,3 @@ def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationForma
                 raise CameraError(f"two cameras would be written to {file.name}", path=target, key=name)
             files[file] = format.write({name: camera})[""]
         return files
-    except CameraError as error:
-        if error.path is not None:
-            raise
-        raise CameraError(error.message, path=target, key=error.key) from None

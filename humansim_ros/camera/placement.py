@@ -23,12 +23,12 @@ from typing import Annotated, Literal
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.io.schema import Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array
@@ -415,10 +415,7 @@ def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[Fl
     data, tree = read_yaml(path, CameraError, "floor points")
     if not isinstance(data, dict):
         raise CameraError("floor points are a mapping with the list 'points'", path=path)
-    try:
-        file = _File.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, _File, CameraError, path, tree) from None
+    file = validated(_File, data, CameraError, path, tree)
     return [
         FloorPoint(
             None if point.xyz is None else in_metres @ np.array(point.xyz),

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import Field, StringConstraints
 
 from humansim_ros.errors import ChallengeError, HumansimError, did_you_mean
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section, Share
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.scene.config import SceneConfig, check_config
 
@@ -126,10 +126,7 @@ def load_suite(path: Path | None = None, only: Sequence[str] = (), quick: bool =
     """
     source = path or resource_path(f"config/challenge/{STANDARD}.yaml")
     content, tree = _read(source, 0)
-    try:
-        config = SuiteConfig.model_validate(content)
-    except ValidationError as reason:
-        raise schema_error(reason, SuiteConfig, ChallengeError, source, tree) from None
+    config = validated(SuiteConfig, content, ChallengeError, source, tree)
     for name in config.axes:
         if not _NAME.fullmatch(name) or name == BASELINE:
             raise ChallengeError(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, ValidationError, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Skinning
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.io.schema import Axis, ByteColor, Section
-from humansim_ros.io.schema_errors import Expected, schema_error
+from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
 
 OutfitName = Annotated[
@@ -89,7 +89,4 @@ def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuma
     if not isinstance(data, dict) or ("mesh" in data) == ("makehuman" in data):
         raise MeshError("a human description needs exactly one of the keys 'mesh' and 'makehuman'", path=path)
     model: type[MeshHuman | ParametricHuman] = MeshHuman if "mesh" in data else ParametricHuman
-    try:
-        return model.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, model, MeshError, path, tree) from None
+    return validated(model, data, MeshError, path, tree)

@@ -102,11 +102,7 @@ def _skeleton(
 ) -> tuple[Skeleton, list[int]]:
     """Skeleton with the bone names of the general skeleton, and the bone of each joint.
 
-    Args:
-        figure: Skinned mesh.
-        match: Joints of the figure that drive bones.
-        joints: Positions of its J joints in body space, (J, 3) metres.
-        vertices: Vertices in body space, (V, 3) metres.
+    ``joints``: (J, 3), ``vertices``: (V, 3) metres in body space.
     """
     general = hanim_skeleton()
     parent_of = {

@@ -21,7 +21,7 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, warn_about
+from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, located, warn_about
 from humansim_ros.humans.description import (
     DEFAULT_OUTFITS,
     Clothes,
@@ -147,14 +147,10 @@ def load_human(
     """
     if not Path(path).suffix:
         path = find_asset(os.fspath(path), "humans", error=MeshError)
-    try:
+    with located(path=path):
         human = _load(Path(path))
         if outfit is not None:
             human = human.wearing(outfit)
-    except MeshError as error:
-        if error.path is None:
-            raise MeshError(error.message, path=path, line=error.line, key=error.key) from None
-        raise
     return human if skinning is None else replace(human, skinning=skinning)
 
 

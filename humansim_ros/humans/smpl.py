@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.body.skinning import limit_bones
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import MeshError, located
 from humansim_ros.io.npz import read_npz
-from humansim_ros.mesh.mesh import LARGEST, Mesh, SkinnedMesh, normalise_weights
+from humansim_ros.mesh.mesh import LARGEST, Mesh, SkinnedMesh, normalise_weights, padded
 
 _ARRAYS = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
 _BODY = (
@@ -106,14 +106,10 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
     faces = get("f", None, 3).astype(np.int64)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise MeshError(f"a face uses a vertex outside 0..{len(vertices) - 1}", path=path, key="f")
-    quads = np.column_stack([faces, np.full(len(faces), -1)]).astype(np.int32)
-    mesh = Mesh(vertices, quads)
+    mesh = Mesh(vertices, padded(faces))
     if "vt" in arrays and "ft" in arrays:
         uv, corners = get("vt", None, 2).astype(float), get("ft", len(faces), 3)
-        uv_faces = np.column_stack([corners, np.full(len(faces), -1)]).astype(np.int32)
-        mesh = Mesh(vertices, quads, uv, uv_faces)
-    try:
+        mesh = Mesh(vertices, mesh.faces, uv, padded(corners))
+    with located(path=path, key="weights"):
         limited = limit_bones(normalise_weights(csr_matrix(weights)))
-    except MeshError as error:
-        raise MeshError(error.message, path=path, key="weights") from None
     return SkinnedMesh(Path(path).stem, mesh, _NAMES[n], parents, joints.astype(float), limited)

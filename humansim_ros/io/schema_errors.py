@@ -10,10 +10,10 @@ import os
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import annotated_types
-from pydantic import BaseModel, StringConstraints
+from pydantic import BaseModel, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
 from humansim_ros.errors import HumansimError, did_you_mean, near_names
@@ -21,8 +21,8 @@ from humansim_ros.io.yaml import line_of
 
 if TYPE_CHECKING:
     import yaml
-    from pydantic import ValidationError
 
+Model = TypeVar("Model", bound=BaseModel)
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 #: Longest value and longest description that a message shows, characters.
 _LONGEST_VALUE, _LONGEST_DESCRIPTION = 60, 70
@@ -49,6 +49,31 @@ class _Place:
     annotation: Any
     field: FieldInfo | None
     is_name: bool = False
+
+
+def validated(
+    model: type[Model],
+    data: Any,
+    error: type[HumansimError],
+    path: str | os.PathLike[str] | None = None,
+    tree: yaml.Node | None = None,
+) -> Model:
+    """Make a model of the content of a file.
+
+    Args:
+        model: The model.
+        data: Content of the file.
+        error: Error class to raise.
+        path: File, for messages.
+        tree: YAML nodes of the file, for the line.
+
+    Raises:
+        HumansimError: ``error`` with key and line, as :func:`schema_error` makes it.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as reason:
+        raise schema_error(reason, model, error, path, tree) from None
 
 
 def schema_error(

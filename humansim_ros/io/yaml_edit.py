@@ -197,10 +197,7 @@ class _Editor:
     def _new(self, value: Any, key: YamlKey | None = None, depth: int = 0) -> Any:
         """Node of a value: on one line, or with a line for each key of a mapping that is too long for it.
 
-        Args:
-            value: Plain data.
-            key: Its key in a mapping; None for an item of a list, which has one line.
-            depth: Number of keys above it.
+        ``key``: in a mapping; None for an item of a list, which has one line. ``depth``: keys above it.
         """
         node = self._yaml.load(flow(value))
         if key is not None and isinstance(value, Mapping) and value:

@@ -115,16 +115,7 @@ def _make(
     source: str,
     sigmas: tuple[float, ...] | None = None,
 ) -> KeypointSet:
-    """Make a set.
-
-    Args:
-        name: Name of the set.
-        title: Name for people.
-        points: Anatomical point by keypoint.
-        lines: Chains of keypoints, separated by spaces.
-        source: Citation.
-        sigmas: OKS constants.
-    """
+    """Make a set. ``lines``: chains of keypoints, separated by spaces. ``source``: citation."""
     names = tuple(points)
     number = {keypoint: index for index, keypoint in enumerate(names)}
     edges = []

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from humansim_ros.errors import MeshError
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.errors import MeshError, in_section
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.mesh import meshopt
 from humansim_ros.mesh.gltf_schema import Index, Part
 
@@ -144,7 +144,5 @@ def decode_meshopt(view: MeshoptView, data: bytes) -> bytes:
 
 
 def _validated(model: type[Any], content: Any, name: str) -> Any:
-    try:
-        return model.model_validate(content)
-    except ValidationError as reason:
-        raise schema_error(reason, model, MeshError).within(name) from None
+    with in_section(name):
+        return validated(model, content, MeshError)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import MeshError, located
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.io.schema_errors import schema_error
@@ -255,7 +255,7 @@ class Gltf:
 
     def _draco_mesh(self, primitive: Primitive) -> tuple[DracoMesh | None, DracoPrimitive]:
         """Draco mesh of a primitive, or None; and its attributes."""
-        try:
+        with located(path=self.path, key=DRACO):
             packed = draco_primitive(primitive.extensions)
             position = primitive.attributes["POSITION"]
             plain = self._item(self.document.accessors, position, "accessors").bufferView
@@ -265,9 +265,7 @@ class Gltf:
                 view = self._view(packed.bufferView, f"bufferViews.{packed.bufferView}")
                 used = sum(len(mesh.triangles) for mesh in self._draco_meshes.values())
                 self._draco_meshes[packed.bufferView] = DracoMesh(bytes(view), MAX_DRACO - used)
-            return self._draco_meshes[packed.bufferView], packed
-        except MeshError as error:
-            raise self._error(error.message, error.key or DRACO) from None
+        return self._draco_meshes[packed.bufferView], packed
 
     @cached_property
     def _draco_meshes(self) -> dict[int, DracoMesh]:
@@ -388,10 +386,8 @@ class Gltf:
         data, end = self._buffer(packed.buffer, key), packed.byteOffset + packed.byteLength
         if end > len(data):
             raise self._error("the meshopt data go beyond their buffer", key)
-        try:
+        with located(path=self.path, key=key):
             self._decoded[number] = decode_meshopt(packed, data[packed.byteOffset : end])
-        except MeshError as error:
-            raise self._error(error.message, key) from None
         return memoryview(self._decoded[number])
 
     @cached_property

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from scipy.sparse import csr_matrix, vstack
 
-from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.errors import MeshError, in_section, located, warn_about
 from humansim_ros.io.images import encode_srgb
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import GltfMaterial, Primitive, TextureInfo, TextureTransform
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
-from humansim_ros.mesh.mesh import FaceIndices, Material, Mesh, SkinnedMesh, normalise_weights
+from humansim_ros.mesh.mesh import FaceIndices, Material, Mesh, SkinnedMesh, normalise_weights, padded
 from humansim_ros.mesh.texels import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.types import Array, Image
 
@@ -97,21 +96,16 @@ def _decoded(
     source = gltf.texture_image(info.index)
     if source is None:
         return None
-    try:
+    with located(path=gltf.path, key=f"images.{source}"):
         return decode(source, lambda: gltf.image(source))
-    except MeshError as error:
-        raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{source}") from None
 
 
 def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
     """Transform of the texture coordinates of a texture; None without one. Raises MeshError."""
     if _TRANSFORM not in info.extensions:
         return None
-    try:
-        return TextureTransform.model_validate(info.extensions[_TRANSFORM])
-    except ValidationError as reason:
-        fault = schema_error(reason, TextureTransform, MeshError).within(_TRANSFORM)
-        raise MeshError(fault.message, path=gltf.path, key=fault.key) from None
+    with located(path=gltf.path), in_section(_TRANSFORM):
+        return validated(TextureTransform, info.extensions[_TRANSFORM], MeshError)
 
 
 def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
@@ -220,8 +214,7 @@ def _joined(pieces: list[_Piece]) -> tuple[Array, FaceIndices]:
     """Vertices (V, 3) and faces (F, 4) of all pieces."""
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
-    faces: FaceIndices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
-    return np.concatenate([p.vertices for p in pieces]), faces
+    return np.concatenate([p.vertices for p in pieces]), padded(triangles)
 
 
 def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
@@ -367,16 +360,7 @@ def _posed(points: Array, weights: csr_matrix, pose: Array) -> Array:
 def _weights(
     gltf: Gltf, primitive: Primitive, key: str, joints: NDArray[np.intp], n_vertices: int, n_joints: int
 ) -> csr_matrix:
-    """Weights (V, J) of a primitive, summed over its sets of four joints.
-
-    Args:
-        gltf: Document.
-        primitive: Primitive of the skinned mesh.
-        key: Key of the primitive, for messages.
-        joints: Joint, 0 to J - 1, of each entry of the skin.
-        n_vertices: Number V of vertices.
-        n_joints: Number J of joints.
-    """
+    """Weights (V, J) of a primitive, summed over its sets. ``joints``: joint of each entry of the skin."""
     total = csr_matrix((n_vertices, n_joints))
     count = 0
     while f"JOINTS_{count}" in primitive.attributes and f"WEIGHTS_{count}" in primitive.attributes:

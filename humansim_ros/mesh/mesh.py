@@ -177,6 +177,11 @@ class Mesh:
         return np.ascontiguousarray(both[keep])
 
 
+def padded(triangles: NDArray[np.integer]) -> FaceIndices:
+    """Faces (N, 4) of a :class:`Mesh` from triangles (N, 3): padded with -1."""
+    return np.pad(triangles.astype(np.int32), ((0, 0), (0, 1)), constant_values=-1)
+
+
 @dataclass(frozen=True)
 class SkinnedMesh:
     """Mesh, joints and weights at bind time, in the space of the file.

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.errors import MeshError, located, warn_about
 from humansim_ros.io.files import decode_text, exists, read_bytes, read_text, resolve_inside, size_text
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.mesh.mesh import MAX_BYTES, FaceIndices, Material, Mesh, height_to_normal_map, without_maps
@@ -180,22 +179,16 @@ def _map(path: Path, statements: Statements, keyword: str, images: DecodedImages
 
 
 def _image(path: Path, words: list[str], fallback: str, images: DecodedImages) -> Image | None:
-    """Image that a statement names after its options; None with a warning if the file is missing.
+    """Image that a statement of an MTL file names after its options; None, with a warning, if it is missing.
 
-    Args:
-        path: Path of the MTL file.
-        words: Words of the statement; the last one is the file.
-        fallback: Words that say in the warning how the material looks without the image.
-        images: Images that are already decoded.
+    ``fallback``: words that say in the warning how the material looks without the image.
     """
     file = _file(path, words[-1])
     if file is None:
         warn_about(path, f"texture {words[-1][:60]!r} not found beside the file: {fallback}")
         return None
-    try:
+    with located(path=file):
         return images.get(file, lambda: _read(file))
-    except MeshError as error:
-        raise MeshError(error.message, path=file) from None
 
 
 def _read(file: Path) -> bytes:
@@ -220,7 +213,7 @@ def read_obj(path: str | os.PathLike[str], data: bytes) -> Mesh:
     ``data``: content of the file. Units and axes stay as in the file. Without a material file the mesh has no
     colours. Raises MeshError with file and line.
     """
-    with _errors_of(path):
+    with located(path=path):
         return _one_mesh(_parse(path, data))
 
 
@@ -229,19 +222,8 @@ def read_obj_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
 
     ``data``: content of the file. Raises MeshError with file and line.
     """
-    with _errors_of(path):
+    with located(path=path):
         return _by_material(_parse(path, data))
-
-
-@contextmanager
-def _errors_of(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Add the path to errors that have none."""
-    try:
-        yield
-    except MeshError as error:
-        if error.path is None:
-            raise MeshError(error.message, path=path) from None
-        raise
 
 
 def material_files(path: str | os.PathLike[str]) -> list[Path]:
@@ -412,13 +394,7 @@ def _colored(obj: _Obj) -> Mesh | None:
 def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) -> int:
     """Convert a 1-based OBJ index to 0-based; a negative index counts back from the last element so far.
 
-    Args:
-        word: Index as written.
-        so_far: Number of elements above this line.
-        total: Number of elements in the file.
-        what: Kind of element, for messages.
-        path: Path of the file, for messages.
-        line: Line number, for messages.
+    ``so_far``, ``total``: number of elements above this line, and in the file.
     """
     try:
         number = int(word)

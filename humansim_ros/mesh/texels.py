@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.mesh.mesh import FaceIndices, Mesh
+from humansim_ros.mesh.mesh import FaceIndices, Mesh, padded
 from humansim_ros.types import Array, Indices
 
 #: Side of a plain colour tile, and maximum side of the atlas, texels.
@@ -140,9 +140,9 @@ def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
     finer = replace(
         mesh,
         vertices=vertices,
-        faces=_faces(triangles),
+        faces=padded(triangles),
         uv=uv,
-        uv_faces=None if uv_triangles is None else _faces(uv_triangles),
+        uv_faces=None if uv_triangles is None else padded(uv_triangles),
         colors=None,
     )
     return Subdivision(finer, owner, tuple(edges))
@@ -156,10 +156,6 @@ def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
     a, b, c = triangles.T
     parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
     return np.concatenate([np.stack(part, axis=1) for part in parts]), pairs
-
-
-def _faces(triangles: Indices) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
-    return np.pad(triangles.astype(np.int32), ((0, 0), (0, 1)), constant_values=-1)
 
 
 #: Texels that are computed at once.

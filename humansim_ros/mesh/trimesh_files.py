@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.mesh.mesh import Mesh, MeshFormat
+from humansim_ros.errors import MeshError, located, warn_about
+from humansim_ros.mesh.mesh import Mesh, MeshFormat, padded
 from humansim_ros.types import Array
 
 _MAX_VERTICES = 5_000_000
@@ -67,7 +67,7 @@ def read_foreign(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) ->
     Raises:
         MeshError: The file is wrong, or a package that it needs is missing.
     """
-    try:
+    with located(path=path):
         if kind in _PACKAGES:
             _check_xml(kind, data)
             arrays = _parse_in_process(kind, data)
@@ -76,11 +76,8 @@ def read_foreign(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) ->
             arrays = parse(kind, data)
         if arrays.get("textured"):
             warn_about(path, "its textures are not read: convert it to glTF or OBJ to keep them")
-        faces = np.column_stack([arrays["faces"], np.full(len(arrays["faces"]), -1)]).astype(np.int32)
-        mesh = Mesh(arrays["vertices"].astype(float), faces, colors=arrays.get("colors"))
-        return ForeignMesh(mesh, str(arrays["up"]), float(arrays["unit"]))
-    except MeshError as error:
-        raise MeshError(error.message, path=path, line=error.line, key=error.key) from None
+        mesh = Mesh(arrays["vertices"].astype(float), padded(arrays["faces"]), colors=arrays.get("colors"))
+    return ForeignMesh(mesh, str(arrays["up"]), float(arrays["unit"]))
 
 
 def parse(kind: str, data: bytes) -> dict[str, Any]:

@@ -341,14 +341,7 @@ class _Rows:
         return np.array(values), np.array(ends[:-1], dtype=np.intp), ""
 
     def _check_tail(self, word: str, block: str, blocks: Iterator[str], n_values: int) -> None:
-        """Accept text after the last row with a warning; it must not hide rows.
-
-        Args:
-            word: First word of the text, at the start of a line.
-            block: Block of text that contains the word.
-            blocks: Blocks after it.
-            n_values: Number of values before the word.
-        """
+        """Accept text after the last row with a warning; it must not hide rows. ``blocks``: the next ones."""
         line = self.text.line + 1
         is_damaged_number = _NUMBER_START.match(word)
         if n_values == 0 or n_values % self.n_channels or self.layout.is_broken or is_damaged_number:

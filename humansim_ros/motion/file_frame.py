@@ -12,7 +12,7 @@ from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import WORLD_FROM_BODY, angle_between, unit_vectors
+from humansim_ros.rotations import WORLD_FROM_BODY, angle_between, nearest_axis, unit_vectors
 from humansim_ros.types import Array
 
 #: Angles (degrees) up to which trunk, legs, hips and shoulders count as a standing person's.
@@ -197,13 +197,13 @@ def detect_file_frame(
     head = roles.get("Head", roles.get("Neck", roles["Hips"]))
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
 
-    detected_up = _nearest_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
+    detected_up = nearest_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
     up_axis = detected_up if up is None else axis_vector(up)
     height = ankle_to_head(rest, motion.parents, match)
     if height <= 0:
         raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
     if BodyLines.of(rest[None], roles).stands()[0]:
-        rest_up = _nearest_axis(rest[head] - rest[ankles].mean(0))
+        rest_up = nearest_axis(rest[head] - rest[ankles].mean(0))
         if (rest_up == detected_up).all():
             rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing, snap=True)
         else:
@@ -277,12 +277,6 @@ def _longest_link(positions: Array, parents: Sequence[int] | NDArray[np.intp], j
     return float(np.linalg.norm(positions[children] - positions[joint], axis=1).max(initial=0.0))
 
 
-def _nearest_axis(direction: Array) -> Array:
-    """Signed unit axis (3,) nearest to a direction (3,)."""
-    axis = int(np.argmax(np.abs(direction)))
-    return np.eye(3)[axis] * np.sign(direction[axis])
-
-
 def _body_axes(
     positions: Array,
     roles: Mapping[str, int],
@@ -313,7 +307,7 @@ def _body_axes(
             path=motion.path,
         )
     left /= np.linalg.norm(left)
-    axis = _nearest_axis(left)
+    axis = nearest_axis(left)
     if snap and axis @ left > np.cos(np.radians(_SNAP_ANGLE)):
         left = axis
     return np.stack([left, up, np.cross(left, up)], axis=1)

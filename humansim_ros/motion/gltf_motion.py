@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from humansim_ros.errors import MeshError, MotionError, warn_about
+from humansim_ros.errors import MotionError, located, warn_about
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
@@ -39,14 +39,12 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
     Raises:
         MotionError: The file is not valid, or has no skeleton or no such animation.
     """
-    try:
+    with located(MotionError, path):
         gltf = Gltf.read(path)
         skeleton = GltfSkeleton.of(gltf)
         if skeleton is None:
-            raise MotionError("the file has no skeleton", path=path)
+            raise MotionError("the file has no skeleton")
         return _motion(gltf, skeleton, _find_animation(gltf, animation))
-    except MeshError as error:
-        raise MotionError(error.message, path=error.path or path, key=error.key) from None
 
 
 def _find_animation(gltf: Gltf, name: str | None) -> Animation:
@@ -100,15 +98,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
 def _to_motion(
     gltf: Gltf, skeleton: GltfSkeleton, rotations: Array, positions: Array, frame_time: float
 ) -> Motion:
-    """Motion of the joints of a skeleton.
-
-    Args:
-        gltf: Document, for names and messages.
-        skeleton: Skeleton of J joints.
-        rotations: World rotations from the bind pose, (F, J, 3, 3).
-        positions: World positions, (F, J, 3).
-        frame_time: Seconds between frames.
-    """
+    """Motion of J joints from world rotations (F, J, 3, 3) from the bind pose and positions (F, J, 3)."""
     parents = skeleton.parents
     bound = skeleton.bind[:, :3, 3]
     roots = parents < 0
@@ -162,13 +152,9 @@ def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, s
 
 
 def _sample(gltf: Gltf, key: tuple[int, str], track: tuple[Array, Array, str], times: Array) -> Array:
-    """Values (F, width) of a track at times; constant before the first key and after the last.
+    """Values (F, width) of a track at times (F,), seconds; constant before the first key and after the last.
 
-    Args:
-        gltf: Document, for messages.
-        key: Node of the track, and its path, such as ``rotation``.
-        track: Times (K,) of the keys in seconds, their values, and the interpolation.
-        times: Seconds, (F,).
+    ``key``: its node and path, such as ``rotation``. ``track``: times (K,), values, and the interpolation.
     """
     keys, values, interpolation = track
     times = np.clip(times, keys[0], keys[-1])

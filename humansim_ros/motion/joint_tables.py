@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import yaml
-from pydantic import ValidationError, model_validator
+from pydantic import model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_bytes
 from humansim_ros.io.schema import Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import MAX_BYTES, read_yaml
 
 #: Roles without which height, facing and place of a person are unknown.
@@ -121,10 +121,7 @@ class JointTable(Section):
 def load_table(path: str | os.PathLike[str]) -> JointTable:
     """Read a joint table (YAML); MotionError with file and key if it is not valid."""
     data, tree = read_yaml(path, MotionError, "joint table")
-    try:
-        return JointTable.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, JointTable, MotionError, path, tree) from None
+    return validated(JointTable, data, MotionError, path, tree)
 
 
 #: Names whose keys are held: the names of all tables and of some motions.

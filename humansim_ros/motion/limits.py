@@ -18,13 +18,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.rotations import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
@@ -553,8 +553,5 @@ def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton |
     """
     path = resource_path(_BUILT_IN) if path is None else path
     data, tree = read_yaml(path, MotionError, "joint limits")
-    try:
-        table = LimitTable.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, LimitTable, MotionError, path, tree) from None
+    table = validated(LimitTable, data, MotionError, path, tree)
     return JointLimits(table, hanim_skeleton()).for_skeleton(skeleton or hanim_skeleton())

@@ -312,15 +312,7 @@ def _average_capsules(skeleton: Skeleton) -> list[_CapsuleRow]:
 def _trunk_capsules(
     bone: int, middle: Array, height: float, radius: float, width: float
 ) -> list[_CapsuleRow]:
-    """Two upright capsules side by side.
-
-    Args:
-        bone: Bone of the trunk.
-        middle: Middle of the pair, (3,) metres.
-        height: Half the height of the pair, metres.
-        radius: Radius of each capsule, metres.
-        width: Half the width of the pair, metres.
-    """
+    """Two upright capsules side by side about a middle (3,); half its height and width, metres."""
     up = np.array([0.0, max(height - radius, 0.0), 0.0])
     offset = np.array([max(width - radius, 0.0), 0.0, 0.0])
     return [(bone, middle + side - up, middle + side + up, radius) for side in (offset, -offset)]

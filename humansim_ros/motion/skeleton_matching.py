@@ -232,14 +232,7 @@ def _similarity(ratio: float, typical: float, spread: float) -> float:
 
 
 def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], from_place: int) -> int | None:
-    """Place in a chain of the joint that is a hand, foot or head, by its name or its children, if one is.
-
-    Args:
-        tree: Joint tree.
-        chain: Joints of the chain.
-        called: Names of such a joint.
-        from_place: First place in the chain that counts.
-    """
+    """Place in a chain, from a place on, of the hand, foot or head by its name or its children, if any."""
     places = range(from_place, len(chain))
     for place in places:
         if tree.children[chain[place]] and called.search(tree.names[chain[place]]):

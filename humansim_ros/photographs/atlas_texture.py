@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import encode_image
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv, subdivide
 from humansim_ros.photographs.surface import (
     Surface,
@@ -232,7 +232,7 @@ def with_coordinates(human: Human) -> Human:
         ) from None
     points, corners = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
     mapping, triangles, uv = xatlas.parametrize(points, corners)
-    uv_faces = np.pad(triangles.astype(np.int32), ((0, 0), (0, 1)), constant_values=-1)
+    uv_faces = padded(triangles)
     faces = np.where(uv_faces < 0, -1, mapping.astype(np.int32)[np.maximum(uv_faces, 0)]).astype(np.int32)
     new = Mesh(mesh.vertices, faces, uv=uv.astype(float), uv_faces=uv_faces)
     return replace(human, mesh=new, looks={}, outfit=OUTFIT)

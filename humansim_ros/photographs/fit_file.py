@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from humansim_ros.errors import MAX_COORDINATE, HumansimError, PhotographError
+from humansim_ros.errors import MAX_COORDINATE, PhotographError, located
 from humansim_ros.io.files import atomic_path
 from humansim_ros.io.schema import Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.photographs.person_fit import LARGEST, SMALLEST, PersonFit, Proportions
@@ -114,14 +114,9 @@ def read_fit(path: str | os.PathLike[str]) -> PersonFit:
     data, tree = read_yaml(path, PhotographError, "fit")
     if not isinstance(data, dict):
         raise PhotographError("a fit is a mapping with the keys human, bones and frames", path=path)
-    try:
-        section = _FitSection.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, _FitSection, PhotographError, path, tree) from None
-    try:
+    section = validated(_FitSection, data, PhotographError, path, tree)
+    with located(PhotographError, path, key="keypoints"):
         keypoints = keypoint_set(section.keypoints)
-    except HumansimError as reason:
-        raise PhotographError(reason.message, path=path, key="keypoints") from None
     if len(set(section.bones)) < len(section.bones):
         raise PhotographError("a bone is repeated", path=path, key="bones")
     frames, views, points = section.frames, section.views, keypoints.names

@@ -91,16 +91,7 @@ def _fit(
     silhouettes: bool,
     progress: FitProgress,
 ) -> PersonFit:
-    """Fit a human with the betas of the start.
-
-    Args:
-        photos: Photographs.
-        name: Name or file of the human.
-        found: Triangulated points of all frames.
-        start: Fit to start from.
-        silhouettes: Use the masks, if there are any.
-        progress: Called with the name of a step, finished and all frames.
-    """
+    """Fit a human with the betas of the start to the triangulated points of all frames."""
     betas = () if start is None else start.proportions.shape
     body = shaped_human(name, betas)
     model = PoseModel(body, photos.keypoints, betas)
@@ -198,17 +189,7 @@ def _result(
     found: Sequence[Triangulation],
     noise: float,
 ) -> PersonFit:
-    """Fit of a human with a name.
-
-    Args:
-        photos: Photographs.
-        name: Name of the human.
-        human: The human before it took proportions.
-        model: Its model.
-        states: States of all frames.
-        found: Triangulated points of all frames.
-        noise: Standard deviation of the points, pixels.
-    """
+    """Fit of a human that has not yet taken proportions. ``noise``: of the points, pixels."""
     proportions = model.proportions(states[0])
     skeleton = with_proportions(human, proportions).skeleton
     residuals = np.array(

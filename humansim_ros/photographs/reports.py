@@ -24,7 +24,7 @@ from humansim_ros.drawing.canvas import (
 from humansim_ros.drawing.people import HumanArtist, row, titled_rows
 from humansim_ros.drawing.views import joint_colors
 from humansim_ros.humans.human import Human
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.silhouettes import Faces, intersection_over_union, render_faces
 from humansim_ros.photographs.surface import TexturedPerson
@@ -164,13 +164,8 @@ def _draw_body(tile: _Tile, fit: PersonFit, frame: int, photo: Photo, face: Face
     """Outline and joints of a body: in one colour before, with the colours of the sides after."""
     outlines, _ = cv2.findContours((face > 0).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     skeleton = fit.body.skeleton
-    seen = dict(
-        zip(
-            skeleton.joint_names,
-            tile.pixels(photo.camera.project(fit.joints(frame))[0]),
-            strict=True,
-        )
-    )
+    pixels = tile.pixels(photo.camera.project(fit.joints(frame))[0])
+    seen = dict(zip(skeleton.joint_names, pixels, strict=True))
     colors, _, _ = joint_colors(skeleton.joint_names)
     for outline in outlines:
         closed = tile.pixels(np.concatenate([outline[:, 0], outline[:1, 0]]))
@@ -344,9 +339,7 @@ def _view_colors(person: TexturedPerson) -> Human:
     palette = np.repeat(np.repeat(_palette(count)[None], _PANEL, axis=0), _PANEL, axis=1)
     number = np.where(person.cameras < 0, 2 * count, person.cameras + count * ~person.seen)
     uv: Array = np.stack([(np.arange(2 * count + 1) + 0.5) / (2 * count + 1), np.full(2 * count + 1, 0.5)], 1)
-    padding = np.full((len(number), 1), -1)
-    faces = np.hstack([mesh.triangles, padding]).astype(np.int32)
-    uv_faces = np.hstack([np.repeat(number[:, None], 3, axis=1), padding]).astype(np.int32)
+    faces, uv_faces = padded(mesh.triangles), padded(np.repeat(number[:, None], 3, axis=1))
     return replace(person.human, mesh=Mesh(mesh.vertices, faces, uv, uv_faces, texture=palette), looks={})
 
 

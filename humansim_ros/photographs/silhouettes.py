@@ -277,12 +277,7 @@ def _points(
 ) -> EdgePoints:
     """Points of the body at the outlines, and the lines that they should reach.
 
-    Args:
-        human: The human before it took proportions.
-        model: Its model.
-        state: Pose and proportions in which the outlines were found.
-        photos: Photographs.
-        edges: Edges by the number of the view.
+    ``human``: before it took proportions. ``state``: in which the outlines were found. ``edges``: by view.
     """
     points = Attachments.of_vertices(human, np.concatenate([each.vertices for each in edges.values()]))
     views = np.repeat(list(edges), [len(each.vertices) for each in edges.values()])

@@ -14,15 +14,22 @@ from typing import Annotated, Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from humansim_ros.camera.calibration import load_calibration
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import MAX_COORDINATE, HumansimError, PhotographError, did_you_mean, warn_about
+from humansim_ros.errors import (
+    MAX_COORDINATE,
+    HumansimError,
+    PhotographError,
+    did_you_mean,
+    located,
+    warn_about,
+)
 from humansim_ros.io.files import atomic_path, exists, missing_file, read_bytes, read_text, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
 from humansim_ros.io.schema import Axis, Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
 from humansim_ros.types import Array, Image
@@ -340,10 +347,7 @@ def read_views(path: str | os.PathLike[str]) -> PhotoSet:
     data, tree = read_yaml(file, PhotographError, "views")
     if not isinstance(data, dict):
         raise PhotographError("a views file is a mapping with the keys calibration and views", path=file)
-    try:
-        config = ViewsConfig.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, ViewsConfig, PhotographError, file, tree) from None
+    config = validated(ViewsConfig, data, PhotographError, file, tree)
     reader = _Reader(file, config, tree)
     return reader.read()
 
@@ -486,10 +490,8 @@ def default_points(views: str | os.PathLike[str], view: str) -> Path:
 def _read_image(path: Path, noun: str, camera: Camera) -> Image:
     """Image (H, W, 3) of the size of a camera. Raises PhotographError."""
     data = read_bytes(path, PhotographError, noun, MAX_IMAGE_BYTES)
-    try:
+    with located(PhotographError, path):
         image = decode_image(data, noun)
-    except HumansimError as reason:
-        raise PhotographError(reason.message, path=path) from None
     height, width = image.shape[:2]
     if (width, height) != tuple(camera.size):
         raise PhotographError(

@@ -261,14 +261,9 @@ class GLRenderer(Renderer):
         rectangle: Rectangle,
         lit: bool,
     ) -> TriangleIds:
-        """Draw the triangles that may be visible, each with its own id.
+        """Draw the triangles that may be visible of one body or more, each with its own id.
 
-        Args:
-            bodies: Bodies to draw, at least one.
-            projected: Projected vertices of each.
-            facing: Of each, (N,) whether a triangle shows its front to the camera.
-            rectangle: Pixels that the bodies may touch.
-            lit: Draw colours too.
+        ``facing``: of each body, (N,) whether a triangle shows its front. ``lit``: draw colours too.
         """
         ids = TriangleIds()
         if not bodies:

@@ -140,14 +140,7 @@ class PyrenderRenderer(Renderer):
         camera: Camera,
         backdrop: Backdrop | None,
     ) -> Image:
-        """(H, W, 3) sRGB.
-
-        Args:
-            shapes: Surfaces of the static scene and of bodies.
-            shadows: Bodies that cast contact shadows.
-            camera: The camera.
-            backdrop: Image behind the scene.
-        """
+        """(H, W, 3) sRGB. ``shadows``: bodies that cast contact shadows."""
         light = self._lighting
         surfaces = [shape.coloured(light, shape.sides(camera)) for shape in shapes]
         nodes = surfaces
@@ -206,16 +199,7 @@ class PyrenderRenderer(Renderer):
         background: Array | None,
         colours: dict[_Node, Array] | None = None,
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Image and depth of nodes.
-
-        Args:
-            renderer: Renderer of pyrender, with its viewport.
-            nodes: What to render.
-            camera: The camera.
-            flags: Names of pyrender's render flags.
-            background: RGBA, 0 to 1.
-            colours: Colour of each node in a segmentation.
-        """
+        """Image and depth of nodes. ``background``: RGBA, 0 to 1. ``colours``: of nodes in a segmentation."""
         names = self._library.RenderFlags
         scene = _Scene(nodes, _Eye(camera), camera.world_from_optical, background)
         try:

@@ -164,13 +164,8 @@ class StaticLayers:
     ) -> NDArray[np.uint8]:
         """(H, W, 4) colours of the static scene before an image.
 
-        Args:
-            programs: See :meth:`_programs`.
-            triangles: The static scene for the camera.
-            camera: The camera.
-            fine: Target of a higher resolution, or with samples.
-            target: Target of the resolution of the image.
-            behind: (H, W, 3) image behind the scene, the background colour if None.
+        ``fine``: target of a higher resolution, or with samples. ``target``: of the resolution of the image.
+        ``behind``: (H, W, 3), the background colour if None.
         """
         colour = self._lighting.background if behind is None else (0, 0, 0)
         self._draw(fine, triangles, programs[0], camera, colour)

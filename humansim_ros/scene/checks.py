@@ -196,12 +196,7 @@ def _in_obstacles(
 ) -> Iterator[Finding]:
     """Findings about a human inside things, the first time for each thing.
 
-    Args:
-        name: The human.
-        joints: (N, J, 3) of the human.
-        outside: (N,) whether it is outside the room, where it is in the walls as well.
-        samples: Times of the joints.
-        obstacles: The things.
+    ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as well.
     """
     names = samples.scene.actors[name].human.skeleton.joint_names
     pairs = [(names.index(a), names.index(b)) for a, b in _BONES if a in names and b in names]

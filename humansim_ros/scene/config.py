@@ -7,16 +7,11 @@ import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import (
-    Field,
-    StringConstraints,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, StringConstraints, model_validator
 
 from humansim_ros.errors import MAX_FRAMES, SceneError
 from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection
-from humansim_ros.io.schema_errors import Expected, schema_error
+from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.render.lighting import Lighting, RendererName
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
@@ -467,10 +462,7 @@ def check_config(
     """Check the content of a scene file. ``tree``: its YAML nodes. Raises SceneError with line and key."""
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
-    try:
-        return SceneConfig.model_validate(data)
-    except ValidationError as reason:
-        raise schema_error(reason, SceneConfig, SceneError, path, tree) from None
+    return validated(SceneConfig, data, SceneError, path, tree)
 
 
 def map_files(value: Any, change: Callable[[str], str]) -> Any:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from humansim_ros.errors import HumansimError, SceneError, in_section
+from humansim_ros.errors import SceneError, in_section, located
 from humansim_ros.io.files import open_file, read_bytes, reading_errors
 from humansim_ros.io.images import MAX_IMAGE_BYTES, MAX_PIXELS, declared_size, decode_image
 from humansim_ros.mesh.load import read_materials_z_up
@@ -135,7 +134,7 @@ _LightOfRows = Callable[[slice], NDArray[np.float32]]
 
 def load_backdrop(path: Path) -> ImageBackdrop:
     """Read a photograph (PNG or JPEG). Raises SceneError with the path."""
-    with _naming(path):
+    with located(SceneError, path):
         data = read_bytes(path, SceneError, "photograph", MAX_IMAGE_BYTES)
         return ImageBackdrop(decode_image(data, "photograph"))
 
@@ -150,7 +149,7 @@ def load_panorama(path: Path) -> NDArray[np.float32]:
         SceneError: With the path, if the file is no panorama.
     """
     file = open_file(path, SceneError, "panorama", _MAX_BYTES)
-    with _naming(path), file, reading_errors(path, SceneError, "panorama"):
+    with located(SceneError, path), file, reading_errors(path, SceneError, "panorama"):
         if file.read(len(_EXR)) == _EXR:
             # the library takes a path; this one is of the file that is open
             return _read_exr(f"/proc/self/fd/{file.fileno()}")
@@ -242,12 +241,3 @@ def _finite(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Light without NaN, infinity and negative values."""
     light = np.nan_to_num(image, nan=0.0, posinf=65504.0)
     return np.ascontiguousarray(np.clip(light, 0.0, 65504.0), dtype=np.float32)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Make errors SceneErrors with the path."""
-    try:
-        yield
-    except HumansimError as error:
-        raise SceneError(error.message, path=path) from None

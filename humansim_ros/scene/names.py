@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import SceneError, located
 from humansim_ros.io.yaml import read_yaml
 
 #: Node that plays the motions of a scene.
@@ -46,10 +46,8 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
         raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
     cameras = (*_rig_names(content, path), *_section_names(content, "cameras", path))
     humans = (*_section_names(content, "humans", path), *_variety_names(content, path))
-    try:
+    with located(path=path):
         check_node_names(humans, cameras)
-    except SceneError as error:
-        raise SceneError(error.message, path=path, key=error.key) from None
     time = content.get("time")
     return SceneNames(humans, cameras, isinstance(time, dict) and time.get("mode") == LOCKSTEP)
 

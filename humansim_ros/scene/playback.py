@@ -12,10 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from pydantic import ValidationError
 
 from humansim_ros.errors import MotionError, in_section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema_errors import validated
 from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, normalised
@@ -343,10 +342,7 @@ def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig)
     if file != old.file:
         base = of_scene if file == of_scene.file else MotionConfig()
         values.update({key: getattr(base, key) for key in _FILE_KEYS})
-    try:
-        return MotionConfig.model_validate({**values, **changes})
-    except ValidationError as reason:
-        raise schema_error(reason, MotionConfig, MotionError) from None
+    return validated(MotionConfig, {**values, **changes}, MotionError)
 
 
 def _in_round(motion: WorldMotion, played: float) -> float:

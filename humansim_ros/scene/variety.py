@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section, some_of
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
@@ -235,8 +235,7 @@ def _samples(mesh: Mesh) -> Array:
     long = mesh.triangles[(sides > _LONG).any(axis=1)]
     if not 0 < len(long) <= _MOST_LONG:
         return vertices.astype(float)
-    faces = np.pad(long, ((0, 0), (0, 1)), constant_values=-1)
-    between = PosedMesh(Topology(Mesh(vertices.astype(float), faces)), vertices).samples[0].T
+    between = PosedMesh(Topology(Mesh(vertices.astype(float), padded(long))), vertices).samples[0].T
     return np.concatenate([vertices, between]).astype(float)
 
 
@@ -360,15 +359,7 @@ class _Crowd:
     def _find_place(
         self, name: str, body: str, motions: Sequence[str], mirror: bool, uniform: RandomNumbers
     ) -> tuple[str, tuple[float, float], float]:
-        """Motion, start position and heading in degrees.
-
-        Args:
-            name: The human.
-            body: Its body.
-            motions: Motions in the order in which they are tried.
-            mirror: Whether left and right are exchanged.
-            uniform: Its random numbers.
-        """
+        """Motion, start position and heading in degrees. ``motions``: in the order of their trial."""
         for motion in motions:
             place = self._try(self._path(body, motion, mirror), uniform)
             if place is not None:
@@ -396,11 +387,8 @@ class _Crowd:
     ) -> tuple[Path, Array, float] | None:
         """A free place for a path: the turned path, its move (2,) and its heading; None if none is found.
 
-        Args:
-            origin: The path from the origin along +x.
-            uniform: Random numbers of the human.
-            humans: Keep away from the paths of others.
-            thoroughly: Factor of the number of tries.
+        ``origin``: the path from the origin along +x. ``humans``: keep away from the paths of others.
+        ``thoroughly``: factor of the number of tries.
         """
         for _ in range(_HEADINGS * thoroughly):
             yaw = round(360 * uniform() - 180, 3)
@@ -422,16 +410,7 @@ class _Crowd:
     def _place(
         self, name: str, motion: str, path: Path, shift: Array, yaw: float, free: bool
     ) -> tuple[str, tuple[float, float], float]:
-        """Put a path on the floor.
-
-        Args:
-            name: The human.
-            motion: Its motion.
-            path: Its path from the origin with its heading.
-            shift: (2,) by which the path is moved.
-            yaw: The heading, degrees.
-            free: Whether nothing is in the way.
-        """
+        """Put a path with its heading (``yaw``, degrees) on the floor, moved by a shift (2,)."""
         self.floor.add(path.moved(shift))
         if not free:
             self.crossing.append(name)

@@ -251,14 +251,9 @@ def visible_points(camera: Camera, bodies: Sequence[Body], points: Array, view: 
 def _visible(
     camera: Camera, bodies: Sequence[Body], points: Array, asked: Indices, view: View
 ) -> NDArray[np.bool_]:
-    """Mask (P,) of the visible ones of some points.
+    """Mask (P,) of the visible ones of points (P, 3) in ``map``, the vertices of the bodies first.
 
-    Args:
-        camera: Camera of the view.
-        bodies: Labelled bodies.
-        points: (P, 3) in ``map``, the vertices of the bodies first.
-        asked: Indices of the points to test.
-        view: View with the channels depth and instance.
+    ``asked``: indices of the points to test.
     """
     optical, near = camera.to_optical(points), near_plane(camera)
     offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])

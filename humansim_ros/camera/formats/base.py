@@ -393,15 +393,7 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
 def _search(
     value: Any, keys: Keys, depth: int, is_camera: Predicate, is_part: Predicate
 ) -> Iterator[tuple[str, Keys]]:
-    """Names and key paths of the cameras in a mapping or list, or below its keys.
-
-    Args:
-        value: Mapping or list; other values have no cameras.
-        keys: Its key path.
-        depth: Most keys above the cameras.
-        is_camera: As for :func:`find_cameras`.
-        is_part: As for :func:`find_cameras`.
-    """
+    """Names and key paths of the cameras in a mapping or list, or at most ``depth`` keys below it."""
     if not isinstance(value, (dict, list)):
         return
     named = isinstance(value, dict)

@@ -21,6 +21,7 @@ from humansim_ros.camera.formats.base import (
     row,
     without_suffix,
 )
+from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import CameraError
 from humansim_ros.io.files import read_text
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
@@ -28,7 +29,7 @@ from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
 #: Largest file of a rig; larger ones are models of large scenes.
 MAX_BYTES = 64 << 20
-#: Parameters of COLMAP's camera models; the coefficients have their names in :data:`_COEFFICIENTS`.
+#: Parameters of COLMAP's camera models; the coefficients have their names in ``lens.MODELS``.
 _MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
@@ -39,11 +40,6 @@ _MODELS = {
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
-}
-_COEFFICIENTS = {
-    "plumb_bob": "k1 k2 p1 p2 k3",
-    "rational_polynomial": "k1 k2 p1 p2 k3 k4 k5 k6",
-    "equidistant": "k1 k2 k3 k4",
 }
 _UNSUPPORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 _QUATERNION_SLACK = 1e-3
@@ -115,7 +111,7 @@ def _model(
     return RawCamera(
         pinhole(fx, fy, parameters["cx"] - 0.5, parameters["cy"] - 0.5),
         size=(int(values[0]), int(values[1])),
-        distortion=tuple(parameters.get(name, 0.0) for name in _COEFFICIENTS[ros_model].split()),
+        distortion=tuple(parameters.get(name, 0.0) for name in MODELS[ros_model]),
         model=ros_model,
         locations={"": location},
     )

@@ -31,7 +31,7 @@ from humansim_ros.camera.formats.base import (
     row,
     without_suffix,
 )
-from humansim_ros.errors import CameraError
+from humansim_ros.errors import CameraError, located
 from humansim_ros.types import ImageSize
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
@@ -106,13 +106,11 @@ def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
 
 
 def _camera(file: CalibrationFile, values: list[float], line: int, size: ImageSize | None) -> RawCamera:
-    location = SourceLocation("P", line)
-    try:
+    with located(path=file.path, line=line, key="P"):
         # the decomposition of P does not depend on the image size
         camera = Camera.from_projection_matrix(np.reshape(values, (3, 4)), (1, 1))
-    except CameraError as error:
-        raise CameraError(error.message, path=file.path, line=line, key="P") from None
-    return RawCamera(camera.K, camera.R, camera.t, size=size, locations={"": location})
+    locations = {"": SourceLocation("P", line)}
+    return RawCamera(camera.K, camera.R, camera.t, size=size, locations=locations)
 
 
 def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:

@@ -25,6 +25,7 @@ from humansim_ros.camera.formats.base import (
     nested,
     without_suffix,
 )
+from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -32,8 +33,6 @@ from humansim_ros.types import Array, ImageSize
 _NERF_SIZE = (800, 800)
 #: Folder of images in most files, which is not part of a camera's name.
 _FOLDER = "images/"
-#: Coefficients of each lens model, in the order of ROS.
-_LENSES = {"plumb_bob": ("k1", "k2", "p1", "p2", "k3"), "equidistant": ("k1", "k2", "k3", "k4")}
 _COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
 #: Names of lens models in ``camera_model``.
 _MODELS = {
@@ -120,17 +119,16 @@ def _size(file: CalibrationFile, index: int) -> ImageSize | None:
 def _matrix(file: CalibrationFile, index: int, size: ImageSize | None) -> Array:
     """K of a frame. The size is needed where the file has an angle, or no principal point."""
     width, height = size or (None, None)
-    fx, fy = _focal_length(file, index, "x", width), _focal_length(file, index, "y", height)
-    if fx is None and fy is None:
+    given = _focal_length(file, index, "x", width), _focal_length(file, index, "y", height)
+    lengths = [length for length in given if length is not None]
+    if not lengths:
         raise file.error("is missing: give fl_x, or camera_angle_x", *_keys(file, index, "fl_x"))
-    fx = fy if fx is None else fx
-    fy = fx if fy is None else fy
     cx, cy = _number(file, index, "cx"), _number(file, index, "cy")
     if (cx is None or cy is None) and size is None:
         raise file.error("is missing", *_keys(file, index, "cx" if cx is None else "cy"))
     cx = (width or 0) / 2 if cx is None else cx
     cy = (height or 0) / 2 if cy is None else cy
-    return pinhole(fx, fy, cx - 0.5, cy - 0.5)
+    return pinhole(lengths[0], lengths[-1], cx - 0.5, cy - 0.5)
 
 
 def _focal_length(file: CalibrationFile, index: int, axis: str, side: int | None) -> float | None:
@@ -156,10 +154,10 @@ def _lens(file: CalibrationFile, index: int) -> tuple[str, tuple[float, ...]]:
             raise file.error(message, *keys)
         model = _MODELS[str(word).upper()]
     values = {key: _number(file, index, key) or 0.0 for key in _COEFFICIENTS}
-    for key in set(_COEFFICIENTS) - set(_LENSES[model]):
+    for key in set(_COEFFICIENTS) - set(MODELS[model]):
         if values[key]:
             raise file.error(f"is not supported by a {model} lens", *_keys(file, index, key))
-    return model, tuple(values[key] for key in _LENSES[model])
+    return model, tuple(values[key] for key in MODELS[model])
 
 
 def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -180,7 +178,7 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
                 "cx": k[0, 2] + 0.5,
                 "cy": k[1, 2] + 0.5,
                 "camera_model": "OPENCV_FISHEYE" if model == "equidistant" else "OPENCV",
-                **{key: camera.distortion[i] for i, key in enumerate(_LENSES[model])},
+                **{key: camera.distortion[i] for i, key in enumerate(MODELS[model])},
                 "transform_matrix": nested(pose),
             }
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from scipy import sparse
@@ -128,22 +128,7 @@ _ROUNDS = 400
 _FOLLOWS, _SPANS = 0.022, 0.040
 
 
-class Trunk(Protocol):
-    """Measurements of the trunk."""
-
-    @property
-    def bones(self) -> Bones:
-        """Bones of the body."""
-
-    @property
-    def shoulder_y(self) -> float:
-        """Height of the shoulder joints."""
-
-    def above_belt(self, p: Array) -> Array:
-        """Signed distance (N,) above the belt."""
-
-
-def taut_shirt(mesh: BodySurface, trunk: Trunk, vertices: Array) -> Array:
+def taut_shirt(mesh: BodySurface, trunk: BodyRegions, vertices: Array) -> Array:
     """Offsets (V, 3) from ``vertices`` (V, 3), this body in the T pose, to a taut shirt.
 
     Zero for bodies without hollows deeper than ``_FOLLOWS``.
@@ -355,9 +340,7 @@ def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyReg
     amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
     bridged = bridge_hollows(mesh, own)
     x = mesh.vertices + bridged + taut_shirt(mesh, own, mesh.naked + bridged)
-    edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 4]] for k in range(4)])
-    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x),) * 2).tocsr()
-    graph = ((graph + graph.T) > 0).astype(float)
+    graph = neighbours(mesh.faces, len(x))
     a, b, c, d = (mesh.vertices[mesh.faces[:, k]] for k in range(4))
     quad_area = np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
     area = np.zeros(len(x))

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.sparse import csgraph
 
-from humansim_ros.humans.makehuman.clothes import BodyRegions
+from humansim_ros.humans.makehuman.clothes import BodyRegions, neighbours
 from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.shape import Fabric, Outfit
 from humansim_ros.humans.makehuman.surface import (
@@ -42,9 +41,7 @@ EYE_BOX = 0.06
 
 def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
     """Island (T,) of each texture coordinate."""
-    edges = np.concatenate([uv_faces[:, [k, (k + 1) % 4]] for k in range(4)])
-    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1]
+    return csgraph.connected_components(neighbours(uv_faces, count), directed=False)[1]
 
 
 def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
@@ -385,14 +382,7 @@ def _wave(x: Array, period: float, share: float) -> Array:
 
 
 def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
-    """Mask (N,), 0 to 1, of random balls, one in each cell.
-
-    Args:
-        p: Points, (N, 3) metres.
-        spacing: Edge of a cell, metres.
-        radius: Usual radius of a ball, metres.
-        seed: Seed of positions and sizes.
-    """
+    """Mask (N,), 0 to 1, of random balls, one in each cell. ``spacing``, ``radius``: metres."""
     cell = np.floor(p / spacing)
     shift = np.stack([noise(cell * 7.0 + 0.5, 1.0, seed + axis) for axis in range(3)], axis=1)
     centre = (cell + 0.5 + np.clip(0.9 * shift, -0.28, 0.28)) * spacing

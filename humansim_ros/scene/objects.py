@@ -238,14 +238,18 @@ def _check_uniform(track: KeyframeTrack, target: str, path: Path) -> None:
 
 def _box() -> Mesh:
     """Cube with sides of 1, centred. Its sides share no vertices: its edges are sharp in shading."""
+    return Mesh(_cube_corners(), _BOX_FACES)
+
+
+def _cube_corners() -> Array:
+    """Corners (24, 3) of a cube, four for each side, counter-clockwise as seen from outside."""
     side = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
-    vertices = []
+    corners = []
     for axis in range(3):
         for sign in (-0.5, 0.5):
-            corners = np.insert(side if sign > 0 else side[::-1], 0, sign, axis=1)
-            vertices.append(np.roll(corners, axis, axis=1))
-    faces = np.arange(24, dtype=np.int32).reshape(6, 4)
-    return Mesh(np.concatenate(vertices), faces)
+            one = np.insert(side if sign > 0 else side[::-1], 0, sign, axis=1)
+            corners.append(np.roll(one, axis, axis=1))
+    return np.concatenate(corners)
 
 
 def _sphere() -> Mesh:
@@ -331,19 +335,13 @@ class Furniture:
 
 
 _BOX_FACES = np.arange(24, dtype=np.int32).reshape(6, 4)
-_SIDE = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
 
 
 def _corners(part: _Part) -> Array:
-    """Corners (24, 3) of a box, four for each side, counter-clockwise as seen from outside."""
-    sides = []
-    for axis in range(3):
-        for sign in (-0.5, 0.5):
-            side = np.insert(_SIDE if sign > 0 else _SIDE[::-1], 0, sign, axis=1)
-            sides.append(np.roll(side, axis, axis=1))
+    """Corners (24, 3) of a box, as of :func:`_cube_corners`."""
     angle = np.radians(part.turn_deg)
     turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    return np.asarray(np.concatenate(sides) * part.size @ turn + part.center)
+    return np.asarray(_cube_corners() * part.size @ turn + part.center)
 
 
 def _legs(depth: float, width: float, height: float, thickness: float) -> list[_Part]:

@@ -320,7 +320,14 @@ def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool =
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> Array:
-    """K (3, 3) without skew."""
+    """K (3, 3) without skew.
+
+    Args:
+        fx: Focal length along x, pixels.
+        fy: Focal length along y, pixels.
+        cx: Principal point, x in pixels.
+        cy: Principal point, y in pixels.
+    """
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=float)
 
 

@@ -21,6 +21,8 @@ from humansim_ros.humans.makehuman.surface import (
     SHOES,
     TROUSERS,
     BodySurface,
+    mean_matrix,
+    neighbours,
     noise,
     outline,
     ramp,
@@ -74,18 +76,6 @@ def around(points: Array, axis: float) -> tuple[Array, Array]:
     """Direction (N,), 0 to two pi, and distance (N,) of points (N, 3) from the axis."""
     x, z = points[:, 0], points[:, 2] - axis
     return np.arctan2(x, z) % (2 * np.pi), np.hypot(x, z)
-
-
-def neighbours(faces: VertexIndices, count: int) -> sparse.csr_matrix:
-    """Adjacency matrix (V, V) of the sides of quads (F, 4)."""
-    edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
-    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
-    return ((graph + graph.T) > 0).astype(float).tocsr()
-
-
-def mean_matrix(graph: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Matrix (V, V) that gives each vertex the mean of its neighbours."""
-    return (sparse.diags(1 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph).tocsr()
 
 
 def shrink_onto(

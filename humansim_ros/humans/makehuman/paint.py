@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csgraph
 
-from humansim_ros.humans.makehuman.clothes import BodyRegions, neighbours
+from humansim_ros.humans.makehuman.clothes import BodyRegions
 from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.shape import Fabric, Outfit
 from humansim_ros.humans.makehuman.surface import (
@@ -20,6 +20,7 @@ from humansim_ros.humans.makehuman.surface import (
     SHOES,
     TROUSERS,
     BodySurface,
+    neighbours,
     noise,
     ramp,
     sample,

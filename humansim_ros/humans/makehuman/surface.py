@@ -76,6 +76,18 @@ def ramp(value: Array, low: float | Array, high: float | Array) -> Array:
     return t * t * (3 - 2 * t)
 
 
+def neighbours(faces: VertexIndices, count: int) -> sparse.csr_matrix:
+    """Adjacency matrix (V, V) of the sides of quads (F, 4)."""
+    edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
+    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
+    return ((graph + graph.T) > 0).astype(float).tocsr()
+
+
+def mean_matrix(graph: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Matrix (V, V) that gives each vertex the mean of its neighbours."""
+    return (sparse.diags(1 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph).tocsr()
+
+
 def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) -> Array:
     """Smooth vertices towards the mean of their neighbours.
 
@@ -88,11 +100,7 @@ def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) ->
     Returns:
         Vertices (V, 3).
     """
-    edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
-    edges = np.concatenate([edges, edges[:, ::-1]])
-    graph = sparse.csr_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
-    graph.data[:] = 1
-    mean = sparse.diags(1 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph
+    mean = mean_matrix(neighbours(faces, len(vertices)))
     for _ in range(rounds):
         vertices = vertices + amount[:, None] * (mean @ vertices - vertices)
     return vertices

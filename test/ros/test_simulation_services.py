@@ -190,8 +190,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scene(folder, SCENE)
 
 
-@pytest.fixture(params=["realtime", "lockstep"])
-def driver(ros: None, scene: Path, request: pytest.FixtureRequest) -> Iterator[Driver]:
+@pytest.fixture(scope="module", params=["realtime", "lockstep"])
+def running(ros: None, interfaces: Path, scene: Path, request: pytest.FixtureRequest) -> Iterator[Driver]:
+    """A player for the tests of a mode; tests with a player of their own come before all that use it."""
     driver = Driver(scene, request.param)
     driver.spin_until(lambda: driver.frames)
     yield driver
@@ -199,9 +200,81 @@ def driver(ros: None, scene: Path, request: pytest.FixtureRequest) -> Iterator[D
 
 
 @pytest.fixture
+def driver(running: Driver) -> Driver:
+    """The player at its start, with all entities at their places, playing."""
+    running.answers = True
+    running.report()
+    assert running.code("ResetSimulation") == (OK, "")
+    assert running.set_state("PLAYING")[0] in (OK, ALREADY)
+    running.frames.clear()
+    running.client.received.clear()
+    running.spin_until(lambda: running.frames)
+    return running
+
+
+@pytest.fixture
 def paused(driver: Driver) -> Driver:
     assert driver.set_state("PAUSED") == (OK, "")
     return driver
+
+
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_quitting_ends_the_player_with_its_own_code(ros: None, scene: Path, mode: str) -> None:
+    driver = Driver(scene, mode)
+    driver.spin_until(lambda: driver.frames)
+    assert driver.set_state("QUITTING") == (OK, "")
+    driver.spin_until(lambda: driver.player.exit_code is not None)
+    assert driver.player.exit_code == QUIT
+    driver.close()
+
+
+def test_without_the_package_a_player_has_its_own_services_only(
+    ros: None, scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("simulation_interfaces", "simulation_interfaces.msg"):
+        monkeypatch.setitem(sys.modules, name, None)
+    driver = Driver(scene, "realtime")
+    names = {service.srv_name for service in driver.player.services}
+    assert any(name.endswith("/pause") for name in names)
+    assert not any("entit" in name or "simulat" in name for name in names)
+    driver.spin_until(lambda: len(driver.frames) > 3)
+    driver.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [pytest.param("realtime", marks=pytest.mark.nightly), "lockstep"])
+def test_a_running_suite_is_driven_by_the_standard_alone(
+    ros: None, interfaces: Path, tmp_path: Path, mode: str
+) -> None:
+    from geometry_msgs.msg import TransformStamped
+
+    scene = write_scene(tmp_path)
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{interfaces}"}
+    tool = Tool()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), f"--{mode}"], env=environment
+    )
+    try:
+        tool.client.subscribe(TransformStamped, ["/left/extrinsics"], LATCHED)
+        shown = tool.client.received["/left/extrinsics"]
+        tool.spin_until(lambda: len(tool.frames) > 3 and shown)
+        assert tool.set_state("PAUSED") == (OK, "") and tool.state() == PAUSED
+        assert tool.code("StepSimulation", steps=1) == (OK, "")
+        begin = tool.call("GetEntityState", entity="humans/first").state.header.stamp
+        assert tool.code("StepSimulation", steps=5) == (OK, "")
+        end = tool.call("GetEntityState", entity="humans/first").state.header.stamp
+        passed = messages.to_nanoseconds(end) - messages.to_nanoseconds(begin)
+        assert mode == "realtime" or passed == 5 * 50_000_000
+        # a player may discover a camera later than this tool does
+        tool.spin_until(lambda: tool.place("left", (3, 3, 2), yaw(0)) == (OK, ""))
+        assert tool.code("StepSimulation", steps=1) == (OK, "")
+        tool.spin_until(lambda: shown[max(shown)].transform.translation.y == pytest.approx(3))
+        assert tool.set_state("QUITTING") == (OK, "")
+        assert run.wait(PATIENCE) == 0
+    finally:
+        run.terminate()
+        run.wait()
+        tool.close()
 
 
 def test_features_are_those_that_the_services_have(driver: Driver) -> None:
@@ -240,12 +313,6 @@ def test_other_states_cannot_be_set(driver: Driver, state: int) -> None:
     assert driver.state() == PLAYING
 
 
-def test_quitting_ends_the_player_with_its_own_code(driver: Driver) -> None:
-    assert driver.set_state("QUITTING") == (OK, "")
-    driver.spin_until(lambda: driver.player.exit_code is not None)
-    assert driver.player.exit_code == QUIT
-
-
 def test_steps_are_frames_of_the_paused_simulation(paused: Driver) -> None:
     before = paused.player.playback_clock.elapsed
     assert paused.code("StepSimulation", steps=7) == (OK, "")
@@ -264,9 +331,8 @@ def test_steps_need_a_pause_and_a_number(driver: Driver) -> None:
     assert code == FAILED and "1 or more" in text
 
 
-def test_a_step_in_lockstep_ends_when_the_cameras_have_finished_it(ros: None, scene: Path) -> None:
-    driver = Driver(scene, "lockstep")
-    driver.spin_until(lambda: driver.frames)
+@pytest.mark.parametrize("running", ["lockstep"], indirect=True)
+def test_a_step_in_lockstep_ends_when_the_cameras_have_finished_it(driver: Driver) -> None:
     driver.set_state("PAUSED")
     driver.code("StepSimulation", steps=1)
     driver.answers = False
@@ -280,7 +346,6 @@ def test_a_step_in_lockstep_ends_when_the_cameras_have_finished_it(ros: None, sc
         driver.report()
     driver.spin_until(future.done)
     assert future.result().result.result == OK
-    driver.close()
 
 
 @pytest.mark.parametrize("interruption", ["PLAYING", "PAUSED", "STOPPED", "reset"])
@@ -599,52 +664,3 @@ def test_time_and_state_are_reset(paused: Driver) -> None:
     np.testing.assert_allclose(paused.pose("humans/walker")[0][:2], origin, atol=1e-9)
     code, text = paused.code("ResetSimulation", scope=4)
     assert code == UNSUPPORTED and "spawned" in text
-
-
-def test_without_the_package_a_player_has_its_own_services_only(
-    ros: None, scene: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("simulation_interfaces", "simulation_interfaces.msg"):
-        monkeypatch.setitem(sys.modules, name, None)
-    driver = Driver(scene, "realtime")
-    names = {service.srv_name for service in driver.player.services}
-    assert any(name.endswith("/pause") for name in names)
-    assert not any("entit" in name or "simulat" in name for name in names)
-    driver.spin_until(lambda: len(driver.frames) > 3)
-    driver.close()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", [pytest.param("realtime", marks=pytest.mark.nightly), "lockstep"])
-def test_a_running_suite_is_driven_by_the_standard_alone(
-    ros: None, interfaces: Path, tmp_path: Path, mode: str
-) -> None:
-    from geometry_msgs.msg import TransformStamped
-
-    scene = write_scene(tmp_path)
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{interfaces}"}
-    tool = Tool()
-    run = subprocess.Popen(
-        [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), f"--{mode}"], env=environment
-    )
-    try:
-        tool.client.subscribe(TransformStamped, ["/left/extrinsics"], LATCHED)
-        shown = tool.client.received["/left/extrinsics"]
-        tool.spin_until(lambda: len(tool.frames) > 3 and shown)
-        assert tool.set_state("PAUSED") == (OK, "") and tool.state() == PAUSED
-        assert tool.code("StepSimulation", steps=1) == (OK, "")
-        begin = tool.call("GetEntityState", entity="humans/first").state.header.stamp
-        assert tool.code("StepSimulation", steps=5) == (OK, "")
-        end = tool.call("GetEntityState", entity="humans/first").state.header.stamp
-        passed = messages.to_nanoseconds(end) - messages.to_nanoseconds(begin)
-        assert mode == "realtime" or passed == 5 * 50_000_000
-        # a player may discover a camera later than this tool does
-        tool.spin_until(lambda: tool.place("left", (3, 3, 2), yaw(0)) == (OK, ""))
-        assert tool.code("StepSimulation", steps=1) == (OK, "")
-        tool.spin_until(lambda: shown[max(shown)].transform.translation.y == pytest.approx(3))
-        assert tool.set_state("QUITTING") == (OK, "")
-        assert run.wait(PATIENCE) == 0
-    finally:
-        run.terminate()
-        run.wait()
-        tool.close()

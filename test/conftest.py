@@ -205,10 +205,17 @@ def assets() -> Path:
 
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
-    """Initialise rclpy with a transport for images, for the tests of one file."""
+    """Initialise rclpy with a transport for images, for the tests of one file.
+
+    No other player is in their domain: those in this process do not look for one for two seconds.
+    """
+    from humansim_ros.apps import bag_player
+    from humansim_ros.ros.lockstep import playing
     from humansim_ros.testing.support import running_rclpy
 
-    with running_rclpy():
+    with running_rclpy(), pytest.MonkeyPatch.context() as patch:
+        for module in (bag_player, playing):
+            patch.setattr(module, "CLOCK_SEARCH", 0.0)
         yield
 
 

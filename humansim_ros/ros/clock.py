@@ -12,7 +12,6 @@ from std_msgs.msg import Header
 
 from humansim_ros.ros.graph import GraphWatch
 from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.lockstep.settings import CLOCK_SEARCH
 from humansim_ros.ros.qos import ALIVE
 
 #: Topic without messages: a player in lockstep that lives, also during a pause, has a live publisher of it.
@@ -36,7 +35,7 @@ class ClockOwner:
         search: Seconds of the search: those in which nodes find each other.
     """
 
-    def __init__(self, node: GuardedNode, graph: GraphWatch, search: float = CLOCK_SEARCH) -> None:
+    def __init__(self, node: GuardedNode, graph: GraphWatch, search: float) -> None:
         self._node, self._graph, self._search = node, graph, search
         self._waited, self._last = 0.0, time.monotonic()
         self._alive = 0

@@ -115,10 +115,14 @@ def running(*command: str) -> Iterator[None]:
         end_process(process)
 
 
-def test_a_tracker_is_measured_and_a_camera_is_moved() -> None:
+def test_a_tracker_is_measured_and_a_camera_is_moved(tmp_path: Path) -> None:
     import ros_support  # noqa: F401  # own ROS domain; skips without ROS
 
-    with running("-m", "humansim_ros.cli", "run"):
+    # the scene of `humansim run` with small images, which leave time for the examples
+    text = (ROOT / "config" / "scenes" / "demo.yaml").read_text()
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(text.replace("rate: 30", "rate: 10").replace("[640, 480]", "[160, 120]"))
+    with running("-m", "humansim_ros.cli", "run", str(scene)):
         said = example("tracker", "walker", 20)
         joints, mean, worst = map(float, re.findall(r"\d+\.?\d*", said))
         assert joints > 100 and mean < 1.0 and worst < 10.0

@@ -17,13 +17,14 @@ _SPEC.loader.exec_module(fuzz)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(fuzz.READERS))
+@pytest.mark.parametrize("inputs", [100, pytest.param(300, marks=pytest.mark.nightly)])
 def test_damaged_files_give_a_result_or_an_error_of_the_package(
-    name: str, monkeypatch: pytest.MonkeyPatch
+    name: str, inputs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # processor time, too, grows on a loaded machine
     for limit in ("_SECONDS", "_SECONDS_PER_BYTE", "_SECONDS_OF_SCENES"):
         monkeypatch.setattr(fuzz, limit, 10 * getattr(fuzz, limit))
-    inputs = {"bvh": 1500, "keyframes": 1500, "scene": 60}.get(name, 300)
+    inputs = round(inputs * {"bvh": 5, "keyframes": 5, "scene": 0.4}.get(name, 1))
     outcome = fuzz.fuzz(name, fuzz.corpus_of(name), inputs, seed=7)
     assert outcome.findings == []
     # the damage is neither always harmless nor always fatal

@@ -625,7 +625,13 @@ def test_pip_install_works(wheel: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "symlinked"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param([], id="copied"),
+        pytest.param(["--symlink-install"], id="symlinked", marks=pytest.mark.nightly),
+    ],
+)
 def test_colcon_build_works(tmp_path: Path, options: list[str]) -> None:
     pytest.importorskip("colcon_core", reason="pip install colcon-common-extensions")
     sources = copy_sources(tmp_path / "src" / "humansim_ros")

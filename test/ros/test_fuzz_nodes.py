@@ -30,17 +30,20 @@ def stage(ros: None) -> Iterator[Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", [NODES[0], *(pytest.param(name, marks=pytest.mark.nightly) for name in NODES[1:])]
+    ("name", "count"),
+    [(NODES[0], 30), *(pytest.param(name, 100, marks=pytest.mark.nightly) for name in NODES)],
 )
-def test_hostile_messages_do_no_harm(stage: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_messages_do_no_harm(
+    stage: Any, name: str, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # processor time, too, grows on a loaded machine
     monkeypatch.setattr(fuzz_nodes, "LIMIT_MS", 10 * fuzz_nodes.LIMIT_MS)
     fuzzer = fuzz_nodes.Fuzzer(stage, random.Random(f"{name}7"))
-    endpoints = fuzzer.run(name, 100)
+    endpoints = fuzzer.run(name, count)
     assert fuzzer.findings == []
-    assert sum(endpoint.messages for endpoint in endpoints) >= 90
+    assert sum(endpoint.messages for endpoint in endpoints) >= 0.9 * count
     # the damage is neither always harmless nor always noticed
-    assert 0 < sum(endpoint.refused for endpoint in endpoints) < 90
+    assert 0 < sum(endpoint.refused for endpoint in endpoints) < 0.9 * count
 
 
 def test_every_node_and_all_its_subscriptions_and_services_are_fuzzed(stage: Any) -> None:

@@ -29,12 +29,13 @@ demo: env
 check: lint
 	$(BIN)/python -m pytest -n auto -m "not ros and not process and not slow and not nightly"
 
-# Tests of nodes and processes share the machine's network and clock: two files at a time, each in a ROS
-# domain of its own. Tests that only build messages run with all others.
+# Tests of nodes and processes share the machine's network and clock: three files at a time, each in a ROS
+# domain of its own, because a third of their time is waiting. Tests that only build messages run with all
+# others.
 test: TIER = and not nightly
 test test-all: env-test
 	$(BIN)/python -m pytest -n auto -m "not ros and not process $(TIER)"
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "(ros or process) $(TIER)"
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m "(ros or process) $(TIER)"
 
 lint: env-test
 	$(BIN)/ruff format --check .

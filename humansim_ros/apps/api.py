@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from humansim_ros.io.files import atomic_path
+from humansim_ros.io.files import write_file
 
 if TYPE_CHECKING:
     from humansim_ros.scene.scene import Scene
@@ -34,9 +34,7 @@ class Comparison:
 
     def write_report(self, path: str | os.PathLike[str]) -> None:
         """Write tables, plots and the worst frames to an HTML file."""
-        text = self.page()
-        with atomic_path(Path(path)) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_file(path, self.page())
 
 
 def evaluate(
@@ -77,13 +75,13 @@ def evaluate(
     compared: Comparison = _work().compare(
         Path(truth),
         [os.fspath(each) for each in several],
-        keypoints,
-        names,
-        scale,
-        axes,
-        offset,
-        gate,
         min_score,
+        keypoints=keypoints,
+        names=names,
+        scale=scale,
+        axes=axes,
+        offset=offset,
+        gate=gate,
     )
     return compared
 

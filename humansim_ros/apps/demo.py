@@ -20,7 +20,7 @@ from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.messages.frames import Frames
 from humansim_ros.ros.lockstep.settings import TimeOptions
 from humansim_ros.ros.processes.node_processes import scene_processes
-from humansim_ros.ros.processes.supervisor import EndedProcess, Supervisor
+from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.scene import Scene
 from humansim_ros.types import Image
@@ -109,18 +109,10 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
             recorder.spin(0.1)
             progress.update(task, completed=time.monotonic() - begin)
     if silent or nodes.dead():
-        _print_failure(console, nodes.dead(), silent)
+        reason = nodes.dead() or f"nothing arrived within {_START_LIMIT:.0f} s on {', '.join(silent)}"
+        console.print(f"error: {reason}", style="red")
         return None
     return time.monotonic() - begin
-
-
-def _print_failure(console: Console, dead: EndedProcess | None, silent: list[str]) -> None:
-    if dead:
-        console.print(f"error: {dead}", style="red")
-    else:
-        console.print(
-            f"error: nothing arrived within {_START_LIMIT:.0f} s on {', '.join(silent)}", style="red"
-        )
 
 
 def _progress(console: Console) -> Progress:

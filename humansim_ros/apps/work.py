@@ -19,47 +19,24 @@ if TYPE_CHECKING:
     from humansim_ros.scene import Scene
 
 
-def compare(
-    truth: Path,
-    estimate: Sequence[str],
-    keypoints: str | None,
-    names: str | os.PathLike[str] | None,
-    scale: float,
-    axes: str | None,
-    offset: float | Literal["auto"],
-    gate: float | None,
-    min_score: float | None,
-) -> Comparison:
-    """Compare an estimate with the truth; see :func:`humansim_ros.apps.api.evaluate`.
+#: Options of 3D poses that are given although they have these values.
+_DEFAULTS = {"scale": 1, "offset": 0}
 
-    Args:
-        truth: Scene, bag or export.
-        estimate: Files, folders and topics of bags.
-        keypoints: Keypoint set.
-        names: File of names.
-        scale: Metres of a unit.
-        axes: Axes of the estimate.
-        offset: Seconds, or auto.
-        gate: Metres.
-        min_score: Score of detections.
-    """
+
+def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **options: Any) -> Comparison:
+    """Compare an estimate with the truth; all parameters as of :func:`humansim_ros.apps.api.evaluate`."""
     from humansim_ros.evaluate.readers.detections import is_of_images
 
     if any(map(is_of_images, estimate)):
-        given = {
-            "--names": names is not None,
-            "--scale": scale != 1,
-            "--axes": axes is not None,
-            "--offset": offset != 0,
-            "--gate": gate is not None,
-        }
-        for option, used in given.items():
-            if used:
-                raise EvaluationError("is for 3D poses; the estimate is detections in images", key=option)
+        keypoints = options.pop("keypoints")
+        for name, value in options.items():
+            if value != _DEFAULTS.get(name):
+                text = "is for 3D poses; the estimate is detections in images"
+                raise EvaluationError(text, key=f"--{name}")
         return _images(truth, estimate, keypoints, min_score)
     if min_score is not None:
         raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
-    return _poses(truth, estimate, keypoints, names, scale, axes, offset, gate)
+    return _poses(truth, estimate, **options)
 
 
 def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
@@ -161,14 +138,7 @@ def write_bag(
     """Record a scene; see :func:`humansim_ros.apps.api.record`.
 
     Args:
-        scene: Scene.
-        output: Folder of the bag.
-        frames: Number of frames.
-        seconds: Length.
-        topics: Names and patterns.
-        jobs: Number of processes.
-        resume: Continue a bag.
-        on_progress: Called after each frame.
+        scene, output, frames, seconds, topics, jobs, resume, on_progress: As there.
         options: Options of :class:`RecordingPlan`.
     """
     from humansim_ros.jobs.frame_job import cores
@@ -197,16 +167,7 @@ def write_data_set(
     """Export a scene or bag; see :func:`humansim_ros.apps.api.export`.
 
     Args:
-        source: Scene or bag.
-        output: Folder.
-        formats: Names of formats.
-        frames: Number of frames, or their range.
-        keypoints: Keypoint set.
-        images: png or jpg.
-        shard_size: Bytes.
-        jobs: Number of processes.
-        resume: Continue an export.
-        on_progress: Called after each frame.
+        source, output, formats, frames, keypoints, images, shard_size, jobs, resume, on_progress: As there.
     """
     from humansim_ros.export.exporting import Export, export
     from humansim_ros.export.formats import chosen_formats

@@ -25,6 +25,7 @@ from humansim_ros.cli.options import (
     SizeOption,
     UnitOption,
     UpOption,
+    output_option,
     parse_size,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
@@ -70,13 +71,7 @@ def show(
 def convert(
     files: CalibrationsArgument,
     output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="PATH",
-            help="Output file, or folder for formats of one file per camera.",
-        ),
+        Path, output_option("PATH", "Output file, or folder for formats of one file per camera.")
     ],
     to: Annotated[
         str | None,
@@ -111,10 +106,7 @@ def read_cameras(
 
     Args:
         files: Files, folders or URLs; also scenes with a rig.
-        size: Option ``--size``.
-        image: Option ``--image``.
-        unit: Option ``--unit``.
-        up: Option ``--up``.
+        size, image, unit, up: Options of these names.
     """
     from humansim_ros.camera.calibration import join_calibrations
 
@@ -215,10 +207,7 @@ def load(file: str, size: str | None, image: Path | None, unit: float | None, up
 
     Args:
         file: File, folder or URL.
-        size: Option ``--size``.
-        image: Option ``--image``.
-        unit: Option ``--unit``.
-        up: Option ``--up``.
+        size, image, unit, up: Options of these names.
     """
     from humansim_ros.camera.calibration import load_calibration
 
@@ -233,10 +222,7 @@ def load_or_scene(
 
     Args:
         file: File, folder or URL.
-        size: Option ``--size``.
-        image: Option ``--image``.
-        unit: Option ``--unit``.
-        up: Option ``--up``.
+        size, image, unit, up: Options of these names.
     """
     if not _has_rig(file):
         return load(file, size, image, unit, up)
@@ -490,7 +476,7 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
     import numpy as np
 
     from humansim_ros.camera.checks import image_size
-    from humansim_ros.io.files import atomic_path, read_bytes
+    from humansim_ros.io.files import read_bytes, write_file
     from humansim_ros.io.images import MAX_IMAGE_BYTES
 
     if path.suffix.lower() not in (".png", *_JPEG):
@@ -511,8 +497,7 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
     encoded, content = cv2.imencode(path.suffix, converted, quality)
     if not encoded:
         raise CameraError("the converted image cannot be encoded", path=path)
-    with atomic_path(target) as temporary:
-        temporary.write_bytes(content.tobytes())
+    write_file(target, content.tobytes())
 
 
 def _refuse_to_overwrite(source: Path, target: Path) -> None:
@@ -543,7 +528,7 @@ def _write_rig(
     """Write scene.yaml with the cameras, and camera_info files without their poses."""
     from humansim_ros.camera.calibration import write_calibration
     from humansim_ros.camera.formats.scene import SCENE
-    from humansim_ros.io.files import atomic_path
+    from humansim_ros.io.files import write_file
 
     folder = output / "camera_info"
     _make_folder(folder)
@@ -552,8 +537,7 @@ def _write_rig(
         print_warning(f"the lowest camera is {-low:.2f} m below the floor")
     scene = output / "scene.yaml"
     text = _scene_text(cameras, look_at, radius) + SCENE.write(cameras)[""]
-    with atomic_path(scene) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_file(scene, text)
     print_text(f"wrote {scene}; try: humansim run {scene}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # camera_info does not store poses; the scene does

@@ -21,9 +21,11 @@ from humansim_ros.cli.options import (
     SizeOption,
     UnitOption,
     UpOption,
+    output_option,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import CameraError, HumansimError
+from humansim_ros.io.files import write_file
 
 if TYPE_CHECKING:
     from humansim_ros.camera import Camera
@@ -99,13 +101,7 @@ class _Method:
 def place(
     file: CalibrationArgument,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Scene to write (.yaml). Without it, the section rig is printed.",
-        ),
+        Path | None, output_option("FILE", "Scene to write (.yaml). Without it, the section rig is printed.")
     ] = None,
     picture: Annotated[
         Path | None,
@@ -223,7 +219,7 @@ def place(
         x, y = facts["person_at"]
         person = f"{{motion: {{file: wave, position: [{x:g}, {y:g}], anchor: center}}}}"
         room = room_around(placed, (x, y))
-        _write(output, f"rate: 30\nroom: {room}\nhumans:\n  person: {person}\n{section}")
+        write_file(output, f"rate: 30\nroom: {room}\nhumans:\n  person: {person}\n{section}")
     if picture is not None:
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.drawing.rigs import rig_image
@@ -408,10 +404,3 @@ def _rig_section(
     ):
         lines.append(f"  {key}: [{', '.join(repr(round(float(v), _DIGITS) + 0.0) for v in values)}]")
     return "\n".join(lines) + "\n"
-
-
-def _write(path: Path, text: str) -> None:
-    from humansim_ros.io.files import atomic_path
-
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

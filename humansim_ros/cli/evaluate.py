@@ -15,10 +15,11 @@ from humansim_ros.cli.options import (
     ResumeOption,
     ScaleOption,
     list_option,
+    output_option,
 )
 from humansim_ros.cli.output import check_output, print_text, time_left, to_json
 from humansim_ros.errors import ChallengeError, EvaluationError
-from humansim_ros.io.files import atomic_path
+from humansim_ros.io.files import write_file
 
 #: Greatest time offset in seconds: the stamps of a wall clock.
 _MAX_SHIFT = 9e9
@@ -76,10 +77,7 @@ def evaluate(
         ),
     ] = None,
     as_json: JsonOption = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write the result to this JSON file."),
-    ] = None,
+    output: Annotated[Path | None, output_option("FILE", "Write the result to this JSON file.")] = None,
     report: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write tables, plots and the worst frames to this HTML file."),
@@ -104,8 +102,7 @@ def evaluate(
         min_score=min_score,
     )
     if output is not None:
-        with atomic_path(output) as temporary:
-            temporary.write_text(to_json(result.data) + "\n", encoding="utf-8")
+        write_file(output, to_json(result.data) + "\n")
     if report is not None:
         result.write_report(report)
     print_text(to_json(result.data) if as_json else result.table)
@@ -125,7 +122,7 @@ def _seconds(text: str) -> float | Literal["auto"]:
 
 
 def challenge(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the report.")],
+    output: Annotated[Path, output_option("DIR", "Folder of the report.")],
     tracker: Annotated[
         str | None,
         typer.Option(

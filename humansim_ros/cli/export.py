@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, export_formats, list_option
-from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
+from humansim_ros.cli.options import (
+    JobsOption,
+    RayOption,
+    ResumeOption,
+    export_formats,
+    list_option,
+    output_option,
+)
+from humansim_ros.cli.output import costs_text, frame_progress, print_text, rate_text, run_frames_shown
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import MAX_FRAMES, ExportError
 from humansim_ros.jobs.ray_cluster import PART_FRAMES
@@ -36,13 +43,7 @@ def _print_formats(wanted: bool) -> None:
 
 def export(
     output: Annotated[
-        str,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Folder, which must not exist; with --ray one that all hosts share.",
-        ),
+        str, output_option("DIR", "Folder, which must not exist; with --ray one that all hosts share.")
     ],
     formats: Annotated[
         list[str], list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
@@ -137,25 +138,16 @@ def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: in
 def _export(job: Export, jobs: int, resume: bool) -> None:
     """Export with processes of this machine."""
     from humansim_ros.export.exporting import export
-    from humansim_ros.jobs.workers import WorkerDiedError
 
-    done, total, output = 0, len(job.plan.frames), job.root
-
-    def show(progress: FrameProgress) -> None:
-        nonlocal done
-        done = progress.done
-        display(progress)
-
-    with frame_progress("exporting", job.cameras) as display:
-        try:
-            state = export(job, jobs, resume, show)
-        except (Stopped, WorkerDiedError) as error:
-            text = f"{output}: {done} of {total} frames are written; the same command with --resume continues"
-            if isinstance(error, WorkerDiedError):
-                print_error(f"error: {error}; {text}")
-                raise typer.Exit(1) from None
-            print_text(f"stopped; {text}")
-            raise
+    total = len(job.plan.frames)
+    state = run_frames_shown(
+        "exporting",
+        job.cameras,
+        lambda show: export(job, jobs, resume, show),
+        lambda done: (
+            f"{job.root}: {done} of {total} frames are written; the same command with --resume continues"
+        ),
+    )
     print_text(_summary(state, job))
 
 
@@ -164,9 +156,4 @@ def _summary(state: FrameProgress, job: Export) -> str:
     if not state.new:
         return f"{job.root}: all {len(job.plan.frames)} frames are written already"
     text = f"wrote {job.root}: {state.done} frames, {rate_text(state, job.cameras)}"
-    if not state.costs:
-        return text
-    units = state.new * max(job.cameras, 1)
-    costs = ", ".join(f"{step} {1e3 * seconds / units:.1f}" for step, seconds in state.costs.items())
-    unit = "camera-frame" if job.cameras else "frame"
-    return f"{text}\nprocessor time in ms per {unit}: {costs}"
+    return f"{text}\n{costs_text(state, job.cameras, 1)}" if state.costs else text

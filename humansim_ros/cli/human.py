@@ -20,6 +20,7 @@ from humansim_ros.cli.options import (
     UnitOption,
     UpOption,
     list_option,
+    output_option,
 )
 from humansim_ros.cli.options import built_in_humans as completed_humans
 from humansim_ros.cli.output import check_output, print_text, to_json
@@ -63,9 +64,7 @@ HumanArgument = Annotated[
         autocompletion=completed_humans,
     ),
 ]
-OutputHumanOption = Annotated[
-    Path, typer.Option("--output", "-o", metavar="FILE", help="Output file (.npz).")
-]
+OutputHumanOption = Annotated[Path, output_option("FILE", "Output file (.npz).")]
 
 
 def list_humans(as_json: JsonOption = False) -> None:
@@ -255,7 +254,7 @@ class Method(Enum):
 
 def fit(
     views: ViewsArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Fit to write (.yaml).")],
+    output: Annotated[Path, output_option("FILE", "Fit to write (.yaml).")],
     body: BodyOption = None,
     detector: Annotated[
         str | None,

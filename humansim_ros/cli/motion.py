@@ -18,6 +18,7 @@ from humansim_ros.cli.options import (
     JsonOption,
     UnitOption,
     UpOption,
+    output_option,
     parse_size,
 )
 from humansim_ros.cli.options import built_in_motions as completed_motions
@@ -129,10 +130,7 @@ def retarget(
     ] = None,
     as_json: JsonOption = False,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Write all frames to a file: .bvh, .npz or .json."
-        ),
+        Path | None, output_option("FILE", "Write all frames to a file: .bvh, .npz or .json.")
     ] = None,
     mode: Annotated[
         RetargetingChoice,
@@ -216,12 +214,7 @@ def table(
     file: MotionArgument,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write the joint table (YAML) to a file, for editing and --joint-names.",
-        ),
+        output_option("FILE", "Write the joint table (YAML) to a file, for editing and --joint-names."),
     ] = None,
     joint_names: JointTableOption = None,
     positions: PositionsOption = PositionsChoice.auto,
@@ -256,10 +249,7 @@ def list_motions(as_json: JsonOption = False) -> None:
 
 def render(
     file: MotionArgument,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="FILE", help="Output strip (.png) or video (.mp4, .gif)."),
-    ],
+    output: Annotated[Path, output_option("FILE", "Output strip (.png) or video (.mp4, .gif).")],
     frames: Annotated[int, typer.Option(metavar="N", help="Number of frames of a strip.", min=1, max=60)] = 8,
     size: Annotated[
         str, typer.Option(metavar="WIDTHxHEIGHT", help="Width and height of one image, as 220x300.")

@@ -44,6 +44,11 @@ def list_option(
     )
 
 
+def output_option(metavar: str, help: str) -> Any:
+    """Option ``--output``, ``-o``: a file or folder to write."""
+    return typer.Option("--output", "-o", metavar=metavar, help=help)
+
+
 # -- words that shells complete
 
 #: Export formats: their own table loads OpenCV and moderngl, for which a shell would wait.
@@ -126,13 +131,8 @@ CalibrationsArgument = Annotated[
         callback=_existing_calibrations,
     ),
 ]
-OutputFolderOption = Annotated[
-    Path,
-    typer.Option("--output", "-o", metavar="DIR", help="Output folder; it is created if it is missing."),
-]
-OutputImageOption = Annotated[
-    Path, typer.Option("--output", "-o", metavar="FILE", help="Output image (.png).")
-]
+OutputFolderOption = Annotated[Path, output_option("DIR", "Output folder; it is created if it is missing.")]
+OutputImageOption = Annotated[Path, output_option("FILE", "Output image (.png).")]
 PictureOption = Annotated[
     Path | None, typer.Option("--picture", metavar="FILE", help="Also draw the result (.png).")
 ]

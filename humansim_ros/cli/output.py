@@ -14,7 +14,10 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 from humansim_ros.errors import HumansimError
+from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
     from humansim_ros.jobs.frame_job import FrameProgress
@@ -156,6 +159,47 @@ def frame_progress(
             bar.update(task, total=progress.frames, completed=progress.done, rate=rate)
 
         yield show
+
+
+def run_frames_shown(
+    title: str,
+    cameras: int,
+    run: Callable[[Callable[[FrameProgress], None]], FrameProgress],
+    interrupted: Callable[[int], str],
+) -> FrameProgress:
+    """Run work on frames with its progress; after a stop or a death, say what is done.
+
+    Args:
+        title: Text before the bar.
+        cameras: Camera-frames for each frame.
+        run: Does the work; its argument is called after each frame.
+        interrupted: Text after an interruption, from the number of frames that are done.
+    """
+    from humansim_ros.jobs.workers import WorkerDiedError
+
+    done = 0
+
+    def show(progress: FrameProgress) -> None:
+        nonlocal done
+        done = progress.done
+        display(progress)
+
+    with frame_progress(title, cameras) as display:
+        try:
+            return run(show)
+        except WorkerDiedError as error:
+            print_error(f"error: {error}; {interrupted(done)}")
+            raise typer.Exit(1) from None
+        except Stopped:
+            print_text(f"stopped; {interrupted(done)}")
+            raise
+
+
+def costs_text(progress: FrameProgress, cameras: int, digits: int) -> str:
+    """Processor time of each step in ms, for each camera-frame; for each frame without cameras."""
+    units = progress.new * max(cameras, 1)
+    costs = (f"{step} {1e3 * seconds / units:.{digits}f}" for step, seconds in progress.costs.items())
+    return f"processor time in ms per {'camera-frame' if cameras else 'frame'}: {', '.join(costs)}"
 
 
 def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:

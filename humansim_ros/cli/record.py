@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, TopicsOption
-from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
+from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, TopicsOption, output_option
+from humansim_ros.cli.output import costs_text, frame_progress, print_text, rate_text, run_frames_shown
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import MAX_FRAMES, BagError
 from humansim_ros.jobs.ray_cluster import PART_FRAMES
@@ -47,11 +47,9 @@ class _Depth(str, Enum):
 def record(
     output: Annotated[
         str,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Folder of the bag, which must not exist; with --ray also a URL such as s3://bucket/walk. "
+        output_option(
+            "DIR",
+            "Folder of the bag, which must not exist; with --ray also a URL such as s3://bucket/walk. "
             "Several scenes get a folder each in it.",
         ),
     ],
@@ -138,28 +136,17 @@ def record(
 
 def _record_here(recording: SceneRecording, output: Path, jobs: int, resume: bool) -> None:
     """Record with processes of this machine."""
-    from humansim_ros.jobs.workers import WorkerDiedError
     from humansim_ros.record.recording import record
 
     cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})
-    state: FrameProgress | None = None
 
-    def show(progress: FrameProgress) -> None:
-        nonlocal state
-        state = progress
-        display(progress)
+    def interrupted(done: int) -> str:
+        how = "the same command with --resume continues" if output.exists() else "nothing was recorded"
+        return f"{output}: {done} of {recording.frames} frames are in the bag; {how}"
 
-    with frame_progress("recording", cameras) as display:
-        try:
-            state = record(recording, output, jobs, resume, show)
-        except (Stopped, WorkerDiedError) as error:
-            done = f"{output}: {state.done if state else 0} of {recording.frames} frames are in the bag"
-            how = "the same command with --resume continues" if output.exists() else "nothing was recorded"
-            if isinstance(error, WorkerDiedError):
-                print_error(f"error: {error}; {done}; {how}")
-                raise typer.Exit(1) from None
-            print_text(f"stopped; {done}; {how}")
-            raise
+    state = run_frames_shown(
+        "recording", cameras, lambda show: record(recording, output, jobs, resume, show), interrupted
+    )
     print_text(_summary(state, cameras, output))
 
 
@@ -190,9 +177,8 @@ def _summary(progress: FrameProgress, cameras: int, output: Path) -> str:
         return f"{output}: all {progress.frames} frames are in the bag already"
     units = progress.new * max(cameras, 1)
     unit = "camera-frame" if cameras else "frame"
-    costs = ", ".join(f"{step} {1e3 * seconds / units:.2f}" for step, seconds in progress.costs.items())
     return (
         f"wrote {output}: {progress.done} frames, {rate_text(progress, cameras)}, "
         f"{progress.size / units:.0f} bytes per {unit}\n"
-        f"processor time in ms per {unit}: {costs}"
+        f"{costs_text(progress, cameras, 2)}"
     )

@@ -30,6 +30,7 @@ from humansim_ros.cli.options import (
     built_in_channels,
     built_in_motions,
     list_option,
+    output_option,
 )
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
@@ -138,13 +139,7 @@ def run(
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write the evaluation of --estimate to this JSON file.",
-        ),
+        Path | None, output_option("FILE", "Write the evaluation of --estimate to this JSON file.")
     ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
@@ -227,9 +222,7 @@ def run(
 
 def demo(
     scene: SceneArgument = None,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Output folder.")] = Path(
-        "demo"
-    ),
+    output: Annotated[Path, output_option("DIR", "Output folder.")] = Path("demo"),
     seconds: Annotated[
         float, typer.Option(metavar="SECONDS", help="Seconds to record.", min=1.0, max=120.0)
     ] = 10.0,

@@ -19,6 +19,7 @@ from humansim_ros.cli.options import (
     SceneArgument,
     built_in_channels,
     list_option,
+    output_option,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, did_you_mean
@@ -224,9 +225,7 @@ def snapshot(
 
 
 def schema(
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="File to write (.json).")
-    ] = None,
+    output: Annotated[Path | None, output_option("FILE", "File to write (.json).")] = None,
 ) -> None:
     """Print the JSON schema of scene files, for editors that complete and check YAML."""
     from humansim_ros.scene.config import schema_text

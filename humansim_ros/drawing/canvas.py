@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.files import atomic_path
+from humansim_ros.io.files import atomic_path, write_file
 from humansim_ros.types import Array, Color, Image
 
 #: Background, text and grid lines.
@@ -119,9 +119,7 @@ def distinct_hues(count: int) -> Array:
 
 def write_png(path: str | os.PathLike[str], image: Image) -> None:
     """Write an RGB image; the file is complete or absent."""
-    encoded = encode_png(image)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(encoded)
+    write_file(path, encode_png(image))
 
 
 def encode_png(image: Image) -> bytes:

@@ -19,7 +19,7 @@ from humansim_ros.drawing.canvas import PAPER, TITLE_HEIGHT, draw_text, encode_p
 from humansim_ros.drawing.people import HumanArtist, StickFigureArtist, strip
 from humansim_ros.drawing.rigs import camera_panel
 from humansim_ros.drawing.top_view import top_view
-from humansim_ros.drawing.views import color_channel, color_image, draw_joints, joint_colors
+from humansim_ros.drawing.views import channel_picture, color_channel, draw_joints, joint_colors
 from humansim_ros.errors import ChannelError, HumansimError, HumansimWarning, MotionError
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.info import to_world
@@ -159,10 +159,7 @@ _INCHES = 4.0
 
 def channel_image(frame: Frame, camera: str, channel: str) -> Image:
     """Picture (H, W, 3) of a channel of one camera. Raises ChannelError if the frame has not the channel."""
-    values = getattr(frame.views[camera], channel)
-    if channel == "rgb":
-        return color_image(values, frame.encodings.get(camera, "rgb8"))
-    return color_channel(channel, values)
+    return channel_picture(frame.views[camera], channel, frame.encodings.get(camera, "rgb8"))
 
 
 def joints_of_camera(frame: Frame, camera: str) -> Iterator[tuple[Skeleton, Array, NDArray[np.uint8]]]:

@@ -12,7 +12,7 @@ import numpy as np
 from humansim_ros.camera import Camera
 from humansim_ros.drawing.canvas import draw_text, text_size
 from humansim_ros.drawing.top_view import top_view
-from humansim_ros.drawing.views import color_channel, color_image, draw_joints
+from humansim_ros.drawing.views import channel_picture, draw_joints
 from humansim_ros.errors import SceneError
 from humansim_ros.render.channels import CHANNEL_TABLE, check_channels
 from humansim_ros.scene import Frame, Scene, Simulation
@@ -177,11 +177,7 @@ def _tiles(
     view, camera = frame.views[name], scene.scene_cameras[name]
     out = []
     for channel in channels:
-        values = getattr(view, channel)
-        if channel == "rgb":
-            picture = color_image(values, camera.sensor.config.encoding)
-        else:
-            picture = color_channel(channel, values)
+        picture = channel_picture(view, channel, camera.sensor.config.encoding)
         tile, scale = _fitted(picture, size, channel in _SMOOTH)
         if channel == "rgb" and overlay:
             for human, seen in frame.truth[name].joints.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -13,6 +13,9 @@ from humansim_ros.body.skeleton import side_of
 from humansim_ros.drawing.canvas import distinct_hues, draw_disc, draw_line, draw_text, hsv_colors
 from humansim_ros.truth.camera_truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Color, Image
+
+if TYPE_CHECKING:
+    from humansim_ros.render import View
 
 _VISIBLE_COLOR: Color = (60, 230, 90)
 _HIDDEN_COLOR: Color = (255, 150, 40)
@@ -66,6 +69,12 @@ def color_channel(name: str, values: Any) -> Image:
         values: The channel, as :class:`~humansim_ros.render.View` has it.
     """
     return _PICTURES[name](values)
+
+
+def channel_picture(view: View, channel: str, encoding: str) -> Image:
+    """Image (H, W, 3) of a channel of a view, for people; ``encoding``: of its colours."""
+    values = getattr(view, channel)
+    return color_image(values, encoding) if channel == "rgb" else color_channel(channel, values)
 
 
 def _color_masks(masks: Mapping[int, NDArray[Any]]) -> Image:

@@ -74,6 +74,12 @@ class LiveOptions:
         return ReadOptions(self.names, axes=self.axes, scale=self.scale)
 
 
+def check_world(frame: PoseFrame) -> None:
+    """Raise EvaluationError if the positions of a message are not in ``map``."""
+    if frame.frame_id not in ("", _WORLD):
+        raise EvaluationError(f"frame_id is {printable(frame.frame_id, 80)!r}: publish positions in {_WORLD}")
+
+
 class LiveEvaluation:
     """Truth and estimate that arrive message by message, and their comparison.
 
@@ -138,10 +144,7 @@ class LiveEvaluation:
     def _check(self, frame: PoseFrame) -> None:
         if frame.stamp is None:
             return
-        if frame.frame_id not in ("", _WORLD):
-            raise EvaluationError(
-                f"frame_id is {printable(frame.frame_id, 80)!r}: publish positions in {_WORLD}"
-            )
+        check_world(frame)
         if frame.stamp == 0:
             raise EvaluationError("the message has no stamp: give it the stamp of the images")
         if self._known is None:

@@ -136,14 +136,19 @@ def person_keypoints(view: KeypointView) -> dict[str, Any]:
     return {"keypoints": points.round(3).ravel().tolist(), "num_keypoints": int(inside.sum())}
 
 
-def _region(mask: NDArray[np.bool_], box: BodyBox) -> dict[str, Any]:
-    """Mask, area and box of the visible pixels of a body."""
+def encoded_mask(mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Compressed RLE of a mask (H, W)."""
     from pycocotools.mask import encode
 
     run_lengths = encode(np.asfortranarray(mask, dtype=np.uint8))
+    return {"size": list(mask.shape), "counts": run_lengths["counts"].decode("ascii")}
+
+
+def _region(mask: NDArray[np.bool_], box: BodyBox) -> dict[str, Any]:
+    """Mask, area and box of the visible pixels of a body."""
     left, top, right, bottom = (box.visible + 0.5).tolist()
     return {
-        "segmentation": {"size": list(mask.shape), "counts": run_lengths["counts"].decode("ascii")},
+        "segmentation": encoded_mask(mask),
         "area": box.pixels,
         "bbox": [left, top, right - left, bottom - top],
         "iscrowd": 0,

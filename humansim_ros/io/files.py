@@ -272,6 +272,12 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=path) from None
 
 
+def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write a file at once, text as UTF-8. Raises HumansimError if it cannot be written."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
 @contextmanager
 def _beside(target: Path) -> Iterator[Path]:
     """Temporary path in the folder of ``target``, renamed to it after the block."""

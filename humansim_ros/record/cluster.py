@@ -12,15 +12,13 @@ import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from humansim_ros import __version__
 from humansim_ros.bags.metadata import NAME as METADATA
 from humansim_ros.bags.metadata import Content, metadata_text
-from humansim_ros.bags.topics import BagTopic
 from humansim_ros.errors import BagError
 from humansim_ros.io.files import temporary_folder
-from humansim_ros.jobs.frame_job import FrameJob, FrameProgress, FrameWorker
+from humansim_ros.jobs.frame_job import FrameProgress, FrameWorker
 from humansim_ros.jobs.ray_cluster import (
     PART_FRAMES,
     ClusterPart,
@@ -34,26 +32,6 @@ from humansim_ros.record.recording import SceneRecording, chunks_of
 
 #: File in a folder of shards that is not complete: what is being recorded.
 _PLAN = "recording.json"
-
-
-class Recording(FrameJob, Protocol):
-    """A job whose results are chunks of a bag, and everything else that determines the bag."""
-
-    @property
-    def topics(self) -> Sequence[BagTopic]:
-        """Topics of the bag, with definitions."""
-
-    @property
-    def custom(self) -> Mapping[str, str]:
-        """``custom_data`` of the bag; it differs if the content of the bag would differ."""
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-
-    @property
-    def cameras(self) -> Sequence[str]:
-        """Names of the cameras."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +52,7 @@ class ClusterRecording:
         shard_frames: Frames of a shard; the last one may have less.
     """
 
-    recording: Recording
+    recording: SceneRecording
     output: OutputFolder
     shard_frames: int = PART_FRAMES
 

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -20,8 +20,11 @@ from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printa
 from humansim_ros.ros.graph import Neighbours
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN
-from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.ros.qos import DATA, LATCHED, offered_profile
 from humansim_ros.scene import Scene
+
+if TYPE_CHECKING:
+    from humansim_ros.messages.topics import Topic
 
 #: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a camera that
 #: prepares its first frame delays the others for up to two seconds.
@@ -124,6 +127,10 @@ class SuiteNode(GuardedNode):
                 for parameter in parameter_list
             ]
         )
+
+    def topic_publisher(self, topic: Topic[Any]) -> Any:
+        """Create a publisher of a topic of the table."""
+        return self.create_publisher(topic.type, topic.name, offered_profile(topic))
 
     def publish_latched(self, message: Any, topic: str) -> None:
         """Publish a message that late joiners get, too."""

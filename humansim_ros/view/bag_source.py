@@ -19,7 +19,7 @@ from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.types import begins_with_stamp, readable_type
 from humansim_ros.types import Indices
 from humansim_ros.view.picking import PIXEL_CHANNELS
-from humansim_ros.view.seen_topics import SeenTopics, seen_topics
+from humansim_ros.view.seen_topics import seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import (
     PERIOD,
@@ -111,10 +111,6 @@ class BagViewSource(TopicSource):
     @property
     def title(self) -> str:
         return self.path.stem
-
-    @property
-    def topics(self) -> SeenTopics:
-        return self._topics
 
     @property
     def period(self) -> int:

@@ -56,17 +56,14 @@ class PhotoSource(ViewSource):
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras of the views."""
         return dict(zip(self.document.photos.names, self.document.photos.cameras, strict=True))
 
     @property
     def period(self) -> int:
-        """Nanoseconds between frames."""
         return self.document.photos.period
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         return len(self.document.photos.frames)
 
     @property

@@ -109,7 +109,6 @@ class RosViewSource(TopicSource):
         self._reading = options or LiveOptions()
         self._receiver = _Receiver(_checked(estimate, namespace), namespace, self._reading)
         self._seen_of: tuple[SeenTopics, int] | None = None
-        self._topics = SeenTopics()
         self._number = -1
         self._first: int | None = None
         #: The frame that was given last: its messages, what was wanted, and itself.
@@ -141,10 +140,6 @@ class RosViewSource(TopicSource):
     @property
     def title(self) -> str:
         return f"ROS domain {self._receiver.domain}"
-
-    @property
-    def topics(self) -> SeenTopics:
-        return self._topics
 
     @property
     def period(self) -> int:

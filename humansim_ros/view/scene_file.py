@@ -11,7 +11,7 @@ from difflib import SequenceMatcher
 from pathlib import Path
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.files import atomic_path, exists, read_bytes
+from humansim_ros.io.files import exists, read_bytes, write_file
 from humansim_ros.io.yaml import MAX_BYTES
 from humansim_ros.scene.source import SceneSource
 
@@ -224,8 +224,7 @@ class SceneFile:
                 raise SceneError("this file exists: choose another name, or overwrite it", path=target)
             moved = self._moved_to(target.resolve().parent)
             data = self._encoded(moved)
-            with atomic_path(target) as temporary:
-                temporary.write_bytes(data)
+            write_file(target, data)
             if moved != self._text:
                 with self.step(f"Save as {target.name}"):
                     self._edit(moved)
@@ -310,8 +309,7 @@ class SceneFile:
             if data is None:
                 path.unlink(missing_ok=True)
             else:
-                with atomic_path(path) as temporary:
-                    temporary.write_bytes(data)
+                write_file(path, data)
         self._touch()
 
     def _touch(self) -> None:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.drawing.views import color_channel, color_image, draw_joints
+from humansim_ros.drawing.views import channel_picture, draw_joints
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans import Human
 from humansim_ros.jobs.frame_job import Costs, FrameResult, cores
@@ -61,34 +61,28 @@ class SceneViewSource(ViewSource):
 
     @property
     def people(self) -> Mapping[str, Human]:
-        """Bodies without pose by name, in their outfit."""
         return {name: actor.human for name, actor in self.scene.actors.items()}
 
     @property
     def objects(self) -> Mapping[str, Mesh]:
-        """Meshes of moving objects by name, in their own frame."""
         return {name: item.mesh for name, item in self.scene.moving_objects.items()}
 
     @cached_property
     def static(self) -> Mapping[str, Mesh]:
-        """Meshes by name in ``map``: room, static objects."""
         meshes = {f"room {number}": mesh for number, mesh in enumerate(self.scene.environment.meshes, 1)}
         static = {name: item.static_mesh() for name, item in self.scene.objects.items() if not item.moves}
         return meshes | static
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras at the start."""
         return self.scene.cameras
 
     @property
     def period(self) -> int:
-        """Nanoseconds between frames."""
         return round(1e9 / self.scene.config.rate)
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         tracks = [actor.keyframes for actor in self.scene.actors.values()]
         tracks += [item.keyframes for item in self.scene.moving_objects.values()]
         lasting = [track.timeline.duration for track in tracks if track is not None]
@@ -123,7 +117,6 @@ class SceneViewSource(ViewSource):
         )
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        """Numbers of a pixel of the frame that was given last."""
         if self._truth is None:
             self._truth = Simulation(self.scene, channels=PIXEL_CHANNELS)
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
@@ -138,7 +131,6 @@ class SceneViewSource(ViewSource):
             self.__dict__["_workers"] = workers
 
     def close(self) -> None:
-        """Free processes and renderers."""
         if "_workers" in self.__dict__:
             self._workers.close()
         if self._truth is not None:
@@ -331,12 +323,10 @@ def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:
         camera: Name of the camera.
         channel: Name of the channel; ``joints`` is the image with the joints drawn over it.
     """
-    view = frame.views[camera]
+    own = "rgb" if channel == JOINTS else channel
+    image = channel_picture(frame.views[camera], own, scene.scene_cameras[camera].encoding)
     if channel != JOINTS:
-        if channel == "rgb":
-            return color_image(view.rgb, scene.scene_cameras[camera].encoding)
-        return color_channel(channel, getattr(view, channel))
-    image = color_image(view.rgb, scene.scene_cameras[camera].encoding)
+        return image
     for name, joints in frame.truth[camera].joints.items():
         skeleton = scene.actors[name].human.skeleton
         names, parents = skeleton.joint_names, skeleton.joint_parents

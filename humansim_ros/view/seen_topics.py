@@ -25,7 +25,7 @@ IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedIm
 _JOINTS, _CLOUD = "sensor_msgs/msg/MultiDOFJointState", "sensor_msgs/msg/PointCloud2"
 _MESH, _MARKER, _TEXT = "shape_msgs/msg/Mesh", "visualization_msgs/msg/Marker", "std_msgs/msg/String"
 _POSES = {"extrinsics": "geometry_msgs/msg/TransformStamped", "pose": "geometry_msgs/msg/PoseStamped"}
-TF = "tf2_msgs/msg/TFMessage"
+TF, _TIME = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/TimeReference"
 #: Ends of names of compressed topics, beside the topic of the image.
 _COMPRESSED = tuple(f"/{end}" for end in COMPRESSED.values())
 #: Channels by their topic below a camera; channels of single bodies have a topic for each.
@@ -141,16 +141,14 @@ def seen_topics(
         cameras=cameras,
         people=_people(types, keypoints),
         objects=_objects(types),
-        scene_time=next((name for name, kind in types.items() if _is_scene_time(name, kind)), ""),
+        scene_time=next(
+            (name for name, kind in types.items() if name.endswith("/scene_time") and kind == _TIME), ""
+        ),
         transforms=[name for name in ("/tf_static", "/tf") if types.get(name) == TF],
         estimate={name: topic_person(match) for name, match in list(found.items())[:MAX_ESTIMATES]},
         others=sorted(name for name in images if not name.startswith(tuple(shown))),
         types=dict(types),
     )
-
-
-def _is_scene_time(name: str, kind: str) -> bool:
-    return name.endswith("/scene_time") and kind == "sensor_msgs/msg/TimeReference"
 
 
 def _cameras(types: Mapping[str, str]) -> dict[str, SeenCamera]:

@@ -297,16 +297,12 @@ def _is_own(headers: Headers) -> bool:
     told by Origin or Sec-Fetch-Site.
     """
     host = headers.get("Host", "")
-    if _host_name(host) not in _NAMES:
+    if re.sub(r":\d+$", "", host).lower() not in _NAMES:
         return False
     origin = headers.get("Origin")
     if origin is not None and urlsplit(origin).netloc != host:
         return False
     return headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
-
-
-def _host_name(host: str) -> str:
-    return re.sub(r":\d+$", "", host).lower()
 
 
 def _response(

@@ -102,7 +102,10 @@ class Stage:
             self._scene.set_up_direction("+z")
             self._floor = self._add_floor()
             self._room = self._add_static()
-            self._objects = {name: self._add_object(name) for name in source.objects}
+            self._objects: dict[str, Any] = {
+                name: self._scene.add_glb(f"/objects/{name}", glb_of([mesh]))
+                for name, mesh in source.objects.items()
+            }
             self._axes = self._scene.add_frame("/map", axes_length=0.5, axes_radius=0.008)
             self._frusta = {name: self._add_camera(name, camera) for name, camera in source.cameras.items()}
             for name in source.people:
@@ -117,19 +120,16 @@ class Stage:
             for trail in self._trails.values():
                 trail.clear()
         self._last_index = frame.index
-        for name in frame.joints:
-            if (
-                name in self._bodies
-                and abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP
-            ):
+        for name in frame.joints.keys() & self._bodies.keys():
+            if abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP:
                 self._bodies[name][1].remove()
                 self._bodies[name] = self._add_body(name, frame.sizes[name])
         with self._server.viser.atomic():
             self._pose_bodies(frame)
             for name, matrix in frame.objects.items():
                 self._pose_object(name, matrix)
-            for name, camera in frame.cameras.items():
-                self._pose_camera(name, camera)
+            for name in frame.cameras.keys() & self._frusta.keys():
+                self._place_camera(self._frusta[name][0], frame.cameras[name])
             if self.options.images and self.options.cameras:
                 self._show_images(frame)
             self._show_extras(frame)
@@ -221,9 +221,6 @@ class Stage:
             return self._scene.add_frame("/room", show_axes=False)
         return self._scene.add_glb("/room", glb_of(self._source.static.values()), cast_shadow=False)
 
-    def _add_object(self, name: str) -> Any:
-        return self._scene.add_glb(f"/objects/{name}", glb_of([self._source.objects[name]]))
-
     def _pose_object(self, name: str, matrix: Array) -> None:
         handle = self._objects.get(name)
         if handle is None:
@@ -263,10 +260,6 @@ class Stage:
         label = self._scene.add_label(f"/cameras/{name}/name", name, position=(0.0, -0.12, 0.0))
         self._place_camera(handle, camera)
         return handle, label
-
-    def _pose_camera(self, name: str, camera: Camera) -> None:
-        if name in self._frusta:
-            self._place_camera(self._frusta[name][0], camera)
 
     @staticmethod
     def _place_camera(handle: Any, camera: Camera) -> None:
@@ -388,7 +381,7 @@ class Stage:
             handle.remove()
 
     def _add_coverage(self) -> None:
-        cameras = self._cameras_now()
+        cameras = self._source.cameras if self.frame is None else self.frame.cameras
         if not cameras:
             return
         try:
@@ -405,9 +398,6 @@ class Stage:
             wxyz=(0.0, 1.0, 0.0, 0.0),  # images face -z: the first row is at the largest y
             position=(float(low[0] + size[0] / 2), float(low[1] + size[1] / 2), 0.004),
         )
-
-    def _cameras_now(self) -> Mapping[str, Camera]:
-        return self.frame.cameras if self.frame is not None else self._source.cameras
 
 
 def pose_message(index: int, people: Sequence[tuple[Color, Array]]) -> bytes:

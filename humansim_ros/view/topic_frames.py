@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -320,26 +319,24 @@ class TopicFrames:
             for name, camera in posed.items()
             if name in cameras and camera is not None
         }
+        placed = {
+            name: self._read(topic, data, Marker, messages.read_object)
+            for name, topic in self.topics.objects.items()
+            if name in self.objects
+        }
         return ViewFrame(
             index=messages_of.index,
             stamp=stamp,
             scene_time=scene_time,
             joints=joints,
             sizes=sizes,
-            objects={
-                name: pose
-                for name, topic in self.topics.objects.items()
-                if name in self.objects and (pose := self._object(topic, data)) is not None
-            },
+            objects={name: pose.matrix for name, pose in placed.items() if pose is not None},
             cameras={name: camera for name, camera in posed.items() if camera is not None},
             images=images,
             image_index=messages_of.index if any(images.values()) else None,
             estimate=estimate,
             estimate_errors=errors,
         )
-
-    def _object(self, topic: str, data: Mapping[str, bytes]) -> Array | None:
-        return self._read(topic, data, Marker, _read_placement)
 
     def _estimate(
         self, data: Mapping[str, bytes], poses: Mapping[str, JointPoses | None]
@@ -381,17 +378,14 @@ class TopicFrames:
         topics, images = self.topics.cameras[name], {}
         for channel in channels:
             own = "rgb" if channel == JOINTS else channel
-            if own in topics.images:
-                picture = self._picture(topics.images[own], own, data)
+            pixels = self._pixels(topics.images[own], data) if own in topics.images else None
+            if pixels is not None:
+                picture = self._guarded(topics.images[own], partial(_picture, own, *pixels))
                 if picture is not None and channel == JOINTS:
                     picture = self._with_joints(picture, name, camera, data, joints)
                 if picture is not None:
                     images[channel] = fitted(picture, self._width, channel)
         return images
-
-    def _picture(self, topic: str, channel: str, data: Mapping[str, bytes]) -> Picture | None:
-        found = self._pixels(topic, data)
-        return None if found is None else self._guarded(topic, lambda: _picture(channel, *found))
 
     def _pixels(self, topic: str, data: Mapping[str, bytes]) -> tuple[NDArray[Any], str] | None:
         kind = Image if self.topics.types[topic] == IMAGE else CompressedImage
@@ -570,10 +564,6 @@ def _read_marker(message: Marker) -> Mesh:
     return replace(mesh, colors=np.tile(color, (len(mesh.vertices), 1)))
 
 
-def _read_placement(message: Marker) -> Array:
-    return messages.read_object(message).matrix
-
-
 def _picture(channel: str, pixels: NDArray[Any], encoding: str) -> Picture:
     """Picture of the image of a channel for people. Raises RosError for another kind of image."""
     if channel == "rgb" and encoding in _COLORS:
@@ -614,12 +604,12 @@ class TopicSource(ViewSource):
     """Source of a page that shows topics. ``shown``: reads the messages of frames."""
 
     def __init__(self, shown: TopicFrames) -> None:
-        self._shown = shown
+        self._shown, self._topics = shown, SeenTopics()
 
     @property
-    @abstractmethod
     def topics(self) -> SeenTopics:
         """Topics that are shown."""
+        return self._topics
 
     @property
     def people(self) -> Mapping[str, Human]:

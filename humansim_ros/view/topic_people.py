@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -11,10 +11,10 @@ from scipy.sparse import csgraph, csr_matrix
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.body.skinning import limit_bones
-from humansim_ros.errors import EvaluationError, printable
+from humansim_ros.errors import printable
 from humansim_ros.evaluate.alignment import axes_matrix, match_people, pair_distances
 from humansim_ros.evaluate.joint_names import pair_joints
-from humansim_ros.evaluate.live import LiveOptions
+from humansim_ros.evaluate.live import LiveOptions, check_world
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import MAX_BONES
 from humansim_ros.io.assets import built_in_names
@@ -135,8 +135,7 @@ def _turns(names: Sequence[str], parents: Indices, points: Mapping[str, Array], 
         return np.array([rotations[name] for name in names])
     heads = np.array([points[name] for name in names])
     along = np.tile([0.0, 0.0, 1.0], (len(names), 1))
-    for bone, name in enumerate(names):
-        ends = [points[f"{name}_end"]] if f"{name}_end" in points else list(heads[parents == bone])
+    for bone, ends in enumerate(_ends(names, parents, points)):
         step = np.mean(ends, axis=0) - heads[bone] if ends else np.zeros(3)
         length = np.linalg.norm(step)
         if length > _TOLERANCE:
@@ -144,6 +143,13 @@ def _turns(names: Sequence[str], parents: Indices, points: Mapping[str, Array], 
         elif parents[bone] >= 0:
             along[bone] = along[parents[bone]]
     return quaternion_to_matrix(from_y_axis(along))
+
+
+def _ends(names: Sequence[str], parents: Indices, points: Mapping[str, Array]) -> Iterator[list[Array]]:
+    """Position of the end of each bone if it is known; else the heads of its children."""
+    for bone, name in enumerate(names):
+        children = [points[names[child]] for child in np.flatnonzero(parents == bone).tolist()]
+        yield [points[f"{name}_end"]] if f"{name}_end" in points else children
 
 
 def _parents(names: Sequence[str], poses: JointPoses) -> list[int]:
@@ -186,15 +192,18 @@ def _skeleton(
     heads = np.array([points[name] for name in names])
     along = turns[:, :, 1]
     tails = np.empty_like(heads)
-    for bone, name in enumerate(names):
-        ends = [points[f"{name}_end"]] if f"{name}_end" in points else list(heads[parents == bone])
+    for bone, ends in enumerate(_ends(names, parents, points)):
         reach = max((float((end - heads[bone]) @ along[bone]) for end in ends), default=0.0)
         tails[bone] = heads[bone] + along[bone] * max(reach, _SHORTEST)
-    frames = _BODY_FROM_MAP @ turns
-    swing = quaternion_to_matrix(from_y_axis(frames[:, :, 1]))
-    rolled = np.swapaxes(swing, 1, 2) @ frames  # rotation about y
-    rolls = np.arctan2(rolled[:, 0, 2], rolled[:, 0, 0])
+    rolls = _rolls(_BODY_FROM_MAP @ turns)
     return Skeleton(names, parents, heads @ _BODY_FROM_MAP.T, tails @ _BODY_FROM_MAP.T, rolls)
+
+
+def _rolls(axes: Array) -> Array:
+    """Angles (B,) by which axes (B, 3, 3) of bones are turned about y, radians."""
+    swing = quaternion_to_matrix(from_y_axis(axes[:, :, 1]))
+    rolled = np.swapaxes(swing, 1, 2) @ axes
+    return np.arctan2(rolled[:, 0, 2], rolled[:, 0, 0])
 
 
 def _octahedra(skeleton: Skeleton) -> tuple[Mesh, csr_matrix]:
@@ -257,11 +266,8 @@ def fitted_skin(figure: Human, mesh: Mesh, joints: Array, vertices: Array) -> Hu
         weights = _weights(joints @ np.linalg.inv(frames), rest, vertices)
         of_bone = [np.flatnonzero(column > _RIGID) for column in weights.toarray().T]
     heads, along = frames[:, :3, 3], frames[:, :3, 1]
-    swing = quaternion_to_matrix(from_y_axis(along))
-    rolled = np.swapaxes(swing, 1, 2) @ frames[:, :3, :3]
-    rolls = np.arctan2(rolled[:, 0, 2], rolled[:, 0, 0])
     tails = heads + along * skeleton.lengths[:, None]
-    found = Skeleton(skeleton.names, skeleton.parents, heads, tails, rolls)
+    found = Skeleton(skeleton.names, skeleton.parents, heads, tails, _rolls(frames[:, :3, :3]))
     human = Human(figure.name, mesh, found, limit_bones(weights))
     errors = [np.linalg.norm(human.pose(p) - v, axis=1).mean() for p, v in zip(joints, vertices, strict=True)]
     return human if max(errors) <= _MAX_ERROR else None
@@ -336,7 +342,6 @@ def _weights(moves: Array, rest: Array, vertices: Array) -> csr_matrix:
 
 # --- an estimate beside the truth of the same frame
 
-_WORLD = "map"
 #: Most people of an estimate that are shown.
 _MOST = 64
 
@@ -355,8 +360,7 @@ def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> lis
     Raises:
         EvaluationError: The positions are in another frame.
     """
-    if frame.frame_id not in ("", _WORLD):
-        raise EvaluationError(f"frame_id is {printable(frame.frame_id, 80)!r}: publish positions in {_WORLD}")
+    check_world(frame)
     matrix = options.scale * axes_matrix(options.axes or "z-up")
     return [
         pose._replace(person=person or pose.person, positions=pose.positions @ matrix.T)

@@ -108,9 +108,9 @@ def test_solving_shows_the_person_and_can_be_undone(page: Opened) -> None:
     assert wait_until(page.show)
     assert page.document.undo_label == "Solve" and list(page.source.people) == ["person"]
     assert page.document.state.same == "humansim human fit views.yaml -o fit.yaml --no-silhouettes"
-    page.panel.step_back()
+    page.panel.act({"do": "undo"})
     assert not page.source.people
-    page.panel.step_on()
+    page.panel.act({"do": "redo"})
     page.panel.accept()
     assert page.told[-1] == ("Accepted", "wrote fit.yaml")
 

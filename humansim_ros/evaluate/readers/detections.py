@@ -18,6 +18,7 @@ from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.images import KEYS, Detections2D
 from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
 from humansim_ros.evaluate.readers.pose_files import MAX_BYTES, load_json
+from humansim_ros.export.coco import encoded_mask
 from humansim_ros.io.files import open_file, read_bytes, read_text
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.keypoints import KeypointSet
@@ -275,14 +276,6 @@ def _run_lengths(text: str) -> list[int]:
     if shift:
         raise ValueError("it ends within a number")
     return lengths
-
-
-def encoded_mask(mask: Any) -> _Record:
-    """Compressed RLE of a mask (H, W)."""
-    from pycocotools.mask import encode
-
-    run_lengths = encode(np.asfortranarray(mask, dtype=np.uint8))
-    return {"size": run_lengths["size"], "counts": run_lengths["counts"].decode("ascii")}
 
 
 def read_openpose_2d(path: Path, images: ImageNumbers) -> Detections2D:

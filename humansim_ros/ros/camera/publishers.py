@@ -24,7 +24,6 @@ from humansim_ros.messages.topics import CameraTopics, Content, Topic
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import offered_profile
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.faults import FOLLOWING, NO_FAULTS, FrameFaults
 from humansim_ros.truth import CameraTruth
@@ -168,8 +167,9 @@ class CameraDriver:
             left = max(0.0, deadline - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))
 
-    def _send_due(self, time: int) -> None:
-        while self._held and self._held[0].due <= time:
+    def _send_due(self, time: int, in_turn: bool = True) -> None:
+        """Send what is due; without ``in_turn`` up to a message that waits for the end of a frame."""
+        while self._held and self._held[0].due <= time and (in_turn or not self._held[0].in_turn):
             held = heapq.heappop(self._held)
             held.publisher.publish(held.message)
 
@@ -182,10 +182,7 @@ class CameraDriver:
     def _on_timer(self) -> None:
         self._node.destroy_timer(self._timer)
         self._timer = None
-        now = self._node.now()
-        while self._held and self._held[0].due <= now and not self._held[0].in_turn:
-            held = heapq.heappop(self._held)
-            held.publisher.publish(held.message)
+        self._send_due(self._node.now(), in_turn=False)
         if self._held and not self._held[0].in_turn:
             self._set_timer()
 
@@ -199,7 +196,7 @@ class _CompressedPublisher:
     def __init__(self, node: SceneNode, topic: Topic[View]) -> None:
         self._node = node
         self._parameters = topic.name.replace("/", ".") + "."
-        self._publisher = node.create_publisher(topic.type, topic.name, offered_profile(topic))
+        self._publisher = node.topic_publisher(topic)
 
     @property
     def subscribed(self) -> bool:
@@ -272,18 +269,14 @@ class CompressedDepthPublisher(_CompressedPublisher):
         self._publisher.publish(self._topics.compressed_depth(settings).build(view, stamp))
 
 
-def _publisher(node: SceneNode, topic: Topic[Any]) -> Any:
-    return node.create_publisher(topic.type, topic.name, offered_profile(topic))
-
-
 class ImagePublishers:
     """Publishers of a camera's channels: raw, compressed and rectified."""
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
-        self._images = [(topic, _publisher(node, topic)) for topic in topics.images]
+        self._images = [(topic, node.topic_publisher(topic)) for topic in topics.images]
         self._rectified = {
-            channel: (topic, _publisher(node, topic)) for channel, topic in topics.rectified.items()
+            channel: (topic, node.topic_publisher(topic)) for channel, topic in topics.rectified.items()
         }
         self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
             "rgb": CompressedImagePublisher(node, topics, driver),
@@ -325,7 +318,9 @@ class InfoPublishers:
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
         self._own = topics.info
-        self._publishers = [(topic, _publisher(node, topic)) for topic in (topics.info, *topics.truth_infos)]
+        self._publishers = [
+            (topic, node.topic_publisher(topic)) for topic in (topics.info, *topics.truth_infos)
+        ]
 
     def publish(self, calibration: PublishedCalibration, stamp: int) -> None:
         """Publish the calibration of the whole sensor on all topics with subscribers."""
@@ -340,7 +335,7 @@ class FaultsPublisher:
 
     def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
         self._node = node
-        self._publishers = [(topic, _publisher(node, topic)) for topic in topics.faults]
+        self._publishers = [(topic, node.topic_publisher(topic)) for topic in topics.faults]
 
     def publish(self, faults: FrameFaults, stamp: int) -> None:
         """Publish the faults of a frame."""
@@ -360,7 +355,7 @@ class TruthPublishers:
         _ = node.scene.joint_surfaces  # computed now: later it would delay a frame
         kinds = topics.truth | {f"keypoints/{name}": topic for name, topic in topics.keypoints.items()}
         kinds["overlay"] = topics.overlay
-        self._publishers = {kind: (topic, _publisher(node, topic)) for kind, topic in kinds.items()}
+        self._publishers = {kind: (topic, node.topic_publisher(topic)) for kind, topic in kinds.items()}
 
     def subscribed(self) -> set[str]:
         """Kinds of ground truth with subscribers."""

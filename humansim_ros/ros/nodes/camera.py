@@ -32,7 +32,7 @@ from humansim_ros.ros.camera.publishers import (
 )
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, LATCHED, NEWEST, offered_profile
+from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose, SceneCamera
@@ -70,14 +70,10 @@ class CameraPosePublisher:
         #: Pose before the first of _poses, and pose of the last frame.
         self._start = self._last = CameraPose.of(camera.camera)
         self._last_stamp = self._last_motion = 0
-        self._extrinsics, self._projection = (
-            node.create_publisher(topic.type, topic.name, offered_profile(topic))
-            for topic in (topics.extrinsics, topics.projection)
-        )
+        self._extrinsics, self._projection = map(node.topic_publisher, (topics.extrinsics, topics.projection))
         self._true_extrinsics = topics.true_extrinsics
         if self._true_extrinsics is not None:
-            topic = self._true_extrinsics
-            self._true_publisher = node.create_publisher(topic.type, topic.name, offered_profile(topic))
+            self._true_publisher = node.topic_publisher(self._true_extrinsics)
             self._publish_true(CameraPose.of(camera.camera), node.now())
         self._tf = self._tf_static = None
         if TFMessage is not None:

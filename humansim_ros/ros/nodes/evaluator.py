@@ -19,13 +19,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import TimeReference
 
-from humansim_ros.errors import EvaluationError, HumansimError, RosError, printable
+from humansim_ros.errors import EvaluationError, RosError, printable
 from humansim_ros.evaluate.evaluation import DEFAULT_GATE, Evaluation
 from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.report import show
 from humansim_ros.evaluate.truth import SceneTruth
-from humansim_ros.io.files import atomic_path
+from humansim_ros.io.files import write_file
 from humansim_ros.messages import to_nanoseconds
 from humansim_ros.messages.people import PoseFrame
 from humansim_ros.ros.estimate_topics import PoseTopics
@@ -227,11 +227,7 @@ class EvaluatorNode(SuiteNode):
         print(show(total), flush=True)
         if self._output is not None:
             text = json.dumps(self.evaluation.to_data(total, self._estimate.ignored), allow_nan=False)
-            try:
-                with atomic_path(self._output) as temporary:
-                    temporary.write_text(f"{text}\n", encoding="utf-8")
-            except OSError as reason:
-                raise HumansimError(f"cannot be written: {reason.strerror}", path=self._output) from None
+            write_file(self._output, f"{text}\n")
             self.get_logger().info(f"wrote {self._output}")
 
     def close(self) -> None:

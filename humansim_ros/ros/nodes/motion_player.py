@@ -31,7 +31,6 @@ from humansim_ros.messages.topics import (
     SCENE_TIME_TOPIC,
     HumanTopics,
     ObjectTopics,
-    Topic,
     moving_camera_topics,
 )
 from humansim_ros.ros.lockstep.playing import LockstepPlaying, LockstepSettings
@@ -45,7 +44,6 @@ from humansim_ros.ros.player.motions import (
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.player.realtime import RealtimePlaying
 from humansim_ros.ros.player.simulation_services import serve_simulation
-from humansim_ros.ros.qos import offered_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
@@ -82,21 +80,23 @@ class MotionPlayerNode(FramePlayer):
         for name in self.scene.actors:
             description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
-        self._scene_time = self._publisher(SCENE_TIME_TOPIC)
+        self._scene_time = self.topic_publisher(SCENE_TIME_TOPIC)
         #: Publishers of motions by human, and of the stamps of its frames for a live human.
         self._motions: dict[str, Any] = {}
         self._live: dict[str, Any] = {}
         #: Topics of moving objects and moving cameras with their publishers, by name.
         self._objects = {
-            name: [(topic, self._publisher(topic)) for topic in ObjectTopics(item)]
+            name: [(topic, self.topic_publisher(topic)) for topic in ObjectTopics(item)]
             for name, item in self.scene.moving_objects.items()
         }
         self._cameras = {
-            name: [(topic, self._publisher(topic)) for topic in moving_camera_topics(name)]
+            name: [(topic, self.topic_publisher(topic)) for topic in moving_camera_topics(name)]
             for name in self.scene.moving_cameras
         }
         self._human_topics = {name: HumanTopics(actor) for name, actor in self.scene.actors.items()}
-        self._legends = {name: self._publisher(topics.legend) for name, topics in self._human_topics.items()}
+        self._legends = {
+            name: self.topic_publisher(topics.legend) for name, topics in self._human_topics.items()
+        }
         self._sources = {name: JointSource.of_actor(actor) for name, actor in self.playback.actors.items()}
         self._update_sources()
         self.add_pre_set_parameters_callback(self._motion_parameters.complete)
@@ -109,9 +109,6 @@ class MotionPlayerNode(FramePlayer):
         self._simulation = serve_simulation(self)
         place = self.scene.path or "a scene in memory"
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {place}")
-
-    def _publisher(self, topic: Topic[Any]) -> Any:
-        return self.create_publisher(topic.type, topic.name, offered_profile(topic))
 
     # --- frames
 
@@ -229,7 +226,7 @@ class MotionPlayerNode(FramePlayer):
                 self.destroy_publisher(old.pop(name))
             if name not in new:
                 topics = self._human_topics[name]
-                new[name] = self._publisher(topics.frame if live else topics.motion)
+                new[name] = self.topic_publisher(topics.frame if live else topics.motion)
 
     def _publish_legend(self, human: str, source: JointSource | None) -> None:
         """Publish the legend of a human's motion. ``source``: None if another node moves the human."""

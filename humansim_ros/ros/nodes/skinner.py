@@ -24,7 +24,7 @@ from humansim_ros.messages.topics import HumanTopics
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
-from humansim_ros.ros.qos import LATCHED, NEWEST, offered_profile
+from humansim_ros.ros.qos import LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
@@ -132,14 +132,10 @@ class SkinnerNode(SceneNode):
         self._body: HumanState | None = None
         self._asked: float | None = None
         self._topics = topics = HumanTopics(self._actor)
-        self._joints, self._vertices, self._markers = (
-            self.create_publisher(topic.type, topic.name, offered_profile(topic))
-            for topic in (topics.joints, topics.vertices, topics.markers)
+        self._joints, self._vertices, self._markers = map(
+            self.topic_publisher, (topics.joints, topics.vertices, topics.markers)
         )
-        self._keypoints = [
-            (topic, self.create_publisher(topic.type, topic.name, offered_profile(topic)))
-            for topic in topics.keypoints.values()
-        ]
+        self._keypoints = [(topic, self.topic_publisher(topic)) for topic in topics.keypoints.values()]
         _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
         self._last_marker = 0

@@ -132,13 +132,19 @@ RECORD_ARGUMENTS = {
 
 def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
     """Options of launch arguments; None if nothing is recorded. Raises RosError without a folder."""
-    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
-    if "record" not in given:
-        if given:
-            raise RosError(f"launch argument {next(iter(given))} goes with record only")
+    given = _given(arguments, "record")
+    if not given:
         return None
     topics = [each.strip() for each in given.get("record_topics", "").split(",") if each.strip()]
     return RecordOptions(given["record"], topics, given.get("record_compression", "none"))
+
+
+def _given(arguments: Mapping[str, str], first: str) -> dict[str, str]:
+    """Launch arguments that are not empty. Raises RosError if the others are given without the first one."""
+    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
+    if given and first not in given:
+        raise RosError(f"launch argument {next(iter(given))} goes with {first} only")
+    return given
 
 
 #: Launch arguments of an evaluation, and their descriptions; all are empty by default.
@@ -151,10 +157,8 @@ EVALUATE_ARGUMENTS = {
 
 def evaluate_options(arguments: Mapping[str, str]) -> EvaluateOptions | None:
     """Options of launch arguments; None if nothing is evaluated. Raises RosError without a topic."""
-    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
-    if "evaluate" not in given:
-        if given:
-            raise RosError(f"launch argument {next(iter(given))} goes with evaluate only")
+    given = _given(arguments, "evaluate")
+    if not given:
         return None
     return EvaluateOptions(
         given["evaluate"], given.get("evaluate_keypoints", ""), given.get("evaluate_output")

@@ -168,13 +168,10 @@ class NumbersPanel:
 
     def show(self, info: PixelInfo) -> None:
         """Show numbers."""
-        rows = "\n".join(f"| {name} | {_cell(text)} |" for name, text in info.values.items())
+        cells = {name: text.replace("|", "\\|").replace("\n", " ") for name, text in info.values.items()}
+        rows = "\n".join(f"| {name} | {text} |" for name, text in cells.items())
         self._text.content = f"| | |\n|---|---|\n{rows}"
 
     def remove(self) -> None:
         """Remove the panel."""
         self._text.remove()
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")

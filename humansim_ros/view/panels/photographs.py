@@ -54,8 +54,8 @@ class PhotographsPanel:
             self._table = gui.add_markdown("")
             self._same = gui.add_markdown("")
         self._on(self._solve, self.toggle_solving)
-        self._on(self._undo, self.step_back)
-        self._on(self._redo, self.step_on)
+        self._on(self._undo, lambda: self.act({"do": "undo"}))
+        self._on(self._redo, lambda: self.act({"do": "redo"}))
         self._on(self._accept, self.accept)
         self._silhouettes.on_update(lambda _: app.post(self._show_state))
         app.server.on_request("photographs", self._asked)
@@ -90,14 +90,6 @@ class PhotographsPanel:
         else:
             self._source.solver.start(self._document, self._use_silhouettes)
         self._app.refresh()
-
-    def step_back(self) -> None:
-        """Undo."""
-        self.act({"do": "undo"})
-
-    def step_on(self) -> None:
-        """Do again."""
-        self.act({"do": "redo"})
 
     def accept(self) -> None:
         """Write the points and the solution."""

@@ -201,7 +201,7 @@ class TimelinePanel:
         self._play.on_click(lambda _: app.post(self._toggle))
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))
-        self._loop.on_update(lambda _: app.post(self._set_loop))
+        self._loop.on_update(lambda _: app.post(lambda: setattr(player, "loop", bool(self._loop.value))))
 
     def update(self, frame: ViewFrame) -> None:
         """Show the time of a frame."""
@@ -239,6 +239,3 @@ class TimelinePanel:
     def _set_speed(self) -> None:
         if self._speed.value in SPEEDS:
             self._app.player.speed = float(self._speed.value)
-
-    def _set_loop(self) -> None:
-        self._app.player.loop = bool(self._loop.value)

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from humansim_ros.errors import EvaluationError, warn_about
+from humansim_ros.evaluate.metrics import mean_error
 from humansim_ros.keypoints import KeypointSet
 from humansim_ros.types import Array
 
@@ -311,7 +312,7 @@ class _Comparison:
                     group.distances.append(difference)
             error = None
             if self.kind == "keypoints" and detection is not None:
-                error = _mean(np.linalg.norm(self._difference(annotation, detection)[:, :2], axis=1))
+                error = mean_error(np.linalg.norm(self._difference(annotation, detection)[:, :2], axis=1))
             self.pairs[image, name] = annotation, detection
             row = self.images[image]
             self._worst.append(WorstImage(image, camera, row["frame"], row["stamp"], name, similarity, error))
@@ -354,7 +355,7 @@ class _Comparison:
             present=len(values),
             found=group.found,
             false=group.false,
-            similarity=_mean(values),
+            similarity=mean_error(values),
             error=_pixel_errors(group.distances) if self.kind == "keypoints" else None,
         )
 
@@ -367,7 +368,9 @@ class _Comparison:
         for index, name in enumerate(self.truth.keypoints.names):
             own = differences[np.isfinite(differences[:, index]).all(axis=1), index, :2]
             x, y = own.mean(axis=0).tolist() if len(own) else (0.0, 0.0)
-            scores[name] = KeypointScore(_mean(np.linalg.norm(own, axis=1)), (x, y) if len(own) else None)
+            scores[name] = KeypointScore(
+                mean_error(np.linalg.norm(own, axis=1)), (x, y) if len(own) else None
+            )
         return scores
 
 
@@ -376,16 +379,11 @@ def _pixel_errors(differences: Sequence[Array]) -> PixelErrors:
     distances = np.linalg.norm(rows[:, :2], axis=1)
     known = distances[np.isfinite(distances)]
     return PixelErrors(
-        mean=_mean(distances),
+        mean=mean_error(distances),
         median=float(np.median(known)) if len(known) else None,
-        visible=_mean(distances[rows[:, 2] == _VISIBLE]),
-        occluded=_mean(distances[rows[:, 2] == _OCCLUDED]),
+        visible=mean_error(distances[rows[:, 2] == _VISIBLE]),
+        occluded=mean_error(distances[rows[:, 2] == _OCCLUDED]),
     )
-
-
-def _mean(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else None
 
 
 class _Judge:

@@ -16,7 +16,7 @@ from humansim_ros.errors import warn_about
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import decode_srgb, encode_image
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import split_seams
 from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.motion.bvh import write_bvh
 from humansim_ros.motion.posed_bones import PosedBones
@@ -86,7 +86,6 @@ class BvhWriter(PoseWriter):
     """A BVH file for each person: the skeleton of its body with the motion that was put on it."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write all files."""
         for name, person in self.people(records).items():
             motion = posed_bones(name, person, 1.0 / self.settings.rate).to_motion()
             with folder.path(f"{name}.bvh") as path:
@@ -320,31 +319,6 @@ def local_transforms(person: AnimatedHuman) -> tuple[Array, Array, Array]:
     return translations, quaternions, scales
 
 
-def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:
-    """Copy vertices that have several texture coordinates: glTF has one per vertex.
-
-    Returns:
-        Original vertex (N,) of each vertex; the first V are 0 to V - 1; texture coordinates (N, 2),
-        v up, or None; and triangles (T, 3) of the N vertices.
-    """
-    count = len(mesh.vertices)
-    if mesh.uv is None or mesh.uv_triangles is None:
-        return np.arange(count), None, mesh.triangles.astype(np.uint32)
-    vertex, coordinate = mesh.triangles.ravel().astype(np.int64), mesh.uv_triangles.ravel()
-    pairs, pair_of_corner = np.unique(vertex * len(mesh.uv) + coordinate, return_inverse=True)
-    vertex_of_pair = pairs // len(mesh.uv)
-    _, first_pair = np.unique(vertex_of_pair, return_index=True)
-    number = np.zeros(len(pairs), dtype=np.int64)
-    is_first = np.zeros(len(pairs), dtype=bool)
-    is_first[first_pair] = True
-    number[is_first] = vertex_of_pair[is_first]
-    number[~is_first] = count + np.arange(int((~is_first).sum()))
-    original = np.concatenate([np.arange(count), vertex_of_pair[~is_first]])
-    uv = np.zeros((len(original), 2))
-    uv[number] = mesh.uv[pairs % len(mesh.uv)]
-    return original, uv, number[pair_of_corner.ravel()].reshape(-1, 3).astype(np.uint32)
-
-
 def influences(human: Human) -> Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
     """Bones (V, 4) and weights (V, 4) in sets of four, the largest weights first; unused ones are zero."""
     weights = human.weights.tocsr()
@@ -366,5 +340,4 @@ class GlbWriter(PoseWriter):
     """All people of a scene as ``people.glb``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the file."""
         folder.write("people.glb", glb_bytes(self.people(records), self.settings.rate))

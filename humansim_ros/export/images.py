@@ -48,7 +48,6 @@ class DepthPngWriter(FormatWriter):
     """Depth along z as 16 bit PNG in millimetres; 0 where nothing is, and beyond 65.535 m."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write an image for each camera."""
         for camera, view in frame.frame.views.items():
             folder.write(f"{camera}/{frame.name}.png", encoded_png(millimetres(view.depth)))
 
@@ -57,7 +56,6 @@ class DepthNpyWriter(FormatWriter):
     """Depth along z as NumPy file: (H, W) float32 metres, inf where nothing is."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write an array for each camera."""
         for camera, view in frame.frame.views.items():
             content = BytesIO()
             np.save(content, view.depth)
@@ -68,7 +66,6 @@ class DepthExrWriter(FormatWriter):
     """Depth along z as OpenEXR: float32 metres, inf where nothing is; channel Y, which OpenCV reads."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write an image for each camera."""
         import OpenEXR
 
         for camera, view in frame.frame.views.items():
@@ -81,13 +78,11 @@ class LabelWriter(FormatWriter):
     """Labels as PNG: 16 bit instances and 8 bit body parts, and a legend of both in ``labels.json``."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write two images for each camera."""
         for camera, view in frame.frame.views.items():
             folder.write(f"instance/{camera}/{frame.name}.png", encoded_png(view.instance))
             folder.write(f"part/{camera}/{frame.name}.png", encoded_png(view.part))
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the legend."""
         scene = self.settings.scene
         parts = {
             name: {"0": "background"} | {str(n): part for n, part in enumerate(parts, 1)}
@@ -102,7 +97,6 @@ class FloWriter(FormatWriter):
     """Optical flow to the next frame as ``.flo`` files of Middlebury; 1e10 where nothing is."""
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write a file for each camera."""
         for camera, view in frame.frame.views.items():
             folder.write(f"{camera}/{frame.name}.flo", flo_bytes(view.flow))
 
@@ -113,7 +107,6 @@ class KittiFlowWriter(FormatWriter):
     """
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write two images for each camera."""
         for camera, view in frame.frame.views.items():
             visible = view.flow_hidden == 0
             for name, valid in (("occ", np.ones_like(visible)), ("noc", visible)):
@@ -177,7 +170,6 @@ class VideoWriter(FormatWriter):
     """A video for each camera, H.264, at the rate of the scene; odd sides lose their last pixel."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the videos."""
         for camera in self.settings.cameras:
             with folder.path(f"{camera}.mp4") as path:
                 write_mp4(path, self._images(camera, folder), self.settings.rate)

@@ -52,7 +52,6 @@ class AniposeWriter(FormatWriter):
         self._calibration = calibration_text(settings, "anipose")
 
     def finish(self, records: object, folder: ExportFolder) -> None:
-        """Write the calibration."""
         folder.write("calibration.toml", self._calibration)
 
 
@@ -128,7 +127,6 @@ class OpenPoseWriter(FormatWriter):
         self._calibration = calibration_text(settings, "anipose", self._cameras)
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write a file for each camera."""
         views = frame.frame.keypoints[self.settings.keypoints]
         for camera, people in views.items():
             rows = [openpose_keypoints(person.pixels, person.visible) for person in people.values()]

@@ -156,7 +156,6 @@ class TrcWriter(_MarkerWriter):
     """A TRC file for each person."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write all files."""
         for person, paths in self.people(records).items():
             folder.write(f"{person}.trc", trc_text(paths, f"{person}.trc"))
 
@@ -165,7 +164,6 @@ class C3dWriter(_MarkerWriter):
     """A C3D file for each person."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write all files."""
         for person, paths in self.people(records).items():
             folder.write(f"{person}.c3d", c3d_bytes(paths))
 
@@ -229,7 +227,6 @@ class PanopticWriter(FormatWriter):
         folder.write(f"{PANOPTIC_JOINTS}/body3DScene_{frame.index:08d}.json", text)
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the calibration."""
         folder.write("calibration_panoptic.json", self._calibration)
 
 

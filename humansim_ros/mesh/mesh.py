@@ -270,3 +270,28 @@ def _names(data: bytes) -> list[str]:
             return archive.namelist()
     except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError, RuntimeError):
         return []
+
+
+def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:
+    """Copy vertices that have several texture coordinates: glTF and viewers have one per vertex.
+
+    Returns:
+        Original vertex (N,) of each vertex; the first V are 0 to V - 1; texture coordinates (N, 2),
+        v up, or None; and triangles (T, 3) of the N vertices.
+    """
+    count = len(mesh.vertices)
+    if mesh.uv is None or mesh.uv_triangles is None:
+        return np.arange(count), None, mesh.triangles.astype(np.uint32)
+    vertex, coordinate = mesh.triangles.ravel().astype(np.int64), mesh.uv_triangles.ravel()
+    pairs, pair_of_corner = np.unique(vertex * len(mesh.uv) + coordinate, return_inverse=True)
+    vertex_of_pair = pairs // len(mesh.uv)
+    _, first_pair = np.unique(vertex_of_pair, return_index=True)
+    number = np.zeros(len(pairs), dtype=np.int64)
+    is_first = np.zeros(len(pairs), dtype=bool)
+    is_first[first_pair] = True
+    number[is_first] = vertex_of_pair[is_first]
+    number[~is_first] = count + np.arange(int((~is_first).sum()))
+    original = np.concatenate([np.arange(count), vertex_of_pair[~is_first]])
+    uv = np.zeros((len(original), 2))
+    uv[number] = mesh.uv[pairs % len(mesh.uv)]
+    return original, uv, number[pair_of_corner.ravel()].reshape(-1, 3).astype(np.uint32)

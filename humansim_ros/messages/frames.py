@@ -279,17 +279,16 @@ class Frames(Generic[Content]):
 
     def first(self) -> dict[str, Content]:
         """Return the message with the smallest stamp of each topic."""
-        with self._lock:
-            return {
-                topic: self._content(topic, stamps[0]) for topic, stamps in self._stamps.items() if stamps
-            }
+        return self._of_each(0)
 
     def newest(self) -> dict[str, Content]:
         """Return the message with the greatest stamp of each topic."""
+        return self._of_each(-1)
+
+    def _of_each(self, place: int) -> dict[str, Content]:
         with self._lock:
-            return {
-                topic: self._content(topic, stamps[-1]) for topic, stamps in self._stamps.items() if stamps
-            }
+            found = {topic: stamps[place] for topic, stamps in self._stamps.items() if stamps}
+            return {topic: self._content(topic, stamp) for topic, stamp in found.items()}
 
     def _content(self, topic: str, stamp: int) -> Content:
         return self._lasting[topic][stamp] if topic in self._lasting else self._frames[stamp][topic]
@@ -382,17 +381,7 @@ class PacedFrames(Frames[Any]):
         return max(_FAR, _FAR_PERIODS * self._period)
 
     def add(self, topic: str, stamp: int, content: Any, arrival: float = 0.0) -> bool:
-        """Add a message that is not shortly before the last frame.
-
-        Args:
-            topic: Topic of the message, required or not.
-            stamp: Stamp of the message.
-            content: Content of the message.
-            arrival: Time of its arrival.
-
-        Returns:
-            Whether its frame is whole now.
-        """
+        # a message shortly before the last frame is too late
         if self._last is not None and self._last[0] - self._far <= stamp < self._last[0]:
             self._heard[topic] = stamp, arrival
             return False

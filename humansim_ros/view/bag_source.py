@@ -20,7 +20,7 @@ from humansim_ros.messages.types import begins_with_stamp, readable_type
 from humansim_ros.types import Indices
 from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import seen_topics
-from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
     SAMPLES,
@@ -121,10 +121,12 @@ class BagViewSource(TopicSource):
     def frames(self) -> int:
         return len(self._stamps)
 
-    def show(self, wanted: Wanted) -> ViewFrame:
-        self._last = min(max(wanted.index, 0), self.frames - 1)
-        found = self._frame(self._last, wanted.cameras, wanted.channels)
-        return self._shown.frame(found, wanted.cameras, wanted.channels)
+    def frame(
+        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+    ) -> ViewFrame:
+        self._last = min(max(index, 0), self.frames - 1)
+        found = self._frame(self._last, cameras, channels)
+        return self._shown.frame(found, cameras, channels)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         return self._shown.describe(self._frame(self._last, [camera], PIXEL_CHANNELS), camera, x, y)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.photo_document import PhotoDocument
 from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, Wanted
+from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
 
 #: Cameras around a motion or a human: their number, distance and height in metres, and target.
 _COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
@@ -246,7 +246,9 @@ class EmptySource(ViewSource):
     def __init__(self, title: str) -> None:
         self.title = title
 
-    def show(self, wanted: Wanted) -> ViewFrame:
+    def frame(
+        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+    ) -> ViewFrame:
         return ViewFrame(index=0, stamp=0, scene_time=0)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:

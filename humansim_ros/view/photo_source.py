@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Image
 from humansim_ros.view.photo_document import PhotoDocument, PhotoState
-from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, Wanted, fitted
+from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, fitted
 
 #: The only channel, and the name of the person.
 PHOTOGRAPH, PERSON = "photograph", "person"
@@ -71,8 +71,9 @@ class PhotoSource(ViewSource):
         """Photographs that cannot be shown."""
         return list(self._problems.values())
 
-    def show(self, wanted: Wanted) -> ViewFrame:
-        index = wanted.index
+    def frame(
+        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+    ) -> ViewFrame:
         fit = self.document.state.fit
         joints = {}
         if fit is not None:

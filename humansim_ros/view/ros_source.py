@@ -33,7 +33,7 @@ from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
-from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, Wanted
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
     SAMPLES,
@@ -175,19 +175,21 @@ class RosViewSource(TopicSource):
             yield f"No frame has arrived for {silence:.0f} s."
         yield from self._receiver.problems
 
-    def show(self, wanted: Wanted) -> ViewFrame:
+    def frame(
+        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+    ) -> ViewFrame:
         self._see()
-        images = self._images(wanted.cameras, wanted.channels)
+        images = self._images(cameras, channels)
         self._receiver.want(images)
-        if not wanted.wait:
+        if not wait:
             self._pinned = None
         found = self._frame(images, self._pinned)
         if found is None:
             return ViewFrame(index=0, stamp=0, scene_time=0, cameras=dict(self._shown.cameras))
-        asked = tuple(wanted.cameras), tuple(wanted.channels)
+        asked = tuple(cameras), tuple(channels)
         if self._last is not None and self._last[1] == asked and _is_same(self._last[0], found):
             return self._last[2]
-        frame = self._shown.frame(found, wanted.cameras, wanted.channels)
+        frame = self._shown.frame(found, cameras, channels)
         self._last = found, asked, frame
         return frame
 

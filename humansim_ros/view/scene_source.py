@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, Wanted, fitted
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, fitted
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
@@ -69,6 +69,7 @@ class SceneViewSource(ViewSource):
 
     @cached_property
     def static(self) -> Mapping[str, Mesh]:
+        """Meshes by name in ``map``: room, static objects."""
         meshes = {f"room {number}": mesh for number, mesh in enumerate(self.scene.environment.meshes, 1)}
         static = {name: item.static_mesh() for name, item in self.scene.objects.items() if not item.moves}
         return meshes | static
@@ -90,8 +91,9 @@ class SceneViewSource(ViewSource):
         longest = max(lasting, default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
-    def show(self, wanted: Wanted) -> ViewFrame:
-        index = wanted.index
+    def frame(
+        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+    ) -> ViewFrame:
         elapsed = self.scene.frame_time(index)
         poses = self._playback.show(elapsed)
         joints: dict[str, Array] = {}
@@ -100,7 +102,7 @@ class SceneViewSource(ViewSource):
             (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
             sizes[name] = float(size)
         self._shown = index
-        images = self._images(wanted)
+        images = self._images(index, cameras, channels, wait)
         return ViewFrame(
             index=index,
             stamp=1 + elapsed,
@@ -140,13 +142,15 @@ class SceneViewSource(ViewSource):
     def _workers(self) -> ImageWorkers:
         return ImageWorkers(self.scene, self._count)
 
-    def _images(self, wanted: Wanted) -> Images | None:
-        known = tuple(name for name in self.scene.scene_cameras if name in wanted.cameras)
-        shown = tuple(name for name in _CHANNELS if name in wanted.channels)
+    def _images(
+        self, index: int, cameras: Collection[str], channels: Collection[str], wait: bool
+    ) -> Images | None:
+        known = tuple(name for name in self.scene.scene_cameras if name in cameras)
+        shown = tuple(name for name in _CHANNELS if name in channels)
         if not known or not shown:
             return None
-        request = Request(wanted.index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
-        return self._workers.exact(request) if wanted.wait else self._workers.latest(request)
+        request = Request(index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
+        return self._workers.exact(request) if wait else self._workers.latest(request)
 
 
 # --- processes that render the images, so that rendering never delays the motion of the page

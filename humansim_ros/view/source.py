@@ -68,23 +68,6 @@ class PixelInfo:
     world: Array | None = None
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """A request for a frame.
-
-    Attributes:
-        index: Number of the frame; a live source gives its latest one instead.
-        cameras: Cameras whose images are wanted.
-        channels: Channels that are wanted.
-        wait: The images must belong to this frame; otherwise the latest images that are ready are given.
-    """
-
-    index: int
-    cameras: Collection[str] = ()
-    channels: Collection[str] = ()
-    wait: bool = False
-
-
 class ViewSource(ABC):
     """Source of a page; all methods are called in one thread."""
 
@@ -133,12 +116,9 @@ class ViewSource(ABC):
     def messages(self) -> Sequence[str]:
         """What the user should know, such as "the bag has no images"."""
 
+    @abstractmethod
     def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
+        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
     ) -> ViewFrame:
         """A frame.
 
@@ -148,11 +128,6 @@ class ViewSource(ABC):
             channels: Channels that are wanted.
             wait: The images must belong to this frame; otherwise the latest images that are ready are given.
         """
-        return self.show(Wanted(index, cameras, channels, wait))
-
-    @abstractmethod
-    def show(self, wanted: Wanted) -> ViewFrame:
-        """A frame, as :meth:`frame` gives it."""
 
     @abstractmethod
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:

@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, load_human, read_motion
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.export.glb import AnimatedHuman, glb_bytes, influences, split_seams
+from humansim_ros.export.glb import AnimatedHuman, glb_bytes, influences
 from humansim_ros.humans import Human
 from humansim_ros.mesh import Mesh
+from humansim_ros.mesh.mesh import split_seams
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.scene.actor import HumanState
 

@@ -70,9 +70,7 @@ def number(text: str, path: str | os.PathLike[str], line: int, key: str) -> floa
 
     Args:
         text: The field.
-        path: File, for messages.
-        line: Line of the file.
-        key: Name of the field.
+        path, line, key: File, its line and the name of the field, for messages.
 
     Raises:
         EvaluationError: It is no number; with path, line and key.
@@ -91,9 +89,7 @@ def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str)
 
     Args:
         value: Seconds.
-        path: File, for messages.
-        line: Line of the file.
-        key: Name of the field.
+        path, line, key: File, its line and the name of the field, for messages.
 
     Raises:
         EvaluationError: It is not finite, or beyond all stamps; with path, line and key.

@@ -76,7 +76,7 @@ _QUIT_AFTER = 0.2
 class Refusal(Exception):
     """A request is refused. ``code``: name of the result's constant; the text is the message."""
 
-    def __init__(self, code: str, message: str) -> None:
+    def __init__(self, message: str, code: str = "RESULT_OPERATION_FAILED") -> None:
         super().__init__(message)
         self.code = code
 
@@ -166,7 +166,7 @@ class SimulationServices:
         except Refusal as refusal:
             self._set_result(response, refusal)
         except HumansimError as error:
-            self._set_result(response, Refusal("RESULT_OPERATION_FAILED", str(error)))
+            self._set_result(response, Refusal(str(error)))
         else:
             self._set_result(response)
 
@@ -201,10 +201,10 @@ class SimulationServices:
         states, wanted = self._types.msg.SimulationState, request.state.state
         known = states.STATE_STOPPED, states.STATE_PLAYING, states.STATE_PAUSED, states.STATE_QUITTING
         if wanted not in known:
-            raise Refusal("RESULT_FEATURE_UNSUPPORTED", f"state {wanted} cannot be set: only {known}")
+            raise Refusal(f"state {wanted} cannot be set: only {known}", "RESULT_FEATURE_UNSUPPORTED")
         is_stepping = self._end_run("the state of the simulation was set meanwhile")
         if wanted == self._state() and not is_stepping:
-            raise Refusal("ALREADY_IN_TARGET_STATE", "the simulation is in this state")
+            raise Refusal("the simulation is in this state", "ALREADY_IN_TARGET_STATE")
         self._player.playing.pause(wanted != states.STATE_PLAYING)
         if wanted in (states.STATE_STOPPED, states.STATE_QUITTING):
             self._reset_places()
@@ -223,9 +223,9 @@ class SimulationServices:
         known = scopes.SCOPE_TIME | scopes.SCOPE_STATE
         if scope != scopes.SCOPE_ALL and scope & ~known:
             raise Refusal(
-                "RESULT_FEATURE_UNSUPPORTED",
                 f"scope {scope}: nothing is spawned; time ({scopes.SCOPE_TIME}) and "
                 f"state ({scopes.SCOPE_STATE}) can be reset",
+                "RESULT_FEATURE_UNSUPPORTED",
             )
         self._end_run("the simulation was reset meanwhile")
         if scope & scopes.SCOPE_STATE:
@@ -256,11 +256,11 @@ class SimulationServices:
     def _begin_run(self, steps: int, report: Callable[[int], object]) -> StepRun:
         """Begin to simulate steps. ``report`` gets the number of finished ones after each."""
         if self._run is not None:
-            raise Refusal("RESULT_OPERATION_FAILED", f"{self._run.left} steps are being simulated already")
+            raise Refusal(f"{self._run.left} steps are being simulated already")
         if not self._player.playing.is_paused:
-            raise Refusal("RESULT_OPERATION_FAILED", "the simulation must be paused for a step")
+            raise Refusal("the simulation must be paused for a step")
         if steps < 1:
-            raise Refusal("RESULT_OPERATION_FAILED", "steps must be 1 or more")
+            raise Refusal("steps must be 1 or more")
         self._is_stopped = False
         self._run = run = StepRun(self._player, steps, report)
         run.ended.add_done_callback(lambda _: self._forget(run))
@@ -275,7 +275,7 @@ class SimulationServices:
         """End the steps that are being simulated after the present one; whether there are any."""
         run, self._run = self._run, None
         if run is not None:
-            run.end(Refusal("RESULT_OPERATION_FAILED", f"{reason}, after {run.finished} steps"))
+            run.end(Refusal(f"{reason}, after {run.finished} steps"))
         return run is not None
 
     def _serve_steps(self, kind: Any) -> None:
@@ -302,7 +302,7 @@ class SimulationServices:
             with self._player.guard("action simulate_steps", "the goal is aborted"):
                 try:
                     if goal.is_cancel_requested:
-                        raise Refusal("RESULT_OPERATION_FAILED", "cancelled before the first step")
+                        raise Refusal("cancelled before the first step")
                     await self._begin_run(steps, report).ended
                     goal.succeed()
                     self._set_result(result)
@@ -343,13 +343,12 @@ class SimulationServices:
         entity = self._entity(request.entity)
         # newer versions of the package say which parts of the state are meant
         if getattr(request, "set_twist", True) and any(_numbers(request.state.twist)):
-            raise Refusal("RESULT_OPERATION_FAILED", "the scene gives velocities: the twist must be zero")
+            raise Refusal("the scene gives velocities: the twist must be zero")
         if not getattr(request, "set_pose", True):
-            raise Refusal("RESULT_OPERATION_FAILED", "only a pose can be set: set_pose is false")
+            raise Refusal("only a pose can be set: set_pose is false")
         position, rotation = _read_pose(request.state)
         if not entity.moves and entity.kind == "object":
             raise Refusal(
-                "RESULT_OPERATION_FAILED",
                 f"{entity.name} is static: only objects with keyframes can be moved",
             )
         if entity.kind == "human":
@@ -361,20 +360,20 @@ class SimulationServices:
 
     def _place_human(self, entity: Entity, position: Array, rotation: Array) -> None:
         if self._is_live(entity):
-            raise Refusal("RESULT_OPERATION_FAILED", f"{entity.name} is moved by another node")
+            raise Refusal(f"{entity.name} is moved by another node")
         if self._player.playback.actors[entity.key].keyframes is not None:
-            raise Refusal("RESULT_OPERATION_FAILED", f"{entity.name} is moved by keyframes of the scene")
+            raise Refusal(f"{entity.name} is moved by keyframes of the scene")
         x, y, z, w = rotation
         if math.hypot(x, y) > _ROTATION_TOLERANCE or abs(position[2]) > _FLOOR_TOLERANCE:
             raise Refusal(
-                "INVALID_POSE", "a human stands on the floor: z must be 0, and the rotation about z"
+                "a human stands on the floor: z must be 0, and the rotation about z", "INVALID_POSE"
             )
         place = self._player.playback.placement(entity.key, position[:2], 2 * math.atan2(z, w))
         self._player.change_motions({entity.key: place})
 
     def _place_camera(self, entity: Entity, position: Array, rotation: Array) -> None:
         if entity.moves:
-            raise Refusal("RESULT_OPERATION_FAILED", f"{entity.name} is moved by a trajectory of the scene")
+            raise Refusal(f"{entity.name} is moved by a trajectory of the scene")
         message = PoseStamped(header=header(0, WORLD_FRAME))
         message.pose.position.x, message.pose.position.y, message.pose.position.z = position.tolist()
         q = message.pose.orientation
@@ -386,7 +385,7 @@ class SimulationServices:
         publisher, own = self._pose_publishers[name], self._player.get_name()
         listeners = self._player.get_subscriptions_info_by_topic(publisher.topic_name)
         if all(each.node_name == own for each in listeners):  # the player hears it, too
-            raise Refusal("RESULT_OPERATION_FAILED", f"no node renders the camera {name}")
+            raise Refusal(f"no node renders the camera {name}")
         before = self._camera_poses.get(name)
         last = self._player.playback_clock.last or 0
         # poses are interpolated: the one before holds until the last frame
@@ -408,7 +407,7 @@ class SimulationServices:
 
     def _entity(self, name: str) -> Entity:
         if name not in self._entities:
-            raise Refusal("RESULT_NOT_FOUND", f"there is no entity {printable(name, 80)!r}: see get_entities")
+            raise Refusal(f"there is no entity {printable(name, 80)!r}: see get_entities", "RESULT_NOT_FOUND")
         return self._entities[name]
 
     def _is_live(self, entity: Entity) -> bool:
@@ -429,10 +428,10 @@ class SimulationServices:
     def _found(self, filters: Any) -> Iterator[Entity]:
         """Entities that pass all filters."""
         if filters.bounds.type:
-            raise Refusal("RESULT_FEATURE_UNSUPPORTED", "entities cannot be filtered by bounds")
+            raise Refusal("entities cannot be filtered by bounds", "RESULT_FEATURE_UNSUPPORTED")
         tags, categories = filters.tags, {each.category for each in filters.categories}
         if max(len(tags.tags), len(filters.categories)) > _MAX_FILTERS:
-            raise Refusal("RESULT_OPERATION_FAILED", f"more than {_MAX_FILTERS} tags or categories")
+            raise Refusal(f"more than {_MAX_FILTERS} tags or categories")
         wanted = set(tags.tags)
         every = tags.filter_mode == type(tags).FILTER_MODE_ALL
         name_matches = name_filter(filters.filter)
@@ -465,7 +464,7 @@ class SimulationServices:
 
     def _entity_state(self, entity: Entity) -> Any:
         if self._is_live(entity):
-            raise Refusal("RESULT_OPERATION_FAILED", f"{entity.name} is moved by another node")
+            raise Refusal(f"{entity.name} is moved by another node")
         pose, stamp = self._pose(entity), self._player.playback_clock.last or 0
         state = self._types.msg.EntityState(header=header(stamp, WORLD_FRAME))
         p, q = state.pose.position, state.pose.orientation
@@ -506,9 +505,9 @@ class StepRun:
         """Play the next step."""
         playing = self._player.playing
         if not playing.is_paused:
-            self.end(Refusal("RESULT_OPERATION_FAILED", f"continued meanwhile, after {self.finished} steps"))
+            self.end(Refusal(f"continued meanwhile, after {self.finished} steps"))
         elif playing.waiting >= MAX_WAITING:
-            self.end(Refusal("RESULT_OPERATION_FAILED", f"{MAX_WAITING} other steps wait for the cameras"))
+            self.end(Refusal(f"{MAX_WAITING} other steps wait for the cameras"))
         else:
             playing.step(1, lambda: self._player.run_soon(self._finish_step))
 
@@ -544,12 +543,12 @@ def name_filter(pattern: str) -> Callable[[str], bool]:
         return lambda name: True
     if len(pattern) > _MAX_PATTERN:
         problem = f"a pattern of {len(pattern)} characters; at most {_MAX_PATTERN} are read"
-        raise Refusal("RESULT_OPERATION_FAILED", problem)
+        raise Refusal(problem)
     try:
         import re2
     except ImportError:
         problem = "filters by a pattern need the package google-re2: pip install google-re2"
-        raise Refusal("RESULT_FEATURE_UNSUPPORTED", problem) from None
+        raise Refusal(problem, "RESULT_FEATURE_UNSUPPORTED") from None
     options = re2.Options()
     options.posix_syntax = options.one_line = True
     options.log_errors = False
@@ -559,7 +558,7 @@ def name_filter(pattern: str) -> Callable[[str], bool]:
     except re2.error as error:
         reason = error.args[0].decode(errors="replace") if error.args else ""
         problem = f"the filter is no POSIX extended pattern: {printable(reason, 80)}"
-        raise Refusal("RESULT_OPERATION_FAILED", problem) from None
+        raise Refusal(problem) from None
     return lambda name: found.search(name) is not None
 
 
@@ -569,12 +568,12 @@ def _read_pose(state: Any) -> tuple[Array, Array]:
     """
     frame = state.header.frame_id
     if frame not in ("", WORLD_FRAME):
-        raise Refusal("INVALID_POSE", f"poses must be in {WORLD_FRAME}, this is in {printable(frame, 80)!r}")
+        raise Refusal(f"poses must be in {WORLD_FRAME}, this is in {printable(frame, 80)!r}", "INVALID_POSE")
     numbers = np.array(_numbers(state.pose))
     position, rotation = numbers[:3], numbers[3:]
     if not within_bounds(numbers) or not abs(np.linalg.norm(rotation) - 1) < _ROTATION_TOLERANCE:
         raise Refusal(
-            "INVALID_POSE",
             "the pose is not finite, is more than 1000 km away, or its quaternion has not length 1",
+            "INVALID_POSE",
         )
     return position, rotation / np.linalg.norm(rotation)

@@ -114,7 +114,7 @@ def camera_of(cam: CamFile) -> Camera:
     return Camera(cam.size, k, r, -r @ np.array(cam.center))
 
 
-def cam_of(camera: Camera, image_format: str = "png") -> CamFile:
+def cam_of(camera: Camera) -> CamFile:
     """Values of a ``.cam`` file for a camera (9.68)-(9.73).
 
     Raises:
@@ -137,7 +137,6 @@ def cam_of(camera: Camera, image_format: str = "png") -> CamFile:
         euler_deg=_three(angles),
         size=camera.size,
         aspect=(1.0, 1.0) if abs(ratio - 1) < 1e-12 else (ratio, 1.0),
-        format=image_format,
     )
 
 

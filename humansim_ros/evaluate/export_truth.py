@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import EvaluationError, MeshError
+from humansim_ros.errors import EvaluationError, located
 from humansim_ros.evaluate.images import ImageTruth, image_table
 from humansim_ros.evaluate.pictures import ScenePictures
 from humansim_ros.evaluate.pose_sequence import PoseSequence
@@ -187,10 +187,8 @@ class ExportPictures:
         if row is None:
             return None
         path = self._folder / "images" / row["file_name"]
-        try:
+        with located(EvaluationError, path):
             return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
-        except MeshError as error:
-            raise EvaluationError(error.message, path=path) from None
 
     def close(self) -> None:
         """Nothing is open."""

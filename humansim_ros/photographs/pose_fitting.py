@@ -178,17 +178,13 @@ def fit_poses(
     return found
 
 
-def fit_places(model: PoseModel, state: BodyState, places: Array, free_shape: bool = True) -> BodyState:
-    """Fit the state of one frame to triangulated keypoints: a first guess.
+def fit_places(model: PoseModel, state: BodyState, places: Array) -> BodyState:
+    """Fit a state of one frame, and its proportions, to triangulated keypoints: a first guess.
 
-    Args:
-        model: Model of the body.
-        state: State to start from.
-        places: Positions (K, 3) of the keypoints, NaN where there is none.
-        free_shape: The proportions are fitted, too.
+    ``places``: positions (K, 3) of the keypoints, NaN where there is none.
     """
     sight = Sight((), np.zeros((0, len(places), 2)), np.zeros((0, len(places))), places)
-    return fit_poses(model, [state], [sight], Settings(0.0, free_shape, limited=False, tolerance=1e-2))[0]
+    return fit_poses(model, [state], [sight], Settings(0.0, limited=False, tolerance=1e-2))[0]
 
 
 class _Problem:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from humansim_ros.errors import PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import encode_image
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.mesh.texels import pack_images
 from humansim_ros.photographs.atlas_texture import texture_atlas
 from humansim_ros.photographs.person_fit import PersonFit
@@ -92,9 +92,11 @@ def triangle_neighbours(mesh: Mesh) -> Indices:
     return np.asarray(both[both[:, 0] != both[:, 1]])
 
 
-def choose_cameras(
-    counts: FaceCounts, neighbours: Indices, threshold: float = 0.5, rounds: int = 10
-) -> NDArray[np.int32]:
+#: Most rounds in which triangles without a view take the view of their neighbours.
+_ROUNDS = 10
+
+
+def choose_cameras(counts: FaceCounts, neighbours: Indices, threshold: float = 0.5) -> NDArray[np.int32]:
     """Choose the view of each triangle.
 
     A triangle takes the view with most of its visible pixels, of those in which at least a share of the
@@ -102,11 +104,7 @@ def choose_cameras(
     rounds from the triangles that have a view. The rest take the view in which they cover most pixels, or
     the view of most triangles. Of equal views the first is taken.
 
-    Args:
-        counts: Visible and covered pixels.
-        neighbours: (E, 2) pairs of triangles that share an edge.
-        threshold: Least share of visible pixels.
-        rounds: Largest number of rounds.
+    ``neighbours``: (E, 2) pairs of triangles with a common edge. ``threshold``: least visible share.
 
     Returns:
         (N,) index of the view of each triangle; all are -1 if no view shows any.
@@ -116,7 +114,7 @@ def choose_cameras(
     score = np.where(visible >= threshold * covered, visible, 0)
     chosen = np.where(score.max(axis=0) > 0, score.argmax(axis=0), -1)
     ends = np.concatenate([neighbours, neighbours[:, ::-1]])
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         known = chosen[ends[:, 1]]
         voting = (chosen[ends[:, 0]] < 0) & (known >= 0)
         if not voting.any():
@@ -158,10 +156,7 @@ def texture_thesis(
     used, corners = np.unique(pairs, return_inverse=True)
     view_of, vertex = np.divmod(used, len(human.mesh.vertices))
     texture, uv = _photographs(views, view_of, vertex)
-    padding = np.full((len(triangles), 1), -1)
-    faces, uv_faces = (
-        np.hstack([index.reshape(-1, 3), padding]).astype(np.int32) for index in (triangles, corners)
-    )
+    faces, uv_faces = padded(triangles), padded(corners.reshape(-1, 3))
     mesh = replace(human.mesh, faces=faces, uv=uv, uv_faces=uv_faces, texture=texture, colors=None, skin=None)
     dressed = replace(human, mesh=mesh, looks={OUTFIT: encode_image(texture)}, outfit=OUTFIT)
     names = tuple(view.name for view in views)

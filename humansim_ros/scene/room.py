@@ -260,8 +260,8 @@ def _weave(rng: _Rng, color: Sequence[int], side: int = 512) -> Image:
     )
 
 
-def _rug(rng: _Rng, shape: tuple[int, int] = (720, 1024)) -> Image:
-    h, w = shape
+def _rug(rng: _Rng) -> Image:
+    h, w = shape = 720, 1024
     image = np.full((h, w, 3), (172, 160, 140), np.uint8)
     for inset, color in (
         (0, (96, 62, 58)),

@@ -18,7 +18,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
 from humansim_ros import messages
-from humansim_ros.errors import CameraError, HumansimError, RosError, SceneError, printable
+from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable
 from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros.camera.publishers import (
@@ -233,10 +233,8 @@ class CameraNode(SceneNode):
         camera = self.scene.scene_cameras[name]
         if not url:
             return camera
-        try:
+        with located(path=url):
             return camera.with_calibration(read_single_camera(url, name))
-        except CameraError as error:
-            raise CameraError(error.message, path=error.path or url, line=error.line, key=error.key) from None
 
     def _optical_frame(self, name: str) -> str:
         """Optical frame of camera ``name`` in messages and tf. Raises RosError for one that tf2 refuses."""

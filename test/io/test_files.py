@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from humansim_ros.errors import HumansimError, did_you_mean
+from humansim_ros.errors import HumansimError, MeshError, MotionError, did_you_mean, located
 from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import missing_file, read_blocks, read_bytes, read_text
 
@@ -118,3 +118,12 @@ def test_a_file_of_any_size_is_read_part_by_part(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(HumansimError, match="this is a named pipe, not a regular file"):
         list(read_blocks(tmp_path / "pipe", HumansimError, "export"))
+
+
+def test_located_gives_errors_a_place_only_where_they_have_none() -> None:
+    with pytest.raises(MotionError) as found, located(MotionError, "b.bvh", line=3, key="rate"):
+        raise MeshError("wrong", path="a.obj", line=0)
+    assert (found.value.path, found.value.line, found.value.key) == ("a.obj", 0, "rate")
+    with pytest.raises(MeshError) as kept, located(path="b.bvh"):
+        raise MeshError("wrong", key="faces")
+    assert str(kept.value) == "b.bvh: faces: wrong"

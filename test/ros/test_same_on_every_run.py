@@ -363,7 +363,7 @@ def processes(scene: Path, namespace: str, *options: str) -> Iterator[Listener]:
     ("run", "camera_processes"),
     [
         pytest.param(0, 1, marks=pytest.mark.nightly),
-        (1, 2),
+        pytest.param(1, 2, marks=pytest.mark.nightly),
         pytest.param(2, 2, marks=pytest.mark.nightly),
     ],
 )

@@ -162,3 +162,19 @@ def test_work_that_takes_too_long_is_given_up_and_nothing_else_starts_before_its
     assert ended.wait(PATIENCE)
     assert wait_until(lambda: not work.is_busy)
     work.run(lambda: None, lambda: None, 0.001)
+
+
+class SlowToEnd(threading.Thread):
+    """A thread that lives on after its work, as on a busy machine."""
+
+    def run(self) -> None:
+        super().run()
+        threading.Event().wait(0.05)
+
+
+def test_work_can_begin_as_soon_as_the_earlier_work_has_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "Thread", SlowToEnd)
+    work = BackgroundWork(PATIENCE)
+    assert [work.run(lambda number=number: number, lambda: None, 0.0) for number in range(5)] == list(
+        range(5)
+    )

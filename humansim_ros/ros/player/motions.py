@@ -267,12 +267,12 @@ class BackgroundWork:
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
-        self._thread: threading.Thread | None = None
+        self._result: Future[Any] | None = None
 
     @property
     def is_busy(self) -> bool:
         """Whether earlier work has not ended."""
-        return self._thread is not None and self._thread.is_alive()
+        return self._result is not None and not self._result.done()
 
     def run(self, work: Callable[[], T], meanwhile: Callable[[], object], pause: float) -> T:
         """Return the result of ``work``; until then call ``meanwhile`` every ``pause`` seconds.
@@ -283,8 +283,8 @@ class BackgroundWork:
         if self.is_busy:
             raise RosError("an earlier request that took too long has not ended yet: try again later")
         result: Future[T] = Future()
-        self._thread = threading.Thread(target=_fulfil, args=(result, work), daemon=True)
-        self._thread.start()
+        self._result = result
+        threading.Thread(target=_fulfil, args=(result, work), daemon=True).start()
         end = time.monotonic() + self._seconds
         while not wait([result], timeout=pause).done:
             if time.monotonic() > end:
@@ -293,7 +293,7 @@ class BackgroundWork:
         return result.result()
 
 
-def _fulfil(result: Future[T], work: Callable[[], T]) -> None:
+def _fulfil(result: Future[Any], work: Callable[[], T]) -> None:
     try:
         result.set_result(work())
     except BaseException as error:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ros_support import Client, deliver
-from waiting import PATIENCE
+from waiting import PATIENCE, wait_until
 
 from humansim_ros import Scene
 from humansim_ros.errors import EvaluationError, HumansimError, RosError
@@ -111,6 +111,10 @@ def test_a_tracker_in_lockstep(computed: bool, tmp_path: Path) -> None:
         graph.add_node(node)
         published = graph.subscribe("/evaluation", every_frame=False)
         graph.spin_until(lambda: tracker.poses.get_subscription_count() == 1)
+        if not computed:  # the first frame, which needs a spinning player, does not wait for the evaluator
+            graph._start()
+            assert wait_until(lambda: node._truth.discover() or len(node._truth.found) == 2)
+            assert wait_until(lambda: all(node.count_subscribers(name) == 3 for name in node._truth.found))
         graph.play(20)
         graph.spin_until(lambda: len(node.evaluation.estimate) == 15)
         graph.spin_until(lambda: computed or len(node.evaluation.truth) == 20)

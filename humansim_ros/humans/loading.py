@@ -34,29 +34,17 @@ from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arr
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset, resource_path
-from humansim_ros.io.files import expand_user, missing_file, read_bytes, resolve_relative
+from humansim_ros.io.files import cache_folder, missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image, encode_image
 from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.mesh.load import read_mesh_or_figure
-from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, format_of, read_format
+from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, has_signature, read_format
 from humansim_ros.mesh.obj import material_files
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
 CACHE_VERSION = 2
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
-
-
-def cache_folder() -> Path | None:
-    """Folder of the cache: ``$HUMANSIM_CACHE``, else ``humansim_ros/humans`` in the user's cache folder.
-
-    None if HUMANSIM_CACHE is ``off``.
-    """
-    own = os.environ.get("HUMANSIM_CACHE")
-    if own:
-        return None if own == "off" else expand_user(own)
-    base = os.environ.get("XDG_CACHE_HOME") or expand_user("~/.cache")
-    return Path(base) / "humansim_ros" / "humans"
 
 
 def content_key(parts: Iterable[bytes]) -> str:
@@ -128,8 +116,8 @@ def load_human(
 ) -> Human:
     """Load a built-in human, or a human from a file.
 
-    A file is a human (.npz), a description (.yaml), a mesh (OBJ, glTF, VRM, PLY, STL, OFF, COLLADA, 3MF) or
-    an SMPL model (.npz). Meshes without skeleton are rigged. Results of slow steps are cached on disk
+    A file is a human (.npz), a description (.yaml), a mesh (OBJ, glTF, VRM, FBX, PLY, STL, OFF, COLLADA, 3MF)
+    or an SMPL model (.npz). Meshes without skeleton are rigged. Results of slow steps are cached on disk
     (docs/humans.md).
 
     Args:
@@ -199,7 +187,7 @@ def _load(path: Path) -> Human:
         return read_human(path)
     if suffix in _DESCRIPTIONS:
         return _described(path)
-    if suffix not in SUFFIXES and format_of(read_bytes(path, MeshError, "mesh", MAX_BYTES)) is None:
+    if suffix not in SUFFIXES and not has_signature(read_bytes(path, MeshError, "mesh", MAX_BYTES)):
         raise MeshError(
             f"a human is one of {', '.join(SUFFIXES)}, not {suffix or 'a file without suffix'}", path=path
         )

@@ -345,3 +345,18 @@ def _remove_if_dead(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)  # it follows no links
     finally:
         os.close(lock)
+
+
+# --- the cache
+
+
+def cache_folder() -> Path | None:
+    """Folder of the cache: ``$HUMANSIM_CACHE``, else ``humansim_ros/humans`` in the user's cache folder.
+
+    None if HUMANSIM_CACHE is ``off``.
+    """
+    own = os.environ.get("HUMANSIM_CACHE")
+    if own:
+        return None if own == "off" else expand_user(own)
+    base = os.environ.get("XDG_CACHE_HOME") or expand_user("~/.cache")
+    return Path(base) / "humansim_ros" / "humans"

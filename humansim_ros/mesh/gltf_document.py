@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, located
+from humansim_ros.io.converters import converted_fbx, is_fbx
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.io.schema_errors import schema_error
@@ -63,8 +64,9 @@ class Gltf:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
-        """Read a .gltf or .glb file."""
-        return cls.parse(path, read_bytes(path, MeshError, "glTF", MAX_BYTES))
+        """Read a .gltf or .glb file, or an FBX file, which is converted."""
+        data = read_bytes(path, MeshError, "glTF", MAX_BYTES)
+        return cls.parse(path, converted_fbx(path, MeshError, data) if is_fbx(data) else data)
 
     @classmethod
     def parse(cls, path: str | os.PathLike[str], data: bytes) -> Gltf:

@@ -21,7 +21,8 @@ _TO_Z_UP: dict[str, Array] = {
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file as one mesh with one texture: OBJ, glTF, VRM, PLY, STL, OFF, COLLADA or 3MF.
+    """Read a mesh file as one mesh with one texture: OBJ, glTF, VRM, FBX, PLY, STL, OFF, COLLADA
+    or 3MF.
 
     The content of the file decides its format. Units and axes stay as in the file. The textures of all
     materials become one image. Materials and textures are searched in the folder of the file and below it.

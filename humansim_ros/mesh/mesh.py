@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.io.converters import converted_fbx, is_fbx
 from humansim_ros.io.files import read_bytes
 from humansim_ros.types import Array, Image
 
@@ -222,12 +223,13 @@ def normalise_weights(weights: csr_matrix) -> csr_matrix:
 
 
 MeshFormat = Literal["obj", "gltf", "ply", "stl", "off", "dae", "3mf"]
-#: Formats by suffix. VRM avatars are glTF files.
+#: Formats by suffix. VRM avatars are glTF files, and FBX files are converted to glTF.
 MESH_SUFFIXES: dict[str, MeshFormat] = {
     ".obj": "obj",
     ".gltf": "gltf",
     ".glb": "gltf",
     ".vrm": "gltf",
+    ".fbx": "gltf",
     ".ply": "ply",
     ".stl": "stl",
     ".off": "off",
@@ -239,12 +241,22 @@ MAX_BYTES = 1 << 29
 
 
 def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
-    """Format and content of a mesh file. Raises MeshError if it is missing, empty or too large."""
+    """Format and content of a mesh file; an FBX file is converted to glTF.
+
+    Raises MeshError if it is missing, empty or too large, or FBX that cannot be converted.
+    """
     data = read_bytes(path, MeshError, "mesh", MAX_BYTES)
-    return format_of(data) or MESH_SUFFIXES.get(Path(path).suffix.lower(), "obj"), data
+    if is_fbx(data) or (_format_of(data) is None and Path(path).suffix.lower() == ".fbx"):
+        return "gltf", converted_fbx(path, MeshError, data)
+    return _format_of(data) or MESH_SUFFIXES.get(Path(path).suffix.lower(), "obj"), data
 
 
-def format_of(data: bytes) -> MeshFormat | None:
+def has_signature(data: bytes) -> bool:
+    """Whether the content of a file says that it is a mesh file of some format."""
+    return is_fbx(data) or _format_of(data) is not None
+
+
+def _format_of(data: bytes) -> MeshFormat | None:
     """Format of a file with a signature; None for OBJ and unknown files."""
     start = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
     if start.startswith((b"glTF", b"{")):

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, located, warn_about
+from humansim_ros.io.converters import run_limited
 from humansim_ros.mesh.mesh import Mesh, MeshFormat, padded
 from humansim_ros.types import Array
 
@@ -264,11 +265,15 @@ def _parse_in_process(kind: str, data: bytes) -> dict[str, Any]:
     """:func:`parse` in a process with limited memory and time."""
     path = os.pathsep.join(entry for entry in sys.path if entry)
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    limits = [str(_MEMORY), str(_CPU_SECONDS)]
-    command = [sys.executable, "-m", "humansim_ros.mesh.trimesh_files", kind, *limits]
+    command = [sys.executable, "-m", "humansim_ros.mesh.trimesh_files", kind]
     try:
-        done = subprocess.run(
-            command, input=data, capture_output=True, timeout=_SECONDS, env=environment, check=False
+        done = run_limited(
+            command,
+            data,
+            memory=_MEMORY,
+            cpu_seconds=_CPU_SECONDS,
+            seconds=_SECONDS,
+            environment=environment,
         )
     except subprocess.TimeoutExpired:
         raise MeshError(f"it takes more than {_SECONDS} s to read: simplify it") from None
@@ -289,13 +294,8 @@ _REFUSED = 3
 
 def main() -> None:
     """Read a file from stdin and write its arrays to stdout (.npz)."""
-    import resource
-
-    kind, memory, seconds = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     try:
-        arrays = parse(kind, sys.stdin.buffer.read())
+        arrays = parse(sys.argv[1], sys.stdin.buffer.read())
     except MeshError as error:
         print(error.message, file=sys.stderr)
         raise SystemExit(_REFUSED) from None

@@ -10,7 +10,8 @@ from humansim_ros.io.assets import find_asset
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.kinematics import Motion
 
-_GLTF = (".gltf", ".glb", ".vrm")
+#: Files that have animations of glTF; FBX files are converted to glTF.
+_GLTF = (".gltf", ".glb", ".vrm", ".fbx")
 
 
 def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:
@@ -24,7 +25,7 @@ def find_motion(name: str, folder: Path | None = None, error: type[HumansimError
 
 
 def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a motion: a built-in (``walk``), a BVH file, or an animation of a glTF file.
+    """Read a motion: a built-in (``walk``), a BVH file, or an animation of a glTF or FBX file.
 
     ``path``: name or file, such as ``figure.glb#Walk``; without ``#`` the first animation.
     ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.

@@ -195,7 +195,7 @@ def test_a_description_sets_size_and_outfits_of_a_mesh(tmp_path: Path, figure: P
     ("text", "key", "message"),
     [
         ("mesh: nobody.obj", "mesh", "no such file"),
-        ("mesh: figure.fbx", "mesh", ".obj, .gltf, .glb"),
+        ("mesh: figure.max", "mesh", ".obj, .gltf, .glb"),
         ("rigging: heat", None, "exactly one of the keys 'mesh' and 'makehuman'"),
         ("mesh: figure.glb\nstature: -1", "stature", "from 0.2 to 5"),
         ("mesh: figure.glb\nstature: 1\nunit: 1", None, "not both"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,16 @@ _ACCEPTED_STATURE = (0.4, 2.6)
 _SNAP_ANGLE = 3.0
 #: Most frames in which the person is measured.
 _MAX_FRAMES = 400
+#: A person stands along an axis within this angle, degrees; exactly in a rest pose.
+_UPRIGHT_ANGLE, _EXACT_ANGLE = 45.0, 10.0
+#: Share of the frames in which a person stands along the up axis, against a rest pose and against frame 0.
+_MOSTLY, _HALF = 0.8, 0.5
+#: Lowest joint over the origin of the file, as a share of the height, where the floor is at the origin.
+_FLOOR_AT_ORIGIN = (-0.06, 0.1)
+#: Change of the height of the lowest joint, as a share of the height, of a person that leaves the floor.
+_LEAVES_FLOOR = 0.15
+#: Confidence in an up axis that the motion contradicts.
+_DOUBTFUL = 0.5
 
 
 @dataclass(frozen=True)
@@ -141,6 +151,8 @@ class FileFrame:
             (J, 3, 3), where the OFFSETs are not a standing person and the straightest frame is the rest
             pose.
         ankle_to_head: Height in file units.
+        confidence: Confidence in the up axis, 0 to 1; lower where the motion contradicts the rest pose.
+        warning: What contradicts the up axis, for the user.
     """
 
     up: str
@@ -149,6 +161,8 @@ class FileFrame:
     world_from_file: Array
     rest_from_body: Array
     ankle_to_head: float
+    confidence: float = 1.0
+    warning: str | None = None
 
     @property
     def facing(self) -> str:
@@ -175,8 +189,10 @@ def detect_file_frame(
 ) -> FileFrame:
     """Detect up axis, facing and unit of a motion.
 
-    Up is the file axis on which the head is above the ankles. Facing is the direction in front of hips and
-    shoulders at rest. The unit is the known one with which the stature is nearest to 1.7 m.
+    Up is the file axis on which the head is above the ankles on average. Where the rest pose stands along
+    another axis (someone dances on the floor or on the hands), floor and movement decide. Facing is the
+    direction in front of hips and shoulders at rest. The unit is the known one with which the stature is
+    nearest to 1.7 m.
 
     Args:
         motion: Motion of a person.
@@ -197,14 +213,23 @@ def detect_file_frame(
     head = roles.get("Head", roles.get("Neck", roles["Hips"]))
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
 
-    detected_up = nearest_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
-    up_axis = detected_up if up is None else axis_vector(up)
     height = ankle_to_head(rest, motion.parents, match)
     if height <= 0:
         raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
-    if BodyLines.of(rest[None], roles).stands()[0]:
-        rest_up = nearest_axis(rest[head] - rest[ankles].mean(0))
-        if (rest_up == detected_up).all():
+    rest_stands = bool(BodyLines.of(rest[None], roles).stands()[0])
+    rest_up = nearest_axis(rest[head] - rest[ankles].mean(0))
+    evidence = _UpEvidence(
+        frames / height, frames[:, head] - frames[:, ankles].mean(1), BodyLines.of(frames, roles), roles
+    )
+    if (
+        motion.positions == "add"
+    ):  # a root near the origin of the file is added to its OFFSET; or it lies there
+        evidence = replace(evidence, origin=motion.offsets[motion.parents < 0].mean(0) / height)
+    is_rest = _is_turned_rest(transforms[0], roles)
+    found, warning = evidence.decide(rest_up if rest_stands else None, is_rest)
+    up_axis, warning = (found, warning) if up is None else (axis_vector(up), None)
+    if rest_stands:
+        if (rest_up == up_axis).all():
             rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing, snap=True)
         else:
             # the rest pose lies in file space and the root raises it: the first frame has the facing
@@ -231,7 +256,117 @@ def detect_file_frame(
         world_from_file=WORLD_FROM_BODY @ axes.T,
         rest_from_body=rest_axes,
         ankle_to_head=height,
+        confidence=1.0 if warning is None else _DOUBTFUL,
+        warning=warning,
     )
+
+
+@dataclass(frozen=True)
+class _UpEvidence:
+    """What F frames of a motion tell about the up axis of its file.
+
+    ``points``: joints (F, J, 3), in heights of the person. ``heads``: directions (F, 3) from the ankles to
+    the head. ``lines``: lines of the body in all frames. ``roles``: role -> joint. ``origin``: other place
+    (3,) where the origin of the file may be.
+    """
+
+    points: Array
+    heads: Array
+    lines: BodyLines
+    roles: Mapping[str, int]
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+
+    def decide(self, rest: Array | None, starts_at_rest: bool) -> tuple[Array, str | None]:
+        """The up axis (3,), and a warning where something contradicts it.
+
+        Args:
+            rest: Axis along which the OFFSETs stand, (3,); None if they are no rest pose.
+            starts_at_rest: Whether frame 0 is the rest pose, turned by its root.
+        """
+        mean = nearest_axis(self.heads.mean(0))
+        first, angle = self._first()
+        least = _MOSTLY
+        if starts_at_rest and angle <= _EXACT_ANGLE and _is_usual(first):
+            witness, name = first, "frame 0"
+        elif rest is not None:
+            witness, name = rest, "the OFFSETs"
+        elif angle <= _UPRIGHT_ANGLE and self.lines.stands()[0]:
+            witness, name, least = first, "frame 0", _HALF
+        else:
+            witness, name = self._least_moved(mean), "the floor"
+        if (witness == mean).all() or self._raised(mean, witness, least):
+            return mean, None
+        up, other = axis_name(witness), axis_name(mean)
+        return witness, (
+            f"{name} and most frames contradict each other: the head is above the feet along {up} in {name}, "
+            f"along {other} on average. {up} is taken as up; if it is wrong, give the axis (up: {other})"
+        )
+
+    def _first(self) -> tuple[Array, float]:
+        """Axis (3,) along which the person is in frame 0, and the angle between both, degrees."""
+        axis = nearest_axis(self.heads[0])
+        return axis, float(np.degrees(angle_between(self.heads[0], axis)))
+
+    def _raised(self, mean: Array, witness: Array, least: float) -> bool:
+        """Whether the mean direction is up: the rest pose lies in file space, and the root raises it.
+
+        Otherwise the person lies, crawls, or stands on the hands. ``least``: share of the frames in which
+        the person must be along the mean direction, where nothing else decides.
+        """
+        if _is_usual(mean) != _is_usual(witness):
+            return _is_usual(mean)
+        on_floor = self._is_on_floor(mean)
+        if on_floor != self._is_on_floor(witness):
+            return on_floor
+        if (mean == -witness).all() and self._on_hands():
+            return False
+        return not self._moves_off(mean, witness) and self._upright(mean) >= least
+
+    def _upright(self, axis: Array) -> float:
+        """Share of the frames in which the person is along an axis."""
+        return float((angle_between(self.heads, axis) <= np.radians(_UPRIGHT_ANGLE)).mean())
+
+    def _lowest(self, axis: Array) -> Array:
+        """Height (F,) of the lowest joint along an axis."""
+        return np.asarray((self.points @ axis).min(1))
+
+    def _is_on_floor(self, axis: Array) -> bool:
+        """Whether the floor along an axis is at the origin of the file."""
+        low, high = _FLOOR_AT_ORIGIN
+        floor = float(np.median(self._lowest(axis)))
+        return any(low <= floor - origin @ axis <= high for origin in (np.zeros(3), self.origin))
+
+    def _moves_off(self, axis: Array, other: Array) -> bool:
+        """Whether the lowest joint moves along an axis, but not along the other."""
+        spread, others = (np.ptp(np.percentile(self._lowest(each), [25, 75])) for each in (axis, other))
+        return bool(spread > max(_LEAVES_FLOOR, 2 * others))
+
+    def _least_moved(self, mean: Array) -> Array:
+        """The mean direction; y or z where the person moves along the mean, above a floor at the origin."""
+        others = [axis for axis in np.eye(3)[1:] if axis @ mean == 0]
+        floors = [axis for axis in others if self._is_on_floor(axis) and self._moves_off(mean, axis)]
+        return floors[0] if floors and not self._is_on_floor(mean) else mean
+
+    def _on_hands(self) -> bool:
+        """Whether the wrists are beyond the head in most frames, seen from the feet."""
+        sides = [side for side in ("Left", "Right") if f"{side}Wrist" in self.roles]
+        if not sides or "Head" not in self.roles:
+            return False
+        hands = np.mean([self.points[:, self.roles[f"{side}Wrist"]] for side in sides], axis=0)
+        beyond = ((hands - self.points[:, self.roles["Head"]]) * self.heads).sum(-1) > 0
+        return bool(beyond.mean() > 0.5)
+
+
+def _is_usual(up: Array) -> bool:
+    """Whether files with this up axis (3,) exist: y, z, and -y of images."""
+    return bool(up[1] or up[2] > 0)
+
+
+def _is_turned_rest(transforms: Array, roles: Mapping[str, int]) -> bool:
+    """Whether a pose (J, 4, 4) is the rest pose, turned as a whole."""
+    turns = transforms[roles["Hips"], :3, :3].T @ transforms[list(roles.values()), :3, :3]
+    traces = np.trace(turns, axis1=-2, axis2=-1)
+    return bool((traces >= 1 + 2 * np.cos(np.radians(_EXACT_ANGLE))).all())
 
 
 def axis_vector(name: str) -> Array:

@@ -44,12 +44,13 @@ class MotionInfo:
     the OFFSET or are added to it; ``position_joints``: joints that have some; ``bounds``: lowest and highest
     joint position in file units and axes.
 
-    Person: ``table``, ``found_by``, ``confidence``, ``roles`` (role -> joint) and ``missing_bones`` of the
-    joint match; ``up``, ``facing``: file axes; ``rest``: rest pose from which they are detected; ``unit``,
-    ``stature``: metres; ``floor``: its height on the up axis, file units; ``root_scale``: scale of the root's
-    movement onto the general skeleton; ``speed``: mean speed over the floor, m/s; ``travel``: x and y from
-    the first frame to the last; ``heading_deg``: mean heading, or None without a common one. Both are
-    relative to the rest pose facing +x, with y to its left.
+    Person: ``table``, ``found_by``, ``roles`` (role -> joint) and ``missing_bones`` of the joint match;
+    ``confidence``: the lower one of the joint match and of the up axis; ``up``, ``facing``: file axes;
+    ``rest``: rest pose from which they are detected; ``unit``, ``stature``: metres; ``floor``: its height on
+    the up axis, file units; ``root_scale``: scale of the root's movement onto the general skeleton;
+    ``speed``: mean speed over the floor, m/s; ``travel``: x and y from the first frame to the last;
+    ``heading_deg``: mean heading, or None without a common one. Both are relative to the rest pose facing +x,
+    with y to its left.
 
     ``jumps``: frame to which the person jumps, and distance in metres. ``warnings``: of the reader and of the
     checks.
@@ -253,7 +254,7 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
     return {
         "table": match.table,
         "found_by": match.by,
-        "confidence": match.confidence,
+        "confidence": min(match.confidence, frame.confidence),
         "missing_bones": list(match.missing),
         "roles": {role: motion.joint_names[joint] for role, joint in match.roles.items()},
         "up": frame.up,

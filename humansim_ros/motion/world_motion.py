@@ -446,7 +446,7 @@ _MOST = 0.5
 
 def playing_warnings(world: WorldMotion) -> list[str]:
     """What the user of a scene must know of a motion: a low confidence, rest frames and jumps."""
-    warnings = [] if world.match.warning is None else [world.match.warning]
+    warnings = [each for each in (world.match.warning, world.frame.warning) if each is not None]
     jumps = list(world.jumps)
     frame_time = world.motion.frame_time
     if rest := leading_rest(world.motion, jumps):

@@ -115,6 +115,7 @@ def running(*command: str) -> Iterator[None]:
         end_process(process)
 
 
+@pytest.mark.nightly
 def test_a_tracker_is_measured_and_a_camera_is_moved(tmp_path: Path) -> None:
     import ros_support  # noqa: F401  # own ROS domain; skips without ROS
 

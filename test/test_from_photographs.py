@@ -107,6 +107,7 @@ def keep_picture(path: Path, name: str) -> None:
 @pytest.mark.gl
 @pytest.mark.process
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sequence_becomes_a_motion(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, frames=5, keypoints="halpe26", noise=1.0, images=False, cameras=3)
     studio.path.rename(tmp_path / "walk_views.yaml")

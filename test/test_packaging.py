@@ -509,6 +509,7 @@ def test_launch_file_starts_the_processes_of_the_scene(
     assert not [node for node in others if node.executable == "evaluator"]
 
 
+@pytest.mark.nightly
 def test_interfaces_that_cannot_be_built_say_why_and_leave_nothing(tmp_path: Path) -> None:
     """Without the wheels of their generators, tests that need them are skipped with this text."""
     no_network = {
@@ -629,9 +630,10 @@ def test_pip_install_works(wheel: Path, tmp_path: Path) -> None:
     "options",
     [
         pytest.param([], id="copied"),
-        pytest.param(["--symlink-install"], id="symlinked", marks=pytest.mark.nightly),
+        pytest.param(["--symlink-install"], id="symlinked"),
     ],
 )
+@pytest.mark.nightly
 def test_colcon_build_works(tmp_path: Path, options: list[str]) -> None:
     pytest.importorskip("colcon_core", reason="pip install colcon-common-extensions")
     sources = copy_sources(tmp_path / "src" / "humansim_ros")

@@ -173,6 +173,7 @@ with Simulation(Scene.load(), channels=("rgb", "depth")) as simulation:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_type_checkers_see_an_editable_installation(tmp_path: Path) -> None:
     pytest.importorskip("mypy", reason="a type checker")
     sources = copy_sources(tmp_path / "sources")

@@ -91,6 +91,7 @@ def test_the_page_of_scene_keys_has_every_section_of_the_schema(reference_pages:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_builds_without_a_warning_and_fetches_nothing_from_elsewhere(tmp_path: Path) -> None:
     for module in ("mkdocs", "material", "mkdocstrings"):
         pytest.importorskip(module, reason=f"{module} is not installed: pip install '.[docs]'")

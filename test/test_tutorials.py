@@ -14,7 +14,7 @@ from test_documented_commands import TUTORIALS, run_as_printed
 from waiting import PATIENCE
 
 PAGES = [page for page in TUTORIALS if page.stem != "index"]
-SHORT = [page for page in PAGES if page.stem != "overnight_data_set"]
+SHORT = [page for page in PAGES if page.stem in ("test_my_tracker", "sensor_effect")]
 
 
 def tool() -> ModuleType:

@@ -103,6 +103,7 @@ def test_ctrl_c_finishes_the_bag_and_says_how_to_go_on(
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_death_of_a_worker_ends_the_recording_with_whole_frames(
     scene: Path, whole: dict[str, str], tmp_path: Path
 ) -> None:
@@ -178,6 +179,7 @@ def test_another_recording_is_not_continued(scene: Path, tmp_path: Path) -> None
     assert hashes(bag)["_0.mcap"] == before["_0.mcap"]
 
 
+@pytest.mark.nightly
 def test_nothing_of_the_memory_of_workers_has_a_name(scene: Path, tmp_path: Path) -> None:
     before = {path.name for path in Path("/dev/shm").iterdir()}
     process = start(scene, tmp_path / "bag", "--frames", 100_000, "--jobs", 2)

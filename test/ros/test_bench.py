@@ -81,6 +81,7 @@ def test_channels_are_topics_of_all_cameras(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_bench_measures_a_scene(tmp_path: Path) -> None:
     result = subprocess.run(
         [

@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from chessboard import (
     BARREL,
     COLUMNS,
@@ -54,6 +55,7 @@ def obj(quads: NDArray[np.floating]) -> str:
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.nightly
 def test_image_raw_calibrates_to_its_camera_info(tmp_path: Path, ros: None) -> None:
     """A camera node with a region of interest, binning and noise, and a moving board."""
     from rclpy.parameter import Parameter

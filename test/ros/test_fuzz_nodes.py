@@ -31,8 +31,9 @@ def stage(ros: None) -> Iterator[Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count"),
-    [(NODES[0], 100), *(pytest.param(name, 100, marks=pytest.mark.nightly) for name in NODES[1:])],
+    [(name, 100) for name in NODES],
 )
+@pytest.mark.nightly
 def test_hostile_messages_do_no_harm(
     stage: Any, name: str, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -46,6 +47,7 @@ def test_hostile_messages_do_no_harm(
     assert 0 < sum(endpoint.refused for endpoint in endpoints) < 0.9 * count
 
 
+@pytest.mark.nightly
 def test_every_node_and_all_its_subscriptions_and_services_are_fuzzed(stage: Any) -> None:
     assert set(stage.nodes) == {*NODES}
     topics = {endpoint.topic for name in NODES for endpoint in stage.endpoints(name)}

@@ -393,7 +393,8 @@ def test_frames_of_realtime_are_those_of_simulation(ros: None, everything: Path,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs_of_runs", [(2,), pytest.param((1, 4, 4), marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("jobs_of_runs", [(2,), (1, 4, 4)])
+@pytest.mark.nightly
 def test_recordings_are_what_simulation_shows(
     everything: Path,
     expected: field_hashes.Hashes,

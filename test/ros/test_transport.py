@@ -180,7 +180,8 @@ def may_mount() -> bool:
 
 
 @pytest.mark.skipif(not may_mount(), reason="a /dev/shm of its own needs the right to mount (root)")
-@pytest.mark.parametrize("size", [pytest.param("64m", marks=pytest.mark.nightly), "16m"])
+@pytest.mark.parametrize("size", ["64m", "16m"])
+@pytest.mark.nightly
 def test_no_image_is_lost_with_a_small_dev_shm(tmp_path: Path, size: str) -> None:
     """Docker gives 64 MB; with segments of 67 MB, the transport has none and loses most images."""
     (tmp_path / "publisher.py").write_text(PUBLISHER)

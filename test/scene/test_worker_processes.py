@@ -27,7 +27,7 @@ SCENE = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("threads", ["2", "0"])
+@pytest.mark.parametrize("threads", ["2", pytest.param("0", marks=pytest.mark.nightly)])
 def test_a_simulation_in_a_forked_process_works_or_says_why_not(threads: str) -> None:
     """It works if the driver has no threads, which fork does not copy."""
     renderer_or_skip().close()

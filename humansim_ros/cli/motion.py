@@ -31,6 +31,7 @@ from humansim_ros.cli.output import (
 )
 from humansim_ros.errors import HumansimError, MotionError, some_of
 from humansim_ros.io.assets import resource_path
+from humansim_ros.io.motion_formats import MOTION_TITLES
 
 if TYPE_CHECKING:
     from humansim_ros.motion import Motion
@@ -64,7 +65,7 @@ class ViewpointChoice(Enum):
 MotionArgument = Annotated[
     str,
     typer.Argument(
-        help="Motion file (BVH), or a built-in motion (`humansim motion list`).",
+        help=f"Motion file ({MOTION_TITLES}), or a built-in motion (`humansim motion list`).",
         autocompletion=completed_motions,
     ),
 ]

@@ -3,56 +3,151 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+import warnings
+import zipfile
+import zlib
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 
-from humansim_ros.errors import HumansimError, MotionError
+from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of
 from humansim_ros.io.assets import find_asset
+from humansim_ros.io.files import open_file, size_text, temporary_folder
+from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.kinematics import Motion
 
-#: Files that have animations of glTF; FBX files are converted to glTF.
-_GLTF = (".gltf", ".glb", ".vrm", ".fbx")
+#: Greatest size of an archive and of a file in it, and most files of an archive.
+_MAX_ARCHIVE, _MAX_MEMBER, _MAX_MEMBERS = 1 << 30, 1 << 28, 10_000
+#: Formats of files in archives: those that consist of text.
+_IN_ARCHIVES = ("bvh", "acclaim")
 
 
 def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:
-    """Path of a built-in motion or of a file, with the animation of a glTF file (``figure.glb#Walk``).
+    """Path of a built-in motion or of a file, with the part that the name chooses (``figure.glb#Walk``).
 
     ``folder``: folder that relative paths start from; the current folder if None. Raises ``error``.
     """
-    file, animation = split_name(name)
+    file, part = split_motion_name(name)
     path = find_asset(file, "motions", folder, error)
-    return str(path) if animation is None else f"{path}#{animation}"
+    return str(path) if part is None else f"{path}#{part}"
 
 
 def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a motion: a built-in (``walk``), a BVH file, or an animation of a glTF or FBX file.
+    """Read a motion: a built-in (``walk``), or a file of one of the formats in docs/motion.md.
 
-    ``path``: name or file, such as ``figure.glb#Walk``; without ``#`` the first animation.
+    ``path``: name or file. A name after ``#`` chooses a part of the file: the animation of a glTF file
+    (``figure.glb#Walk``; else the first), the skeleton of an AMC file (``07_01.amc#07.asf``), the file of an
+    archive (``all.zip#walk.bvh``, or ``all.zip/walk.bvh``).
     ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.
 
     Raises:
-        MotionError: The file is not valid, or has no such animation.
+        MotionError: The file is not valid, or has no such part.
 
     Example:
         >>> from humansim_ros import read_motion
         >>> round(read_motion("run").duration, 2)
         1.4
     """
-    file, animation = split_name(path)
+    file, part = split_motion_name(path)
     if not Path(file).suffix:
         file = str(find_asset(file, "motions", error=MotionError))
-    if Path(file).suffix.lower() in _GLTF:
-        # imported on use: it takes as long as all other imports together
+    known = motion_format(file)
+    name = "bvh" if known is None else known.name
+    if name == "zip":
+        return _read_archive(Path(file), part, positions)
+    # imported on use: most motions are BVH files
+    if name in ("gltf", "fbx"):
         from humansim_ros.motion.gltf_motion import read_gltf_motion
 
-        return read_gltf_motion(file, animation)
+        return read_gltf_motion(file, part)
+    if name == "acclaim":
+        from humansim_ros.motion.acclaim import read_acclaim
+
+        return read_acclaim(file, part)
     return read_bvh(file, positions)
 
 
-def split_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
-    """File and animation of a name such as ``figure.glb#Walk``; None without an animation."""
-    text = os.fspath(name)
-    file, mark, animation = text.rpartition("#")
-    if mark and Path(file).suffix.lower() in _GLTF:
-        return file, animation
-    return text, None
+def _read_archive(path: Path, member: str | None, positions: PositionChannels) -> Motion:
+    """Motion of a file in a ZIP archive, which is unpacked under a name of its own.
+
+    ``member``: name of the file; the only motion of the archive if None.
+    """
+    with temporary_folder() as folder:
+        with open_file(path, MotionError, "ZIP archive", _MAX_ARCHIVE) as stream:
+            try:
+                with zipfile.ZipFile(stream) as archive:
+                    chosen = _choose(path, archive, member)
+                    unpacked = _unpack(path, archive, chosen, folder / "motion")
+                    for skeleton in _skeletons(archive, chosen):
+                        _unpack(path, archive, skeleton, folder / "motion")
+            except (
+                *(ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
+                *(NotImplementedError, RuntimeError),  # unknown compression; an encrypted member
+            ) as reason:
+                raise MotionError(f"not a ZIP archive that can be read: {reason}", path=path) from None
+        shown = f"{path}/{chosen.filename}"
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                motion = read_motion(unpacked, positions)
+        except HumansimError as error:
+            message = error.message.replace(f"{folder}/motion/", "")
+            raise MotionError(message, path=shown, line=error.line, key=error.key) from None
+    for warning in caught:
+        text = str(warning.message).replace(str(unpacked), shown).replace(f"{folder}/motion/", "")
+        warnings.warn(text, warning.category, stacklevel=3)
+    return replace(motion, path=shown)
+
+
+def _choose(path: Path, archive: zipfile.ZipFile, member: str | None) -> zipfile.ZipInfo:
+    entries = [entry for entry in archive.infolist() if not entry.is_dir()]
+    if len(entries) > _MAX_MEMBERS:
+        raise MotionError(f"{len(entries)} files are too many for an archive of motions", path=path)
+    motions = [entry for entry in entries if _is_motion(entry.filename)]
+    names = [entry.filename for entry in motions]
+    if not motions:
+        there = f"it has {some_of(repr(entry.filename) for entry in entries)}" if entries else "it is empty"
+        raise MotionError(f"no motion in the archive ({MOTION_TITLES}); {there}", path=path)
+    if member is None:
+        if len(motions) > 1:
+            raise MotionError(
+                f"the archive has {len(motions)} motions: name one, such as {path.name}/{names[0]}; "
+                f"they are {some_of(names)}",
+                path=path,
+            )
+        return motions[0]
+    found = next((entry for entry in motions if entry.filename == member), None)
+    if found is None:
+        raise MotionError(
+            f"no motion {member!r} in the archive{did_you_mean(member, names)}; there are {some_of(names)}",
+            path=path,
+        )
+    return found
+
+
+def _is_motion(name: str) -> bool:
+    known, path = motion_format(name), PurePosixPath(name)
+    hidden = "__MACOSX" in path.parts or path.name.startswith(".")
+    return known is not None and known.name in _IN_ARCHIVES and path.suffix.lower() != ".asf" and not hidden
+
+
+def _skeletons(archive: zipfile.ZipFile, motion: zipfile.ZipInfo) -> list[zipfile.ZipInfo]:
+    """Skeleton files in the folder of an AMC file."""
+    own = PurePosixPath(motion.filename)
+    if own.suffix.lower() != ".amc":
+        return []
+    entries = [(entry, PurePosixPath(entry.filename)) for entry in archive.infolist()]
+    return [e for e, name in entries if name.suffix.lower() == ".asf" and name.parent == own.parent][:100]
+
+
+def _unpack(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> Path:
+    """Unpack a file under the last part of its name, in a folder of its own: no name leads elsewhere."""
+    with archive.open(entry) as member:
+        content = member.read(_MAX_MEMBER + 1)
+    if len(content) > _MAX_MEMBER:
+        raise MotionError(f"{entry.filename!r} unpacks to more than {size_text(_MAX_MEMBER)}", path=path)
+    folder.mkdir(exist_ok=True)
+    name = PurePosixPath(entry.filename.replace("\\", "/")).name
+    target = folder / (name if len(name.encode()) < 200 else f"motion{PurePosixPath(name).suffix}")
+    target.write_bytes(content)
+    return target

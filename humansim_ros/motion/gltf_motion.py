@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -13,12 +12,10 @@ from humansim_ros.errors import MotionError, located, warn_about
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
-from humansim_ros.motion.kinematics import Motion
+from humansim_ros.motion.kinematics import Motion, motion_of_rotations
 from humansim_ros.rotations import rotate
 from humansim_ros.types import Array
 
-#: Order of the rotation channels.
-_ORDER = "ZXY"
 #: Lowest frame rate, and the rate where keys are not evenly spaced, per second.
 _RATE = 60.0
 #: Most frames of an animation, and frames in a batch.
@@ -109,23 +106,12 @@ def _to_motion(
     offsets = bound - np.where(roots[:, None], 0.0, bound[parents])
     extent = float(np.ptp(bound, axis=0).max())
     moves = roots | (np.abs(shifts - offsets).max(axis=(0, 2)) > _MIN_TRANSLATION * extent)
-    channels, values = [], []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # gimbal lock: any of the angles will do
-        for joint in range(len(parents)):
-            names = tuple(f"{axis}rotation" for axis in _ORDER)
-            angles = Rotation.from_matrix(local[:, joint]).as_euler(_ORDER, degrees=True)
-            if moves[joint]:
-                names = ("Xposition", "Yposition", "Zposition", *names)
-                values.append(shifts[:, joint])
-            channels.append(names)
-            values.append(angles)
-    return Motion(
+    return motion_of_rotations(
         skeleton.names,
         parents,
         offsets,
-        tuple(channels),
-        np.concatenate(values, axis=1),
+        local,
+        {int(joint): shifts[:, joint] for joint in np.flatnonzero(moves)},
         frame_time,
         str(gltf.path),
         unit=1.0,

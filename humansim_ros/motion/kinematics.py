@@ -6,7 +6,8 @@ order of its channels, on column vectors. The translation is outermost, wherever
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -177,6 +178,52 @@ class Motion(Pictured):
     def rest_positions(self) -> Array:
         """Joint positions (J, 3) with zero rotations and joints at their OFFSETs, in file units and axes."""
         return self._world(self.offsets, np.broadcast_to(np.eye(3), (self.n_joints, 3, 3)))[1]
+
+
+#: Order of the rotation channels of motions that are made from rotations.
+_ORDER = "ZXY"
+
+
+def motion_of_rotations(
+    names: Sequence[str],
+    parents: Indices,
+    offsets: Array,
+    rotations: Array,
+    positions: Mapping[int, Array],
+    frame_time: float,
+    path: str = "",
+    unit: float | None = None,
+) -> Motion:
+    """A motion from rotations.
+
+    Args:
+        names: J names, parents before children.
+        parents: (J,) index of the parent, -1 for a root.
+        offsets: (J, 3) OFFSETs.
+        rotations: (F, R, 3, 3) rotation of the first R joints in their parents. Others are end sites.
+        positions: Joint -> (F, 3) positions in its parent, for joints with position channels.
+        frame_time: Seconds from frame to frame.
+        path: File of the motion.
+        unit: Metres per unit, where known.
+    """
+    # imported on use: it takes as long as all other imports of this module
+    from scipy.spatial.transform import Rotation
+
+    channels: list[tuple[str, ...]] = []
+    values: list[Array] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # gimbal lock: any of the angles will do
+        for joint in range(len(names)):
+            own: tuple[str, ...] = ()
+            if joint in positions:
+                own = CHANNEL_NAMES[:3]
+                values.append(positions[joint])
+            if joint < rotations.shape[1]:
+                own += tuple(f"{axis}rotation" for axis in _ORDER)
+                values.append(Rotation.from_matrix(rotations[:, joint]).as_euler(_ORDER, degrees=True))
+            channels.append(own)
+    table = np.concatenate(values, axis=1)
+    return Motion(tuple(names), parents, offsets, tuple(channels), table, frame_time, path, unit=unit)
 
 
 def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:

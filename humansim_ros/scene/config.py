@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field, StringConstraints, model_validator
 
 from humansim_ros.errors import MAX_FRAMES, SceneError
+from humansim_ros.io.motion_formats import MOTION_TITLES
 from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection
 from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
@@ -65,7 +66,8 @@ class MotionConfig(ShortSection):
 
     file: FileName = Field(
         default="walk",
-        description="name of a built-in motion, or a BVH or glTF file; live: joints from another ROS node",
+        description=f"name of a built-in motion, or a file ({MOTION_TITLES}); live: joints from another ROS "
+        "node",
     )
     joint_names: FileName | None = Field(
         default=None, description="name of a built-in joint table, or a YAML file; detected if absent"

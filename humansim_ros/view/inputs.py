@@ -16,6 +16,7 @@ from humansim_ros.evaluate.readers.estimates import is_bag
 from humansim_ros.humans import Human, load_human
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import exists, missing_file
+from humansim_ros.io.motion_formats import motion_format
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
@@ -136,7 +137,7 @@ def _maker(what: Path) -> Callable[[], ViewSource]:
         ("calibration", lambda: _cameras(what)),
     )
     suffix = what.suffix.lower()
-    if suffix == ".bvh":
+    if (known := motion_format(what)) is not None and not known.also:
         return attempts[0][1]
     if suffix == ".npz":
         return attempts[1][1]

@@ -16,8 +16,9 @@ from rclpy.parameter import Parameter
 from humansim_ros.errors import HumansimError, MotionError, RosError, warn_about
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.io.files import expand_user, size_text
+from humansim_ros.io.motion_formats import MOTION_TITLES, split_motion_name
 from humansim_ros.motion.bvh import PositionChannels
-from humansim_ros.motion.files import find_motion, split_name
+from humansim_ros.motion.files import find_motion
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.scene.config import LIVE, MotionConfig
@@ -53,7 +54,8 @@ _SETTINGS = {
         "file",
         Parameter.Type.STRING,
         "motion; setting it reads the file, even the same one again",
-        constraints="built-in motion, or BVH or glTF file below the folder of the scene or motion_folders",
+        constraints=f"built-in motion, or file ({MOTION_TITLES}) below the folder of the scene or "
+        "motion_folders",
     ),
     "loop": _Setting(
         "loop",
@@ -216,13 +218,13 @@ class RequestedMotions(SceneSource):
         """
         if name == LIVE or name in built_in_names("motions") or name in self.objects:
             return super().motion(name, positions)
-        file, animation = split_name(name)
+        file, part = split_motion_name(name)
         if name not in self.named:
             path = str(self._checked(file))
             # a missing file of the folders is an error for the peer; of its path only the resolved one, as
             # the folders on the way of another are not those that requests may name
             find_motion(path if "/" in file else file, self.folder)
-            name = path if animation is None else f"{path}#{animation}"
+            name = path if part is None else f"{path}#{part}"
         try:
             return super().motion(name, positions)
         except HumansimError as error:

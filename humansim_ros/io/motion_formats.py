@@ -1,0 +1,71 @@
+"""Table of the motion formats that are read: the one place for their names, suffixes and parts."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class MotionFormat:
+    """A format of motion files.
+
+    Attributes:
+        name: Short name, by which readers are found.
+        title: Name for people.
+        suffixes: Lower-case suffixes of its files.
+        part: What a name after ``#`` chooses in a file, such as ``animation``; empty if nothing.
+        also: What else files of these suffixes may be, such as ``human``; empty if nothing.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    part: str = ""
+    also: str = ""
+
+
+#: All formats. A file with another suffix is read as BVH.
+MOTION_FORMATS = (
+    MotionFormat("bvh", "BVH", (".bvh",)),
+    MotionFormat("acclaim", "ASF/AMC", (".amc", ".asf"), "skeleton file"),
+    MotionFormat("zip", "BVH in ZIP", (".zip",), "file in the archive"),
+    MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),
+    MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
+)
+#: Suffixes of all formats.
+MOTION_SUFFIXES = tuple(suffix for known in MOTION_FORMATS for suffix in known.suffixes)
+#: Names of all formats, for messages and help.
+MOTION_TITLES = ", ".join(known.title for known in MOTION_FORMATS)
+
+
+def motion_format(file: str | os.PathLike[str]) -> MotionFormat | None:
+    """Format of a file by its suffix; None for other suffixes."""
+    suffix = Path(file).suffix.lower()
+    return next((known for known in MOTION_FORMATS if suffix in known.suffixes), None)
+
+
+def split_motion_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
+    """File and part of a name such as ``figure.glb#Walk`` or ``all.zip/walk.bvh``; None without a part."""
+    text = os.fspath(name)
+    file, mark, part = text.rpartition("#")
+    known = motion_format(file) if mark else None
+    if known is not None and known.part:
+        return file, part
+    folder, mark, member = _split_archive(text)
+    return (folder, member) if mark else (text, None)
+
+
+def _split_archive(text: str) -> tuple[str, str, str]:
+    """File, slash and member of ``all.zip/walk.bvh``; no slash if there is no archive on the way."""
+    start = 0
+    while (end := text.lower().find(".zip/", start)) >= 0:
+        file = text[: end + 4]
+        try:
+            if not Path(file).is_dir():
+                return file, "/", text[end + 5 :]
+        except (OSError, ValueError):  # an impossible name
+            pass
+        start = end + 5
+    return text, "", ""

@@ -53,7 +53,10 @@ def test_a_folder_may_be_called_like_an_archive(tmp_path: Path) -> None:
 
 def test_a_scene_plays_a_motion_of_an_archive(tmp_path: Path) -> None:
     archive(tmp_path / "all.zip", {"walk.bvh": BVH})
-    (tmp_path / "scene.yaml").write_text("humans: {anna: {motion: all.zip/walk.bvh}}\n")
+    (tmp_path / "scene.yaml").write_text(
+        "humans: {anna: {motion: all.zip/walk.bvh}}\n"
+        "cameras: {c: {size: [64, 48], position: [3, 0, 1], look_at: [0, 0, 1], fov_deg: 60}}\n"
+    )
     assert Scene.load(tmp_path / "scene.yaml").actors["anna"].at(0.1).vertices.shape[1] == 3
 
 

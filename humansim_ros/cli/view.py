@@ -24,7 +24,8 @@ def view(
     what: Annotated[
         Path | None,
         typer.Argument(
-            help="Scene, bag, motion, human, calibration or views file; the demo scene if absent.",
+            help="Scene, bag, motion, human, calibration or views file; the demo scene if absent. "
+            "A folder: its scene, or a new one.",
             metavar="[PATH]",
         ),
     ] = None,
@@ -34,6 +35,9 @@ def view(
             metavar="PORT", help="Port on this machine; the next free one if it is in use.", min=0, max=65535
         ),
     ] = 8080,
+    new: Annotated[
+        bool, typer.Option("--new", help="Begin an empty scene, in the folder PATH or the current one.")
+    ] = False,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
     ros: Annotated[
         bool, typer.Option("--ros", help="Show the ROS graph that runs, whoever publishes.")
@@ -65,7 +69,7 @@ def view(
         ) from None
     from humansim_ros.evaluate.evaluation import DEFAULT_GATE
     from humansim_ros.evaluate.live import LiveOptions
-    from humansim_ros.view.inputs import TopicOptions, open_graph, open_source
+    from humansim_ros.view.inputs import TopicOptions, new_scene, open_graph, open_source
 
     topics = None
     if estimate is not None or keypoints is not None or body or scale != 1 or axes is not None:
@@ -75,7 +79,12 @@ def view(
         raise HumansimError("a graph is shown, or a file: leave out one of --ros and the path", key="--ros")
     if namespace and not ros:
         raise HumansimError("is for graphs: give --ros as well", key="--namespace")
-    opened = open_graph(topics, namespace) if ros else open_source(what, topics)
+    if new and (ros or topics is not None):
+        raise HumansimError("a new scene has no topics: leave out --ros and options of topics", key="--new")
+    if new:
+        opened = new_scene(what or Path.cwd())
+    else:
+        opened = open_graph(topics, namespace) if ros else open_source(what, topics)
     app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem, opened.document)
     try:
         if port not in (0, app.server.port):

@@ -6,13 +6,13 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, printable
 from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.panels.commands import CommandsPanel
@@ -25,7 +25,7 @@ from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.picking import hit_person, person_info
 from humansim_ros.view.scene_file import file_signature
 from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.server import PageServer
+from humansim_ros.view.server import PageServer, size_of_upload
 from humansim_ros.view.source import ViewFrame, ViewSource
 from humansim_ros.view.stage import Options, Stage
 
@@ -102,6 +102,7 @@ class ViewApp:
         self._build()
         self._say_broken(problem)
         if document is not None:
+            self._take_files()
             self.editor = EditorPanel(self, document)
             self.commands = CommandsPanel(self, document)
 
@@ -223,6 +224,19 @@ class ViewApp:
         """Show a notification in all browsers."""
         for client in self.server.viser.get_clients().values():
             client.add_notification(title=title, body=text, auto_close_seconds=8.0)
+
+    def _take_files(self) -> None:
+        """Let browsers send files; a file that is refused is told."""
+        self.server.add_script("uploads.js")
+
+        def refused(reason: str) -> None:
+            self.post(lambda: self.notify("Not taken", reason))
+
+        def asked(query: Mapping[str, str]) -> None:
+            refused(f"{printable(query.get('name', 'this file'), 60)}: {size_of_upload(query.get('size'))}")
+
+        self.server.on_refused = refused
+        self.server.on_request("refused", asked)
 
     # --- parts of the loop -------------------------------------------------------------------------------
 

@@ -56,6 +56,8 @@ from humansim_ros.view.scene_keys import (
 SectionName = Literal["humans", "objects", "cameras", "rig"]
 
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
+#: Camera of a scene that has none yet.
+_A_CAMERA = {"position": [3.0, 0.0, 1.8], "look_at": [0, 0, 0.9]}
 #: Height of new cameras, and of the point at which they look, metres.
 _EYE, _CHEST = 1.8, 0.9
 
@@ -112,10 +114,13 @@ class SceneDocument(SceneFile):
         return document
 
     @classmethod
-    def copy_of(cls, path: str | os.PathLike[str]) -> SceneDocument:
-        """A new scene with the text of a file, such as a built-in one; its files are found from there."""
+    def copy_of(cls, path: str | os.PathLike[str], folder: Path | None = None) -> SceneDocument:
+        """A new scene with the text of a file, such as a built-in one.
+
+        ``folder``: where its files are, and are kept; the folder of the file if None.
+        """
         original = cls.load(path)
-        return cls(original.text(), folder=original.folder)
+        return cls(original.text(), folder=folder or original.folder)
 
     # --- the text and its values
 
@@ -366,6 +371,30 @@ class SceneDocument(SceneFile):
             first = faults[0]
             raise SceneError(first.message, path=self.path, line=first.line, key=first.key or None)
         return scene
+
+    @property
+    def lacks_cameras(self) -> bool:
+        """Whether it has no cameras yet: it cannot run, and the page shows what it has."""
+        try:
+            data = self._values()
+        except SceneError:
+            return False
+        return not data.get("cameras") and data.get("rig") is None
+
+    def scene_so_far(self) -> Scene:
+        """The scene; of a scene without cameras, the scene with one that is not in the text.
+
+        Raises:
+            HumansimError: Something else is wrong, too.
+        """
+        if not self.lacks_cameras:
+            return self.scene()
+        with self.source.locating_errors():
+            data = self.data() | {"cameras": {"none": _A_CAMERA}}
+            try:
+                return Scene.from_config(SceneConfig.model_validate(data), self.source)
+            except ValidationError as reason:
+                raise schema_errors(reason, SceneConfig, SceneError)[0] from None
 
     def findings(self) -> list[SceneFault]:
         """Probable mistakes in a scene that loads, as ``humansim check`` finds them; takes about 1 s."""

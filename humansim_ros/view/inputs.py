@@ -10,7 +10,7 @@ from typing import Any
 
 from humansim_ros.camera import Camera, read_calibration
 from humansim_ros.camera.rigs import Optics, ring
-from humansim_ros.errors import HumansimError, PhotographError, SceneError, did_you_mean
+from humansim_ros.errors import HumansimError, PhotographError, SceneError, did_you_mean, some_of
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import is_bag
 from humansim_ros.humans import Human, load_human
@@ -25,6 +25,7 @@ from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.photo_document import PhotoDocument
 from humansim_ros.view.photo_source import PhotoSource
+from humansim_ros.view.scene_file import EMPTY_SCENE
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
 
@@ -32,6 +33,8 @@ from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
 _COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
 _BODY = "adult_woman"
 _MOTION = "walk"
+#: Most YAML files of a folder that may be scenes.
+_MOST_FILES = 50
 #: Sections that only scenes have.
 _SECTIONS = {"humans", "objects", "world", "variety", "randomise", "room", "rate", "rig"}
 
@@ -93,7 +96,9 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         raise HumansimError("only bags and graphs have estimates and bodies: use these options with a bag")
     if what is None:
         demo = resource_path(DEMO_SCENE)
-        return Opened(SceneViewSource(Scene.load(demo)), document=SceneDocument.copy_of(demo))
+        return Opened(SceneViewSource(Scene.load(demo)), document=SceneDocument.copy_of(demo, Path.cwd()))
+    if exists(what) and what.is_dir():
+        return _open_folder(what)
     make = _maker(what)
     if not exists(what):
         return Opened(make())
@@ -104,6 +109,34 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         if what.is_dir():
             raise
         return Opened(EmptySource(what.stem), what, make, str(error), document)
+
+
+def new_scene(folder: Path) -> Opened:
+    """An empty scene in a folder, which is made when the first file is kept there.
+
+    Raises:
+        HumansimError: There is a file of that name.
+    """
+    if exists(folder) and not folder.is_dir():
+        raise HumansimError("a new scene needs a folder, and this is a file", path=folder)
+    document = SceneDocument(EMPTY_SCENE, folder=folder)
+    source = SceneViewSource(document.scene_so_far(), folder.resolve().name or "scene", has_cameras=False)
+    return Opened(source, document=document)
+
+
+def _open_folder(folder: Path) -> Opened:
+    """The only scene in a folder; else the calibration that a folder is; else an empty scene in it."""
+    scenes = [path for path in sorted(folder.glob("*.y*ml"))[:_MOST_FILES] if _is_scene(path)]
+    if len(scenes) == 1:
+        return open_source(scenes[0])
+    if len(scenes) > 1:
+        raise HumansimError(
+            f"has several scenes: give one of {some_of(path.name for path in scenes)}", path=folder
+        )
+    if not _is_calibration(folder):
+        return new_scene(folder)
+    make = _maker(folder)
+    return Opened(make(), folder, make)
 
 
 def open_graph(topics: TopicOptions | None = None, namespace: str = "") -> Opened:

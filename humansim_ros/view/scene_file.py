@@ -26,6 +26,14 @@ cameras:
   camera_1: {size: [640, 480], position: [3.1, 2.8, 2.2], look_at: [0, 0, 0.8], fov_deg: 62}
 """
 
+#: A scene without people and cameras, which the page builds.
+EMPTY_SCENE = """\
+# A new scene: the page of `humansim view` adds people and cameras, or you write them here (docs/scene.md).
+rate: 30
+room:
+  size: [7.0, 6.4, 2.8]
+"""
+
 #: Steps that can be undone.
 MAX_STEPS = 200
 #: Lines from which on two texts are not compared line by line.

@@ -38,6 +38,7 @@ class SceneViewSource(ViewSource):
         scene: The scene.
         title: Title of the page; the name of the scene file if None.
         workers: Number of processes that render; as many as the machine has cores if None.
+        has_cameras: The scene has cameras of its own; else they are not shown.
     """
 
     title: str = ""
@@ -49,10 +50,14 @@ class SceneViewSource(ViewSource):
         scene: Scene,
         title: str | None = None,
         workers: int | None = None,
+        has_cameras: bool = True,
     ) -> None:
         self.scene = scene
         self.title = title or (scene.path.stem if scene.path else "scene")
         self.messages = [] if scene.actors else ["The scene has no people."]
+        if not has_cameras:
+            self.messages.append("The scene has no cameras.")
+        self._has_cameras = has_cameras
         self._playback = Playback(scene)
         self._count = workers
         self._shown = 0
@@ -76,7 +81,7 @@ class SceneViewSource(ViewSource):
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
-        return self.scene.cameras
+        return self.scene.cameras if self._has_cameras else {}
 
     @property
     def period(self) -> int:
@@ -113,6 +118,7 @@ class SceneViewSource(ViewSource):
             cameras={
                 name: camera.camera_at(poses.cameras[name]) if name in poses.cameras else camera.camera
                 for name, camera in self.scene.scene_cameras.items()
+                if name in self.cameras
             },
             images=images.images if images else {},
             image_index=images.request.index if images else None,

@@ -13,6 +13,7 @@ import re
 import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -27,7 +28,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from humansim_ros.errors import HumansimError, printable
-from humansim_ros.io.files import read_bytes, read_text
+from humansim_ros.io.files import read_bytes, read_text, size_text
 
 #: The only address that the page is served on.
 HOST = "127.0.0.1"
@@ -38,9 +39,19 @@ PREFIX = "/humansim/"
 _NAMES = {"127.0.0.1", "localhost", "[::1]", "::1"}
 #: Largest message of a browser, bytes.
 _MOST_BYTES = 1 << 16
-#: Messages of a browser that are taken; all others (uploads, public tunnels …) are dropped.
+#: Bytes of a part of a file, as viser's page cuts it.
+PART = 512 * 1024
+#: Largest file of a browser, and most bytes of files on their way, of all browsers.
+MOST_UPLOAD, _MOST_ON_THE_WAY = 200 << 20, 400 << 20
+#: Largest result that is served, bytes: it is read into memory.
+_MOST_RESULT = 1 << 30
+#: Messages of a browser about files that it sends.
+_UPLOAD = ("FileTransferStartUpload", "FileTransferPart")
+#: Messages of a browser that are taken; all others (public tunnels …) are dropped.
 _TAKEN = {
     "CommandTriggerMessage",
+    "FileTransferPart",
+    "FileTransferStartUpload",
     "GuiButtonHoldMessage",
     "GuiUpdateMessage",
     "SceneNodeClickMessage",
@@ -69,6 +80,8 @@ class PageServer:
     Attributes:
         viser: The server of the page's elements.
         port: Port that it got.
+        on_refused: Called with a sentence for people when a file of a browser is refused.
+        result: Gives the file of a path below ``/humansim/results/``; None: there is none.
 
     Raises:
         HumansimError: No port is free.
@@ -82,6 +95,9 @@ class PageServer:
         self._compressed = b""
         self._streams: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self.on_refused: Callable[[str], None] = lambda reason: None
+        self.result: Callable[[str], Path | None] = lambda name: None
+        self._on_the_way: dict[str, int] = {}
         self._latest: bytes | None = None
         with _LOCK, self._checked_connections(), contextlib.redirect_stdout(io.StringIO()):
             self.viser = viser.ViserServer(host=HOST, port=_free_port(port), label=title, verbose=False)
@@ -179,16 +195,20 @@ class PageServer:
                     await self._stream_to(connection)
                     return
                 receive = connection.recv
+                gate = UploadGate(lambda reason: self.on_refused(reason), self._on_the_way)
 
                 async def receive_checked(*args: Any, **named: Any) -> Any:
-                    while not is_acceptable(data := await receive(*args, **named)):
+                    while not is_acceptable(data := await receive(*args, **named), gate):
                         pass
                     return data
 
                 connection.recv = receive_checked
-                await handler(connection)
+                try:
+                    await handler(connection)
+                finally:
+                    gate.close()
 
-            options |= {"max_size": _MOST_BYTES, "process_request": answer}
+            options |= {"max_size": PART + _MOST_BYTES, "process_request": answer}
             return serve(handle, host, port, **options)
 
         with patch.object(websockets.asyncio.server, "serve", checked):
@@ -208,6 +228,8 @@ class PageServer:
             query = {name: values[0] for name, values in parse_qs(parts.query).items()}
             self.requests[path](query)
             return _response(http.HTTPStatus.NO_CONTENT, "text/plain", b"")
+        if path.startswith(f"{PREFIX}results/"):
+            return _result(self.result(path.removeprefix(f"{PREFIX}results/")))
         file = self.files.get(path)
         if file is not None:
             kind, data = file
@@ -222,20 +244,97 @@ class PageServer:
         return _response(http.HTTPStatus.OK, kind, self._compressed, {"Content-Encoding": "gzip"})
 
 
-def is_acceptable(data: object) -> bool:
-    """Whether a message of a browser is one that its page sends, with values that are in range."""
+def is_acceptable(data: object, gate: UploadGate | None = None) -> bool:
+    """Whether a message of a browser is one that its page sends, with values that are in range.
+
+    ``gate``: judges messages about files; None: they are not taken.
+    """
     if not isinstance(data, bytes):
         return False
     try:
         content = msgspec.msgpack.decode(data)
-        if not isinstance(content, dict) or content.get("type") not in _TAKEN or not _is_plain(content):
+        if not isinstance(content, dict) or content.get("type") not in _TAKEN:
+            return False
+        part = content["type"] == "FileTransferPart"
+        if not part and len(data) > _MOST_BYTES:
+            return False
+        if not _is_plain({key: value for key, value in content.items() if not (part and key == "content")}):
             return False
         if content["type"] == "GuiUpdateMessage" and set(content.get("updates", ())) != {"value"}:
             return False
         _messages.Message.deserialize(data)
+        if content["type"] in _UPLOAD:
+            return gate is not None and gate.takes(content)
     except Exception:  # anything at all may be in it, and viser's own reader raises many kinds of errors
         return False
     return True
+
+
+# --- files of browsers, while they arrive
+
+
+@dataclass
+class UploadGate:
+    """Parts of files of one browser: only parts of a file that was announced, and as many as was said.
+
+    Attributes:
+        refused: Called with a sentence for people.
+        on_the_way: Bytes of the files that are on their way, of all browsers; shared by their gates.
+    """
+
+    refused: Callable[[str], None]
+    on_the_way: dict[str, int]
+    _left: dict[str, set[int]] = field(default_factory=dict)
+
+    def takes(self, message: Mapping[str, Any]) -> bool:
+        """Whether a message about a file may go on to viser."""
+        transfer = str(message.get("transfer_uuid"))
+        if message["type"] == "FileTransferStartUpload":
+            return self._begins(transfer, message)
+        left = self._left.get(transfer)
+        index, content = message.get("part_index"), message.get("content")
+        if left is None or index not in left or not isinstance(content, bytes) or len(content) > PART:
+            return False
+        left.discard(index)
+        if not left:
+            self._end(transfer)
+        return True
+
+    def close(self) -> None:
+        """The browser has gone: its files are not on their way any more."""
+        for transfer in list(self._left):
+            self._end(transfer)
+
+    def _begins(self, transfer: str, message: Mapping[str, Any]) -> bool:
+        size, parts, name = message.get("size_bytes"), message.get("part_count"), message.get("filename")
+        if not (isinstance(size, int) and isinstance(parts, int) and isinstance(name, str)):
+            return False
+        if transfer in self.on_the_way or len(transfer) > 100 or size < 0 or parts != -(-size // PART):
+            return False
+        name = printable(name, 60)
+        if not 0 < size <= MOST_UPLOAD:
+            self.refused(f"{name}: {size_of_upload(size)}")
+            return False
+        if sum(self.on_the_way.values()) + size > _MOST_ON_THE_WAY:
+            self.refused(f"{name}: too many files are on their way: send it again in a moment")
+            return False
+        self._left[transfer] = set(range(parts))
+        self.on_the_way[transfer] = size
+        return True
+
+    def _end(self, transfer: str) -> None:
+        del self._left[transfer]
+        self.on_the_way.pop(transfer, None)
+
+
+def size_of_upload(size: object) -> str:
+    """Why a file of a browser is refused, as far as its size (a number or its text) says it."""
+    try:
+        count = int(str(size)[:20])
+    except ValueError:
+        count = 0
+    most = f"a file has at most {size_text(MOST_UPLOAD)}"
+    return f"{size_text(count)}; {most}" if count > MOST_UPLOAD else "this file is empty"
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -319,6 +418,37 @@ def _response(
         | dict(more or {})
     )
     return Response(status, status.phrase, headers, data)
+
+
+#: MIME types of results that a browser shows; it saves all others.
+_SHOWN = {
+    ".html": "text/html; charset=utf-8",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".txt": "text/plain; charset=utf-8",
+    ".csv": "text/plain; charset=utf-8",
+    ".json": "text/plain; charset=utf-8",
+    ".yaml": "text/plain; charset=utf-8",
+}
+
+
+def _result(path: Path | None) -> Response:
+    """A file that a command has written. Its scripts, as in reports, cannot reach this page."""
+    if path is None:
+        return _response(http.HTTPStatus.NOT_FOUND, "text/plain", b"no such result\n")
+    try:
+        if path.stat().st_size > _MOST_RESULT:
+            text = f"this file is too large for the page; it is {path}\n".encode()
+            return _response(http.HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain; charset=utf-8", text)
+        data = read_bytes(path, HumansimError, "result", _MOST_RESULT) if path.stat().st_size else b""
+    except (HumansimError, OSError):
+        return _response(http.HTTPStatus.NOT_FOUND, "text/plain", b"this result cannot be read\n")
+    kind = _SHOWN.get(path.suffix.lower())
+    more = {"Content-Security-Policy": "sandbox allow-scripts allow-popups"}
+    if kind is None:
+        name = re.sub(r"[^A-Za-z0-9._-]", "_", path.name)
+        more["Content-Disposition"] = f'attachment; filename="{name}"'
+    return _response(http.HTTPStatus.OK, kind or "application/octet-stream", data, more)
 
 
 def _free_port(port: int) -> int:

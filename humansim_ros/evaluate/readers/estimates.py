@@ -28,6 +28,8 @@ _READERS: dict[str, tuple[_Reader, str]] = {
     ".c3d": (read_c3d, "z-up"),
     ".json": (read_json_3d, "z-up"),
 }
+#: Suffixes of files of estimates, besides bags.
+ESTIMATE_SUFFIXES = tuple(_READERS)
 _BAG_SUFFIXES = (".mcap", ".db3")
 #: Stamp and log time that differ by more, nanoseconds, are of different clocks.
 _SAME_CLOCK = 3600 * 10**9

@@ -14,8 +14,10 @@ from humansim_ros.io.yaml_edit import YamlKey, flow
 from humansim_ros.scene.config import LIVE, SceneConfig
 from humansim_ros.scene.objects import BUILT_IN_MESHES
 from humansim_ros.view.document import SceneDocument, SceneFault
+from humansim_ros.view.panels.files import upload_button
 from humansim_ros.view.panels.page import plain_markdown
 from humansim_ros.view.scene_keys import SceneKey, alternatives, find_key
+from humansim_ros.view.uploads import files_in, kind_of_key
 
 #: Changes a key; None removes it.
 KeyChange = Callable[[tuple[YamlKey, ...], Any], None]
@@ -117,7 +119,8 @@ class SectionControls:
         options = {"hint": _hint(found), "order": self._order}
         single = _single(found.annotation)
         optional = type(None) in get_args(found.annotation)
-        names = self._names_for(found)
+        kind = kind_of_key(found.keys)
+        names = self._names_for(found, kind)
         if names:
             handle = gui.add_dropdown(label, (_OFF, *names), **options)
             control = KeyControl(found, handle, folder, self._order, _read_choice, _show_choice, tuple(names))
@@ -138,6 +141,23 @@ class SectionControls:
             handle = gui.add_text(label, "", **options)
             control = KeyControl(found, handle, folder, self._order, _read_text, _show_text)
         self._register(control)
+        if kind is not None:
+            upload_button(
+                gui,
+                self._document,
+                kind,
+                lambda name: self._take_file(control, name),
+                self._post,
+                label=f"Upload {label} …",
+                order=self._order + 0.25,
+            )
+
+    def _take_file(self, control: KeyControl, name: str) -> None:
+        """A user has sent a file for a key."""
+        try:
+            self._change(control.key.keys, name)
+        except HumansimError as error:
+            control.tell(self._gui, error.message)
 
     def _register(self, control: KeyControl) -> None:
         control.show(self._document)
@@ -155,10 +175,12 @@ class SectionControls:
         except HumansimError as error:
             control.tell(self._gui, error.message)
 
-    def _names_for(self, found: SceneKey) -> list[str]:
-        """Names to choose from, with the one of the document if that is another."""
+    def _names_for(self, found: SceneKey, kind: str | None) -> list[str]:
+        """Names to choose from: built-ins, files of a kind, and the value of the document."""
         dotted = ".".join(map(str, found.keys[len(self.keys) :]))
         names = list(self._choices.get(dotted, ()))
+        if kind is not None and all(one is str for one in alternatives(found.annotation)):
+            names += files_in(self._document.folder, kind)
         value = self._document.value(found.keys)
         return [*names, value] if names and isinstance(value, str) and value not in names else names
 

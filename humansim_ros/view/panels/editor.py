@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, cast
 
 import numpy as np
 
 from humansim_ros.drawing.people import StickFigureArtist, strip
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.io.yaml_edit import YamlKey
 from humansim_ros.scene.actor import Actor
 from humansim_ros.types import Array, Image
@@ -69,7 +70,7 @@ class EditorPanel:
             self.keyframes = KeyframeTools(app, document, self.edit)
             self.calibration = CalibrationTools(app, document, self.edit)
             self._command = gui.add_markdown("")
-            path = "" if document.path is None else str(document.path)
+            path = "scene.yaml" if document.path is None else str(document.path)
             self._path = gui.add_text("File", path, hint="scene file (.yaml) to save")
             self._overwrite = gui.add_checkbox("Overwrite", False, visible=False)
             self._save = gui.add_button("Save")
@@ -213,9 +214,11 @@ class EditorPanel:
     def refresh(self) -> None:
         """Show the document: its scene if it is right, its errors if not."""
         faults = self.document.errors()
-        if self.document.version != self._shown and not faults:
-            self._shown = self.document.version
-            self._app.replace_source(self.make_source())
+        if self.document.version != self._shown and (not faults or self.document.lacks_cameras):
+            with suppress(SceneError):  # the status says it
+                source = self.make_source()
+                self._shown = self.document.version
+                self._app.replace_source(source)
         if self.selected not in self.choices():
             self.selected = "scene"
             self._controls = None
@@ -228,7 +231,9 @@ class EditorPanel:
 
     def make_source(self) -> SceneViewSource:
         """The scene of the document for the page. Raises SceneError with the first error."""
-        return SceneViewSource(self.document.scene(), self._app.source.title)
+        scene = self.document.scene_so_far()
+        has_cameras = not self.document.lacks_cameras
+        return SceneViewSource(scene, self._app.source.title, has_cameras=has_cameras)
 
     def stage_made(self) -> None:
         """The 3D scene has been made again, without the gizmo."""

@@ -1,0 +1,136 @@
+"""Files beside the scene: a button that takes a file of the browser, and a choice of the files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.view.document import SceneDocument
+from humansim_ros.view.panels.page import Page
+from humansim_ros.view.uploads import KINDS, files_in, keep_file
+
+#: Runs a function in the thread of the page, which shows its errors.
+Post = Callable[[Callable[[], None]], None]
+
+
+def upload_button(
+    gui: Any,
+    document: SceneDocument,
+    kind: str,
+    take: Callable[[str], None],
+    post: Post,
+    *,
+    label: str | None = None,
+    order: float | None = None,
+) -> Any:
+    """Add a button that keeps a file of the browser beside the scene.
+
+    Args:
+        gui: Elements of the page.
+        document: The scene.
+        kind: Kind of the file, of :data:`humansim_ros.view.uploads.KINDS`.
+        take: Called with the name of the file that was kept, in the thread of the page.
+        post: Runs a function in that thread.
+        label: Text of the button.
+        order: Place of the button in its folder.
+
+    Returns:
+        The button.
+    """
+    wanted = KINDS[kind]
+    button = gui.add_upload_button(
+        label or f"Upload {wanted.name}",
+        hint=f"{wanted.name}: {', '.join(wanted.suffixes)}; it is kept in the folder of the scene",
+        mime_type=",".join(wanted.suffixes),
+        order=order,
+    )
+
+    def uploaded(event: Any) -> None:  # in a thread of the server: to read a large file takes seconds
+        sent = event.target.value
+        event.target._impl.value = type(sent)("", b"")  # its content is not kept in memory
+        if event.client_id is None or not sent.name:
+            return
+        try:
+            name = keep_file(document.folder, sent.name, sent.content, kind).name
+        except HumansimError as error:
+            post(_raise(error))
+        else:
+            post(lambda: take(name))
+
+    button.on_upload(uploaded)
+    return button
+
+
+def _raise(error: HumansimError) -> Callable[[], None]:
+    """A function that raises an error, so that the thread of the page shows it."""
+
+    def fail() -> None:
+        raise error
+
+    return fail
+
+
+class FileChoice:
+    """A list of the files beside the scene, and a button for another one.
+
+    Args:
+        app: The page.
+        document: The scene.
+        label: Label of the list.
+        kind: Kind of the files.
+        chosen: Called with the name of a file when a user chooses or uploads one; empty for none.
+        more: Other choices, such as names of built-ins.
+    """
+
+    NONE = "(none)"
+
+    def __init__(
+        self,
+        app: Page,
+        document: SceneDocument,
+        label: str,
+        kind: str,
+        chosen: Callable[[str], None],
+        more: Sequence[str] = (),
+    ) -> None:
+        self._app, self._document, self._kind, self._chosen = app, document, kind, chosen
+        self._more = tuple(more)
+        self._list = app.gui.add_dropdown(label, self._options())
+        self.button = upload_button(app.gui, document, kind, self.take, app.post)
+        self._list.on_update(self._used)
+
+    @property
+    def value(self) -> str:
+        """Name of the file that is chosen; empty for none."""
+        return "" if self._list.value == self.NONE else str(self._list.value)
+
+    def take(self, name: str) -> None:
+        """Choose a file by its name."""
+        self.refresh(name)
+        self._chosen(name)
+
+    def refresh(self, name: str | None = None) -> None:
+        """Show the files that are there now. ``name``: the file to choose; None: the same as before."""
+        kept = self._list.value if name is None else name or self.NONE
+        options = self._options()
+        if kept not in options:
+            options = (*options, kept)
+        if tuple(self._list.options) != options:
+            self._list.options = options
+        if self._list.value != kept:
+            self._list.value = kept
+
+    def _options(self) -> tuple[str, ...]:
+        return (self.NONE, *self._more, *files_in(self._document.folder, self._kind))
+
+    def _used(self, event: Any) -> None:
+        if event.client_id is not None:
+            self._app.post(lambda: self._chosen(self.value))
+
+
+def relative_name(folder: Path, path: Path) -> str:
+    """Name of a file from the folder of the scene; its whole path if it is elsewhere."""
+    resolved = path.resolve()
+    return str(resolved.relative_to(folder)) if resolved.is_relative_to(folder) else str(resolved)

@@ -57,7 +57,7 @@ class HumansimError(Exception):
                 f":{self.line}" if self.line is not None else "",
             )
         )
-        parts = [part for part in (where, self.key, self.message) if part]
+        parts = [escaped(part) for part in (where, self.key, self.message) if part]
         return ": ".join(parts)
 
     def within(self, section: str) -> HumansimError:
@@ -116,12 +116,24 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
+def escaped(text: str) -> str:
+    """Text with its control characters escaped, such as U+202E, which turns a line around; lines stay.
+
+    Example:
+        >>> escaped("a\u202eb")
+        'a\\u202eb'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
 def printable(text: str, limit: int = 300) -> str:
     """Text of somebody else for a line of a log: shortened, and control characters are escaped.
 
     ``limit``: number of characters that are kept.
     """
-    kept = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:limit])
+    kept = escaped(text[:limit]).replace("\n", "\\n")
     return kept if len(text) <= limit else f"{kept}… ({len(text)} characters)"
 
 
@@ -214,6 +226,6 @@ def show_warnings() -> None:
     def show(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
         if issubclass(category, HumansimWarning) and str(message) not in shown:
             shown.add(str(message))  # the filter "once" is reset when filters change
-            print(f"warning: {message}", file=sys.stderr)
+            print(f"warning: {escaped(str(message))}", file=sys.stderr)
 
     warnings.showwarning = show  # type: ignore[assignment]  # a narrower one is enough here

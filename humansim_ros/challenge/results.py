@@ -10,7 +10,7 @@ from typing import Any, get_args, get_type_hints
 
 from humansim_ros.challenge.suite import BASELINE, STRENGTHS, Suite
 from humansim_ros.errors import ChallengeError
-from humansim_ros.io.files import atomic_path, read_bytes
+from humansim_ros.io.files import atomic_path, read_json
 
 #: Version of the keys of ``results.json``.
 JSON_VERSION = 1
@@ -154,7 +154,7 @@ class Report:
         """
         path = folder / RESULTS if folder.is_dir() else folder
         try:
-            data = json.loads(read_bytes(path, ChallengeError, "results", _MAX_BYTES))
+            data = read_json(path, ChallengeError, "results", _MAX_BYTES)
             if data["version"] != JSON_VERSION:
                 raise ChallengeError(f"version {data['version']} of results is not known", path=path)
             return cls(

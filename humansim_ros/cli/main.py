@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from humansim_ros.cli.options import join_numbers, new_names
 from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text, print_warning
-from humansim_ros.errors import HumansimError, show_warnings
+from humansim_ros.errors import HumansimError, printable, show_warnings
 
 #: Module and function of each command, in the order of the help.
 COMMANDS = {
@@ -124,8 +126,18 @@ def _parser_message(error: Any) -> str:
     )
 
 
+def _unexpected(error: Exception) -> str:
+    """Line about an error that nobody has foreseen: a fault of the program."""
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    where = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in last)
+    return (
+        f"{type(error).__name__}: {printable(str(error))}{where}; this is a fault of humansim: please report "
+        "it with the output of the same command after HUMANSIM_TRACEBACK=1"
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code: 2 for errors of the package, 1 for errors of the system.
+    """Run a command and return its exit code: 2 for errors of the package, 1 for others.
 
     An error is one line on standard error; HUMANSIM_TRACEBACK=1 shows where it came from. A stop signal ends
     a command in order with exit code 128 + its number, and a run of all nodes with 0.
@@ -159,5 +171,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ):  # an error of the command-line parser
             print_error(_parser_message(error))
             return 2
-        raise
+        print_error(f"error: {_unexpected(error)}")
+        return 1
     return result if isinstance(result, int) else 0  # typer.Exit returns its code here

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, escaped
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def report_write_errors(output: Path) -> Iterator[None]:
 
 def print_warning(text: str) -> None:
     """Print a warning to standard error."""
-    print(f"warning: {text}", file=sys.stderr)
+    print(f"warning: {escaped(text)}", file=sys.stderr)
 
 
 def to_json(data: Any) -> str:
@@ -112,7 +112,7 @@ def print_error(text: str) -> None:
     with suppress(OSError):
         if os.environ.get("HUMANSIM_TRACEBACK"):
             traceback.print_exc()
-        print(text, file=sys.stderr)
+        print(escaped(text), file=sys.stderr)
 
 
 @contextmanager

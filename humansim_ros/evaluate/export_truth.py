@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Collection, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +21,7 @@ from humansim_ros.evaluate.truth import FIRST_STAMP
 from humansim_ros.export.coco import CHANNELS, CocoWriter, coco_document, scene_categories
 from humansim_ros.export.plan import INDEX, read_index
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
-from humansim_ros.io.files import read_bytes, read_text
+from humansim_ros.io.files import read_bytes, read_json
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
 from humansim_ros.keypoints import KeypointSet, keypoint_set
 from humansim_ros.scene import Scene, Simulation
@@ -123,9 +122,7 @@ class ExportTruth:
                 key="--truth",
             )
         self._check(_COCO)
-        document: dict[str, Any] = json.loads(
-            read_text(self.folder / _COCO, EvaluationError, "COCO", _MAX_BYTES)
-        )
+        document: dict[str, Any] = read_json(self.folder / _COCO, EvaluationError, "COCO", _MAX_BYTES)
         return document
 
     @cached_property

@@ -261,6 +261,9 @@ class _Comparison:
                 key="--keypoints",
             )
         own = [dict(row) for row in results if KEYS[kind] in row]
+        # pycocotools takes the keys of the first row to be in all
+        partial = {key for key in KEYS.values() if any(key not in row for row in own)}
+        own = [{key: value for key, value in row.items() if key not in partial} for row in own]
         self._coarse = any("category_id" not in row for row in own)
         first = truth.categories[0]["id"]
         for row in own:

@@ -179,6 +179,8 @@ def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:
 
     Nothing is rendered: a joint that is hidden by something counts as one in the image.
     """
+    if not len(evaluation.matches.stamp):  # nobody is matched
+        return evaluation
     counts = camera_counts(scene, evaluation.matches.stamp, evaluation.matches.truth)
     known = np.isfinite(evaluation.errors)
     scores = {

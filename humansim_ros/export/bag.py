@@ -26,6 +26,7 @@ from humansim_ros.errors import BagError, ExportError, HumansimError, some_of, w
 from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.export.source import versions
 from humansim_ros.export.writer import ExportCamera, ExportScene
+from humansim_ros.io.files import parse_json
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import Frames
@@ -158,8 +159,8 @@ class BagSource:
 
 def _parsed(text: str) -> Any:
     try:
-        return json.loads(text)
-    except ValueError:
+        return parse_json(text, ExportError)
+    except ExportError:
         return text
 
 

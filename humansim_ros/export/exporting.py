@@ -31,7 +31,7 @@ from humansim_ros.export.writer import (
     Record,
     frame_name,
 )
-from humansim_ros.io.files import read_text
+from humansim_ros.io.files import read_json
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult, FrameWorker
 from humansim_ros.jobs.ray_cluster import (
     PART_FRAMES,
@@ -141,7 +141,7 @@ class Export:
 
     def _read(self, index: int) -> dict[str, Any]:
         path = self.root / self.record_path(index)
-        content: dict[str, Any] = json.loads(read_text(path, ExportError, "record of a frame", _MAX_RECORD))
+        content: dict[str, Any] = read_json(path, ExportError, "record of a frame", _MAX_RECORD)
         return content
 
 

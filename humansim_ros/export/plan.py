@@ -11,7 +11,7 @@ from humansim_ros import __version__
 from humansim_ros.errors import MAX_FRAMES, ExportError
 from humansim_ros.export.source import ExportSource
 from humansim_ros.export.writer import SHARD_SIZE
-from humansim_ros.io.files import ANY_SIZE, read_text
+from humansim_ros.io.files import ANY_SIZE, read_json
 
 #: File of an export with its plan; when the export is complete, also with all files and their hashes.
 INDEX = "index.json"
@@ -122,10 +122,7 @@ def read_index(folder: Path) -> dict[str, Any]:
     path = folder / INDEX
     if not path.exists():
         raise ExportError("there is no export here", path=path)
-    try:
-        index = json.loads(read_text(path, ExportError, "index", ANY_SIZE))
-    except ValueError:
-        index = None
+    index = read_json(path, ExportError, "index", ANY_SIZE)
     if not isinstance(index, dict) or index.get(_KEY) != _LAYOUT:
         raise ExportError("this is not the index of an export of this version", path=path)
     return index

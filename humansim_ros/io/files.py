@@ -1,18 +1,20 @@
-"""Read files with clear errors, resolve names in files, write atomically, and make temporary folders."""
+"""Read files and JSON with clear errors, resolve names in files, write atomically, make temporary folders."""
 
 from __future__ import annotations
 
 import fcntl
+import json
+import math
 import os
 import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from humansim_ros.errors import HumansimError, did_you_mean, near_names
 
@@ -174,6 +176,114 @@ def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimE
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+#: Most values of a JSON text, each of which needs some fifty bytes of memory, and most nested levels.
+MAX_JSON_VALUES, _MAX_JSON_DEPTH = 100_000_000, 100
+
+
+def parse_json(
+    text: str,
+    error: type[HumansimError],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    kind: str = "valid JSON",
+    most: int = MAX_JSON_VALUES,
+    nan: bool = False,
+    pairs: Callable[[list[tuple[str, Any]]], Any] | None = None,
+) -> Any:
+    """Parse JSON that is not trusted; all JSON of users is parsed here.
+
+    A whole number beyond 64 bits becomes a float, as in JavaScript.
+
+    Args:
+        text: The JSON text.
+        error: Error class to raise.
+        path: File, for messages.
+        kind: What the text should be, for messages.
+        most: Maximum count of values and keys.
+        nan: Accept NaN and Infinity, which are not JSON but common; the caller checks its numbers.
+        pairs: Makes an object from its keys and values; a dict if None.
+
+    Raises:
+        HumansimError: ``error`` with path and line, if the text is no JSON, has too many values or levels,
+            or a number that a float cannot hold.
+
+    Example:
+        >>> parse_json('{"a": [1, 2.5, 100000000000000000000]}', HumansimError)
+        {'a': [1, 2.5, 1e+20]}
+    """
+    try:
+        if sum(text.count(mark) for mark in ",[{") > most:
+            raise ValueError(f"more than {most} values")
+        content = json.loads(
+            text,
+            object_pairs_hook=pairs,
+            parse_int=_json_integer,
+            parse_float=_json_float,
+            parse_constant=float if nan else _no_json_number,
+        )
+        if _is_deep(content):
+            raise RecursionError
+    except json.JSONDecodeError as reason:
+        raise error(f"not {kind}: {reason}", path=path, line=reason.lineno) from None
+    except ValueError as reason:
+        raise error(f"not {kind}: {reason}", path=path) from None
+    except RecursionError:
+        raise error(f"not {kind}: more than {_MAX_JSON_DEPTH} nested levels", path=path) from None
+    return content
+
+
+def read_json(
+    path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int, *, nan: bool = False
+) -> Any:
+    """Content of a JSON file.
+
+    Args:
+        path: File to read.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``points``.
+        most: Maximum size in bytes.
+        nan: Accept NaN and Infinity, as in :func:`parse_json`.
+
+    Raises:
+        HumansimError: ``error``, as for :func:`read_text` and :func:`parse_json`.
+    """
+    return parse_json(read_text(path, error, what, most), error, path, nan=nan)
+
+
+def _json_integer(digits: str) -> int | float:
+    if len(digits) <= 18:
+        return int(digits)
+    number = _json_float(digits) if len(digits) > 20 else int(digits)
+    return number if -(1 << 63) <= number < 1 << 63 else float(number)
+
+
+def _json_float(digits: str) -> float:
+    number = float(digits)
+    if math.isinf(number):
+        shown = digits if len(digits) <= 20 else f"{digits[:10]}… ({len(digits)} characters)"
+        raise ValueError(f"the number {shown} is too large")
+    return number
+
+
+def _no_json_number(name: str) -> None:
+    """Of NaN and infinity, which Python's module accepts."""
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _is_deep(content: Any) -> bool:
+    level = [content] if isinstance(content, (dict, list)) else []
+    for _ in range(_MAX_JSON_DEPTH + 1):
+        level = [
+            child
+            for values in level
+            for child in (values.values() if isinstance(values, dict) else values)
+            if isinstance(child, (dict, list))
+        ]
+        if not level:
+            return False
+    return True
 
 
 def missing_file(path: Path, hint: str = "") -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 import os
 import struct
 import urllib.parse
@@ -24,7 +23,7 @@ from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, located
 from humansim_ros.io.converters import converted_fbx, is_fbx
-from humansim_ros.io.files import read_bytes, resolve_inside
+from humansim_ros.io.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.mesh.gltf_compression import (
@@ -74,12 +73,11 @@ class Gltf:
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
         if b"\0" in text:
             raise MeshError("not a glTF file: its JSON part is not text", path=path)
-        if sum(text.count(mark) for mark in (b",", b"[", b"{")) > _MAX_ITEMS:
-            raise MeshError(f"its JSON part has more than {_MAX_ITEMS} values", path=path)
         try:
-            content = json.loads(text.decode("utf-8-sig"))
-        except (ValueError, RecursionError) as reason:
+            decoded = text.decode("utf-8-sig")
+        except ValueError as reason:
             raise MeshError(f"not a glTF file: {reason}", path=path) from None
+        content = parse_json(decoded, MeshError, path, kind="a glTF file", most=_MAX_ITEMS)
         try:
             document = Document.model_validate(content)
         except ValidationError as reason:

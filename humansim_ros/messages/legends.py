@@ -9,6 +9,7 @@ from typing import Any
 
 from humansim_ros.body import Skeleton
 from humansim_ros.errors import RosError
+from humansim_ros.io.files import parse_json
 from humansim_ros.keypoints import KEYPOINT_SETS
 from humansim_ros.messages.types import String
 from humansim_ros.scene.faults import FaultSchedule
@@ -28,18 +29,10 @@ def live_legend() -> String:
 
 def read_legend(message: String) -> dict[str, Any]:
     """Read a legend. Raises RosError if it is not a JSON object."""
-    try:
-        data = json.loads(message.data, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as reason:
-        raise RosError(f"a legend must be JSON: {reason}") from None
+    data = parse_json(message.data, RosError, kind="the JSON of a legend")
     if not isinstance(data, dict):
         raise RosError("a legend must be a JSON object")
     return data
-
-
-def _refuse_constant(name: str) -> None:
-    """Of NaN and infinity, which Python's module accepts."""
-    raise ValueError(f"{name} is no number of JSON")
 
 
 def instance_legend(labels: Mapping[str, int]) -> String:

@@ -26,7 +26,7 @@ from humansim_ros.errors import (
     located,
     warn_about,
 )
-from humansim_ros.io.files import atomic_path, exists, missing_file, read_bytes, read_text, resolve_relative
+from humansim_ros.io.files import atomic_path, exists, missing_file, read_bytes, read_json, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
 from humansim_ros.io.schema import Axis, Section
 from humansim_ros.io.schema_errors import validated
@@ -60,12 +60,7 @@ def read_points(path: Path, keypoints: KeypointSet, images: Sequence[Path] | Non
         if not files:
             raise PhotographError("no .json file in this folder", path=path)
         return [frame for file in files for frame in read_points(file, keypoints)]
-    text = read_text(path, PhotographError, "points", MAX_BYTES)
-    try:
-        content = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as reason:
-        line = getattr(reason, "lineno", None)
-        raise PhotographError(f"not valid JSON: {reason}", path=path, line=line) from None
+    content = read_json(path, PhotographError, "points", MAX_BYTES, nan=True)
     reader = _PointsReader(path, keypoints)
     if isinstance(content, dict) and "frames" in content:
         return reader.own(content)

@@ -19,6 +19,7 @@ from humansim_ros.bags.metadata import Storage, read_metadata
 from humansim_ros.bags.topics import BagTopic, Qos, described
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, RenderError, near_names
+from humansim_ros.io.files import parse_json
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.jobs.workers import run_frames
 from humansim_ros.messages import ImageCompression
@@ -136,9 +137,9 @@ class RecordingPlan:
         """Read the plan of a bag. Raises BagError if it has none, as a bag of other programs."""
         custom = read_metadata(folder).get("custom_data") or {}
         try:
-            values = json.loads(custom[PLAN])
+            values = parse_json(custom[PLAN], BagError)
             return cls(**{**values, "topics": tuple(values["topics"])})
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, BagError):
             raise BagError(
                 "this bag was not written by `humansim record`: it cannot be continued", path=folder
             ) from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, PhotographError, did_you_mean, printable
-from humansim_ros.io.files import exists, read_text
+from humansim_ros.io.files import exists, read_json
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.person_fit import PersonFit
@@ -410,7 +409,7 @@ def _is_own(file: Path) -> bool:
         return False
     if not exists(file):
         return True
-    content = json.loads(read_text(file, PhotographError, "points", MAX_BYTES))
+    content = read_json(file, PhotographError, "points", MAX_BYTES, nan=True)
     return isinstance(content, dict) and "frames" in content
 
 

@@ -120,6 +120,13 @@ def test_errors_by_the_number_of_cameras(tmp_path: Path) -> None:
     assert camera_counts(scene, truth.times[:1], np.full((1, 2, 3), np.nan)).tolist() == [[0, 0]]
 
 
+def test_a_comparison_that_matches_nobody_has_no_errors_by_cameras(scene: Scene) -> None:
+    truth = scene_truth(scene, (FIRST_STAMP, FIRST_STAMP + 3 * PERIOD))
+    far = changed(truth, lambda frame, person, joints: joints + 100.0)
+    result = with_camera_counts(evaluate_poses(truth, far, offset=0.0), scene)
+    assert result.by_cameras == {} and not len(result.errors)
+
+
 def test_the_set_of_an_estimate_is_found_by_its_names() -> None:
     found = set_of_names(["nose", "left_hip"])
     assert found is not None and found.name == "coco17"

@@ -178,7 +178,11 @@ def test_wrong_exports(run: Run, root: Path) -> None:
     for truth, estimate, message in [
         (broken("open", unfinished), "set/trc", "not finished: continue it with humansim export --resume"),
         (broken("rate", damaged), "set/trc", "index.json: the index is damaged"),
-        (broken("json", lambda f: (f / "index.json").write_text("{")), "set/trc", "not the index"),
+        (
+            broken("json", lambda f: (f / "index.json").write_text("{")),
+            "set/trc",
+            "index.json:1: not valid JSON",
+        ),
         (broken("trc", changed("trc/anna.trc")), "set/trc", "this file has changed since it was exported"),
         (broken("coco", changed("coco/instances.json")), "results.json", "this file has changed"),
         (broken("gone", lambda f: (f / "coco/instances.json").unlink()), "results.json", "no such exported"),
@@ -214,12 +218,34 @@ def test_results_with_mistakes(run: Run, root: Path) -> None:
         ([first | {"segmentation": mask | {"counts": [1, 2]}}], "do not fill the image"),
         ([first | {"segmentation": [[1, 2, 3, 4]]}], "a polygon needs x and y of three points"),
         ([{key: first[key] for key in ("image_id", "category_id", "score")}], "none of keypoints, bbox"),
+        ([first | {"bbox": [0, 0, 1e10, 1]}], "10000000000.0 is no coordinate in an image"),
+        ([first | {"bbox": [10**400, 0, 1, 1]}], "not valid JSON: the number 1000000000… (401 characters)"),
+        ([first | {"score": 10**4000}], "is too large"),
+        ([first | {"image_id": 10**30}], "[0].image_id: a whole number is needed"),
+        ([first | {"segmentation": [[1e10, 0, 1, 1, 2, 5]]}], "[0].segmentation[0]: "),
+        ([first | {"segmentation": [[0, 0, 9e5, 9e5, 0, 9]]}], "longer than 1000000 pixels"),
+        ([first | {"segmentation": mask | {"counts": [0.5] * 2}}], "do not fill the image"),
+        ("[" + "9" * 5000 + "]", "not valid JSON"),
         ("[1, 2", "not valid JSON"),
     ]:
         (root / "wrong.json").write_text(content if isinstance(content, str) else json.dumps(content))
         code, _, text = run("set", "wrong.json")
         assert code == 2 and message in text, text
         assert "wrong.json" in text
+
+
+def test_rows_of_a_file_may_have_different_keys(run: Run, root: Path) -> None:
+    rows = json.loads((root / "results.json").read_text())
+    rows = [row for row in rows if "keypoints" in row and "bbox" in row]
+    with_box, without = rows[0], {key: value for key, value in rows[1].items() if key != "bbox"}
+    (root / "mixed.json").write_text(json.dumps([with_box, without]))
+    code, result, text = run("set", "mixed.json")
+    assert code == 0, text
+    found = {
+        kind: result[kind]["all"]["found"] + result[kind]["all"]["false"]
+        for kind in ("keypoints", "boxes", "masks")
+    }
+    assert found == {"keypoints": 2, "boxes": 1, "masks": 2}
 
 
 def test_masks_as_polygons_and_as_run_lengths(run: Run, root: Path) -> None:

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from humansim_ros.errors import HumansimError, MeshError, MotionError, did_you_mean, located
+from humansim_ros.errors import (
+    HumansimError,
+    MeshError,
+    MotionError,
+    did_you_mean,
+    located,
+    show_warnings,
+    warn_about,
+)
 from humansim_ros.io.assets import find_asset
-from humansim_ros.io.files import missing_file, read_blocks, read_bytes, read_text
+from humansim_ros.io.files import missing_file, parse_json, read_blocks, read_bytes, read_json, read_text
 
 
 def message(path: Path) -> str:
@@ -104,6 +114,63 @@ def test_a_misspelt_built_in_is_recognised(name: str, kind: str, meant: str) -> 
 
 def test_an_unknown_word_that_resembles_nothing_gets_no_suggestion() -> None:
     assert did_you_mean("zzz", ["walk", "run"]) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("[1, -2.5, null]", [1, -2.5, None]),
+        (str(2**63 - 1), 2**63 - 1),
+        (str(-(2**63)), -(2**63)),
+        (str(2**63), 2.0**63),
+        ("1" + 300 * "0", 1e300),
+        ("[" * 99 + "]" * 99, None),
+    ],
+)
+def test_json_is_read_as_it_is_and_great_integers_as_floats(text: str, value: object) -> None:
+    found = parse_json(text, HumansimError)
+    assert value is None or (found == value and type(found) is type(value))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"a":\n 1,}', r"a\.json:2: not valid JSON: "),
+        ("[" * 100_000 + "]" * 100_000, "more than 100 nested levels"),
+        ("[" * 200 + "]" * 200, "more than 100 nested levels"),
+        ('{"a":' * 200 + "1" + "}" * 200, "more than 100 nested levels"),
+        ("9" * 400, r"the number 9999999999… \(400 characters\) is too large"),
+        ("-" + "9" * 5000, "is too large"),
+        ("1e400", "the number 1e400 is too large"),
+        ("[NaN]", "NaN is no number of JSON"),
+        ("-Infinity", "-Infinity is no number of JSON"),
+        ("[" + "1," * 11 + "1]", "more than 10 values"),
+    ],
+)
+def test_json_beyond_the_limits_is_refused(text: str, said: str) -> None:
+    with pytest.raises(HumansimError, match=said):
+        parse_json(text, HumansimError, "a.json", most=10 if "1,1" in text else 1_000_000)
+
+
+def test_json_with_nan_is_read_where_numbers_are_checked(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text('{"a": [NaN, Infinity]}')
+    found = read_json(tmp_path / "a.json", HumansimError, "points", 100, nan=True)
+    assert np.isnan(found["a"][0]) and found["a"][1] == np.inf
+    with pytest.raises(HumansimError, match="too large"):
+        read_json(tmp_path / "a.json", HumansimError, "points", 4)
+
+
+def test_control_characters_are_escaped_in_every_part_of_a_message(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    error = HumansimError("is \x1b[31m\nred", path="a\u202eb.yaml", line=3, key="k\x07")
+    assert str(error) == "a\\u202eb.yaml:3: k\\x07: is \\x1b[31m\nred"
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+        show_warnings()
+        warn_about("a\u202eb.bvh", "odd")
+    assert capsys.readouterr().err == "warning: a\\u202eb.bvh: odd\n"
 
 
 def test_a_file_of_any_size_is_read_part_by_part(tmp_path: Path) -> None:

@@ -204,6 +204,14 @@ def test_points_that_are_no_json_are_refused_with_their_line(tmp_path: Path) -> 
         read_points(path, COCO)
 
 
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_points_with_endless_digits_are_refused(tmp_path: Path, digits: int) -> None:
+    path = tmp_path / "points.json"
+    path.write_text('{"frames": [{"nose": [1, ' + "9" * digits + "]}]}")
+    with pytest.raises(PhotographError, match=rf"\({digits} characters\) is too large"):
+        read_points(path, COCO)
+
+
 def test_a_view_can_name_its_camera(studio: Studio, tmp_path: Path) -> None:
     write_calibration(tmp_path / "rig.toml", {"7": Camera.look_at((3, 0, 1), (0, 0, 1))})
     cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((480, 640, 3), np.uint8))

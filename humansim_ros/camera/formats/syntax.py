@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from itertools import islice
@@ -15,6 +14,7 @@ from defusedxml.common import DefusedXmlException
 
 from humansim_ros.camera.formats.base import CalibrationFile
 from humansim_ros.errors import CameraError
+from humansim_ros.io.files import parse_json
 from humansim_ros.io.yaml import Loader, parse_yaml
 
 if sys.version_info >= (3, 11):
@@ -111,12 +111,7 @@ def _parse_json(path: str, text: str) -> Any:
             raise CameraError("this key is duplicate", path=path, key=duplicate)
         return Matrix(content) if content.get("type_id") == "opencv-matrix" else content
 
-    try:
-        return json.loads(text, object_pairs_hook=unique)
-    except json.JSONDecodeError as reason:
-        raise CameraError(f"not valid JSON: {reason.msg}", path=path, line=reason.lineno) from None
-    except (ValueError, RecursionError) as reason:
-        raise CameraError(f"not valid JSON: {reason}", path=path) from None
+    return parse_json(text, CameraError, path, nan=True, pairs=unique)
 
 
 def _parse_toml(path: str, text: str) -> Any:

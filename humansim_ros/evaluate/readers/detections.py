@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Sequence
@@ -14,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import MAX_COORDINATE, EvaluationError
 from humansim_ros.evaluate.images import KEYS, Detections2D
 from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
 from humansim_ros.evaluate.readers.pose_files import MAX_BYTES, load_json
 from humansim_ros.export.coco import encoded_mask
-from humansim_ros.io.files import open_file, read_bytes, read_text
+from humansim_ros.io.files import open_file, read_bytes, read_json
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.keypoints import KeypointSet
 
@@ -27,6 +26,8 @@ from humansim_ros.keypoints import KeypointSet
 _LOOKED_AT = 200
 #: Bytes of a file in which a list begins.
 _BEGINNING = 64
+#: Longest outline of a polygon in pixels; pycocotools makes five points for each pixel of it.
+_MAX_OUTLINE = 1_000_000
 _Record = dict[str, Any]
 _PERSON = 1
 
@@ -160,12 +161,7 @@ def _read(path: Path, images: ImageNumbers) -> Detections2D:
         )
     if path.is_dir():
         return read_label_images(path, images) if _has_label_images(path) else read_openpose_2d(path, images)
-    text = read_text(path, EvaluationError, "JSON", MAX_BYTES)
-    try:
-        rows = json.loads(text)
-    except (ValueError, RecursionError) as reason:
-        line = getattr(reason, "lineno", None)
-        raise EvaluationError(f"not valid JSON: {reason}", path=path, line=line) from None
+    rows = read_json(path, EvaluationError, "JSON", MAX_BYTES, nan=True)
     return read_coco_results(path, rows, images)
 
 
@@ -222,6 +218,8 @@ def _numbers(values: Any, count: int, path: Path, key: str) -> list[float]:
     for value in values:
         if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
             raise EvaluationError(f"{value!r} is no finite number", path=path, key=key)
+        if abs(value) > MAX_COORDINATE:
+            raise EvaluationError(f"{value!r} is no coordinate in an image", path=path, key=key)
     return [float(value) for value in values]
 
 
@@ -237,7 +235,13 @@ def _mask(value: Any, size: tuple[int, int], path: Path, key: str) -> _Record:
                 raise EvaluationError(
                     "a polygon needs x and y of three points", path=path, key=f"{key}[{number}]"
                 )
-            _numbers(polygon, count, path, f"{key}[{number}]")
+            corners = np.reshape(_numbers(polygon, count, path, f"{key}[{number}]"), (-1, 2))
+            if np.abs(np.diff(corners, axis=0, append=corners[:1])).sum() > _MAX_OUTLINE:
+                raise EvaluationError(
+                    f"the outline of this polygon is longer than {_MAX_OUTLINE} pixels",
+                    path=path,
+                    key=f"{key}[{number}]",
+                )
         return dict(merge(frPyObjects(value, height, width)))
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         given = value.get("size") if isinstance(value, dict) else value
@@ -247,7 +251,8 @@ def _mask(value: Any, size: tuple[int, int], path: Path, key: str) -> _Record:
     counts = value.get("counts")
     try:
         lengths = _run_lengths(counts) if isinstance(counts, str) else list(counts or ())
-        wrong = min(lengths) < 0 or sum(lengths) != width * height
+        whole = all(type(length) is int for length in lengths)
+        wrong = not whole or min(lengths) < 0 or sum(lengths) != width * height
     except (ValueError, TypeError):
         wrong = True
     if wrong:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
 import re
@@ -19,7 +18,7 @@ import numpy as np
 from humansim_ros.errors import EvaluationError, warn_about
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
-from humansim_ros.io.files import open_file, read_text
+from humansim_ros.io.files import open_file, read_json, read_text
 from humansim_ros.types import Array
 
 #: Greatest size of a file of poses: as text, an hour of ten people at 30 Hz.
@@ -296,12 +295,7 @@ def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
 
 def load_json(path: Path) -> dict[str, Any]:
     """Content of a JSON file, a mapping. Raises EvaluationError."""
-    text = read_text(path, EvaluationError, "JSON", MAX_BYTES)
-    try:
-        content = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as reason:
-        line = getattr(reason, "lineno", None)
-        raise EvaluationError(f"not valid JSON: {reason}", path=path, line=line) from None
+    content = read_json(path, EvaluationError, "JSON", MAX_BYTES, nan=True)
     if not isinstance(content, dict):
         raise EvaluationError("a list at the top; 3D poses of Panoptic or OpenPose are a mapping", path=path)
     return content

@@ -5,7 +5,11 @@ The truth is :meth:`StandIn.positions`, the forward kinematics of the generator.
 
 from __future__ import annotations
 
+import json
+import struct
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from motion_files import Array, Rotations, StandIn
@@ -85,3 +89,115 @@ def write_acclaim(
     path = folder / f"{stem}.amc"
     path.write_text("\n".join(rows) + "\n")
     return path
+
+
+#: VRM's name of each role's bone.
+VRM_BONES = {
+    "Hips": "hips",
+    "Spine": "spine",
+    "Chest": "chest",
+    "Neck": "neck",
+    "Head": "head",
+    **{
+        f"{side.title()}{role}": f"{side}{bone}"
+        for side in ("left", "right")
+        for role, bone in (
+            *(("Collar", "Shoulder"), ("Shoulder", "UpperArm"), ("Elbow", "LowerArm"), ("Wrist", "Hand")),
+            *(("Hip", "UpperLeg"), ("Knee", "LowerLeg"), ("Ankle", "Foot"), ("Toe", "Toes")),
+        )
+    },
+}
+
+
+def write_gltf_animation(
+    path: Path,
+    person: StandIn,
+    rotations: Rotations,
+    root: Array | None = None,
+    *,
+    names: Mapping[int, str] | None = None,
+    scale: float = 1.0,
+    seed: int = 1,
+    frame_time: float = 1 / 30,
+    change: Any = None,
+) -> Path:
+    """Write a .glb file without a mesh; its nodes have random axes, and node 0 is above the person.
+
+    ``names``: names of the nodes by joint; those of the person if None. ``scale``: of node 0; the person has
+    the same size. ``change``: called with the JSON part before it is written.
+    """
+    axes = Rotation.random(len(person.names), random_state=seed).as_matrix()
+    local, place = person._frames(rotations, root)
+    turns = np.empty_like(local)
+    for joint, parent in enumerate(person.parents):
+        turns[:, joint] = (turns[:, parent] if parent >= 0 else np.eye(3)) @ local[:, joint]
+    data, views, accessors = bytearray(), [], []
+
+    def accessor(values: Array, kind: str) -> int:
+        packed = np.ascontiguousarray(values, "<f4")
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": packed.nbytes})
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": 5126, "count": len(values), "type": kind}
+        )
+        if kind == "SCALAR":
+            accessors[-1] |= {"min": [float(packed.min())], "max": [float(packed.max())]}
+        data.extend(packed.tobytes())
+        return len(accessors) - 1
+
+    nodes: list[dict[str, Any]] = [{"name": "Armature", "children": [1], "scale": [scale] * 3}]
+    times = accessor(np.arange(len(local)) * frame_time, "SCALAR")
+    channels, samplers = [], []
+    for joint, parent in enumerate(person.parents):
+        above = axes[parent] if parent >= 0 else np.eye(3)
+        node = {
+            "name": person.names[joint] if names is None else names[joint],
+            "translation": (above.T @ person.offsets[joint] * 0.01 / scale).tolist(),
+            "rotation": Rotation.from_matrix(above.T @ axes[joint]).as_quat().tolist(),
+        }
+        below = [child + 1 for child in person.children(joint)]
+        nodes.append(node | ({"children": below} if below else {}))
+        parent_turn = turns[:, parent] @ axes[parent] if parent >= 0 else np.eye(3)
+        own = np.swapaxes(parent_turn, -1, -2) @ turns[:, joint] @ axes[joint]
+        tracks = [("rotation", accessor(Rotation.from_matrix(own).as_quat(), "VEC4"))]
+        if joint == 0:
+            tracks.append(("translation", accessor(place * 0.01 / scale, "VEC3")))
+        for kind, output in tracks:
+            channels.append({"sampler": len(samplers), "target": {"node": joint + 1, "path": kind}})
+            samplers.append({"input": times, "output": output})
+    content = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes,
+        "animations": [{"name": "Walk", "channels": channels, "samplers": samplers}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(data)}],
+    }
+    if change is not None:
+        change(content)
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(data), b"BIN\0") + bytes(data)
+    path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks)
+    return path
+
+
+def write_vrma(
+    path: Path, person: StandIn, rotations: Rotations, root: Array | None = None, change: Any = None
+) -> Path:
+    """Write a VRM animation; only its bone map says what its nodes are. ``change``: of the JSON part."""
+
+    def add_map(content: dict[str, Any]) -> None:
+        bones = {VRM_BONES[role]: {"node": joint + 1} for joint, role in enumerate(person.roles)}
+        content["extensionsUsed"] = ["VRMC_vrm_animation"]
+        content["extensions"] = {
+            "VRMC_vrm_animation": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
+        }
+        content["nodes"].append({"name": "expression"})
+        if change is not None:
+            change(content)
+
+    names = {joint: f"node {joint * 7 % 23}" for joint in range(len(person.names))}
+    return write_gltf_animation(path, person, rotations, root, names=names, change=add_map)

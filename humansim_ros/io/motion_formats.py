@@ -32,6 +32,7 @@ MOTION_FORMATS = (
     MotionFormat("acclaim", "ASF/AMC", (".amc", ".asf"), "skeleton file"),
     MotionFormat("zip", "BVH in ZIP", (".zip",), "file in the archive"),
     MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),
+    MotionFormat("vrma", "VRMA", (".vrma",), "animation"),
     MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
 )
 #: Suffixes of all formats.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.gltf_document import Gltf
+from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.types import Array
 
 #: Most joints whose rotations are compared with each other.
@@ -36,8 +38,40 @@ class GltfSkeleton:
     def of(cls, gltf: Gltf) -> GltfSkeleton | None:
         """Collect the joints of a file; None if nothing in it is skinned."""
         skins = sorted({n.skin for n in gltf.nodes if n.skin is not None and n.mesh is not None})
-        if not skins:
-            return None
+        return cls._of_skins(gltf, skins) if skins else None
+
+    @classmethod
+    def of_animation(cls, gltf: Gltf, animation: Animation) -> GltfSkeleton | None:
+        """Joints that an animation moves, of a file that may have no mesh; None if it moves no joint.
+
+        The human bones of a VRM animation, else the joints of all skins, else the nodes that the animation
+        rotates, what is between them, and their ends. Without skins the rest pose of the nodes counts.
+        """
+        nodes = set(_human_bones(gltf)) if "VRMC_vrm_animation" in gltf.document.extensions else set()
+        if nodes:
+            return cls._of_nodes(gltf, nodes)
+        if (skeleton := cls.of(gltf)) is not None:
+            return skeleton
+        if gltf.document.skins:
+            return cls._of_skins(gltf, list(range(len(gltf.document.skins))))
+        turned = {c.target.node for c in animation.channels if c.target.path == "rotation"}
+        for node in gltf.order.tolist():
+            # a node below a joint is a joint or an end, if it does not only hold a mesh
+            if node in turned or (int(gltf.parents[node]) in nodes and gltf.nodes[node].mesh is None):
+                nodes.add(node)
+        return cls._of_nodes(gltf, nodes) if nodes else None
+
+    @classmethod
+    def _of_nodes(cls, gltf: Gltf, chosen: Collection[int]) -> GltfSkeleton:
+        """Joints at some nodes, in the rest pose of the nodes."""
+        nodes = np.array([n for n in gltf.order if int(n) in chosen], dtype=np.intp)
+        frames = np.array(gltf.at_rest[nodes])
+        if not (np.isfinite(frames).all() and (np.abs(np.linalg.det(frames[:, :3, :3])) > 1e-27).all()):
+            raise MeshError("the transforms of the skeleton are singular", path=gltf.path, key="nodes")
+        return cls(nodes, _names(gltf, nodes), _parents(gltf, nodes), frames, np.eye(4), {})
+
+    @classmethod
+    def _of_skins(cls, gltf: Gltf, skins: Sequence[int]) -> GltfSkeleton:
         bind: dict[int, Array] = {}
         from_skin: dict[int, Array] = {}
         for skin in skins:
@@ -48,13 +82,7 @@ class GltfSkeleton:
             from_skin[skin] = change
             bind.update({joint: change @ matrix for joint, matrix in matrices.items() if joint not in bind})
         nodes = np.array([n for n in gltf.order if int(n) in bind], dtype=np.intp)
-        joint_of_node = {int(node): joint for joint, node in enumerate(nodes)}
-        parents = np.full(len(nodes), -1, dtype=np.intp)
-        for joint, node in enumerate(nodes):
-            above = int(gltf.parents[node])
-            while above >= 0 and above not in joint_of_node:
-                above = int(gltf.parents[above])
-            parents[joint] = joint_of_node[above] if above >= 0 else -1
+        parents = _parents(gltf, nodes)
         frames = np.stack([bind[int(n)] for n in nodes])
         space, scale = _common_space(gltf.at_rest[nodes] @ np.linalg.inv(frames), gltf)
         names = _names(gltf, nodes)
@@ -70,6 +98,18 @@ class GltfSkeleton:
         while node >= 0 and node not in joint_of_node:
             node = int(gltf.parents[node])
         return joint_of_node.get(node)
+
+
+def _parents(gltf: Gltf, nodes: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Nearest joint above each joint (J,), or -1."""
+    joint_of_node = {int(node): joint for joint, node in enumerate(nodes)}
+    parents = np.full(len(nodes), -1, dtype=np.intp)
+    for joint, node in enumerate(nodes):
+        above = int(gltf.parents[node])
+        while above >= 0 and above not in joint_of_node:
+            above = int(gltf.parents[above])
+        parents[joint] = joint_of_node[above] if above >= 0 else -1
+    return parents
 
 
 def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
@@ -114,14 +154,21 @@ def _names(gltf: Gltf, nodes: NDArray[np.intp]) -> tuple[str, ...]:
 
 
 def _human_bones(gltf: Gltf) -> dict[int, str]:
-    """Human bone of each node in the map of a VRM avatar [VRM 0.x, 1.0], such as ``leftUpperArm``."""
+    """Human bone of each node in the map of a VRM avatar or animation, such as ``leftUpperArm``.
+
+    [VRM 0.x, 1.0; VRM animation 1.0]
+    """
     extensions = gltf.document.extensions
-    bones = {name: _member(extensions, name, "humanoid", "humanBones") for name in ("VRMC_vrm", "VRM")}
+    maps = [
+        _member(extensions, name, "humanoid", "humanBones")
+        for name in ("VRMC_vrm_animation", "VRMC_vrm", "VRM")
+    ]
+    bones = next((found for found in maps if isinstance(found, (dict, list))), None)
     pairs: list[tuple[Any, Any]] = []
-    if isinstance(bones["VRMC_vrm"], dict):
-        pairs = [(bone, _member(place, "node")) for bone, place in bones["VRMC_vrm"].items()]
-    elif isinstance(bones["VRM"], list):
-        pairs = [(_member(entry, "bone"), _member(entry, "node")) for entry in bones["VRM"]]
+    if isinstance(bones, dict):
+        pairs = [(bone, _member(place, "node")) for bone, place in bones.items()]
+    elif isinstance(bones, list):
+        pairs = [(_member(entry, "bone"), _member(entry, "node")) for entry in bones]
     named: dict[Any, Any] = {}
     bones_named: set[object] = set()
     for bone, node in pairs:

@@ -28,27 +28,32 @@ _MIN_TRANSLATION = 1e-6
 
 
 def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None) -> Motion:
-    """Read an animation of a .gltf or .glb file, by name or the first, in metres.
+    """Read an animation of a .gltf, .glb, .vrm or .vrma file, by name or the first of a skeleton, in metres.
 
     The rest pose is the pose in which the skin was bound, so that a figure of the same file moves exactly as
-    authored. Evenly spaced keys are frames, with frames between them; other keys are resampled.
+    authored; without a skin, the rest pose of the nodes. Evenly spaced keys are frames, with frames between
+    them; other keys are resampled.
 
     Raises:
         MotionError: The file is not valid, or has no skeleton or no such animation.
     """
     with located(MotionError, path):
         gltf = Gltf.read(path)
-        skeleton = GltfSkeleton.of(gltf)
+        chosen = _find_animation(gltf, animation)
+        skeleton = GltfSkeleton.of_animation(gltf, chosen)
         if skeleton is None:
-            raise MotionError("the file has no skeleton")
-        return _motion(gltf, skeleton, _find_animation(gltf, animation))
+            raise MotionError("the file has no skeleton, and the animation turns nothing")
+        return _motion(gltf, skeleton, chosen)
 
 
 def _find_animation(gltf: Gltf, name: str | None) -> Animation:
     known = gltf.document.animations
     if not known:
         raise MotionError("the file has no animation", path=gltf.path)
-    animation = next((a for a in known if name is None or a.name == name), None)
+    if name is None:  # the first that turns something: not a face alone
+        turning = (a for a in known if any(c.target.path == "rotation" for c in a.channels))
+        return next(turning, known[0])
+    animation = next((a for a in known if a.name == name), None)
     if animation is None:
         names = ", ".join(repr(a.name) for a in known)
         raise MotionError(f"no animation {name!r}; there are {names}", path=gltf.path)

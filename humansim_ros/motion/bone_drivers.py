@@ -145,7 +145,7 @@ class BoneDrivers:
         Bones with a link are then rotated onto it. ``positions``, ``joint_rotations``: as in :meth:`swing`.
         """
         rotations = np.empty((len(positions), len(self.skeleton), 3, 3))
-        links, joints, inheriting = self._transferred
+        links, joints, _ = self._transferred
         for driven in (links, joints):
             rotations[:, driven.bones] = joint_rotations[:, driven.starts] @ rest[driven.bones]
         if len(links.bones):
@@ -155,12 +155,33 @@ class BoneDrivers:
         if self._from_links is not None:
             bones = self._leaving_rest
             rotations[:, bones] = rotations[:, bones] @ self._from_links[bones]
+        self._inherit(rotations, positions)
+        return rotations
+
+    def turned(self, rotations: Array, positions: Array, turns: Array, chain: Indices) -> Array:
+        """Bone rotations (N, B, 3, 3) with a turned chain of bones; what inherits its rotation follows.
+
+        Args:
+            rotations: Bone rotations of :meth:`transfer`, (N, B, 3, 3).
+            positions: Joint positions, (N, J, 3).
+            turns: Rotations of the chain in ``map``, (N, 3, 3).
+            chain: Numbers of its bones.
+        """
+        rotations = rotations.copy()
+        rotations[:, chain] = turns[:, None] @ rotations[:, chain]
+        self._inherit(rotations, positions, chain)
+        return rotations
+
+    def _inherit(self, rotations: Array, positions: Array, fixed: Indices | tuple[()] = ()) -> None:
+        """Set the rotations (N, B, 3, 3) of bones that inherit them, but for fixed ones."""
+        *_, inheriting = self._transferred
         for bone, link in inheriting:
+            if bone[0] in fixed:
+                continue
             inherited = self.inherited(rotations, bone)
             if len(link.bones):
                 inherited = self._onto_links(self._along_links(inherited, bone), positions, link)
             rotations[:, bone] = inherited
-        return rotations
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:

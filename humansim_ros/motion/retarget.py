@@ -38,7 +38,7 @@ from humansim_ros.rotations import (
     transform,
     unit_vectors,
 )
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 #: Percentage of the poses, lowest ankles first, in which feet are flat on the floor.
 _FLAT_PERCENTILE = 20
@@ -207,6 +207,30 @@ def align_trunk(drivers: BoneDrivers, rest: Array, poses: JointPoses, posed: Arr
     rest = np.array(rest)
     rest[trunk] = lean @ rest[trunk]
     return rest
+
+
+def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
+    """Rotations (N, 3, 3) of the spine with which the trunk differs from a goal by the tolerance at most.
+
+    In a deep bend, joints with few links between hips and shoulders bend at other heights than the bones.
+
+    Args:
+        trunks: Middle of the hips to the middle of the shoulders, (N, 3).
+        spines: The part of the trunk that rotates, (N, 3).
+        goals: Trunk of the joints, (N, 3).
+    """
+    ours, theirs = unit_vectors(trunks), unit_vectors(goals)
+    excess = np.maximum(angle_between(ours, theirs) - np.radians(_TRUNK_TOLERANCE), 0.0)
+    lean = rotation_vector_to_matrix(excess[:, None] * unit_vectors(np.cross(ours, theirs)))
+    along = rotate(lean, ours)
+    # the rest of the trunk stays: rest + turn @ spine is parallel to ``along``
+    rest = trunks - spines
+    offset = (rest * along).sum(-1)
+    length = (spines**2).sum(-1) - (rest**2).sum(-1) + offset**2
+    turned = (offset + np.sqrt(np.maximum(length, 0.0)))[:, None] * along - rest
+    start, end = unit_vectors(spines), unit_vectors(turned)
+    angle = np.where((excess > 0) & (length > 0), angle_between(start, end), 0.0)
+    return rotation_vector_to_matrix(angle[:, None] * unit_vectors(np.cross(start, end)))
 
 
 def align_feet(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
@@ -450,8 +474,15 @@ class Retargeter:
             joint_rotations = np.append(joint_rotations, line_rotations(poses, self.match), axis=1)
         if self.rest is None:
             rotations = self._drivers.swing(poses.positions, joint_rotations)
+            heads = self._heads(rotations)
         else:
             rotations = self._drivers.transfer(poses.positions, joint_rotations, self.rest)
+            rotations, heads = self._with_trunk(rotations, self._heads(rotations), poses)
+        hips = [self.skeleton.bone("l_hip"), self.skeleton.bone("r_hip")]
+        return rotations, heads, self._hips(poses) - heads[:, hips].mean(1)
+
+    def _heads(self, rotations: Array) -> Array:
+        """Heads (N, B, 3) of bones with rotations (N, B, 3, 3), in a body that is not placed."""
         heads = np.empty((len(rotations), len(self.skeleton), 3))
         local = self.skeleton.rest_in_parent[:, :3, 3]
         roots, *levels = self.skeleton.levels
@@ -459,8 +490,33 @@ class Retargeter:
         for bones in levels:
             parents = self.skeleton.parents[bones]
             heads[:, bones] = heads[:, parents] + rotate(rotations[:, parents], local[bones])
-        hips = [self.skeleton.bone("l_hip"), self.skeleton.bone("r_hip")]
-        return rotations, heads, self._hips(poses) - heads[:, hips].mean(1)
+        return heads
+
+    def _with_trunk(self, rotations: Array, heads: Array, poses: JointPoses) -> tuple[Array, Array]:
+        """Rotations (N, B, 3, 3) and heads (N, B, 3) with a spine that follows the trunk of the joints."""
+        if not {"LeftShoulder", "RightShoulder"} <= self.match.roles.keys():
+            return rotations, heads
+        ours = BodyLines.of_body(transform(rotations, heads), self.skeleton)
+        theirs = BodyLines.of(poses.positions, self.match.roles)
+        spines = heads[:, self._collars].mean(1) - heads[:, self._spine[0]]
+        turns = trunk_turns(ours.trunk, spines, theirs.trunk)
+        if (turns == np.eye(3)).all():
+            return rotations, heads
+        rotations = self._drivers.turned(rotations, poses.positions, turns, self._spine)
+        return rotations, self._heads(rotations)
+
+    @cached_property
+    def _spine(self) -> Indices:
+        """Bones from the sacroiliac joint to the chest."""
+        skeleton, chain = self.skeleton, [self.skeleton.bone("vl5")]
+        while chain[0] != skeleton.bone("sacroiliac") and skeleton.parents[chain[0]] >= 0:
+            chain.insert(0, int(skeleton.parents[chain[0]]))
+        return np.array(chain, dtype=np.intp)
+
+    @cached_property
+    def _collars(self) -> list[int]:
+        """Bones from the chest to the collars."""
+        return [self.skeleton.bone(f"vl5_to_{side}_sternoclavicular") for side in "lr"]
 
     def _hips(self, poses: JointPoses) -> Array:
         """Middle of the hips (N, 3) of the posed skeleton."""

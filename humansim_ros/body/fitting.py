@@ -280,6 +280,19 @@ def skeleton_at(joints: dict[str, Array]) -> Skeleton:
     return replace(general, heads=heads, tails=tails)
 
 
+def joints_of(skeleton: Skeleton) -> dict[str, Array]:
+    """Joints (3,) of a general skeleton, by the bone whose head they are, and ``<bone>_end`` of leaves.
+
+    :func:`skeleton_at` makes the skeleton of them again.
+    """
+    heads = {
+        name: head.copy()
+        for name, head in zip(skeleton.names, skeleton.heads, strict=True)
+        if "_to_" not in name
+    }
+    return heads | {f"{skeleton.names[bone]}_end": skeleton.tails[bone].copy() for bone in skeleton.leaves}
+
+
 def _rotation_of_joints(joints: dict[str, Array]) -> Array:
     """Rotation (3, 3), a permutation of axes, to y up, facing +z, from the joints of a body."""
     upward = nearest_axis(joints["vt3"] - joints["HumanoidRoot"])

@@ -32,6 +32,10 @@ class Clothes(Section):
     shoes: ByteColor = (44, 38, 36)
 
 
+_Metres = Annotated[float, Field(ge=-10, le=10)]
+#: Point in body space: x to the person's left, y up, z forward, metres.
+BodyPoint = tuple[_Metres, _Metres, _Metres]
+
 #: Outfits of a mesh without colours, so that person detectors recognise it.
 DEFAULT_OUTFITS = {
     "blue": Clothes(),
@@ -58,6 +62,10 @@ class MeshHuman(Section):
     )
     skeleton: Literal["fitted", "general"] = Field(
         default="fitted", description="detected joints, or joints of the general skeleton"
+    )
+    joints: dict[str, BodyPoint] = Field(
+        default_factory=dict,
+        description="joints of the skeleton at other places than detected, in body space",
     )
     unit: float | None = Field(default=None, gt=0, le=1e6, description="metres per unit of the file")
     stature: float | None = Field(default=None, ge=0.2, le=5, description="height of the person, metres")

@@ -17,11 +17,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, located, warn_about
+from humansim_ros.errors import (
+    HumansimError,
+    HumansimWarning,
+    MeshError,
+    did_you_mean,
+    located,
+    warn_about,
+)
 from humansim_ros.humans.description import (
     DEFAULT_OUTFITS,
     Clothes,
@@ -157,11 +163,16 @@ def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
     else:
         source = read_mesh_or_figure(path)
     if isinstance(source, SkinnedMesh):
+        if options.joints:
+            raise MeshError(
+                "this mesh has its own joints, which cannot be moved: leave them out", key="joints"
+            )
         mesh, skeleton, weights = to_body_space(source, options.unit, options.up, options.facing)
         if options.stature is not None:
             mesh, skeleton = _resized(mesh, skeleton, options.stature)
     else:
-        mesh, skeleton, weights = _rigged(source, options)
+        mesh, skeleton = fit_mesh(source, options)
+        weights = rig(mesh, skeleton, options.rigging)
     if len(skeleton) > MAX_BONES:
         raise MeshError(f"{len(skeleton)} bones; at most {MAX_BONES}", path=path)
     human = Human(Path(path).stem, mesh, skeleton, weights, skinning=options.skinning or "linear")
@@ -264,9 +275,9 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
             yield read_bytes(clothes.texture, MeshError, "texture", MAX_IMAGE_BYTES)
 
 
-def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]:
-    """Fit a skeleton to a mesh, and rig it."""
-    from humansim_ros.body.fitting import fit_skeleton  # slow to import
+def fit_mesh(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton]:
+    """Fit a skeleton to a mesh of a person, with the joints that the options place. Raises MeshError."""
+    from humansim_ros.body.fitting import fit_skeleton, joints_of, skeleton_at  # slow to import
 
     fitted, skeleton = fit_skeleton(
         mesh,
@@ -276,7 +287,16 @@ def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]
         unit=options.unit,
         stature=options.stature,
     )
-    return fitted, skeleton, rig(fitted, skeleton, options.rigging)
+    if options.joints:
+        joints = joints_of(skeleton)
+        for name, place in options.joints.items():
+            if name not in joints:
+                raise MeshError(
+                    f"no joint {name[:60]!r}{did_you_mean(name, joints)}", key=f"joints.{name[:60]}"
+                )
+            joints[name] = np.array(place)
+        skeleton = skeleton_at(joints)
+    return fitted, skeleton
 
 
 def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skeleton]:

@@ -17,6 +17,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.panels.commands import CommandsPanel
 from humansim_ros.view.panels.editor import EditorPanel
+from humansim_ros.view.panels.human import HumanPanel
 from humansim_ros.view.panels.images import ImagesPanel, NumbersPanel
 from humansim_ros.view.panels.page import Player, plain_markdown
 from humansim_ros.view.panels.photographs import PhotographsPanel
@@ -67,6 +68,7 @@ class ViewApp:
         document: SceneDocument | None = None,
     ) -> None:
         self.editor: EditorPanel | None = None
+        self.human: HumanPanel | None = None
         self._unseen_since: float | None = None  # when another source has replaced the first
         self.commands: CommandsPanel | None = None
         self.chosen_camera = ALL
@@ -93,7 +95,7 @@ class ViewApp:
         self.set_dark(False)
         self.head = self.gui.add_folder("Time", order=0)
         tabs = self.gui.add_tab_group(order=1)
-        names = ["Show", "Numbers"] if document is None else ["Show", "Numbers", "Edit", "Run"]
+        names = ["Show", "Numbers", *(() if document is None else ("Human", "Edit", "Run"))]
         if photographs:
             names.insert(0, "Photographs")
             self.server.add_script("photographs.js")
@@ -104,6 +106,7 @@ class ViewApp:
         if document is not None:
             self._take_files()
             self.editor = EditorPanel(self, document)
+            self.human = HumanPanel(self, document, self._show_scene)
             self.commands = CommandsPanel(self, document)
 
     # --- the thread of the page --------------------------------------------------------------------------
@@ -133,6 +136,8 @@ class ViewApp:
         """Free the source, and stop serving."""
         if self.commands is not None:
             self.commands.close()
+        if self.human is not None:
+            self.human.close()
         self.source.close()
         self.server.close()
 
@@ -225,6 +230,11 @@ class ViewApp:
         for client in self.server.viser.get_clients().values():
             client.add_notification(title=title, body=text, auto_close_seconds=8.0)
 
+    def _show_scene(self) -> None:
+        """Show the scene of the document again."""
+        assert self.editor is not None
+        self.editor.show_scene()
+
     def _take_files(self) -> None:
         """Let browsers send files; a file that is refused is told."""
         self.server.add_script("uploads.js")
@@ -263,6 +273,8 @@ class ViewApp:
         self._built_of = self._content()
         if self.editor is not None:
             self.editor.stage_made()
+        if self.human is not None:
+            self.human.stage_made()
 
     def _content(self) -> object:
         """What the panels and the 3D scene are made for."""

@@ -229,6 +229,13 @@ class EditorPanel:
         self._show_status()
         self.place_gizmo()
 
+    def show_scene(self) -> None:
+        """Show the scene of the document again, after something else."""
+        self._shown = -1
+        self.refresh()
+        if not isinstance(self._app.source, SceneViewSource):  # it is wrong
+            raise SceneError("the scene cannot be shown: the tab Edit says what is wrong")
+
     def make_source(self) -> SceneViewSource:
         """The scene of the document for the page. Raises SceneError with the first error."""
         scene = self.document.scene_so_far()
@@ -246,6 +253,8 @@ class EditorPanel:
             self._gizmo.remove()
             self._gizmo = None
         kind, name = self.item
+        if not isinstance(self._app.source, SceneViewSource):
+            return
         if kind not in (*_SINGULAR, "rig") or not self.document.has(
             [kind] if kind == "rig" else [kind, name]
         ):

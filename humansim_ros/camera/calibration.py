@@ -22,10 +22,19 @@ from humansim_ros.camera.checks import check_image_size, guess_image_size, has_p
 from humansim_ros.camera.formats import FORMATS, CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
-from humansim_ros.camera.formats.syntax import detect_syntax, parse
+from humansim_ros.camera.formats.matrices import (
+    MATRICES,
+    MATRICES_NPZ,
+    is_matrices,
+    missing_parts,
+    read_matrices,
+    read_poses,
+)
+from humansim_ros.camera.formats.spellings import INTRINSIC, POSE, find_parameters
+from humansim_ros.camera.formats.syntax import other_half, read_document
 from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
 from humansim_ros.io.assets import resource_root
-from humansim_ros.io.files import atomic_path, exists, read_text
+from humansim_ros.io.files import atomic_path, exists
 from humansim_ros.types import Array, ImageSize
 
 #: Rotation of the world of a file to z up, by its up axis: the rotation with the smallest angle.
@@ -39,7 +48,10 @@ Z_UP_FROM_FILE: Mapping[str, Array] = {
 }
 _MAX_BYTES = 8 << 20
 #: Suffixes of calibration files in a folder.
-_SUFFIXES = (".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd")
+_SUFFIXES = (
+    *(".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd", ".npz", ".csv", ".conf"),
+    *(".xcp", ".mcal", ".sfm", ".out"),
+)
 #: Formats by the usual ends of their file names, where the suffix alone does not tell.
 _USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms"}
 #: Largest distance of principal points of equal images from their median, as a fraction.
@@ -77,6 +89,7 @@ def read_calibration(
     unit: float | None = None,
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
+    extrinsics: str | os.PathLike[str] | None = None,
 ) -> dict[str, Camera]:
     """Read the cameras of a calibration file of any known format.
 
@@ -88,6 +101,8 @@ def read_calibration(
         unit: Metres per unit of the file, if it is not the unit of the format.
         up: Axis of the file that points up, such as ``z`` or ``-y``, if it is not the axis of the format.
         image: PNG or JPEG file with the size of the images.
+        extrinsics: File with the extrinsics, where ``path`` has only intrinsics. Its cameras have the same
+            names, or the same number and order.
 
     Returns:
         Cameras by name, in the order of the file. Cameras without extrinsics are left out, with a
@@ -107,7 +122,7 @@ def read_calibration(
         >>> list(cameras), cameras["left"].size
         (['left'], (640, 480))
     """
-    return load_calibration(path, size=size, unit=unit, up=up, image=image).cameras
+    return load_calibration(path, size=size, unit=unit, up=up, image=image, extrinsics=extrinsics).cameras
 
 
 def load_calibration(
@@ -117,6 +132,7 @@ def load_calibration(
     unit: float | None = None,
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
+    extrinsics: str | os.PathLike[str] | None = None,
     all_cameras: bool = False,
 ) -> Calibration:
     """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
@@ -127,6 +143,7 @@ def load_calibration(
         unit: Metres per unit of the file.
         up: Axis of the file that points up.
         image: PNG or JPEG file with the size of the images.
+        extrinsics: File with the extrinsics, where ``path`` has only intrinsics.
         all_cameras: Keep cameras without extrinsics, for uses that do not need them.
 
     Raises:
@@ -141,21 +158,26 @@ def load_calibration(
     if size is not None and not all(0 < side <= MAX_SIZE for side in size):
         message = f"the image size must be 1 to {MAX_SIZE} pixels, not {size[0]}x{size[1]}"
         raise CameraError(message, key="size")
-    file = resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
+    file = _file_of(path)
     if exists(file) and file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
     if exists(file) and file.is_dir():
+        if extrinsics is not None:
+            raise CameraError("extrinsics go with a file, not with a folder", path=file)
         return _folder(file, size, unit, up, all_cameras)
-    most = MAX_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MAX_BYTES
-    text = read_text(file, CameraError, "calibration", most)
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    parsed, format = _detect_format(str(file), text, size)
-    raw = format.read(parsed)
+    parsed = _parse(file, size)
+    posed_by = parsed
+    extrinsics = _half_without_poses(parsed) if extrinsics is None else extrinsics
+    if extrinsics is None:
+        format = _detect_format(parsed)
+        raw = format.read(parsed)
+    else:
+        posed_by = _parse(_file_of(extrinsics), size)
+        format, raw = _read_pair(parsed, posed_by)
     if not all_cameras:
-        raw = _with_poses(parsed.path, raw)
+        raw = _with_poses(parsed, raw)
     if unit is None:
-        unit = format.unit if format.find_unit is None else format.find_unit(parsed, raw)
+        unit = format.unit if format.find_unit is None else format.find_unit(posed_by, raw)
     up = format.up if up is None else up
     sizes = _sizes(parsed.path, raw, format, size)
     rotation = Z_UP_FROM_FILE[up]
@@ -165,14 +187,87 @@ def load_calibration(
     return Calibration(cameras, format, unit, up, in_file, posed)
 
 
-def _with_poses(path: str, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
-    """Cameras with extrinsics; all cameras if the file has no extrinsics."""
+def _file_of(path: str | os.PathLike[str]) -> Path:
+    return resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
+
+
+def _parse(file: Path, size: ImageSize | None) -> CalibrationFile:
+    most = MAX_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MAX_BYTES
+    return replace(read_document(file, most), given_size=size)
+
+
+def _half_without_poses(file: CalibrationFile) -> Path | None:
+    """File beside a JSON or npz file with only intrinsics or only extrinsics that has the others."""
+    half = other_half(Path(file.path)) if file.syntax in ("json", "npz") else None
+    if half is None:
+        return None
+    found = find_parameters(file)
+    if bool(found.having(INTRINSIC)) == bool(found.having(POSE)):
+        return None
+    warn_about(file.path, f"read together with {half.name}")
+    return half
+
+
+def has_only_extrinsics(path: str | os.PathLike[str]) -> bool:
+    """Whether a file has rotations or translations of cameras, and no intrinsics. Raises CameraError."""
+    file = _file_of(path)
+    if not file.is_file():
+        return False
+    parsed = _parse(file, None)
+    if parsed.document is None or _format_or_none(parsed) is not None:
+        return False
+    return bool(find_parameters(parsed).having(POSE))
+
+
+def _read_pair(
+    inner: CalibrationFile, outer: CalibrationFile
+) -> tuple[CalibrationFormat, dict[str, RawCamera]]:
+    """Format and cameras of a file with intrinsics and one with extrinsics, given in any order."""
+    if not is_matrices(inner) and is_matrices(outer):
+        inner, outer = outer, inner
+    plain = [
+        file.document is not None and _format_or_none(file) in (None, MATRICES, MATRICES_NPZ)
+        for file in (inner, outer)
+    ]
+    if all(plain):
+        return MATRICES, read_matrices(inner, outer)
+    format = _detect_format(inner)
+    raw = format.read(inner)
+    other = _format_or_none(outer)
+    posed = read_poses(outer) if other is None else other.read(outer)
+    posed = {name: camera for name, camera in posed.items() if camera.R is not None}
+    if not posed:
+        raise CameraError("the file has no extrinsics", path=outer.path)
+    if set(posed).isdisjoint(raw):
+        if len(posed) != len(raw):
+            message = (
+                f"no camera of this file, such as {some_of(posed, 3)}, is in {inner.path} ({some_of(raw, 3)})"
+            )
+            raise CameraError(message, path=outer.path)
+        warn_about(outer.path, f"{some_of(posed, 3)} are taken for {some_of(raw, 3)}, in their order")
+        posed = dict(zip(raw, posed.values(), strict=True))
+    joined = {}
+    for name, camera in raw.items():
+        pose = posed.get(name)
+        joined[name] = camera if pose is None else replace(camera, R=pose.R, t=pose.t, center=pose.center)
+    return format if other is None else replace(
+        format, unit=other.unit, up=other.up, find_unit=other.find_unit
+    ), joined
+
+
+def _with_poses(file: CalibrationFile, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
+    """Cameras with extrinsics; all cameras if none has some."""
+    path = file.path
     posed = {name: camera for name, camera in raw.items() if camera.R is not None}
     missing = [name for name in raw if name not in posed]
     if posed and missing:
         warn_about(path, f"left out, because the file has no extrinsics of them: {some_of(missing, 4)}")
     elif len(missing) > 1:
-        warn_about(path, "the file has no extrinsics: all cameras are at the origin")
+        unread = find_parameters(file).having(POSE) if file.document is not None else []
+        what = "the file has no extrinsics"
+        if unread:
+            what = f"the extrinsics in the file were not understood ({some_of(map('.'.join, unread), 3)})"
+        warn_about(path, f"{what}: all cameras are at the origin")
     return posed or raw
 
 
@@ -246,21 +341,28 @@ def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], st
     return names
 
 
-def _detect_format(path: str, text: str, size: ImageSize | None) -> tuple[CalibrationFile, CalibrationFormat]:
-    syntax = detect_syntax(path, text)
-    file = replace(parse(path, text, syntax), given_size=size)
-    formats = [format for format in FORMATS if format.syntax == syntax]
-    for format in formats:
-        if format.matches(file):
-            return file, format
-    known = ", ".join(format.title for format in formats)
+def _format_or_none(file: CalibrationFile) -> CalibrationFormat | None:
+    """First format that recognises a file."""
+    own = [format for format in FORMATS if format.syntax == file.syntax]
+    others = [format for format in FORMATS if file.syntax in format.also]
+    return next((format for format in (*own, *others) if format.matches(file)), None)
+
+
+def _detect_format(file: CalibrationFile) -> CalibrationFormat:
+    format = _format_or_none(file)
+    if format is not None:
+        return format
     content = ""
     if isinstance(file.document, dict):
         keys = ", ".join(str(key)[:30] for key in list(file.document)[:6])
         content = f" Its keys are {keys}." if keys else ""
-    kind = "text" if syntax == "text" else syntax.upper()
+    if file.document is not None:
+        said = missing_parts(find_parameters(file))
+        content += f" {said[:1].upper()}{said[1:]}."
+    known = ", ".join(format.title for format in FORMATS if format.syntax == file.syntax)
+    kind = "text" if file.syntax == "text" else file.syntax.upper()
     message = f"is not a known calibration format.{content} Known in {kind}: {known}"
-    raise _UnknownFormat(message, path=path)
+    raise _UnknownFormat(message, path=file.path)
 
 
 def _sizes(
@@ -422,7 +524,8 @@ def write_calibration(
             target.mkdir(exist_ok=True)
         with located(CameraError), ExitStack() as stack:
             for file, text in texts.items():
-                stack.enter_context(atomic_path(file)).write_text(text, encoding="utf-8")
+                content = text if isinstance(text, bytes) else text.encode()
+                stack.enter_context(atomic_path(file)).write_bytes(content)
     except OSError as reason:  # of the folder
         raise CameraError(f"cannot be written: {reason.strerror or reason}", path=target) from None
     except UnicodeEncodeError:
@@ -490,8 +593,8 @@ def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterato
             yield f"{format.title} does not store R and P of rectified images: {some_of(stereo, 4)} lose them"
 
 
-def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str]:
-    """Text of each file by its path."""
+def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str | bytes]:
+    """Content of each file by its path."""
     with located(path=target):
         if format.multiple or (len(cameras) == 1 and target.suffix and not target.is_dir()):
             texts = format.write(cameras)
@@ -505,7 +608,7 @@ def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationForma
         if target.suffix and not target.is_dir():
             message = f"{format.title} has one file per camera: give a folder for {len(cameras)} cameras"
             raise CameraError(message, path=target)
-        files: dict[Path, str] = {}
+        files: dict[Path, str | bytes] = {}
         for name, camera in cameras.items():
             file = target / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name).lstrip('.') or '_'}{format.suffix}"
             if file in files:

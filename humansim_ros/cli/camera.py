@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 def show(
     file: CalibrationArgument,
+    extrinsics: Annotated[
+        str | None, typer.Argument(help="File with the extrinsics, if FILE has only intrinsics.")
+    ] = None,
     as_json: JsonOption = False,
     size: SizeOption = None,
     image: ImageOption = None,
@@ -51,7 +54,10 @@ def show(
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        calibration = load_or_scene(file, size, image, unit, up)
+        if extrinsics is None:
+            calibration = load_or_scene(file, size, image, unit, up)
+        else:
+            calibration = load(file, size, image, unit, up, extrinsics)
     cameras = select_cameras(calibration.cameras, camera, file)
     described = [describe_camera(name, cam) for name, cam in cameras.items()]
     of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
@@ -105,11 +111,15 @@ def read_cameras(
     """Read the cameras of calibration files.
 
     Args:
-        files: Files, folders or URLs; also scenes with a rig.
+        files: Files, folders or URLs; also scenes with a rig; or one with intrinsics and one with extrinsics.
         size, image, unit, up: Options of these names.
     """
-    from humansim_ros.camera.calibration import join_calibrations
+    from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations
 
+    if len(files) == 2:
+        for inner, outer in (files, files[::-1]):
+            if has_only_extrinsics(outer):
+                return load(inner, size, image, unit, up, outer).cameras
     return join_calibrations({file: load_or_scene(file, size, image, unit, up).cameras for file in files})
 
 
@@ -202,17 +212,25 @@ def _row(values: Sequence[float]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def load(file: str, size: str | None, image: Path | None, unit: float | None, up: str | None) -> Calibration:
+def load(
+    file: str,
+    size: str | None,
+    image: Path | None,
+    unit: float | None,
+    up: str | None,
+    extrinsics: str | None = None,
+) -> Calibration:
     """Load a calibration file.
 
     Args:
         file: File, folder or URL.
         size, image, unit, up: Options of these names.
+        extrinsics: File with the extrinsics, if ``file`` has only intrinsics.
     """
     from humansim_ros.camera.calibration import load_calibration
 
     given = None if size is None else parse_size(size)
-    return load_calibration(file, size=given, unit=unit, up=up, image=image)
+    return load_calibration(file, size=given, unit=unit, up=up, image=image, extrinsics=extrinsics)
 
 
 def load_or_scene(
@@ -536,7 +554,7 @@ def _write_rig(
     if low <= 0:
         print_warning(f"the lowest camera is {-low:.2f} m below the floor")
     scene = output / "scene.yaml"
-    text = _scene_text(cameras, look_at, radius) + SCENE.write(cameras)[""]
+    text = _scene_text(cameras, look_at, radius) + str(SCENE.write(cameras)[""])
     write_file(scene, text)
     print_text(f"wrote {scene}; try: humansim run {scene}")
     with warnings.catch_warnings():

@@ -28,6 +28,7 @@ def read_npz(
     error: type[HumansimError],
     what: str,
     names: Collection[str] | None = None,
+    most: int = MAX_BYTES,
 ) -> dict[str, NDArray[Any]]:
     """Read the arrays of an archive.
 
@@ -36,19 +37,20 @@ def read_npz(
         error: Error class to raise.
         what: Kind of file for messages, such as ``human``.
         names: Arrays to read; all if absent. Others are not unpacked.
+        most: Largest size of the file, and of all its arrays together, in bytes.
 
     Returns:
         Arrays by name.
 
     Raises:
         HumansimError: ``error`` with file and array, if the file is not an archive, is damaged, has pickled
-            objects, or is larger than MAX_BYTES.
+            objects, or is larger than ``most``.
     """
-    data = read_bytes(path, error, what, MAX_BYTES)
+    data = read_bytes(path, error, what, most)
     if not data.startswith(b"PK"):
         raise error(f"not a {what} file: it is not an .npz archive", path=path)
     arrays: dict[str, NDArray[Any]] = {}
-    room = MAX_BYTES
+    room = most
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for entry in archive.infolist():
@@ -56,7 +58,7 @@ def read_npz(
                 if name == entry.filename or (names is not None and name not in names):
                     continue
                 if entry.file_size > room:
-                    raise error(f"it unpacks to more than {MAX_BYTES >> 20} MB", path=path, key=name)
+                    raise error(f"it unpacks to more than {most >> 20} MB", path=path, key=name)
                 room -= entry.file_size
                 with archive.open(entry) as member:
                     content = member.read(entry.file_size + 1)
@@ -108,10 +110,22 @@ def _array(content: bytes) -> NDArray[Any]:
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays atomically; equal arrays give equal bytes. Encoded images are not compressed again."""
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        for name, array in arrays.items():
-            data = io.BytesIO()
-            np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            compressed = array.dtype == np.uint8 and array.ndim == 1
-            entry.compress_type = zipfile.ZIP_STORED if compressed else zipfile.ZIP_DEFLATED
-            archive.writestr(entry, data.getvalue(), compresslevel=None if compressed else 9)
+        _write(archive, arrays)
+
+
+def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Content of an archive of arrays; equal arrays give equal bytes."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        _write(archive, arrays)
+    return content.getvalue()
+
+
+def _write(archive: zipfile.ZipFile, arrays: Mapping[str, NDArray[Any]]) -> None:
+    for name, array in arrays.items():
+        data = io.BytesIO()
+        np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
+        entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+        compressed = array.dtype == np.uint8 and array.ndim == 1
+        entry.compress_type = zipfile.ZIP_STORED if compressed else zipfile.ZIP_DEFLATED
+        archive.writestr(entry, data.getvalue(), compresslevel=None if compressed else 9)

@@ -324,6 +324,8 @@ def read_cameras(file: str, key: str, config: CameraConfig | RigConfig, source: 
     """
     with in_section(key):
         path = source.find_url(file)
+    with in_section("extrinsics"):
+        extrinsics = None if config.extrinsics is None else source.find_url(config.extrinsics)
     try:
         from humansim_ros.camera.calibration import load_calibration  # slow to import
 
@@ -332,6 +334,7 @@ def read_cameras(file: str, key: str, config: CameraConfig | RigConfig, source: 
             size=config.size,
             unit=config.unit,
             up=config.up_axis,
+            extrinsics=extrinsics,
             all_cameras=isinstance(config, CameraConfig),  # the scene may have its pose
         )
     except CameraError as error:

@@ -342,6 +342,9 @@ class CameraConfig(Section):
     calibration: FileName | None = Field(
         default=None, description="a calibration file, or a file:// or package:// URL"
     )
+    extrinsics: FileName | None = Field(
+        default=None, description="a file with the extrinsics, if the calibration file has only intrinsics"
+    )
     camera: _CameraOfFile | None = Field(
         default=None, description="name of a camera in that file; its only camera if absent"
     )
@@ -423,8 +426,8 @@ class CameraConfig(Section):
             raise ValueError("distortion goes with K or fov_deg only")
         if whole and (self.rectification or self.rectified):
             raise ValueError("rectification and rectified go with K or fov_deg only")
-        if self.calibration is None and (self.camera or self.unit or self.up_axis):
-            raise ValueError("camera, unit and up_axis go with a calibration file")
+        if self.calibration is None and (self.camera or self.unit or self.up_axis or self.extrinsics):
+            raise ValueError("camera, unit, up_axis and extrinsics go with a calibration file")
         return self
 
 
@@ -434,6 +437,9 @@ class RigConfig(ShortSection):
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
     file: FileName = Field(description="a calibration file, or a file:// or package:// URL")
+    extrinsics: FileName | None = Field(
+        default=None, description="a file with the extrinsics, if that file has only intrinsics"
+    )
     cameras: tuple[_CameraOfFile, ...] | None = Field(
         default=None, min_length=1, description="names of cameras in the file; all if absent"
     )

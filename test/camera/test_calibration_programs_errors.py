@@ -129,7 +129,7 @@ NAN = float("nan")
             TOML + TOML.split("[metadata]")[0].replace("cam_0", "cam_1"),
             ":11: cam_1: there are two cameras with the name 'A'",
         ),
-        ("[a]\nb = 1\n", "is not a known calibration format. Its keys are a. Known in TOML: Anipose"),
+        ("[a]\nb = 1\n", "is not a known calibration format. Its keys are a. Nothing of a camera was found"),
         ("[a]\nb = " + "[" * 100000, "not valid TOML"),
         ("[a]\n" + "a." * 2000 + "a = 1\n", ":2: this line is too long"),
         ("[a]\nb = " + "9" * 5000 + "\n", "not valid TOML"),

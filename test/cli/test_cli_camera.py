@@ -289,3 +289,35 @@ def test_a_mirrored_rig_is_refused(tmp_path: Path) -> None:
     assert (
         result.returncode == 2 and "cameras.a.R: R is a reflection (its determinant is -1)" in result.stderr
     )
+
+
+def halves(folder: Path) -> tuple[Path, Path]:
+    """A file with intrinsics and one with extrinsics of two cameras."""
+    inner, outer = folder / "lenses.json", folder / "poses.json"
+    k = [[700, 0, 319.5], [0, 700, 239.5], [0, 0, 1]]
+    inner.write_text(json.dumps({name: {"K": k, "size": [640, 480]} for name in "ab"}))
+    poses = {name: {"rvec": [2.2, 0, 0], "tvec": [index, 1, 3]} for index, name in enumerate("ab")}
+    outer.write_text(json.dumps({"unit": "m", **poses}))
+    return inner, outer
+
+
+def test_show_joins_a_file_of_intrinsics_and_one_of_extrinsics(tmp_path: Path) -> None:
+    facts = shown(*halves(tmp_path))
+    assert [(camera["name"], camera["t"]) for camera in facts["cameras"]] == [
+        ("a", [0, 1, 3]),
+        ("b", [1, 1, 3]),
+    ]
+
+
+def test_convert_joins_a_file_of_intrinsics_and_one_of_extrinsics(tmp_path: Path) -> None:
+    for files in (halves(tmp_path), halves(tmp_path)[::-1]):
+        result = humansim("convert", *files, "-o", tmp_path / "rig.toml")
+        assert result.returncode == 0, result.stderr
+        assert read_calibration(tmp_path / "rig.toml")["b"].t.tolist() == [1, 1, 3]
+
+
+def test_a_file_of_extrinsics_alone_says_what_is_missing(tmp_path: Path) -> None:
+    _, outer = halves(tmp_path)
+    result = humansim("show", outer)
+    assert result.returncode == 2
+    assert "Found rotation and translation of a, b; missing: K or focal length, image size" in result.stderr

@@ -111,6 +111,21 @@ def test_a_rig_is_all_cameras_of_a_file_or_some(folder: Path) -> None:
     assert list(load(folder, rig % ", cameras: [0]").cameras) == ["camera_0"]
 
 
+def test_intrinsics_and_extrinsics_of_a_rig_may_be_in_two_files(folder: Path) -> None:
+    k = [[300, 0, 160], [0, 305, 118], [0, 0, 1]]
+    (folder / "lenses.json").write_text(json.dumps({"0": {"K": k}, "b": {"K": k}}))
+    pose = {"rvec": [2.2, 0, 0], "tvec": [0, 1, 3]}
+    (folder / "poses.json").write_text(json.dumps({"unit": "m", "0": pose, "b": pose}))
+    files = "file: lenses.json, extrinsics: poses.json, size: [320, 240]"
+    scene = load(folder, f"rig: {{{files}}}")
+    assert list(scene.cameras) == ["camera_0", "b"]
+    assert scene.cameras["b"].t.tolist() == [0, 1, 3]
+    files = "calibration: lenses.json, extrinsics: poses.json, camera: b, size: [320, 240]"
+    assert load(folder, f"cameras: {{one: {{{files}}}}}").cameras["one"].t.tolist() == [0, 1, 3]
+    with pytest.raises(HumansimError, match=r"rig.extrinsics: .*no such file"):
+        load(folder, "rig: {file: lenses.json, extrinsics: none.json}")
+
+
 RIG = "rig: {file: shelf.json, size: [320, 240], background: %s}\nroom: null"
 
 

@@ -11,6 +11,7 @@ lists of cameras and names of lens models.
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
+from humansim_ros.camera.formats.matrices import MATRICES, MATRICES_NPZ
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
 from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, PROJECTION
 from humansim_ros.camera.formats.qualisys import QUALISYS
@@ -24,7 +25,7 @@ FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAMERA_INFO, INI, KALIBR, SCENE),
     *(H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE),
     *(QUALISYS, REALSENSE, OPEN3D),
-    *(OPENCV, OPENCV_XML, OPENCV_JSON),
+    *(OPENCV, OPENCV_XML, OPENCV_JSON, MATRICES, MATRICES_NPZ),
     *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
 )
 

@@ -86,7 +86,7 @@ class CalibrationFile:
 
     Keys are paths into ``document``. Wrong values raise CameraError with file, key, and line where known.
     ``tree``, ``key_lines``: nodes of YAML, and lines of the keys of TOML. ``given_size``: image size that the
-    caller knows.
+    caller knows. ``syntax``: as of :class:`CalibrationFormat`.
     """
 
     path: str
@@ -95,6 +95,7 @@ class CalibrationFile:
     tree: yaml.Node | None = None
     key_lines: Mapping[tuple[str, ...], int] = field(default_factory=dict)
     given_size: ImageSize | None = None
+    syntax: str = "text"
 
     def location(self, *keys: Key) -> SourceLocation:
         """Location of the value at a key path."""
@@ -240,10 +241,10 @@ class CalibrationFormat:
         name: Name on the command line.
         title: Name in messages.
         suffix: Suffix of its files.
-        syntax: ``text``, ``yaml``, ``json``, ``toml`` or ``xml``.
+        syntax: ``text``, ``yaml``, ``json``, ``toml``, ``xml`` or ``npz``.
         matches: Whether a file of this syntax has this format.
         read: Cameras of a file by name.
-        write: Text of each file by its name; a format of one file has the name "".
+        write: Content of each file by its name; a format of one file has the name "".
         multiple: Whether a file holds more than one camera.
         unit: Metres per unit of the file.
         up: Axis of its world that points up.
@@ -251,6 +252,7 @@ class CalibrationFormat:
         lenses: Distortion models that it can store, and the number of their coefficients.
         sizes: Usual image sizes of a format that does not store the size.
         find_unit: Finds the metres per unit of a file, where the format does not define them.
+        also: Other syntaxes from which it is read, after all of their own formats.
     """
 
     name: str
@@ -259,7 +261,7 @@ class CalibrationFormat:
     syntax: str
     matches: Callable[[CalibrationFile], bool]
     read: Callable[[CalibrationFile], dict[str, RawCamera]]
-    write: Callable[[Mapping[str, Camera]], dict[str, str]]
+    write: Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]]
     multiple: bool = True
     unit: float = 1.0
     up: str = "z"
@@ -270,6 +272,7 @@ class CalibrationFormat:
     lenses: Mapping[str, int] = field(default_factory=dict)
     sizes: tuple[ImageSize, ...] = ()
     find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None
+    also: tuple[str, ...] = ()
 
 
 def to_number(value: Any) -> float:
@@ -542,3 +545,40 @@ def rotation_of(file: CalibrationFile, *keys: Key) -> Array:
 def vector_of(rotation: Array) -> Array:
     """Rotation vector (3,) of a matrix (3, 3), radians."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=float)
+
+
+#: Names of units in a file, and metres per unit.
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+#: Key of the unit, and the tables in which it may be.
+_UNIT, _UNIT_TABLES = "unit", ((), ("metadata",))
+#: Extent of a rig in units of the file from which these are millimetres: between a room of 30 m and 10 cm.
+_MILLIMETRES = 50.0
+
+
+def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
+    """Metres per unit of a file: its key ``unit``, or metres or millimetres by the extent of the rig.
+
+    A HumansimWarning says what is assumed. Raises CameraError for an unknown unit.
+    """
+    for table in _UNIT_TABLES:
+        value = file.get(*table, _UNIT)
+        if value is not None:
+            if value not in _UNITS:
+                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *table, _UNIT)
+            return _UNITS[value]
+    positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
+    if not len(positions):
+        return 1.0
+    # with the origin, which is the first camera or the board
+    extent = float(np.linalg.norm(np.ptp(np.vstack([positions, np.zeros(3)]), axis=0)))
+    if extent == 0:
+        return 1.0
+    name = "mm" if extent > _MILLIMETRES else "m"
+    other = "m" if name == "mm" else "mm"
+    warn_about(
+        file.path,
+        f"the unit is not in the file; {name} is assumed, because the cameras are then "
+        f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.5g} m with {other}); to state it, "
+        f'set unit, or add {_UNIT} = "{name}" to the file',
+    )
+    return _UNITS[name]

@@ -27,6 +27,7 @@ from humansim_ros.camera.formats.base import (
     RawCamera,
     check_count,
     find_cameras,
+    find_unit,
     has_keys,
     json_file,
     nested,
@@ -36,8 +37,9 @@ from humansim_ros.camera.formats.base import (
     row,
     vector_of,
 )
+from humansim_ros.camera.formats.spellings import role_of
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
-from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
 _LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
@@ -74,14 +76,16 @@ _H36M_SIZES = {
     "58860488": (1000, 1000),
     "60457274": (1000, 1002),
 }
-#: Keys of the intrinsics in Shelf and Campus; one of them is enough to recognise a file.
-_SHELF_INTRINSICS = {"fx", "k", "f"}
+#: Keys of the lens and focal lengths of Shelf and Campus; one of them is enough to recognise a file.
+_SHELF_INTRINSICS = {"k", "p", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
 
 def _is_h36m(file: CalibrationFile) -> bool:
-    return all(isinstance(file.get(key), dict) for key in ("intrinsics", "extrinsics"))
+    inner = file.get("intrinsics")
+    whole = isinstance(inner, dict) and isinstance(file.get("extrinsics"), dict)
+    return whole and any(isinstance(one, dict) and "calibration_matrix" in one for one in inner.values())
 
 
 def _read_h36m(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -190,7 +194,10 @@ def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 def _is_panoptic(file: CalibrationFile) -> bool:
     cameras = file.get("cameras")
-    return isinstance(cameras, list) and any(isinstance(c, dict) and "K" in c for c in cameras)
+    own = ({"K", "distCoef"}, {"K", "panel"}, {"K", "type", "resolution"})
+    return isinstance(cameras, list) and any(
+        isinstance(c, dict) and any(keys <= c.keys() for keys in own) for c in cameras
+    )
 
 
 def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -277,12 +284,6 @@ PANOPTIC = CalibrationFormat(
 )
 
 
-#: Names of units in a file, and metres per unit.
-_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-#: Key of the unit, and the tables in which it may be.
-_UNIT, _UNIT_TABLES = "unit", ((), ("metadata",))
-#: Extent of a rig in units of the file from which these are millimetres: between a room of 30 m and 10 cm.
-_MILLIMETRES = 50.0
 _PARTS = {"matrix", "rotation", "translation", "distortions"}
 
 
@@ -322,31 +323,6 @@ def _model(file: CalibrationFile, at: Keys, distortion: Array) -> str:
     return model
 
 
-def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
-    for table in _UNIT_TABLES:
-        value = file.get(*table, _UNIT)
-        if value is not None:
-            if value not in _UNITS:
-                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *table, _UNIT)
-            return _UNITS[value]
-    positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
-    if not len(positions):
-        return 1.0
-    # with the origin, which is the first camera or the board
-    extent = float(np.linalg.norm(np.ptp(np.vstack([positions, np.zeros(3)]), axis=0)))
-    if extent == 0:
-        return 1.0
-    name = "mm" if extent > _MILLIMETRES else "m"
-    other = "m" if name == "mm" else "mm"
-    warn_about(
-        file.path,
-        f"the unit is not in the file; {name} is assumed, because the cameras are then "
-        f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.5g} m with {other}); to state it, "
-        f'set unit, or add [metadata] with {_UNIT} = "{name}" to the file',
-    )
-    return _UNITS[name]
-
-
 def _write_anipose(cameras: Mapping[str, Camera]) -> dict[str, str]:
     lines: list[str] = []
     for index, (name, camera) in enumerate(cameras.items()):
@@ -357,7 +333,7 @@ def _write_anipose(cameras: Mapping[str, Camera]) -> dict[str, str]:
         lines += [f"rotation = [{row(vector_of(camera.R), ', ')}]"]
         lines += [f"translation = [{row(camera.t, ', ')}]"]
         lines += [f"fisheye = {str(camera.model == 'equidistant').lower()}", ""]
-    return {"": "\n".join([*lines, "[metadata]", f'{_UNIT} = "m"']) + "\n"}
+    return {"": "\n".join([*lines, "[metadata]", 'unit = "m"']) + "\n"}
 
 
 def _text(name: str) -> str:
@@ -375,7 +351,7 @@ ANIPOSE = CalibrationFormat(
     *reader_of(_cameras_anipose, _camera_anipose),
     _write_anipose,
     lenses={"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4},
-    find_unit=_find_unit,
+    find_unit=find_unit,
 )
 
 
@@ -387,8 +363,14 @@ def _cameras_association(file: CalibrationFile) -> list[tuple[str, Keys]]:
     return find_cameras(file, _is_camera, has_keys({"K", "RT"}))
 
 
+#: Keys of a camera; other camera parameters belong to another format.
+_OWN = {"K", "RT", "R", "T", "t", "imgSize", "name", "id", *_LENS}
+
+
 def _is_camera(value: object) -> bool:
-    return isinstance(value, dict) and "K" in value and not value.keys().isdisjoint(("RT", "imgSize"))
+    if not isinstance(value, dict) or "K" not in value or value.keys().isdisjoint(("RT", "imgSize")):
+        return False
+    return not any(role_of(key) for key in value.keys() - _OWN)
 
 
 def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:

@@ -33,9 +33,8 @@ from humansim_ros.camera.formats.base import (
     row,
     vector_of,
 )
-from humansim_ros.camera.formats.syntax import detect_syntax, parse
+from humansim_ros.camera.formats.syntax import Matrix, other_half, read_document
 from humansim_ros.errors import CameraError, warn_about
-from humansim_ros.io.files import exists, read_text
 from humansim_ros.types import Array
 
 #: Names of the camera parameters, without regard to case and underscores, in order of precedence.
@@ -96,7 +95,15 @@ _Table = dict[str, dict[str, _Entry]]
 
 def _is_storage(file: CalibrationFile) -> bool:
     table = _table([file])
+    if file.syntax == "json" and not _is_opencv_json(file, table):
+        return False  # plain lists, which the format of matrices reads with all their spellings
     return bool(table["K"]) or (bool(table["R"]) and bool(table["t"]))
+
+
+def _is_opencv_json(file: CalibrationFile, table: _Table) -> bool:
+    stereo = {"1", "2"} <= table["K"].keys() and "" in table["R"]
+    values = file.document.values() if isinstance(file.document, dict) else ()
+    return stereo or any(isinstance(value, Matrix) for value in values)
 
 
 def _table(files: Sequence[CalibrationFile]) -> _Table:
@@ -124,9 +131,9 @@ def _table(files: Sequence[CalibrationFile]) -> _Table:
 def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     table = _table([file])
     if not table["K"] or not (table["R"] or table["t"] or table["rectified"]):
-        other = _other_half(Path(file.path))
-        if other is not None:
-            table = _table([file, other])
+        half = other_half(Path(file.path))
+        if half is not None:
+            table = _table([file, read_document(half, 8 << 20)])
     if not table["K"]:
         message = f"the file has no camera matrix; its known names are {', '.join(_NAMES['K'])}"
         raise CameraError(message, path=file.path)
@@ -137,17 +144,6 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
         entries = {part: _entry_of(by_suffix, suffix, part) for part, by_suffix in table.items()}
         file.add(cameras, name, _camera(entries, suffix, stereo, table))
     return cameras
-
-
-def _other_half(path: Path) -> CalibrationFile | None:
-    """File with the other half of the calibration."""
-    for one, other in (("intri", "extri"), ("extri", "intri")):
-        if one in path.name:
-            sibling = path.with_name(path.name.replace(one, other))
-            if exists(sibling):
-                text = read_text(sibling, CameraError, "calibration", 8 << 20)
-                return parse(str(sibling), text, detect_syntax(str(sibling), text))
-    return None
 
 
 def _entry_of(entries: Mapping[str, _Entry], suffix: str, part: str) -> _Entry | None:

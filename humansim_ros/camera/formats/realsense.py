@@ -27,6 +27,7 @@ from humansim_ros.camera.formats.base import (
     nested,
     reader_of,
 )
+from humansim_ros.camera.formats.spellings import POSE, find_parameters
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array
 
@@ -44,6 +45,8 @@ _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
 
 
 def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    if '"ppx"' not in file.text and find_parameters(file).having(POSE):
+        return []  # cx, cy and extrinsics are of another program
     return find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
 
 
@@ -117,7 +120,11 @@ def _is_open3d_camera(value: Any) -> bool:
     if not isinstance(value, dict):
         return False
     inner = value.get("intrinsic")
-    return "intrinsic_matrix" in (inner if isinstance(inner, dict) else value)
+    if isinstance(inner, dict):
+        return "intrinsic_matrix" in inner
+    k = value.get("intrinsic_matrix")
+    # nine numbers in column order; other programs write rows
+    return isinstance(k, list) and len(k) == 9 and (not k[2] or bool(k[6]))
 
 
 def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:

@@ -1,10 +1,12 @@
-"""Safe parsing of YAML, JSON, TOML and XML: no objects from tags, limits of size and depth, unique keys."""
+"""Safe parsing of YAML, JSON, TOML, XML and npz: no objects, limits of size and depth, unique keys."""
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from itertools import islice
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
@@ -14,7 +16,8 @@ from defusedxml.common import DefusedXmlException
 
 from humansim_ros.camera.formats.base import CalibrationFile
 from humansim_ros.errors import CameraError
-from humansim_ros.io.files import parse_json
+from humansim_ros.io.files import decode_text, exists, parse_json, read_bytes
+from humansim_ros.io.npz import read_npz
 from humansim_ros.io.yaml import Loader, parse_yaml
 
 if sys.version_info >= (3, 11):
@@ -38,6 +41,53 @@ _TOML_HEAD = 1 << 14
 #: Most dots of a line of TOML: parsing dotted keys takes the square of their length.
 _MAX_DOTS = 128
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
+
+
+#: Largest archive, unpacked: twenty numbers of ten thousand cameras are smaller.
+_MAX_ARCHIVE = 16 << 20
+_MAX_NUMBERS = 400_000
+
+
+def read_document(path: str | os.PathLike[str], most: int) -> CalibrationFile:
+    """Read and parse a file of at most ``most`` bytes.
+
+    Raises:
+        CameraError: The file is missing, too large, or not valid; with its line or key.
+    """
+    data = read_bytes(path, CameraError, "calibration", most)
+    if data.startswith(b"PK"):
+        return _read_npz(path)
+    utf16 = data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[:4] == b"<\0?\0"
+    try:
+        # Motive writes UTF-16
+        text = data.decode("utf-16" if data[0] > 0x7F else "utf-16-le") if utf16 else ""
+    except UnicodeDecodeError:
+        text = ""
+    text = text or decode_text(data, path, CameraError, "calibration")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return parse(str(path), text, detect_syntax(str(path), text))
+
+
+def other_half(path: Path) -> Path | None:
+    """File with the other half of a calibration, whose name has extri in place of intri; None without one."""
+    for one, other in (("intri", "extri"), ("extri", "intri")):
+        if one in path.name:
+            sibling = path.with_name(path.name.replace(one, other))
+            if exists(sibling):
+                return sibling
+    return None
+
+
+def _read_npz(path: str | os.PathLike[str]) -> CalibrationFile:
+    """Archive of arrays as a document of lists."""
+    arrays = read_npz(path, CameraError, "calibration", most=_MAX_ARCHIVE)
+    document: dict[str, Any] = {}
+    for name, array in arrays.items():
+        if array.size > _MAX_NUMBERS or array.ndim > 6:
+            raise CameraError("this array is too large for a calibration", path=path, key=name)
+        document[name] = array.tolist()
+    return CalibrationFile(str(path), "", document, syntax="npz")
 
 
 class Matrix(dict[str, Any]):
@@ -77,13 +127,15 @@ def parse(path: str, text: str, syntax: str) -> CalibrationFile:
     if syntax == "yaml":
         text = _END.sub("\n", _HEADER.sub("", text))
         document, tree = parse_yaml(text, CameraError, path, _Loader)
-        return CalibrationFile(path, text, document, tree)
+        return CalibrationFile(path, text, document, tree, syntax=syntax)
     if syntax == "json":
-        return CalibrationFile(path, text, _parse_json(path, text))
+        return CalibrationFile(path, text, _parse_json(path, text), syntax=syntax)
     if syntax == "toml":
-        return CalibrationFile(path, text, _parse_toml(path, text), key_lines=_toml_lines(text))
+        return CalibrationFile(
+            path, text, _parse_toml(path, text), key_lines=_toml_lines(text), syntax=syntax
+        )
     if syntax == "xml":
-        return CalibrationFile(path, text, _parse_xml(path, text))
+        return CalibrationFile(path, text, _parse_xml(path, text), syntax=syntax)
     return CalibrationFile(path, text)
 
 

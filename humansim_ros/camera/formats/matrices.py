@@ -1,0 +1,560 @@
+"""K, R, t and lens of cameras in JSON and npz (also YAML and TOML), under any usual spelling.
+
+``camera/formats/spellings.py`` finds the parameters. Intrinsics and extrinsics may be in one file or in two.
+Pixels are as in OpenCV. R and t are x = R X + t, as in OpenCV. Keys such as rvec, w2c, c2w and center say so
+or otherwise; for R and t, rotation and translation, extrinsics and pose the views of three or more cameras
+decide between the conventions that are in use, and a warning says which one is taken.
+
+NeuS stores in cameras_sphere.npz for each image ``world_mat_i``, which is P = K [R | t] in 4 x 4 numbers, and
+``scale_mat_i``, which moves a unit sphere to the object and which is not used here.
+https://github.com/Totoro97/NeuS
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.formats.base import (
+    COUNTS,
+    MAX_CAMERAS,
+    CalibrationFile,
+    CalibrationFormat,
+    RawCamera,
+    SourceLocation,
+    check_count,
+    find_model,
+    find_unit,
+    json_file,
+    nested,
+    opencv_model,
+    rotation_of,
+)
+from humansim_ros.camera.formats.spellings import (
+    INTRINSIC,
+    POSE,
+    ROTATION,
+    Entry,
+    Found,
+    Identity,
+    find_parameters,
+    parts_found,
+    words,
+)
+from humansim_ros.errors import CameraError, some_of, warn_about
+from humansim_ros.io.npz import npz_bytes
+from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.types import Array, ImageSize
+
+#: Rotation from the camera axes of OpenGL to the axes of OpenCV.
+_FLIP = np.diag([1.0, -1.0, -1.0])
+#: Keys that do not say the direction of a transform.
+_UNCLEAR = words(
+    """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat t translation translationvector trans tr
+    extrinsic extrinsics extrinsicmatrix extrinsicsmatrix pose poses rt transform transformmatrix orientation
+    quaternion quat q qvec rotationquaternion rotationvector"""
+)
+#: Error of a view that tells a convention, and factor by which another one must be better.
+_SURE, _BETTER = 0.35, 3.0
+_CONVENTIONS = {"world_to_camera": 0, "w2c": 0, "opencv": 0, "camera_to_world": 1, "c2w": 1}
+_CENTRED = 0.5
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Rotation and translation as they are in a file.
+
+    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t) or ``center`` (x = R (X - t)). ``clear``:
+    whether the keys say so.
+    """
+
+    R: Array
+    t: Array
+    kind: str
+    clear: bool
+    locations: Mapping[str, SourceLocation]
+
+
+#: Conventions of R and t, in order of precedence: (R, t) -> (R from world to camera, camera centre).
+_READINGS: tuple[tuple[str, Callable[[Array, Array], tuple[Array, Array]]], ...] = (
+    ("from the world to the camera (x = R X + t)", lambda r, t: (r, -r.T @ t)),
+    ("from the camera to the world (X = R x + t)", lambda r, t: (r.T, t)),
+    ("a rotation from the world and a camera centre (x = R (X - t))", lambda r, t: (r, t)),
+    ("transposed (x = R^T X + t), as in MATLAB", lambda r, t: (r.T, -r @ t)),
+    (
+        "from the camera to the world with the camera axes of OpenGL (y up, z backward)",
+        lambda r, t: (_FLIP @ r.T, t),
+    ),
+)
+_FIRST = {"world": 0, "camera": 1, "center": 2}
+#: Readings that a kind of keys allows, where they are not clear.
+_ALLOWED = {"world": (0, 1, 2, 3), "camera": (1, 4, 0), "center": (2,)}
+
+
+def is_matrices(file: CalibrationFile) -> bool:
+    """Whether a document has K, a focal length or P of a camera under a known spelling."""
+    return bool(find_parameters(file).having(INTRINSIC))
+
+
+def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -> dict[str, RawCamera]:
+    """Read the cameras of a document.
+
+    Args:
+        file: File with intrinsics, or with all parameters.
+        other: File with extrinsics; its cameras have the same names, or the same number and order.
+
+    Raises:
+        CameraError: A value is wrong, or there are no intrinsics or no extrinsics where they are needed.
+    """
+    files = (file,) if other is None else (file, other)
+    found = find_parameters(*files)
+    if not found.having(INTRINSIC):
+        raise CameraError(missing_parts(found), path=file.path)
+    if other is not None and not find_parameters(other).having(POSE):
+        message = f"has no extrinsics: {missing_parts(find_parameters(other))}"
+        raise CameraError(message, path=other.path)
+    pairs = _pairs(file, found)
+    cameras: dict[str, RawCamera] = {}
+    poses: dict[str, _Pose] = {}
+    for name, (entries, posed) in pairs.items():
+        camera = _intrinsics(file, entries)
+        pose = None if "P" in entries and "K" not in entries else _pose(posed)
+        file.add(cameras, name, camera)
+        if pose is not None:
+            poses[name] = pose
+    if found.views:
+        warn_about(file.path, "rvecs and tvecs are poses of a calibration board, not of cameras: ignored")
+    return {**cameras, **_resolved(files[-1], cameras, poses)}
+
+
+def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
+    """Cameras of a document that has extrinsics, with any K."""
+    found = find_parameters(file)
+    poses: dict[str, _Pose] = {}
+    for identity in _leaf_cameras(found, found.having(POSE)):
+        pose = _pose(found.entries_of(identity))
+        if pose is not None:
+            poses[_name(file, found, identity)] = pose
+    cameras = {name: RawCamera(np.eye(3)) for name in poses}
+    return _resolved(file, cameras, poses)
+
+
+def missing_parts(found: Found) -> str:
+    """Sentence about what a file has and does not have of a camera."""
+    has, lacks = parts_found(found)
+    named = [".".join(identity) for identity in found.cameras if identity]
+    of = f" of {some_of(named, 4)}" if has and named else ""
+    has_text = f"found {' and '.join(has)}{of}" if has else "nothing of a camera was found in it"
+    hint = ""
+    if has and lacks[:1] == ["K or focal length"]:
+        hint = "; give the file with the intrinsics as well: humansim camera show INTRINSICS EXTRINSICS"
+    return f"{has_text}; missing: {', '.join(lacks)}{hint}" if lacks else has_text
+
+
+# -- names of cameras
+
+
+def _leaf_cameras(found: Found, identities: list[Identity]) -> list[Identity]:
+    """Cameras that are not only parameters that others share."""
+    shared = {one[:length] for one in identities for length in range(len(one))}
+    return [one for one in identities if one not in shared]
+
+
+def _name(file: CalibrationFile, found: Found, identity: Identity) -> str:
+    """Name of a camera: its key ``name``, its place in a list of names, or its key path."""
+    own = found.cameras.get(identity, {}).get("name")
+    if own is not None and str(own.value).strip():
+        return str(own.value).strip()
+    if len(identity) == 1 and identity[0].isdecimal() and int(identity[0]) < len(found.names):
+        return found.names[int(identity[0])]
+    return "_".join(identity) or Path(file.path).stem
+
+
+_Pairs = dict[str, tuple[dict[str, Entry], dict[str, Entry]]]
+
+
+def _pairs(file: CalibrationFile, found: Found) -> _Pairs:
+    """Name of each camera -> its intrinsics and its extrinsics."""
+    inner, outer = found.having(INTRINSIC), found.having(POSE)
+    every = _leaf_cameras(found, list(dict.fromkeys((*inner, *outer))))
+    if len(every) > MAX_CAMERAS:
+        raise file.error(f"there are more than {MAX_CAMERAS} cameras")
+    whole = [one for one in every if INTRINSIC & found.entries_of(one).keys()]
+    if len(whole) < len(every):  # other names of the extrinsics
+        inner = _leaf_cameras(found, inner)
+        outer = [one for one in _leaf_cameras(found, outer) if one not in whole or one in outer]
+        only = [one for one in outer if one not in whole]
+        bare = [one for one in inner if not POSE & found.entries_of(one).keys()]
+        if len(only) == len(bare):
+            names = [_name(file, found, one) for one in bare]
+            others = [_name(file, found, one) for one in only]
+            if names != others:
+                what = f"{some_of(others, 3)} of the extrinsics are taken for {some_of(names, 3)}"
+                warn_about(file.path, f"{what} of the intrinsics, in their order")
+            match = dict(zip(bare, only, strict=True))
+        else:
+            match = {}
+            warn_about(
+                file.path,
+                f"left out, because there are no intrinsics of them: {some_of('_'.join(o) for o in only)}",
+            )
+        every = [one for one in every if one in whole]
+    else:
+        match = {}
+    pairs: _Pairs = {}
+    for one in every:
+        entries = found.entries_of(one)
+        posed = {**entries, **found.entries_of(match[one])} if one in match else entries
+        name = _name(file, found, one)
+        if name in pairs:
+            name = "_".join(one) or name
+        if name in pairs:
+            raise file.error(f"there are two cameras with the name {name!r}")
+        pairs[name] = entries, posed
+    return _short(pairs, dict(zip(pairs, every, strict=True)))
+
+
+def _short(pairs: _Pairs, identities: Mapping[str, Identity]) -> _Pairs:
+    """The same pairs without the first parts of the key paths that all cameras have."""
+    common = 0
+    paths = list(identities.values())
+    while len(paths) > 1 and all(len(path) > common + 1 for path in paths):
+        if len({path[common] for path in paths}) > 1:
+            break
+        common += 1
+    if not common:
+        return pairs
+    short = {
+        "_".join(identities[name][common:]) if name == "_".join(identities[name]) else name: pair
+        for name, pair in pairs.items()
+    }
+    return short if len(short) == len(pairs) else pairs
+
+
+# -- intrinsics
+
+
+def _numbers(entry: Entry) -> Array:
+    return entry.file.some_numbers(*entry.keys)
+
+
+def _scalar(entries: Mapping[str, Entry], role: str) -> float | None:
+    entry = entries.get(role)
+    return None if entry is None else float(entry.file.numbers((), *entry.keys))
+
+
+def _where(entry: Entry) -> SourceLocation:
+    location = entry.file.location(*entry.keys)
+    return SourceLocation(location.key, location.line, entry.file.path)
+
+
+def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamera:
+    """K, size and lens of a camera; with its pose, if they come from P."""
+    size = _size(entries)
+    locations = {
+        part: _where(entries[role])
+        for part, role in (
+            ("K", "K"),
+            ("K", "fx"),
+            ("K", "focal"),
+            ("distortion", "distortion"),
+            ("size", "size"),
+        )
+        if role in entries
+    }
+    distortion, model = _lens(file, entries)
+    if "P" in entries and not {"K", "fx", "focal"} & entries.keys():
+        camera = _from_projection(entries["P"])
+        return replace(camera, size=size, distortion=distortion, model=model)
+    k = _k(entries, size)
+    return RawCamera(k, size=size, distortion=distortion, model=model, locations=locations)
+
+
+def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
+    if "K" in entries:
+        entry = entries["K"]
+        values = _numbers(entry)
+        if len(values) == 4:
+            return pinhole(*values)
+        k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.file.numbers((3, 3), *entry.keys)
+        if k[2, :2].any() and not k[:2, 2].any():
+            warn_about(entry.file.path, f"{_where(entry).key}: is transposed, as in MATLAB")
+            return k.T
+        return k
+    focal = _numbers(entries["focal"]) if "focal" in entries else np.zeros(0)
+    fx = _scalar(entries, "fx")
+    fx = float(focal[0]) if fx is None else fx
+    fy = _scalar(entries, "fy")
+    fy = (float(focal[-1]) if len(focal) else fx) if fy is None else fy
+    middle = (None, None) if size is None else tuple(side / 2 - _CENTRED for side in size)
+    center = _numbers(entries["principal"]) if "principal" in entries else ()
+    if len(center) == 2:
+        cx, cy = (float(value) for value in center)
+    else:
+        given = [_scalar(entries, role) for role in ("cx", "cy")]
+        values_ = [value if value is not None else side for value, side in zip(given, middle, strict=True)]
+        if values_[0] is None or values_[1] is None:
+            entry = entries.get("fx") or entries["focal"]
+            raise entry.file.error("needs a principal point (cx, cy) or an image size as well", *entry.keys)
+        cx, cy = values_[0], values_[1]
+    k = pinhole(fx, fy, cx, cy)
+    k[0, 1] = _scalar(entries, "skew") or 0.0
+    return k
+
+
+def _from_projection(entry: Entry) -> RawCamera:
+    values = _numbers(entry)
+    if len(values) not in (12, 16):
+        raise entry.file.error(f"needs 3 x 4 or 4 x 4 numbers, not {len(values)}", *entry.keys)
+    at = _where(entry)
+    try:
+        camera = Camera.from_projection_matrix(values.reshape(-1, 4)[:3], (1, 1))
+    except CameraError as error:
+        raise CameraError(error.message, path=at.path, line=at.line, key=at.key) from None
+    return RawCamera(camera.K, camera.R, camera.t, locations=dict.fromkeys(("K", "R", "t"), at))
+
+
+def _size(entries: Mapping[str, Entry]) -> ImageSize | None:
+    width, height = entries.get("width"), entries.get("height")
+    if width is not None and height is not None:
+        return width.file.positive_integer(*width.keys), height.file.positive_integer(*height.keys)
+    if "size" in entries:
+        return entries["size"].file.pair_size(*entries["size"].keys)
+    if "shape" in entries:
+        entry = entries["shape"]
+        height_, width_ = _numbers(entry)[:2]
+        if any(side != int(side) or side <= 0 for side in (height_, width_)):
+            raise entry.file.error("needs height and width, whole numbers above zero", *entry.keys)
+        return int(width_), int(height_)
+    return None
+
+
+def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[float, ...], str | None]:
+    """Coefficients and model."""
+    word = str(entries["model"].value).strip().lower() if "model" in entries else ""
+    fisheye = str(entries["fisheye"].value).strip().lower() if "fisheye" in entries else ""
+    bent = fisheye in ("true", "1", "yes") or "fisheye" in word
+    if "distortion" in entries:
+        entry = entries["distortion"]
+        coefficients = _numbers(entry)
+        keys = entry.keys
+    else:
+        first = [_scalar(entries, role) or 0.0 for role in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")]
+        k1, k2, k3, k4, k5, k6, p1, p2 = first
+        equidistant = bent or word in ("equidistant", "equi", "kannala_brandt", "kannala_brandt4")
+        coefficients = np.array([k1, k2, k3, k4] if equidistant else [k1, k2, p1, p2, k3, k4, k5, k6])
+        keys = next((entries[role].keys for role in ("k1", "k2", "k3") if role in entries), ())
+    if bent:
+        check_count(file, "equidistant", coefficients, keys)
+        return tuple(coefficients), "equidistant"
+    if word in ("", "pinhole", "perspective", "opencv", "simple_pinhole", "brown", "none", "full_opencv"):
+        if not coefficients.any():
+            return (), None
+        if len(np.trim_zeros(coefficients, "b")) < 4:
+            coefficients = np.resize([*coefficients, 0.0, 0.0, 0.0, 0.0, 0.0], 5)
+        model = opencv_model(coefficients)
+        check_count(file, model, coefficients, keys)
+        return tuple(coefficients), model
+    known = find_model(file, word, coefficients, entries["model"].keys, keys)
+    return tuple(coefficients), known
+
+
+# -- extrinsics
+
+
+def _pose(entries: Mapping[str, Entry]) -> _Pose | None:
+    """Rotation and translation of a camera; None without any."""
+    for role, kind in (("pose", "world"), ("inverse", "camera")):
+        if role in entries:
+            return _pose_matrix(entries[role], kind)
+    if "P" in entries and not ROTATION - {"P"} & entries.keys():
+        return None
+    rotation = next((entries[r] for r in ("R", "rvec", "quaternion", "Rinverse") if r in entries), None)
+    shift = next((entries[r] for r in ("t", "center") if r in entries), None)
+    if rotation is None and shift is None:
+        return None
+    if rotation is None or shift is None:
+        present = rotation or shift
+        assert present is not None
+        what = "rotation" if rotation is None else "translation"
+        raise present.file.error(
+            f"needs a {what} (such as {'R' if rotation is None else 't'}) as well", *present.keys
+        )
+    r = _rotation(rotation)
+    t = shift.file.numbers((3,), *shift.keys)
+    locations = {"R": _where(rotation), "t": _where(shift)}
+    if "Rinverse" in entries and rotation is entries["Rinverse"]:
+        return _Pose(
+            r.T if shift is entries.get("center") else r,
+            t,
+            "center" if "center" in entries else "camera",
+            True,
+            locations,
+        )
+    if "center" in entries and shift is entries["center"]:
+        return _Pose(r, t, "center", rotation.key not in _UNCLEAR, locations)
+    clear = rotation.key not in _UNCLEAR or shift.key not in _UNCLEAR
+    return _Pose(r, t, "world", clear, locations)
+
+
+def _pose_matrix(entry: Entry, kind: str) -> _Pose:
+    rows = 4 if len(_numbers(entry)) == 16 else 3
+    values = entry.file.numbers((rows, 4), *entry.keys)
+    if rows == 4 and not values[:3, 3].any() and values[3, :3].any():
+        values = values.T  # in column order
+    if rows == 4 and not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
+        raise entry.file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *entry.keys)
+    at = _where(entry)
+    return _Pose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
+
+
+def _rotation(entry: Entry) -> Array:
+    values = _numbers(entry)
+    if entry.key.startswith("q") or len(values) == 4:
+        length = float(np.linalg.norm(values))
+        if len(values) != 4 or abs(length - 1) > 1e-2:
+            raise entry.file.error("is not a quaternion of length 1", *entry.keys)
+        order = "x, y, z, w" if entry.key == "orientation" else "w, x, y, z"
+        warn_about(entry.file.path, f"{_where(entry).key}: the order of the quaternion is taken as {order}")
+        return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
+    return rotation_of(entry.file, *entry.keys)
+
+
+def _resolved(
+    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, _Pose]
+) -> dict[str, RawCamera]:
+    """Cameras with R and t; the convention of unclear ones is found by the views."""
+    if not poses:
+        return {}
+    reading, said = _reading(file, list(poses.values()))
+    if said:
+        warn_about(file.path, said)
+    resolved = {}
+    for name, pose in poses.items():
+        convention = reading if not pose.clear else _FIRST[pose.kind]
+        r, center = _READINGS[convention][1](pose.R, pose.t)
+        t = pose.t if convention == 0 else -r @ center
+        locations = {**cameras[name].locations, **pose.locations}
+        resolved[name] = replace(cameras[name], R=r, t=t, locations=locations)
+    return resolved
+
+
+def _reading(file: CalibrationFile, poses: list[_Pose]) -> tuple[int, str]:
+    """Index of the convention of the unclear poses of a file, and a sentence about it."""
+    unclear = [pose for pose in poses if not pose.clear]
+    if not unclear:
+        return 0, ""
+    first = _FIRST[unclear[0].kind]
+    stated = str(file.get("convention") or "").strip().lower()
+    if stated in _CONVENTIONS:
+        return _CONVENTIONS[stated], ""
+    keys = " and ".join(
+        dict.fromkeys(str(pose_at.key).split(".")[-1] for pose_at in unclear[0].locations.values())
+    )
+    errors = {index: _view_error(unclear, index) for index in _ALLOWED[unclear[0].kind]}
+    best = min(errors, key=errors.__getitem__)
+    if errors[first] < _SURE or errors[best] > _SURE or errors[best] * _BETTER > errors[first]:
+        why = "because the cameras then look at a common place" if errors[first] < _SURE else "as in OpenCV"
+        if first == 1 and errors[first] >= _SURE:
+            why = "as the key says"
+        return first, f"{keys}: taken as {_READINGS[first][0]}, {why}; the file does not say it"
+    return (
+        best,
+        f"{keys}: taken as {_READINGS[best][0]}, because only then do the cameras look at a common place",
+    )
+
+
+def _view_error(poses: list[_Pose], reading: int) -> float:
+    """How badly the optical axes meet in front of the cameras: 0 if they meet in a point, 1 and more if not.
+
+    The mean distance of the axes from their common point, as a fraction of the distance of the cameras from
+    it, and the share of cameras that look away from it. Infinity for less than three cameras.
+    """
+    if len(poses) < 3:
+        return np.inf
+    transform = _READINGS[reading][1]
+    pairs = [transform(pose.R, pose.t) for pose in poses]
+    centers = np.array([center for _, center in pairs])
+    forward = np.array([r[2] for r, _ in pairs])
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
+    matrix = across.sum(axis=0)
+    if np.linalg.cond(matrix) > 1e4:
+        return np.inf
+    point = np.linalg.solve(matrix, np.einsum("nij,nj->i", across, centers))
+    away = point - centers
+    distance = np.linalg.norm(away, axis=1).mean()
+    spread = np.linalg.norm(np.ptp(centers, axis=0))
+    if spread < 0.1 * max(distance, 1e-12):
+        return np.inf
+    miss = np.linalg.norm(np.einsum("nij,nj->ni", across, away), axis=1).mean()
+    behind = float((np.einsum("ni,ni->n", away, forward) <= 0).mean())
+    return float(miss / distance + behind)
+
+
+# -- writing
+
+
+def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    content = {
+        name: {
+            "width": camera.size[0],
+            "height": camera.size[1],
+            "K": nested(camera.K),
+            "distortion_model": str(camera.model),
+            "dist": nested(camera.distortion),
+            "R": nested(camera.R),
+            "t": nested(camera.t),
+        }
+        for name, camera in cameras.items()
+    }
+    return {**json_file({"convention": "world_to_camera", "unit": "m", "cameras": content})}
+
+
+def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    models = {str(camera.model) for camera in cameras.values()}
+    if len(models) > 1:
+        raise CameraError(
+            f"this format needs one lens model for all cameras, not {' and '.join(sorted(models))}"
+        )
+    values = list(cameras.values())
+    arrays = {
+        "names": np.array(list(cameras)),
+        "size": np.array([camera.size for camera in values]),
+        "K": np.array([camera.K for camera in values]),
+        "dist": np.array([camera.distortion for camera in values]),
+        "R": np.array([camera.R for camera in values]),
+        "t": np.array([camera.t for camera in values]),
+        "distortion_model": np.array(models.pop()),
+        "convention": np.array("world_to_camera"),
+        "unit": np.array("m"),
+    }
+    return {"": npz_bytes(arrays)}
+
+
+MATRICES = CalibrationFormat(
+    "matrices",
+    "JSON with K, R, t",
+    ".json",
+    "json",
+    is_matrices,
+    read_matrices,
+    _write_json,
+    lenses=COUNTS,
+    find_unit=find_unit,
+    also=("yaml", "toml"),
+)
+MATRICES_NPZ = CalibrationFormat(
+    "npz",
+    "npz with K, R, t",
+    ".npz",
+    "npz",
+    is_matrices,
+    read_matrices,
+    _write_npz,
+    lenses=COUNTS,
+    find_unit=find_unit,
+)

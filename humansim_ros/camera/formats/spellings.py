@@ -1,0 +1,316 @@
+"""Parameters of cameras in documents of any layout, found by the spelling of their keys.
+
+A document (JSON, npz, YAML, TOML) is a tree of keys. Each of its values whose key is a known spelling of a
+camera parameter is an :class:`Entry`. The rest of its key path names the camera, so that
+``cam0.intrinsics.K``, ``intrinsics.cam0.K``, ``K.cam0``, ``K_cam0`` and the first matrix of a list ``K`` all
+are K of a camera.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys
+
+
+def words(text: str) -> frozenset[str]:
+    """Words of a text."""
+    return frozenset(text.split())
+
+
+#: Spellings of each parameter, in lower case without underscores, hyphens, blanks and dots.
+_SPELLINGS = {
+    "K": """k intrinsic intrinsics intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters intrmat
+        cameramatrix cameramat cammatrix cammat cameraintrinsic cameraintrinsics camk kmat kmatrix mtx m
+        matrix matrixk calibrationmatrix calibmatrix camint intmat internalmatrix ks""",
+    "fx": "fx flx focalx focallengthx fu alphax",
+    "fy": "fy fly focaly focallengthy fv alphay",
+    "cx": "cx ppx principalpointx u0 px",
+    "cy": "cy ppy principalpointy v0 py",
+    "focal": "f focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
+    "principal": "c pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
+    "skew": "skew",
+    "R": "r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs",
+    "Rinverse": "rc2w rwc rotationc2w",
+    "rvec": "rvec rvector rotationvector rotvec rodrigues om rodriguesvector axisangle rotationrodrigues",
+    "quaternion": "q quat quaternion rotationquaternion qvec orientation rotationquat",
+    "t": """t tvec tvector translation translationvector transvec trans tr camt tvecs0 matrixt tw2c tcwvec
+        translations ts""",
+    "center": """center centre position pos cameraposition camposition campos cameracenter cameracentre
+        camcenter location c2wtranslation cameralocation origin""",
+    "pose": """rt extrinsic extrinsics extrinsicmatrix extrinsicsmatrix extrinsicmat extmat extr extri w2c
+        worldtocam worldtocamera world2cam world2camera worldview viewmatrix viewmat tcw tcamworld
+        tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs""",
+    "inverse": """c2w cam2world camera2world camtoworld cameratoworld pose posematrix campose camerapose
+        cameraposematrix twc tworldcam tworldcamera worldfromcam worldfromcamera transform
+        transformmatrix transformationmatrix poses c2ws""",
+    "P": "p projection projectionmatrix projmat projmatrix proj pmatrix pmat cameraprojection worldmat",
+    "distortion": """d dist distortion distcoeff distcoeffs distcoef distcoefs distortioncoeff distortions
+        distortioncoeffs distortioncoef distortioncoefs distortioncoefficient distortioncoefficients dcoeffs
+        kc lensdistortion coeffs distorsion distortionparameters distortionparams distvec distortionvector""",
+    **{k: k for k in ("k1", "k2", "k3", "k4", "k5", "k6")},
+    "p1": "p1 t1",
+    "p2": "p2 t2",
+    "width": "width w imagewidth imgwidth imgw wimg cols reswidth resx resolutionx widthpx camimgw",
+    "height": "height h imageheight imgheight imgh himg rows resheight resy resolutiony heightpx camimgh",
+    "size": "size imagesize imgsize resolution wh imagewh imageresolution sensorsize framesize dims",
+    "shape": "shape imageshape imgshape hw imagehw frameshape",
+    "model": "model cameramodel distortionmodel lensmodel distortiontype camtype",
+    "fisheye": "fisheye isfisheye",
+    "name": "name cameraname camname id cameraid camid serial serialnumber label deviceid camera cam",
+    "names": "names cameranames camnames cams cameras serials ids labels cameraids",
+}
+_ROLES = {word: role for role, words in _SPELLINGS.items() for word in words.split()}
+#: Numbers of one value of each parameter, largest first; a list of such values is one for each camera.
+_COUNTS = {
+    "K": (16, 9, 4),
+    **dict.fromkeys(("R", "Rinverse"), (9, 3)),
+    **dict.fromkeys(("rvec", "t", "center"), (3,)),
+    "quaternion": (4,),
+    **dict.fromkeys(("pose", "inverse", "P"), (16, 12)),
+    **dict.fromkeys(("focal", "principal"), (2, 1)),
+    "size": (2,),
+    "shape": (3, 2),
+}
+_TEXTS = ("model", "name", "names", "fisheye")
+#: Parameters that are single numbers.
+SCALARS = (
+    *("fx", "fy", "cx", "cy", "skew", "width", "height"),
+    *("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
+)
+INTRINSIC = frozenset({"K", "fx", "focal", "P"})
+ROTATION = frozenset({"R", "Rinverse", "rvec", "quaternion", "pose", "inverse", "P"})
+TRANSLATION = frozenset({"t", "center", "pose", "inverse", "P"})
+POSE = ROTATION | TRANSLATION
+SIZE = frozenset({"width", "size", "shape"})
+#: Keys that group parameters or cameras, and do not name a camera.
+_GROUPS = words(
+    """cameras camera cams cam intrinsics intrinsic extrinsics extrinsic calibration calibrations calib params
+    parameters cameraparameters cameraparams data poses pose rig rigs sensors devices views lens
+    calibrationdata info metadata result results frames color rgb image transform externals internals
+    extri intri value camerapose cameraposes external internal"""
+)
+#: Ends of keys that group the parameters of one camera, such as color_intrinsics.
+_SECTION = re.compile(
+    r"(.+?)[_. -]?(?:intrinsics?|extrinsics?|calibration|calib|params|parameters|pose|intri|extri)",
+    re.IGNORECASE,
+)
+_NAMES_OF_LISTS = ("rvecs", "tvecs")
+_MAX_DEPTH, _MAX_ENTRIES = 10, 100_000
+_WORD = re.compile(r"[^a-z0-9]+")
+
+#: Names of the camera of an entry: parts of its key path.
+Identity = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A camera parameter in a file, at a key path. ``key``: its spelling in the file, without case."""
+
+    file: CalibrationFile
+    keys: Keys
+    key: str
+
+    @property
+    def value(self) -> Any:
+        """Value in the file."""
+        return self.file.get(*self.keys)
+
+
+@dataclass
+class Found:
+    """Parameters of the cameras of one or two files.
+
+    ``cameras``: camera -> parameter -> entry, in the order of the files. ``names``: lists of names of
+    cameras. ``views``: whether rvecs and tvecs are poses of a board, as ``cv2.calibrateCamera`` gives them.
+    """
+
+    cameras: dict[Identity, dict[str, Entry]] = field(default_factory=dict)
+    names: list[str] = field(default_factory=list)
+    views: bool = False
+
+    def having(self, roles: frozenset[str]) -> list[Identity]:
+        """Cameras with one of these parameters of their own."""
+        return [identity for identity, entries in self.cameras.items() if roles & entries.keys()]
+
+    def entries_of(self, identity: Identity) -> dict[str, Entry]:
+        """Parameters of a camera, with the ones that it shares with others."""
+        entries: dict[str, Entry] = {}
+        for length in range(len(identity) + 1):
+            entries |= self.cameras.get(identity[:length], {})
+        return entries
+
+
+def role_of(key: Key) -> str | None:
+    """Camera parameter that a key spells; None if it spells none."""
+    return _ROLES.get(_word(key)) if isinstance(key, str) else None
+
+
+def _word(key: str) -> str:
+    return _WORD.sub("", key.lower()) if len(key) < 60 else ""
+
+
+def find_parameters(*files: CalibrationFile) -> Found:
+    """Find the camera parameters of documents."""
+    found = Found()
+    for file in files:
+        plural = {_word(str(key)) for key in file.document} if isinstance(file.document, Mapping) else set()
+        found.views = found.views or plural.issuperset(_NAMES_OF_LISTS)
+        for count, (keys, shape) in enumerate(_leaves(file.document, (), 0)):
+            if count > _MAX_ENTRIES:
+                raise file.error(f"has more than {_MAX_ENTRIES} values")
+            _add(found, file, keys, shape)
+    if found.views:
+        for entries in found.cameras.values():
+            for role in ("rvec", "t"):
+                if role in entries and entries[role].key in _NAMES_OF_LISTS:
+                    del entries[role]
+        found.cameras = {identity: entries for identity, entries in found.cameras.items() if entries}
+    return found
+
+
+_Shape = tuple[int, ...] | str
+
+
+def _leaves(value: Any, keys: Keys, depth: int) -> Iterator[tuple[Keys, _Shape]]:
+    """Key path, and shape or text, of the numbers, lists of numbers and texts of a document."""
+    if depth > _MAX_DEPTH:
+        return
+    shape = _shape(value)
+    if shape is not None:
+        yield keys, shape
+    elif isinstance(value, Mapping):
+        if "data" in value and _shape(value["data"]) is not None and {"rows", "cols"} <= value.keys():
+            yield (*keys, "data"), _shape(value["data"]) or ()
+            return
+        for key, item in value.items():
+            yield from _leaves(item, (*keys, key), depth + 1)
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _leaves(item, (*keys, index), depth + 1)
+
+
+def _shape(value: Any, depth: int = 5) -> _Shape | None:
+    """Shape of nested lists of numbers; a text itself; None for all other values."""
+    if isinstance(value, (bool, str)):
+        return str(value)
+    if isinstance(value, (int, float)):
+        return ()
+    if not isinstance(value, (list, tuple)) or not value or depth == 0:
+        return None
+    if all(isinstance(item, str) for item in value):
+        return None if len(value) > 1000 else "\0"
+    first = _shape(value[0], depth - 1)
+    return None if first is None or isinstance(first, str) else (len(value), *first)
+
+
+def _add(found: Found, file: CalibrationFile, keys: Keys, shape: _Shape) -> None:
+    """Add a value of a document, if its key is known."""
+    spelled = _spelled(keys, shape)
+    if spelled is None:
+        return
+    role, at, identity = spelled
+    key = _word(str(keys[at]))
+    if role == "names":
+        names = file.get(*keys)
+        if isinstance(names, list):
+            found.names = [str(name) for name in names][:1000]
+        return
+    count = _count(role, shape)
+    if count is None:
+        return
+    for index in range(count) if count else (None,):
+        own = identity if index is None else (*identity, str(index))
+        if own not in found.cameras and len(found.cameras) > 2 * MAX_CAMERAS:
+            raise file.error(f"there are more than {MAX_CAMERAS} cameras", *keys)
+        path = keys if index is None else (*keys, index)
+        found.cameras.setdefault(own, {}).setdefault(role, Entry(file, path, key))
+
+
+def _spelled(keys: Keys, shape: _Shape) -> tuple[str, int, Identity] | None:
+    """Parameter of a value, place of its key in the path, and camera; None for an unknown value."""
+    last = len(keys) - 1
+    if keys and keys[-1] == "data" and last:
+        last -= 1
+    for at in range(last, max(last - 2, -1), -1):
+        key = keys[at]
+        if not isinstance(key, str):
+            continue
+        role, extra = _role(key)
+        if role is None or (at < last and role in (*SCALARS, *_TEXTS)):
+            continue
+        if _count(role, shape) is None:
+            continue
+        parts = [*_parts(keys[:at]), *extra, *(str(k) for k in keys[at + 1 : last + 1])]
+        return role, at, tuple(parts)
+    return None
+
+
+def _role(key: str) -> tuple[str | None, Identity]:
+    """Parameter that a key spells, and the camera that it names: K_left and left_K are K of left."""
+    role = _ROLES.get(_word(key))
+    if role is not None:
+        return role, ()
+    words = [word for word in re.split(r"[_. -]+", key) if word]
+    if len(words) > 8 or len(key) > 80:
+        return None, ()
+    for length in range(len(words) - 1, 0, -1):
+        for own, rest in ((words[-length:], words[:-length]), (words[:length], words[length:])):
+            role = _ROLES.get("".join(own).lower())
+            if role is not None and role not in _TEXTS:
+                return role, ("_".join(rest),)
+    numbered = re.fullmatch(r"([A-Za-z_]+?)_?([0-9]+)", key)
+    if numbered and _ROLES.get(_word(numbered[1])) in ("K", "R", "t", "rvec", "pose", "distortion", "P"):
+        return _ROLES[_word(numbered[1])], (numbered[2],)
+    return None, ()
+
+
+def _parts(keys: Keys) -> Identity:
+    """Parts of a key path that name a camera."""
+    parts: list[str] = []
+    for key in keys:
+        word = _word(key) if isinstance(key, str) else ""
+        if word in _GROUPS:
+            continue
+        section = _SECTION.fullmatch(key) if isinstance(key, str) and len(key) < 80 else None
+        parts.append(section[1] if section else str(key))
+    return tuple(parts)
+
+
+def _count(role: str, shape: _Shape) -> int | None:
+    """Number of cameras of a value: 0 for a single value, None if it is no value of this parameter."""
+    if isinstance(shape, str):
+        number = re.fullmatch(r"[+-]?[0-9.]+([eE][+-]?[0-9]+)?", shape) is not None
+        return 0 if role in _TEXTS or (role in SCALARS and number) else None
+    size = int(np.prod(shape)) if shape else 1
+    if role in _TEXTS:
+        return 0 if size == 1 else None
+    if role in SCALARS:
+        return 0 if size == 1 else (size if len(shape) == 1 else None)
+    if role == "distortion":
+        single = size <= 14 and (len(shape) <= 1 or 1 in shape)
+        return 0 if single else (shape[0] if len(shape) in (2, 3) and size // shape[0] <= 14 else None)
+    counts = _COUNTS[role]
+    if size in counts and not (role == "R" and size == 3 and len(shape) > 2):
+        return 0
+    each = size // shape[0] if len(shape) > 1 else 0
+    return shape[0] if each in counts else None
+
+
+def parts_found(found: Found) -> tuple[list[str], list[str]]:
+    """The four things that a camera needs: the ones that a file has, and the ones that it does not have."""
+    roles = {role for entries in found.cameras.values() for role in entries}
+    needed = (
+        ("K or focal length", INTRINSIC),
+        ("image size", SIZE),
+        ("rotation", ROTATION),
+        ("translation", TRANSLATION),
+    )
+    return [name for name, words in needed if words & roles], [
+        name for name, words in needed if not words & roles
+    ]

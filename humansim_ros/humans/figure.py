@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import dominant_bones
@@ -17,12 +18,22 @@ from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.kinematics import Motion
+from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array
 
 #: Range of statures, metres; a mesh of another size has another unit.
 PLAUSIBLE_STATURE = (0.4, 2.6)
 #: Length of bones without a child or skin, metres.
 _STUB = 0.03
+#: Trunk, from below. A bone points to the next one, through all joints between them.
+_TRUNK = ("HumanoidRoot", "sacroiliac", "vl5", "vt3")
+#: Directions of chest and head at rest: degrees forwards from straight up, and most degrees from there.
+#: Motions put these bones along their own links, which rise like the built-in bodies' bones; a bone that
+#: rises in another way would stoop or look up.
+_UPRIGHT = {"vl5": (5.0, 7.0), "vt3": (7.5, 7.0)}
+#: The skin of the head's joint is the head, without hats, if it is this share of the height of all that the
+#: joint carries.
+_SKULL = 0.5
 
 
 def to_body_space(
@@ -169,7 +180,7 @@ def _tails(
     """Tails (B, 3) of the bones.
 
     A tail is at the end of the link, at the only child (or next bone of the general skeleton), or at the end
-    of the skin.
+    of the skin. The chest points to the head's joint, and the head to its top, both about upright.
 
     Args:
         figure: Skinned mesh.
@@ -189,15 +200,16 @@ def _tails(
         children = [i for i, parent in enumerate(parents) if parent == name]
         named = [i for i in children if names[i] in general.names]
         head = heads[number]
-        if name in match.parallel and joint_of.get(name) == match.parallel[name][0]:
+        if name == "vt3":
+            goal = _top_of_head(figure, match, joint_of.get(name), joints, vertices, heaviest, head)
+        elif name in match.parallel and joint_of.get(name) == match.parallel[name][0]:
             goal = joints[match.parallel[name][1]]
+        elif name in _TRUNK:
+            goal = heads[names.index(_TRUNK[_TRUNK.index(name) + 1])]
         elif len(named) == 1 or (named and len(children) == 1):
             goal = heads[named[0]]
-        elif named:  # branches of the trunk: the middle one
-            middle = [i for i in named if "_" not in names[i]]
-            goal = heads[middle[0]] if middle else np.mean([heads[i] for i in named], axis=0)
         elif children:
-            goal = np.mean([heads[i] for i in children], axis=0)
+            goal = np.mean([heads[i] for i in named or children], axis=0)
         else:
             goal = head
         if np.linalg.norm(goal - head) < 1e-3:
@@ -206,8 +218,64 @@ def _tails(
             reach = (skin - head) @ along
             far = skin[reach >= 0.9 * reach.max(initial=0.0)]
             goal = far.mean(0) if reach.max(initial=0.0) > _STUB else head + _STUB * along
-        tails[number] = goal
+        tails[number] = head + _upright(name, goal - head)
     return tails
+
+
+def _top_of_head(
+    figure: SkinnedMesh,
+    match: JointMatch,
+    joint: int | None,
+    joints: Array,
+    vertices: Array,
+    heaviest: NDArray[np.intp],
+    head: Array,
+) -> Array:
+    """Top of the head (3,): the joint that is there, or else as high as the skin.
+
+    Eyes, hair and hats have joints at any side of the head, which do not show its direction.
+
+    Args:
+        figure: Skinned mesh.
+        match: Joints of the figure that drive bones.
+        joint: Joint of the head; None if the figure has none.
+        joints: Positions of the J joints, (J, 3) metres.
+        vertices: Vertices in body space, (V, 3) metres.
+        heaviest: Joint (V,) that each vertex follows most.
+        head: Lower end of the bone of the head, (3,) metres.
+    """
+    top = match.roles.get("HeadTop")
+    if top is not None and joints[top, 1] > head[1] + _STUB:
+        return joints[top]
+    if joint is None:
+        return head
+    carried = np.zeros(len(figure.parents), dtype=bool)
+    for number, parent in enumerate(figure.parents):  # parents come first
+        carried[number] = number == joint or (parent >= 0 and carried[parent])
+    own, all_ = (
+        float((vertices[skin, 1] - head[1]).max(initial=0.0))
+        for skin in (heaviest == joint, carried[heaviest])
+    )
+    height = own if own >= _SKULL * all_ else all_
+    return head + height * _direction(_UPRIGHT["vt3"][0]) if height > _STUB else head
+
+
+def _direction(degrees: float) -> Array:
+    """Unit vector (3,) that leans forwards from straight up."""
+    return np.array([0.0, np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+
+
+def _upright(name: str, along: Array) -> Array:
+    """``along`` (3,); of chest and head turned to where it is as upright as people stand."""
+    if name not in _UPRIGHT:
+        return along
+    lean, most = _UPRIGHT[name]
+    typical, length = _direction(lean), float(np.linalg.norm(along))
+    excess = float(angle_between(along, typical)) - np.radians(most)
+    if excess <= 0:
+        return along
+    axis = unit_vectors(np.cross(along, typical))
+    return np.asarray(rotation_vector_to_matrix(excess * axis) @ along) if length else along
 
 
 def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:

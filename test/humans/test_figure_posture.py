@@ -1,0 +1,308 @@
+"""Skinned figures of any rig move with chest and head as upright as at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import SHARED_DATA, if_shared, nightly_but
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.spatial.transform import Rotation
+
+from humansim_ros import read_motion
+from humansim_ros.humans.figure import to_body_space
+from humansim_ros.mesh.load import read_mesh_or_figure
+from humansim_ros.mesh.mesh import Mesh, SkinnedMesh, padded
+from humansim_ros.motion.info import to_world
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.world_motion import WorldMotion
+
+Array = NDArray[np.float64]
+#: Joint -> its parent and position: metres, y up, facing +z.
+Rig = dict[str, tuple[str, tuple[float, float, float]]]
+#: Most degrees by which chest and head may turn up or down.
+MOST = 10.0
+
+
+def limbs(names: Mapping[str, str], chest: str, hips: str, shoulder: float = 1.43) -> Rig:
+    """Both arms in T pose and both legs. ``names``: role -> name of the joint, with :func:`spelled` sides."""
+    places = {
+        "collar": (chest, (0.03, shoulder + 0.01, -0.03)),
+        "arm": ("collar", (0.19, shoulder, -0.03)),
+        "elbow": ("arm", (0.45, shoulder, -0.04)),
+        "wrist": ("elbow", (0.69, shoulder, -0.03)),
+        "hip": (hips, (0.09, 0.92, 0.0)),
+        "knee": ("hip", (0.09, 0.5, 0.01)),
+        "ankle": ("knee", (0.09, 0.09, -0.03)),
+        "toe": ("ankle", (0.09, 0.02, 0.1)),
+    }
+    rig: Rig = {}
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        for role, (parent, (x, y, z)) in places.items():
+            if role not in names:
+                continue
+            while parent in places and parent not in names:
+                parent = places[parent][0]
+            name, above = (spelled(names[each], side) if each in names else each for each in (role, parent))
+            rig[name] = (above, (sign * x, y, z))
+    return rig
+
+
+def spelled(name: str, side: str) -> str:
+    """A name with a side: ``%s`` is l or r, ``%side`` left or right, ``%Side`` Left or Right."""
+    for mark, text in (("%Side", side.title()), ("%side", side), ("%s", side[0])):
+        name = name.replace(mark, text)
+    return name
+
+
+MIXAMO = {
+    "collar": "%SideShoulder",
+    "arm": "%SideArm",
+    "elbow": "%SideForeArm",
+    "wrist": "%SideHand",
+    "hip": "%SideUpLeg",
+    "knee": "%SideLeg",
+    "ankle": "%SideFoot",
+    "toe": "%SideToeBase",
+}
+KAYKIT = {
+    "arm": "upperarm.%s",
+    "elbow": "lowerarm.%s",
+    "wrist": "hand.%s",
+    "hip": "upperleg.%s",
+    "knee": "lowerleg.%s",
+    "ankle": "foot.%s",
+    "toe": "toes.%s",
+}
+VRM = {
+    "collar": "%sideShoulder",
+    "arm": "%sideUpperArm",
+    "elbow": "%sideLowerArm",
+    "wrist": "%sideHand",
+    "hip": "%sideUpperLeg",
+    "knee": "%sideLowerLeg",
+    "ankle": "%sideFoot",
+    "toe": "%sideToes",
+}
+BIOVISION = {
+    "collar": "%SideCollar",
+    "arm": "%SideShoulder",
+    "elbow": "%SideElbow",
+    "wrist": "%SideWrist",
+    "hip": "%SideHip",
+    "knee": "%SideKnee",
+    "ankle": "%SideAnkle",
+}
+TRUNK: Rig = {
+    "Hips": ("", (0.0, 0.97, 0.0)),
+    "Spine": ("Hips", (0.0, 1.08, 0.01)),
+    "Spine1": ("Spine", (0.0, 1.2, 0.0)),
+    "Spine2": ("Spine1", (0.0, 1.32, -0.02)),
+    "Neck": ("Spine2", (0.0, 1.48, -0.035)),
+    "Head": ("Neck", (0.0, 1.58, 0.0)),
+}
+TOP: Rig = {"HeadTop_End": ("Head", (0.0, 1.8, 0.03))}
+EYES: Rig = {"LeftEye": ("Head", (0.03, 1.67, 0.09)), "RightEye": ("Head", (-0.03, 1.67, 0.09))}
+HAIR: Rig = {
+    "Hair_1": ("Head", (0.0, 1.72, -0.08)),
+    "Hair_2": ("Hair_1", (0.0, 1.6, -0.15)),
+    "Hair_3": ("Hair_2", (0.0, 1.4, -0.17)),
+}
+HAT: Rig = {"Hat": ("Head", (0.0, 1.76, 0.05)), "HatTip": ("Hat", (0.0, 1.82, 0.25))}
+HOOD: Rig = {"Hood": ("Spine2", (0.0, 1.45, -0.12)), "HoodTip": ("Hood", (0.0, 1.35, -0.2))}
+CAPE: Rig = {"Cape": ("Spine2", (0.0, 1.4, -0.15)), "CapeEnd": ("Cape", (0.0, 0.6, -0.3))}
+BELT: Rig = {"Belt": ("Hips", (0.0, 0.98, 0.14)), "Pouch": ("Spine", (0.12, 1.0, 0.1))}
+NECKS: Rig = {
+    "Neck1": ("Neck", (0.0, 1.52, -0.03)),
+    "Neck2": ("Neck1", (0.0, 1.55, -0.01)),
+    "Head": ("Neck2", (0.0, 1.58, 0.0)),
+}
+#: The neck leans forward by 27 degrees, and the chest back by 12, as in many figures of games.
+LEANING: Rig = {
+    "Spine2": ("Spine1", (0.0, 1.3, 0.0)),
+    "Neck": ("Spine2", (0.0, 1.46, -0.035)),
+    "Head": ("Neck", (0.0, 1.54, 0.005)),
+}
+SPINES: Rig = {
+    "Spine3": ("Spine2", (0.0, 1.37, -0.03)),
+    "Spine4": ("Spine3", (0.0, 1.42, -0.03)),
+    "Neck": ("Spine4", (0.0, 1.48, -0.035)),
+}
+
+
+def prefixed(rig: Rig, prefix: str) -> Rig:
+    return {prefix + name: (prefix + parent if parent else "", at) for name, (parent, at) in rig.items()}
+
+
+def mixamo(*more: Rig) -> Rig:
+    trunk = {name: place for part in (TRUNK, *more) for name, place in part.items()}
+    rig = {**trunk, **limbs(MIXAMO, "Spine2", "Hips")}
+
+    def depth(name: str) -> int:
+        return 1 + depth(rig[name][0]) if rig[name][0] else 0
+
+    return {name: rig[name] for name in sorted(rig, key=depth)}  # parents first
+
+
+RIGS: dict[str, Rig] = {
+    "mixamo": prefixed(mixamo(TOP), "mixamorig:"),
+    "ready_player_me": mixamo(TOP, EYES),
+    "eyes": mixamo(EYES),
+    "hair": mixamo(HAIR),
+    "hat": mixamo(HAT, EYES),
+    "hood_and_cape": mixamo(HOOD, CAPE, HAIR),
+    "belt": mixamo(BELT, TOP),
+    "more_necks": mixamo(NECKS, EYES),
+    "more_spines": mixamo(SPINES, HOOD),
+    "leaning_neck": mixamo(LEANING, HAT),
+    "kaykit": {
+        "root": ("", (0.0, 0.0, 0.0)),
+        "hips": ("root", (0.0, 0.97, 0.0)),
+        "spine": ("hips", (0.0, 1.02, 0.0)),
+        "chest": ("spine", (0.0, 1.2, 0.0)),
+        "head": ("chest", (0.0, 1.45, 0.0)),
+        "helmet": ("head", (0.0, 1.9, -0.2)),
+        **limbs(KAYKIT, "chest", "hips", 1.35),
+    },
+    "vrm": {
+        "hips": ("", (0.0, 0.97, 0.0)),
+        "spine": ("hips", (0.0, 1.08, 0.01)),
+        "chest": ("spine", (0.0, 1.2, 0.0)),
+        "upperChest": ("chest", (0.0, 1.32, -0.02)),
+        "neck": ("upperChest", (0.0, 1.48, -0.035)),
+        "head": ("neck", (0.0, 1.58, 0.0)),
+        "leftEye": ("head", (0.03, 1.67, 0.09)),
+        "rightEye": ("head", (-0.03, 1.67, 0.09)),
+        "J_Sec_Hair1_01": ("head", (0.0, 1.72, 0.08)),
+        "J_Sec_Hair2_01": ("J_Sec_Hair1_01", (0.0, 1.66, 0.14)),
+        **limbs(VRM, "upperChest", "hips"),
+    },
+    "biovision": {
+        "Hips": ("", (0.0, 0.97, 0.0)),
+        "Chest": ("Hips", (0.0, 1.12, 0.0)),
+        "Neck": ("Chest", (0.0, 1.48, -0.035)),
+        "Head": ("Neck", (0.0, 1.58, 0.0)),
+        "Ponytail": ("Head", (0.0, 1.7, -0.12)),
+        **limbs(BIOVISION, "Chest", "Hips"),
+    },
+}
+# names that no table has: matched by the shape of the skeleton
+RIGS["numbers"] = {
+    f"joint_{number}": (f"joint_{list(RIGS['eyes']).index(parent)}" if parent else "", at)
+    for number, (parent, at) in enumerate(RIGS["eyes"].values())
+}
+#: Joints that turn at rest: degrees about x, y and z on the left side.
+RESTS: dict[str, dict[str, tuple[float, float, float]]] = {
+    "T": {},
+    "A": {"arm": (0, 0, -50)},
+    "bent": {"spine": (15, 5, 4), "arm": (0, 0, -60)},
+    "posed": {"arm": (20, -15, -65), "elbow": (0, -25, 0), "hip": (-6, 4, 3), "knee": (12, 0, 0)},
+}
+
+
+def figure(name: str, rest: str) -> SkinnedMesh:
+    """Skinned mesh of a rig in a rest pose: a box along each link, and a larger box as the head."""
+    rig, size = RIGS[name], 0.2 if name == "kaykit" else 0.11
+    names = tuple(rig)
+    parents = np.array([names.index(parent) if parent else -1 for parent, _ in rig.values()])
+    places = np.array([place for _, place in rig.values()])
+    posed, turns = np.zeros_like(places), [Rotation.identity()] * len(names)
+    for joint, parent in enumerate(parents):
+        above = turns[parent] if parent >= 0 else Rotation.identity()
+        offset = places[joint] - (places[parent] if parent >= 0 else 0.0)
+        posed[joint] = (posed[parent] if parent >= 0 else 0.0) + above.apply(offset)
+        turns[joint] = above * turn_of(places, parents, joint, RESTS[rest])
+    vertices, triangles, weights = [], [], []
+    box = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    head = head_of(names)
+    for joint, parent in enumerate(parents):
+        parts = [(joint, posed[joint] + size * (box + np.array([0.0, 1.0, 0.2])))] if joint == head else []
+        if parent >= 0 and parent != head:
+            middle = (posed[joint] + posed[parent]) / 2
+            half = np.abs(posed[joint] - posed[parent]) / 2 + 0.03
+            parts.append((parent, middle + half * box))
+        if joint not in parents and joint != head:
+            parts.append((joint, posed[joint] + 0.04 * box))
+        for owner, corners in parts:
+            base = 8 * len(vertices)
+            for a, b, c, d in quads:
+                triangles += [(base + a, base + b, base + c), (base + a, base + c, base + d)]
+            vertices.append(corners)
+            share = np.zeros((8, len(names)))
+            share[:, owner] = 1.0
+            weights.append(share)
+    mesh = Mesh(np.concatenate(vertices), padded(np.array(triangles)))
+    return SkinnedMesh("rig", mesh, names, parents, posed, csr_matrix(np.concatenate(weights)))
+
+
+def head_of(names: tuple[str, ...]) -> int:
+    """Joint of the head: `joint_5` where joints have numbers."""
+    return next(n for n, name in enumerate(names) if name.lower().endswith(("head", "joint_5")))
+
+
+def turn_of(
+    places: Array, parents: NDArray[np.intp], joint: int, rest: Mapping[str, tuple[float, float, float]]
+) -> Rotation:
+    """Rotation of a joint at rest, found by where the joint is in T pose."""
+    x, y, _ = places[joint]
+    if abs(x) < 0.01 and 1.19 < y < 1.21:
+        return Rotation.from_euler("xyz", rest.get("spine", (0, 0, 0)), degrees=True)
+    role = {
+        (0.19, True): "arm",
+        (0.45, True): "elbow",
+        (0.09, True): "hip" if y > 0.9 else "knee" if y > 0.4 else "",
+    }.get((round(abs(float(x)), 2), True), "")
+    angles = np.array(rest.get(role, (0, 0, 0)), dtype=float)
+    if x < 0:
+        angles *= [1, -1, -1]
+    return Rotation.from_euler("xyz", angles, degrees=True)
+
+
+@cache
+def wave() -> WorldMotion:
+    motion = read_motion("wave")
+    few = replace(motion, values=motion.values[::8], frame_time=8 * motion.frame_time)
+    return to_world(few)
+
+
+def tilts(skinned: SkinnedMesh) -> dict[str, Array]:
+    """Degrees by which chest and head look up in each frame of ``wave``, compared with rest."""
+    _, skeleton, _ = to_body_space(skinned)
+    poses = wave().sample(np.linspace(0.0, wave().cycle_length, 20))
+    posed = Retargeter.fit(wave(), skeleton).pose(poses)
+    tilts = {}
+    for bone in ("vl5", "vt3"):
+        number = skeleton.bone(bone)
+        forward = posed[:, number, :3, :3] @ (skeleton.rest[number, :3, :3].T @ [0.0, 0.0, 1.0])
+        tilts[bone] = np.degrees(np.arcsin(forward[:, 2]))  # z is up in map
+    return tilts
+
+
+@pytest.mark.parametrize("rest", nightly_but({"T", "bent"}, RESTS))
+@pytest.mark.parametrize("rig", RIGS)
+def test_chest_and_head_of_any_rig_look_forward_as_at_rest(rig: str, rest: str) -> None:
+    for bone, degrees in tilts(figure(rig, rest)).items():
+        assert np.abs(degrees).max() < MOST, bone
+
+
+@pytest.mark.parametrize("name", if_shared("rpm_6505ad3b.glb", "CesiumMan.glb", "RiggedFigure.gltf"))
+def test_chest_and_head_of_shared_figures_look_forward_as_at_rest(name: str) -> None:
+    skinned = read_mesh_or_figure(SHARED_DATA / "mesh" / name)
+    assert isinstance(skinned, SkinnedMesh)
+    for bone, degrees in tilts(skinned).items():
+        assert np.abs(degrees).max() < MOST, bone
+
+
+@pytest.mark.parametrize("rig", ["hat", "kaykit", "hair", "vrm"])
+def test_the_head_ends_at_the_top_of_its_own_skin(rig: str) -> None:
+    skinned = figure(rig, "T")
+    mesh, skeleton, _ = to_body_space(skinned)
+    own = skinned.weights[:, [head_of(skinned.joint_names)]].toarray()[:, 0] == 1
+    tail = skeleton.tails[skeleton.bone("vt3")]
+    assert tail[1] == pytest.approx(mesh.vertices[own, 1].max(), abs=0.01)
+    assert abs(tail[0]) < 0.01

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -201,3 +201,17 @@ def write_vrma(
 
     names = {joint: f"node {joint * 7 % 23}" for joint in range(len(person.names))}
     return write_gltf_animation(path, person, rotations, root, names=names, change=add_map)
+
+
+def smpl_poses(person: StandIn, rotations: Rotations, names: Sequence[str], up: str = "z") -> Array:
+    """Rotation vectors (F, 3 J) in the order of SMPL's joint names; the person has these names.
+
+    ``up``: axis of the file that is up: the root rotation contains the turn from SMPL's y.
+    """
+    local, _ = person._frames(rotations, None)
+    raised = Rotation.from_euler("x", 90 if up == "z" else 0, degrees=True).as_matrix()
+    local[:, 0] = raised @ local[:, 0]
+    vectors = np.zeros((len(local), len(names), 3))
+    for joint, name in enumerate(person.names):
+        vectors[:, names.index(name)] = Rotation.from_matrix(local[:, joint]).as_rotvec()
+    return vectors.reshape(len(local), -1)

@@ -26,6 +26,18 @@ SMPL = (
     *("left_collar", "right_collar", "head", "left_shoulder", "right_shoulder"),
     *("left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand"),
 )
+_FINGERS = tuple(
+    f"{side}_{finger}{number}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for number in (1, 2, 3)
+)
+#: Names of the joints of SMPL, SMPL+H and SMPL-X by their number.
+SMPL_MODELS = {
+    24: SMPL,
+    52: (*SMPL[:22], *_FINGERS),
+    55: (*SMPL[:22], "jaw", "left_eye_smplhf", "right_eye_smplhf", *_FINGERS),
+}
 #: Titles of the columns of other sets, by field of :class:`JointName`.
 SETS = {"hanim2": "H-Anim 2", "smpl": "SMPL", "coco": "COCO", "body_25": "OpenPose BODY_25"}
 

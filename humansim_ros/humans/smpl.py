@@ -15,29 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from humansim_ros.body.joint_names import SMPL_MODELS
 from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import MeshError, located
 from humansim_ros.io.npz import read_npz
 from humansim_ros.mesh.mesh import LARGEST, Mesh, SkinnedMesh, normalise_weights, padded
 
 _ARRAYS = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
-_BODY = (
-    *("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle"),
-    *("right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head"),
-    *("left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist"),
-)
-_FINGERS = tuple(
-    f"{side}_{finger}{number}"
-    for side in ("left", "right")
-    for finger in ("index", "middle", "pinky", "ring", "thumb")
-    for number in (1, 2, 3)
-)
-#: Names of the joints by their number: SMPL, SMPL+H, SMPL-X.
-_NAMES = {
-    24: (*_BODY, "left_hand", "right_hand"),
-    52: (*_BODY, *_FINGERS),
-    55: (*_BODY, "jaw", "left_eye_smplhf", "right_eye_smplhf", *_FINGERS),
-}
 
 
 def is_smpl(names: Sequence[str]) -> bool:
@@ -94,7 +78,7 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
     table = get("kintree_table", 2, n).astype(np.int64)
     # the parent of the root is -1, also written as the largest unsigned integer
     parents = np.where((table[0] < 0) | (table[0] >= n), -1, table[0]).astype(np.intp)
-    if n not in _NAMES:
+    if n not in SMPL_MODELS:
         raise MeshError(f"{n} joints; SMPL has 24, SMPL+H 52, SMPL-X 55", path=path, key="kintree_table")
     if not (parents < np.arange(n)).all() or (parents < 0).sum() != 1:
         raise MeshError("a joint's parent must come before it", path=path, key="kintree_table")
@@ -112,4 +96,4 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
         mesh = Mesh(vertices, mesh.faces, uv, padded(corners))
     with located(path=path, key="weights"):
         limited = limit_bones(normalise_weights(csr_matrix(weights)))
-    return SkinnedMesh(Path(path).stem, mesh, _NAMES[n], parents, joints.astype(float), limited)
+    return SkinnedMesh(Path(path).stem, mesh, SMPL_MODELS[n], parents, joints.astype(float), limited)

@@ -33,6 +33,7 @@ MOTION_FORMATS = (
     MotionFormat("zip", "BVH in ZIP", (".zip",), "file in the archive"),
     MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),
     MotionFormat("vrma", "VRMA", (".vrma",), "animation"),
+    MotionFormat("smpl", "AMASS/SMPL", (".npz",), also="human"),
     MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
 )
 #: Suffixes of all formats.

@@ -64,6 +64,10 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         from humansim_ros.motion.acclaim import read_acclaim
 
         return read_acclaim(file, part)
+    if name == "smpl":
+        from humansim_ros.motion.smpl_motion import read_smpl_motion
+
+        return read_smpl_motion(file)
     return read_bvh(file, positions)
 
 

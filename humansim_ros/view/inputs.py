@@ -20,6 +20,7 @@ from humansim_ros.io.motion_formats import motion_format
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
+from humansim_ros.motion.smpl_motion import is_smpl_motion
 from humansim_ros.scene.config import check_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
@@ -173,7 +174,7 @@ def _maker(what: Path) -> Callable[[], ViewSource]:
     if (known := motion_format(what)) is not None and not known.also:
         return attempts[0][1]
     if suffix == ".npz":
-        return attempts[1][1]
+        return attempts[0 if is_smpl_motion(what) else 1][1]
     problems = []
     for kind, attempt in (attempts[2], attempts[1], attempts[0]):
         try:

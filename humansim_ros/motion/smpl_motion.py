@@ -1,0 +1,209 @@
+"""Poses of SMPL, SMPL+H and SMPL-X in NumPy archives, as of AMASS [Loper 2015, Mahmood 2019].
+
+A file has rotations, not the body: the joints have the places of a mean person (docs/motion.md).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.body.joint_names import SMPL_MODELS
+from humansim_ros.errors import HumansimError, MotionError, some_of, warn_about
+from humansim_ros.io.npz import read_npz
+from humansim_ros.motion.kinematics import Motion, motion_of_rotations
+from humansim_ros.types import Array
+
+#: Arrays of rotations: all joints together, or the parts in their order with what may be absent.
+_POSES = ("poses", "fullpose", "smpl_poses")
+_PARTS = (
+    ("root_orient", "global_orient"),
+    ("pose_body", "body_pose"),
+    ("pose_jaw", "jaw_pose"),
+    ("pose_eye", "leye_pose"),
+    ("reye_pose",),
+    ("pose_hand", "left_hand_pose"),
+    ("right_hand_pose",),
+)
+_PLACES = ("trans", "transl", "smpl_trans")
+_RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
+_KNOWN = (*_POSES, *(name for names in _PARTS for name in names), *_PLACES, *_RATES)
+#: Frames per second of a file that does not state them.
+_RATE = 30.0
+#: Most rotations of a file, and largest number.
+_MAX_ROTATIONS, _LARGEST = 20_000_000, 1e4
+#: Most frames that are repaired, as a share of all.
+_MOST_WRONG = 0.01
+
+#: Parent and place of each joint of SMPL from its parent at rest, metres: a mean person of 1.7 m in a T pose,
+#: y up, facing +z, +x to the left. Round numbers, not those of a model.
+_TRUNK = {
+    "pelvis": ("", (0.0, 0.0, 0.0)),
+    "spine1": ("pelvis", (0.0, 0.11, -0.02)),
+    "spine2": ("spine1", (0.0, 0.13, 0.0)),
+    "spine3": ("spine2", (0.0, 0.06, 0.02)),
+    "neck": ("spine3", (0.0, 0.21, -0.04)),
+    "head": ("neck", (0.0, 0.08, 0.05)),
+    "jaw": ("head", (0.0, -0.01, 0.02)),
+}
+_HEAD_TOP = (0.0, 0.18, 0.0)
+_LEFT = {
+    "hip": ("pelvis", (0.07, -0.09, 0.0)),
+    "knee": ("left_hip", (0.03, -0.38, 0.0)),
+    "ankle": ("left_knee", (0.0, -0.4, -0.03)),
+    "foot": ("left_ankle", (0.02, -0.06, 0.12)),
+    "collar": ("spine3", (0.07, 0.12, -0.03)),
+    "shoulder": ("left_collar", (0.1, 0.03, 0.0)),
+    "elbow": ("left_shoulder", (0.26, 0.0, -0.02)),
+    "wrist": ("left_elbow", (0.25, 0.0, 0.0)),
+    "hand": ("left_wrist", (0.08, 0.0, 0.0)),
+    "eye_smplhf": ("head", (0.03, 0.06, 0.06)),
+    "thumb1": ("left_wrist", (0.03, -0.01, 0.03)),
+    "thumb2": ("left_thumb1", (0.03, 0.0, 0.02)),
+    "thumb3": ("left_thumb2", (0.03, 0.0, 0.01)),
+}
+for _finger, _across in (("index", 0.03), ("middle", 0.0), ("ring", -0.02), ("pinky", -0.04)):
+    _LEFT[f"{_finger}1"] = ("left_wrist", (0.09, 0.0, _across))
+    _LEFT[f"{_finger}2"] = (f"left_{_finger}1", (0.03, 0.0, 0.0))
+    _LEFT[f"{_finger}3"] = (f"left_{_finger}2", (0.025, 0.0, 0.0))
+
+
+def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
+    """Whether an archive has poses; False if it cannot be read."""
+    try:
+        arrays = read_npz(path, MotionError, "SMPL motion", (*_POSES, *_PARTS[0]))
+    except HumansimError:
+        return False
+    return bool(arrays)
+
+
+def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
+    """Read poses of SMPL (24 joints), SMPL+H (52) or SMPL-X (55): rotation vectors, in metres.
+
+    ``poses`` (F, 3 J), or their parts such as ``root_orient``, ``pose_body`` and ``pose_hand``; ``trans``
+    (F, 3); ``mocap_frame_rate``. The model's shape (``betas``) and ``gender`` are not used. Single frames
+    that are not finite are filled from their neighbours, with a warning.
+
+    Raises:
+        MotionError: The file has no poses, or arrays of the wrong size; with file and array.
+    """
+    arrays = read_npz(path, MotionError, "SMPL motion", _KNOWN)
+    poses = _poses(Path(path), arrays)
+    names = SMPL_MODELS[len(poses[0])]
+    frames = len(poses)
+    places = next((arrays[name] for name in _PLACES if name in arrays), None)
+    if places is None:
+        warn_about(path, "no 'trans': the person stays in place")
+        places = np.zeros((frames, 3))
+    places = _finite(path, _numbers(path, "trans", places), "trans")
+    if places.shape != (frames, 3):
+        raise MotionError(f"{places.shape} numbers for {frames} frames", path=path, key="trans")
+    parents, offsets = _skeleton(names)
+    rotations = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(frames, -1, 3, 3)
+    order = sorted(range(len(names)), key=lambda joint: _depth(joint, parents))
+    number = {joint: place for place, joint in enumerate(order)}
+    above = [number[parents[joint]] if parents[joint] >= 0 else -1 for joint in order]
+    head = number[names.index("head")]
+    return motion_of_rotations(
+        [*(names[joint] for joint in order), "head_end"],
+        np.array([*above, head], dtype=np.intp),
+        np.array([*offsets[order], _HEAD_TOP]),
+        rotations[:, order],
+        {0: places},
+        1 / _rate(path, arrays),
+        path=os.fspath(path),
+        unit=1.0,
+    )
+
+
+def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:
+    """Rotation vectors (F, J, 3)."""
+    name = next((name for name in _POSES if name in arrays), None)
+    if name is not None:
+        found = _numbers(path, name, arrays[name])
+    else:
+        parts = [next((word for word in names if word in arrays), None) for names in _PARTS]
+        if parts[0] is None or parts[1] is None:
+            there = some_of(arrays) if arrays else "none of the arrays of AMASS"
+            raise MotionError(
+                "not a motion of SMPL: it needs 'poses', or 'root_orient' and 'pose_body' "
+                f"(rotation vectors); it has {there}",
+                path=path,
+            )
+        name = parts[0]
+        tables = [_numbers(path, part, arrays[part]) for part in parts if part is not None]
+        if len({len(table) for table in tables}) > 1:
+            raise MotionError("parts of different lengths", path=path, key=name)
+        found = np.concatenate(tables, axis=1)
+    width = found.shape[1] // 3
+    if found.shape[1] % 3 == 0 and width == 22:  # the body alone: SMPL without its hands
+        found, width = np.pad(found, ((0, 0), (0, 6))), 24
+    if not len(found) or found.shape[1] % 3 or width not in SMPL_MODELS:
+        counts = ", ".join(f"{3 * count} ({count} joints)" for count in (22, *SMPL_MODELS))
+        raise MotionError(
+            f"poses of {len(found)} frames with {found.shape[1]} numbers each; a frame has {counts}",
+            path=path,
+            key=name,
+        )
+    if found.size > 3 * _MAX_ROTATIONS:
+        raise MotionError(f"{len(found)} frames are too many", path=path, key=name)
+    return _finite(path, found, name).reshape(len(found), -1, 3)
+
+
+def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Array:
+    if array.dtype.kind not in "fiu" or array.ndim < 2:
+        raise MotionError(
+            f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}", path=path, key=name
+        )
+    # a copy, because SciPy refuses arrays that cannot be written
+    return np.array(array, dtype=float).reshape(len(array), int(np.prod(array.shape[1:])))
+
+
+def _finite(path: str | os.PathLike[str], table: Array, name: str) -> Array:
+    """Table (F, N) whose single wrong frames are filled linearly."""
+    wrong = ~(np.abs(table) <= _LARGEST).all(axis=1)
+    if not wrong.any():
+        return table
+    first = int(np.argmax(wrong))
+    if wrong.mean() > _MOST_WRONG:
+        message = f"{int(wrong.sum())} of {len(table)} frames are not finite, the first is {first}"
+        raise MotionError(message, path=path, key=name)
+    warn_about(path, f"{name}: {int(wrong.sum())} frames are not finite, such as {first}: filled")
+    good = np.flatnonzero(~wrong)
+    return np.stack([np.interp(np.arange(len(table)), good, column[good]) for column in table.T], axis=1)
+
+
+def _rate(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> float:
+    name = next((name for name in _RATES if name in arrays), None)
+    if name is None:
+        warn_about(path, f"no 'mocap_frame_rate': {_RATE:g} frames per second (else set the speed)")
+        return _RATE
+    value = arrays[name]
+    rate = float(value.ravel()[0]) if value.size == 1 and value.dtype.kind in "fiu" else 0.0
+    if not 1e-3 <= rate <= 1e6:
+        raise MotionError(f"frames per second must be a number above 0, not {value.tolist()!r:.40}",
+                          path=path, key=name)  # fmt: skip
+    return rate
+
+
+def _skeleton(names: tuple[str, ...]) -> tuple[list[int], Array]:
+    """Parents (J), and OFFSETs (J, 3) of the mean person."""
+    parents, offsets = [], []
+    for name in names:
+        side, _, part = name.partition("_")
+        parent, (x, y, z) = _TRUNK[name] if name in _TRUNK else _LEFT[part]
+        if side == "right":
+            parent, x = parent.replace("left", "right"), -x
+        parents.append(names.index(parent) if parent else -1)
+        offsets.append((x, y, z))
+    return parents, np.array(offsets)
+
+
+def _depth(joint: int, parents: list[int]) -> int:
+    return 0 if parents[joint] < 0 else 1 + _depth(parents[joint], parents)

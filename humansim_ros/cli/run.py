@@ -200,7 +200,9 @@ def run(
                     first = FirstImages(cameras, list(loaded.actors), start, namespace)
                     nodes.start_helper("humansim_ros.apps.first_images", first.to_argument())
                 until = None if seconds is None else time.monotonic() + seconds
-                dead = nodes.wait(until, respawn, lambda _: _is_complete(options_of_time))
+                dead = nodes.wait(
+                    until, respawn, lambda _: _is_complete(options_of_time), _restart_note(options_of_time)
+                )
             except Stopped:
                 dead = None
                 print_text("stopping")
@@ -212,6 +214,8 @@ def run(
         if dead and (summary.error or summary.is_complete):
             if summary.error:
                 print_error(f"error: {summary.error}")
+            elif dead.code:
+                print_error(f"error: {dead}, after the last frame")
             raise typer.Exit(dead.code and (2 if dead.code == WRONG_INPUT else 1))
     if dead:
         wrong_input = dead.code == WRONG_INPUT  # which the node has reported
@@ -267,6 +271,13 @@ def _summary(options: Any) -> Any:
     from humansim_ros.ros.lockstep.rules import LockstepSummary
 
     return LockstepSummary.read(Path(options.summary)) if options.summary else None
+
+
+def _restart_note(options: Any) -> Callable[[], None]:
+    """Function that tells the player of a run in lockstep that a node is started again."""
+    from humansim_ros.ros.lockstep.rules import RestartFile
+
+    return RestartFile(options.summary).write if options.summary else lambda: None
 
 
 def _is_complete(options: Any) -> bool:

@@ -30,6 +30,8 @@ _START_SCENE_AFTER = 1.5
 _SCENE_TIME_WITHIN = 1.0
 #: Seconds after the start in which the other nodes may still be starting.
 _STARTING = 15.0
+#: Seconds for which stamps must look like another clock until it is said, and seconds that end such a row.
+_CLOCK_DOUBT, _CLOCK_GAP = 10.0, 5.0
 
 #: Bytes of a point, of the largest cloud of vertices that is read, and of everything else in the message.
 _MAX_POINT, _MAX_HEADER = 64, 64 << 10
@@ -103,6 +105,8 @@ class FrameSynchronizer:
         #: Monotonic seconds of the first message.
         self._first_message: float | None = None
         self._has_frames = False
+        #: Monotonic seconds of the first and the newest frame of a row with stamps of another clock.
+        self._first_foreign, self._last_foreign = 0.0, float("-inf")
         self._done = node.create_publisher(Header, FRAME_DONE, DONE)
         self._alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
         description = "Show the scene at its start while no vertices arrive"
@@ -181,7 +185,13 @@ class FrameSynchronizer:
         if frame.offsets:
             self._node.count("foreign_stamps")
             seconds = max(frame.offsets.values(), key=abs)
-            self._node.report_other_clock(frame.offsets, seconds, "others")
+            now = time.monotonic()
+            if now - self._last_foreign > _CLOCK_GAP:
+                self._first_foreign = now
+            self._last_foreign = now
+            # a node that was started or has died leaves stamps behind that only look like another clock
+            if now - self._first_foreign > _CLOCK_DOUBT:
+                self._node.report_other_clock(frame.offsets, seconds, "others")
             return
         if not self._has_frames and time.monotonic() - self._started < _STARTING:
             return  # the skinners may be starting

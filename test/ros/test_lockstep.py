@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from humansim_ros.ros.lockstep.rules import MAX_JOINED, START_LIMIT, Lockstep
+from humansim_ros.ros.lockstep.rules import MAX_JOINED, START_LIMIT, Lockstep, LockstepSummary, RestartFile
 
 CAMERAS = ("left", "right")
 
@@ -140,6 +142,48 @@ def test_a_time_out_names_the_missing_members_and_does_not_count_while_cameras_s
     report(state, "right", now=20.0)
     assert state.overdue(24.9) == []
     assert [each.name for each in state.overdue(25.1)] == ["tracker"]
+
+
+def test_no_time_out_counts_while_a_node_is_started_again() -> None:
+    state = begun("recorder", timeout=30.0)
+    report(state, *CAMERAS, "recorder", now=1.0)
+    state.begin(200, 10.0)
+    report(state, *CAMERAS, now=11.0)
+    assert [each.name for each in state.overdue(40.1)] == ["recorder"]
+    state.restart(20.0)
+    assert state.overdue(40.1) == [] and state.overdue(20.0 + START_LIMIT - 0.1) == []
+    assert [each.name for each in state.overdue(20.1 + START_LIMIT)] == ["recorder"]
+    report(state, "recorder", now=49.0)
+    # the frame was in flight when the node died: the next one may wait for its start, too
+    state.begin(300, 50.0)
+    assert state.overdue(79.9) == [] and state.overdue(80.1) != []
+    report(state, *CAMERAS, "recorder", now=81.0)
+    state.begin(400, 82.0)
+    assert state.overdue(111.9) == [] and len(state.overdue(112.1)) == 3
+
+
+def test_a_player_reads_the_age_of_the_newest_restart(tmp_path: Path) -> None:
+    file = RestartFile(str(tmp_path / "lockstep.json"))
+    assert file.age() is None
+    file.write()
+    age = file.age()
+    assert age is not None and 0 <= age < 60
+    (tmp_path / "lockstep.json.restart").write_text("half")
+    assert file.age() is None
+
+
+@pytest.mark.parametrize(
+    ("sent", "seconds", "said"),
+    [
+        (90, 30.0, "90 frames in lockstep; 90 in 30.0 s: 3.0 frames/s, 0.10 times real time"),
+        (1, 0.0, "1 frames in lockstep; none was finished by all members"),
+        (0, 0.0, "0 frames in lockstep; none was finished by all members"),
+        (0, 3363.7, "0 frames in lockstep; none was finished by all members"),
+    ],
+)
+def test_a_summary_gives_rates_of_finished_frames_only(sent: int, seconds: float, said: str) -> None:
+    summary = LockstepSummary(sent, sent, {"left": sent}, seconds, sent / 30, False)
+    assert summary.text == f"{said}\nfinished: left {sent}"
 
 
 def test_a_camera_that_never_comes_is_overdue_in_the_end() -> None:

@@ -23,7 +23,14 @@ from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.clock import ClockOwner
 from humansim_ros.ros.graph import Endpoint, GraphWatch
 from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.lockstep.rules import Lockstep, LockstepSummary, Member, OnTimeout, ProgressFile
+from humansim_ros.ros.lockstep.rules import (
+    Lockstep,
+    LockstepSummary,
+    Member,
+    OnTimeout,
+    ProgressFile,
+    RestartFile,
+)
 from humansim_ros.ros.lockstep.settings import (
     CLOCK_SEARCH,
     REALTIME,
@@ -384,7 +391,7 @@ class LockstepPlaying(Playing):
                 self._stop(WRONG_INPUT, str(error))
                 return
             self._remove_members()
-        if overdue := state.overdue(now):
+        if (overdue := state.overdue(now)) and (overdue := self._overdue_since_restart(overdue)):
             self._give_up(overdue)
         self._repeat_if_due()
         if state.is_reminder_due(now):
@@ -423,6 +430,14 @@ class LockstepPlaying(Playing):
                 self.state.leave(name)
                 self.player.get_logger().info(f"{printable(name, 80)} has left: frames wait for it no longer")
 
+    def _overdue_since_restart(self, overdue: list[Member]) -> list[Member]:
+        """Members that are overdue although no node is being started again."""
+        age = RestartFile(self._settings.summary).age() if self._settings.summary else None
+        if age is None or self._now - age < 0:
+            return overdue
+        self.state.restart(self._now - age)
+        return self.state.overdue(self._now)
+
     def _give_up(self, overdue: list[Member]) -> None:
         names = _names(each.name for each in overdue)
         text = f"frame {self._number}: {names} did not finish it within {self._settings.timeout:g} s"
@@ -457,7 +472,7 @@ class LockstepPlaying(Playing):
             frames=frames,
             sent=sent,
             finished=self.state.finished,
-            seconds=round(end - begin, 3),
+            seconds=round(end - begin, 3) if begin else 0.0,
             scene_seconds=sent * self.clock.period * 1e-9,
             is_complete=bool(self._settings.frames) and not error and frames >= self._settings.frames,
             error=error,

@@ -1,9 +1,10 @@
-"""Lockstep without ROS: its rules, its progress file and its summary."""
+"""Lockstep without ROS: its rules, its files and its summary."""
 
 from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import count
@@ -75,6 +76,8 @@ class Lockstep:
         self._starting = set(starting)
         self._timeout = timeout
         self._started, self._ready = now, now
+        #: Time of the newest start of a node of the scene that had died; None if frames go on since.
+        self._restarted: float | None = None
         #: Members that have left, with the numbers of frames that they had finished.
         self._left: dict[str, int] = {}
         #: Stamp of the frame in flight; None before the first one.
@@ -116,6 +119,8 @@ class Lockstep:
             raise ValueError(f"frame {stamp} must not follow {self.stamp} now")
         if self.stamp is None:
             self._first = stamp
+        if self._restarted is not None and self._sent_at > self._restarted:
+            self._restarted = None  # a whole frame was sent and finished since
         self.stamp, self._sent_at = stamp, now
         self._sent += 1
         self._next_reminder = now + _REMIND_EVERY
@@ -199,9 +204,19 @@ class Lockstep:
             self._left[name] = member.finished
         return True
 
+    def restart(self, now: float) -> None:
+        """Note that a node of the scene has died, or is started again: it has 60 s until a time-out counts.
+
+        ``now``: when it was; earlier times than the last one change nothing.
+        """
+        self._restarted = now if self._restarted is None else max(self._restarted, now)
+
     def overdue(self, now: float) -> list[Member]:
         """Members whose time-out has passed."""
-        if self._starting and now < self._started + max(self._timeout, START_LIMIT):
+        limit = max(self._timeout, START_LIMIT)
+        if self._starting and now < self._started + limit:
+            return []
+        if self._restarted is not None and now < self._restarted + limit:
             return []
         since = max(self._sent_at, self._ready)
         return [each for each in self.missing if now - max(since, each.since) >= self._timeout]
@@ -245,7 +260,7 @@ class LockstepSummary:
         frames: Number of frames of the run.
         sent: Number of those that this player has sent; others were sent before it was started again.
         finished: Number of frames that each member has finished, of those that this player has sent.
-        seconds: Wall-clock time of these.
+        seconds: Wall-clock time until the last of these was finished; 0 if none was.
         scene_seconds: Simulated time of these.
         is_complete: Whether these are all the frames that were requested.
         error: Why it ended early; empty if it did not.
@@ -262,16 +277,17 @@ class LockstepSummary:
     @property
     def text(self) -> str:
         """Lines for people."""
-        seconds = max(self.seconds, 1e-9)
         again = (
             f" ({self.sent} of them since the player was started again)" if self.sent < self.frames else ""
         )
         members = ", ".join(f"{name} {count}" for name, count in self.finished.items())
-        return (
-            f"{self.frames} frames in lockstep{again}; {self.sent} in {self.seconds:.1f} s: "
-            f"{self.sent / seconds:.1f} frames/s, {self.scene_seconds / seconds:.2f} times real time\n"
-            f"finished: {members}"
+        rates = (
+            f"{self.sent} in {self.seconds:.1f} s: {self.sent / self.seconds:.1f} frames/s, "
+            f"{self.scene_seconds / self.seconds:.2f} times real time"
+            if self.seconds and self.sent
+            else "none was finished by all members"
         )
+        return f"{self.frames} frames in lockstep{again}; {rates}\nfinished: {members}"
 
     def write(self, path: str) -> None:
         """Write it to a file."""
@@ -282,6 +298,28 @@ class LockstepSummary:
     def read(cls, path: Path) -> LockstepSummary | None:
         """Read what :meth:`write` has written; None if there is nothing."""
         return cls(**json.loads(path.read_text())) if path.is_file() else None
+
+
+class RestartFile:
+    """File by which the process that starts nodes tells a player that one has died or is started again.
+
+    ``summary``: file for the summary of the run, beside which it is.
+    """
+
+    def __init__(self, summary: str) -> None:
+        self._path = Path(f"{summary}.restart")
+
+    def write(self) -> None:
+        """Note a restart now."""
+        with atomic_path(self._path) as target:
+            target.write_text(repr(time.monotonic()))
+
+    def age(self) -> float | None:
+        """Seconds since the newest restart; None if there was none."""
+        try:
+            return time.monotonic() - float(self._path.read_text())
+        except (OSError, ValueError):
+            return None
 
 
 class ProgressFile:

@@ -111,6 +111,7 @@ class Supervisor:
         until: float | None = None,
         respawn: bool = False,
         is_end: Callable[[EndedProcess], bool] = lambda _: False,
+        on_restart: Callable[[], object] = lambda: None,
     ) -> EndedProcess | None:
         """Wait until a process ends unexpectedly, or until the monotonic time ``until``.
 
@@ -119,6 +120,7 @@ class Supervisor:
             respawn: Start processes again that have ended, and go on; not after wrong input or a time-out,
                 and not without end (:class:`RestartPolicy`).
             is_end: Whether a process has ended as it should, and all others are to end with it.
+            on_restart: Called when a process has died that is started again, and when it is started.
 
         Returns:
             The process, or None at ``until``.
@@ -133,6 +135,7 @@ class Supervisor:
                 delay = policies[name].delay(now - self._started[name])
                 if delay is None:
                     return dead
+                on_restart()
                 self._shared_memory.remove([self._running.pop(name).pid])
                 starts[name] = now + delay
                 when = f"in {delay:g} s" if delay else "now"
@@ -141,6 +144,7 @@ class Supervisor:
             for name in [name for name, start in starts.items() if start <= time.monotonic()]:
                 del starts[name]
                 self._start_node(name)
+                on_restart()
             time.sleep(0.1)
         return None
 

@@ -266,6 +266,13 @@ _COLUMNS: dict[str, Callable[[CaseResult], str]] = {
 }
 
 
+#: What is said of a tracker that gets its people from elsewhere.
+BLIND = (
+    "This tracker subscribes to no topic of images: difficulties of images do not reach it, and its score "
+    "says nothing about them."
+)
+
+
 def write_pages(folder: Path, report: Report, other: Report | None = None) -> Sequence[Path]:
     """Write the picture and the page into the folder of a report.
 
@@ -288,7 +295,11 @@ def html_page(report: Report, other: Report | None = None) -> str:
     tables = [
         part
         for name, each in reports.items()
-        for part in (element("h2", f"{name}{each.tracker}"), _html_table(each))
+        for part in (
+            element("h2", f"{name}{each.tracker}"),
+            *([element("p", BLIND)] if each.is_blind else ()),
+            _html_table(each),
+        )
     ]
     return page("Crash test of a tracker", _STYLE, picture(report, other), *tables)
 
@@ -340,7 +351,8 @@ def show_table(report: Report, other: Report | None = None) -> str:
         for result in each.results.values()
         if result.failure
     ]
-    return "\n".join([*(line.rstrip() for line in lines), "", *legend, *failed, *_points(reports)])
+    blind = [BLIND] if any(each.is_blind for each in reports) else []
+    return "\n".join([*(line.rstrip() for line in lines), "", *legend, *failed, *blind, *_points(reports)])
 
 
 def _header(reports: list[Report]) -> Iterator[str]:

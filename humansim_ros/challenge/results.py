@@ -39,6 +39,7 @@ class CaseResult:
         switches: Number of changes of identity; None if the tracker has none.
         seconds: Wall-clock time of the frames.
         latency: Median of the seconds from the start of a frame to its estimate.
+        sees: Whether somebody has subscribed to images; None if it is not known.
     """
 
     axis: str
@@ -55,6 +56,7 @@ class CaseResult:
     switches: int | None = None
     seconds: float = 0.0
     latency: float | None = None
+    sees: bool | None = None
 
     @property
     def name(self) -> str:
@@ -109,6 +111,12 @@ class Report:
     def baseline(self) -> CaseResult | None:
         """Result without a difficulty."""
         return self.results.get(BASELINE)
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the tracker is known to look at no image in any case."""
+        known = [each.sees for each in self.results.values() if each.sees is not None]
+        return bool(known) and not any(known)
 
     def of_axis(self, axis: str) -> list[CaseResult]:
         """Results of an axis, the weakest strength first."""

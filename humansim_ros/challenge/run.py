@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shlex
 import signal
@@ -30,6 +31,8 @@ from humansim_ros.ros.transport import claim_domain, domain_environment
 _AFTER = 2.0
 #: Most bytes of the end of its output in an error, and bytes of its output that are kept.
 _MAX_TAIL, _MAX_OUTPUT = 600, 1 << 20
+#: Option of prctl: orphans among the descendants of this process become its children.
+_PR_SET_CHILD_SUBREAPER = 36
 
 
 def command_words(command: str, values: Mapping[str, str]) -> list[str]:
@@ -50,7 +53,10 @@ def command_words(command: str, values: Mapping[str, str]) -> list[str]:
 
 
 class TrackerProcess:
-    """A running tracker. Use it as a context manager: at its end the process group is stopped.
+    """A running tracker. Use it as a context manager: at its end it is stopped with all its processes.
+
+    Daemons that it leaves behind become children of this process, which kills them. So start nothing else
+    from this process while it runs.
 
     Args:
         words: Command line.
@@ -63,6 +69,8 @@ class TrackerProcess:
 
     def __init__(self, words: list[str], environment: Mapping[str, str], log: Path) -> None:
         self._log = log
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        self._others = _children(os.getpid())
         with log.open("wb") as output:
             try:
                 self._process = subprocess.Popen(
@@ -125,8 +133,33 @@ class TrackerProcess:
             while self._process.poll() is None and time.monotonic() < end:
                 time.sleep(0.02)
             if self._process.poll() is not None and not _has_group(self._process.pid):
-                return
+                break
         self._process.wait()
+        self._kill_daemons()
+        with suppress(OSError):
+            if self.is_too_talkative:
+                os.truncate(self._log, _MAX_OUTPUT)
+
+    def _kill_daemons(self) -> None:
+        """Kill processes that have left the group of the tracker, and their children."""
+        end = time.monotonic() + _AFTER
+        while (left := _children(os.getpid()) - self._others) and time.monotonic() < end:
+            for process in left:
+                with suppress(ProcessLookupError, PermissionError, ChildProcessError):
+                    os.kill(process, signal.SIGKILL)
+                    os.waitpid(process, os.WNOHANG)
+            time.sleep(0.02)
+
+
+def _children(parent: int) -> set[int]:
+    """Ids of the children of a process, dead ones too."""
+    found = set[int]()
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, ValueError, IndexError):  # it has ended meanwhile
+            # the name in brackets may contain anything
+            if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                found.add(int(folder.name))
+    return found
 
 
 def _has_group(number: int) -> bool:
@@ -243,8 +276,8 @@ class CaseProcess:
     def __init__(self, log: Path) -> None:
         self._log = log
         self._workers: Workers | None = None
-        domain = os.environ.get("ROS_DOMAIN_ID", "")
-        self.domain = int(domain) if domain.isdecimal() else claim_domain()
+        #: A domain of its own: a run of the user in another terminal and the cases do not meet.
+        self.domain = claim_domain()
 
     def __enter__(self) -> CaseProcess:
         return self
@@ -257,12 +290,18 @@ class CaseProcess:
         """The process, if it runs."""
         return [] if self._workers is None else self._workers.processes
 
-    def ask(self, order: CaseOrder) -> None:
-        """Begin a case; starts the process unless it runs."""
+    def start(self) -> None:
+        """Start the process unless it runs."""
         with self._errors():
             if self._workers is None:
                 self._workers = Workers(CaseJob(self._log, self.domain), 1)
                 self._workers.wait_until_ready()
+
+    def ask(self, order: CaseOrder) -> None:
+        """Begin a case; starts the process unless it runs."""
+        self.start()
+        with self._errors():
+            assert self._workers is not None
             self._workers.ask(order)
 
     def answer(self, wait: float) -> dict[str, Any] | None:
@@ -332,6 +371,7 @@ def run_case(
     values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
     words = command_words(options.tracker, values)
     log = folder / f"{case.name}.log"
+    nodes.start()  # before the tracker, whose own processes are the ones that come after it
     with _writing(log):
         tracker = TrackerProcess(words, domain_environment(nodes.domain), log)
     with tracker:

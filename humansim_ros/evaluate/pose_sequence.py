@@ -82,6 +82,12 @@ class PoseSequence:
         people = [{name: pose @ matrix.T for name, pose in frame.items()} for frame in self.people]
         return replace(self, people=people)
 
+    def since(self, time: int) -> PoseSequence:
+        """The frames from a time on, nanoseconds."""
+        first = int(np.searchsorted(self.times, time))
+        scores = None if self.scores is None else self.scores[first:]
+        return replace(self, times=self.times[first:], people=self.people[first:], scores=scores)
+
     def delayed(self, nanoseconds: int) -> PoseSequence:
         """The sequence with all times later by some nanoseconds."""
         return replace(self, times=self.times + nanoseconds)

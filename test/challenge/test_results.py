@@ -111,6 +111,14 @@ def test_the_page_is_one_file_with_every_case(tmp_path: Path) -> None:
     assert [path.name for path in write_pages(tmp_path, report)] == [PICTURE, PAGE]
 
 
+@pytest.mark.parametrize(("sees", "is_said"), [(True, False), (False, True), (None, False)])
+def test_a_tracker_that_looks_at_no_image_is_told(tmp_path: Path, sees: bool | None, is_said: bool) -> None:
+    report = made_report(small_suite(tmp_path))
+    report.results = {name: replace(result, sees=sees) for name, result in report.results.items()}
+    for text in (html_page(report), show_table(report)):
+        assert ("subscribes to no topic of images" in text) == is_said
+
+
 def test_pages_and_results_that_cannot_be_written_are_an_error(tmp_path: Path) -> None:
     report = made_report(small_suite(tmp_path))
     missing = tmp_path / "missing"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from challenge_support import SUITE, small_suite
 from waiting import wait_until
 
 from humansim_ros.challenge import run
-from humansim_ros.challenge.case import MAX_MESSAGES, CaseOrder, measured
+from humansim_ros.challenge.case import MAX_MESSAGES, CaseOrder, _scores, measured
 from humansim_ros.challenge.results import CaseResult, Report
 from humansim_ros.challenge.run import (
     CaseProcess,
@@ -55,6 +56,7 @@ def test_a_perfect_tracker_is_perfect_until_it_dies(tmp_path: Path) -> None:
     base = report.baseline
     assert base is not None and base.failure == ""
     assert base.frames == base.estimates == 4
+    assert base.sees is False and report.is_blind
     assert base.score == 100 and base.mpjpe == pytest.approx(0, abs=1e-4)
     died = report.results["size_3"]
     assert "ended with exit code 3: the tracker has no camera" in died.failure
@@ -115,6 +117,27 @@ def test_frames_that_a_tracker_leaves_out_at_the_end_are_missed(tmp_path: Path) 
     result = collected(tmp_path, PoseFrame(1, "map", [pose]))
     assert (result["recall"], result["pck"]) == (0.5, 0.5)
     assert result["mpjpe"] == pytest.approx(0, abs=1e-6)
+
+
+def test_the_first_frames_of_a_case_are_for_the_warm_up(tmp_path: Path) -> None:
+    case = small_suite(tmp_path).cases[0]
+    scene = Scene.from_config(case.scene)
+    actor = scene.actors["anna"]
+    order = CaseOrder("", 0, 24, 1.0, ChallengeOptions("tracker"))
+    frames = {1 + 50_000_000 * number: 50_000_000 * number for number in range(24)}
+
+    def scores(*lost: int) -> dict[str, Any]:
+        stream = EstimateStream(order.options.topic)
+        for number, (stamp, time) in enumerate(frames.items()):
+            if number not in lost:
+                joints = actor.joint_paths(np.array([time * 1e-9]))[0]
+                pose = Pose("anna", tuple(actor.human.skeleton.joint_names), joints)
+                stream.add(PoseFrame(stamp, "map", [pose]), order.options.topic, 0)
+        return _scores(order, scene, frames, stream)
+
+    assert scores(0, 2) == scores()
+    assert scores()["recall"] == 1.0
+    assert scores(3)["recall"] == pytest.approx(20 / 21)
 
 
 class FinishedCases:
@@ -196,6 +219,31 @@ def test_children_of_a_tracker_end_with_it(tmp_path: Path) -> None:
     status = Path(f"/proc/{child}/stat")
     # its parent is gone, so that it may stay as a zombie
     assert wait_until(lambda: not status.exists() or ") Z " in status.read_text())
+
+
+def test_daemons_of_a_tracker_end_with_it_and_other_children_stay(tmp_path: Path) -> None:
+    """It leaves the group and the session of the tracker, and clears its environment."""
+    with subprocess.Popen(["sleep", "1000"]) as other:
+        words = ["sh", "-c", "env -i setsid sh -c 'sleep 1000 & echo $!; wait' & sleep 1000"]
+        with TrackerProcess(words, {}, tmp_path / "log") as tracker:
+            assert wait_until(lambda: tracker.output_tail)
+            child = int(tracker.output_tail)
+        assert not Path(f"/proc/{child}").exists()
+        assert other.poll() is None
+        other.kill()
+
+
+def test_the_output_of_a_tracker_is_cut(tmp_path: Path) -> None:
+    words = ["sh", "-c", "head -c 3000000 /dev/zero; sleep 1000"]
+    with TrackerProcess(words, {}, tmp_path / "log") as tracker:
+        assert wait_until(lambda: tracker.is_too_talkative)
+    assert (tmp_path / "log").stat().st_size == 1 << 20
+
+
+def test_a_challenge_has_a_domain_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    first, second = CaseProcess(tmp_path / "log"), CaseProcess(tmp_path / "log")
+    assert first.domain == second.domain != 0  # one for each process
 
 
 def test_a_tracker_that_prints_without_end_is_stopped(tmp_path: Path) -> None:

@@ -92,17 +92,13 @@ def _nightly(name: Any) -> list[pytest.MarkDecorator]:
     return [pytest.mark.nightly] * (isinstance(name, str) and name in MORE_OF_A_FAMILY)
 
 
-def shared_motions(*without: str, fails: tuple[str, ...] = ()) -> list[Any]:
-    """Names of the shared BVH files as parameters of a test; empty if the folder is missing.
+def shared_motions(*without: str) -> list[Any]:
+    """Names of the shared BVH files as parameters of a test, but those that its claim is not about.
 
-    Args:
-        without: Files that the claim of the test is not about.
-        fails: Files for which the claim does not hold yet. The test fails when it does.
+    Empty if the folder is missing.
     """
-    yet = pytest.mark.xfail(strict=True, reason="the file is not read yet as it should be")
     names = sorted(path.stem for path in (SHARED_DATA / "bvh").glob("*.bvh") if path.stem not in without)
-    marks = {name: [needs_shared_data, *[yet] * (name in fails), *_nightly(name)] for name in names}
-    return [pytest.param(name, marks=marks[name]) for name in names]
+    return [pytest.param(name, marks=[needs_shared_data, *_nightly(name)]) for name in names]
 
 
 def pytest_configure() -> None:

@@ -41,7 +41,7 @@ _ENDS = ("END", "ENDSITE", "END_SITE")
 class Parser:
     """Parser of one file, from its start to its end.
 
-    The hierarchy is read statement by statement, the rows by :mod:`.bvh_rows`.
+    The hierarchy is read statement by statement, the rows by :mod:`.bvh_text`.
     """
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO) -> None:
@@ -244,8 +244,8 @@ class Parser:
         if not has_motion:
             self.text.warn_file("no MOTION section: a static pose")
             return self._rest_row(), 1 / 30
-        n_channels = sum(len(names or ()) for names in self.channels)
-        rows, frame_time = read_motion_section(self.text, n_channels)
+        angles = [name.endswith("rotation") for names in self.channels for name in names or ()]
+        rows, frame_time = read_motion_section(self.text, np.array(angles, dtype=bool))
         if len(rows) == 0:
             self.text.warn_file("no frames: a static pose")
             rows = self._rest_row()
@@ -287,8 +287,8 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
 
     Warns (HumansimWarning) where something is wrong but its meaning clear: a missing or wrong ``Frames:``
     count (the rows decide), no ``Frame Time:`` (30 frames per second), missing words HIERARCHY and MOTION,
-    end sites with other words, commas, text after the rows, and others (docs/motion.md lists them). Needs
-    about twice the memory of the values, whatever the header says.
+    end sites with other words, commas, up to 1 % bad rows, text after the rows, and others (docs/motion.md
+    lists them). Needs about twice the memory of the values, whatever the header says.
 
     Raises:
         MotionError: The file is not valid; with file and line.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import MotionError, warn_about
+from humansim_ros.errors import MotionError, some_of, warn_about
 from humansim_ros.types import Array
 
 #: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
@@ -103,13 +104,16 @@ class BvhText:
         self.line -= 1
 
     def blocks(self) -> Iterator[str]:
-        """The rest of the file in blocks that end with white space; they do not change ``line``."""
+        """The rest of the file in blocks of whole lines, of whole words where a line is longer.
+
+        They do not change ``line``.
+        """
         rest, self._unread = self._unread, ""
         n_read = 0
         while text := self._file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
             n_read += len(text)
             text = rest + text
-            cut = max(text.rfind(" "), text.rfind("\n"), text.rfind("\t")) + 1
+            cut = text.rfind("\n") + 1 or max(text.rfind(" "), text.rfind("\t")) + 1
             if len(text) - cut > _MAX_CHARACTERS:
                 raise self.error(f"a word of more than {_MAX_CHARACTERS} characters", self.line + 1)
             rest = text[cut:]
@@ -131,15 +135,6 @@ def to_float(word: str) -> float:
     if "_" in word or not word.isascii():
         raise ValueError
     return float(word)
-
-
-def is_number(word: str) -> bool:
-    """Whether a word is a number, finite or not."""
-    try:
-        to_float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def split_glued(text: str) -> str:
@@ -184,10 +179,13 @@ def starts_motion(statement: str) -> bool:
     return bool(_HEADER.fullmatch(statement) or _NUMBER_START.match(statement))
 
 
-def read_motion_section(text: BvhText, n_channels: int) -> tuple[Array, float]:
-    """Channel values (F, C) and frame time after the word MOTION; F is 0 where ``Frames:`` says so."""
+def read_motion_section(text: BvhText, angles: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Channel values (F, C) and frame time after the word MOTION; F is 0 where ``Frames:`` says so.
+
+    ``angles``: (C,) whether each channel is an angle.
+    """
     n_frames, frame_time = _read_header(text)
-    rows = _Rows(text, n_channels, n_frames).read()
+    rows = _Rows(text, angles, n_frames).read()
     if len(rows) == 0:
         if n_frames == 0:
             return rows, frame_time
@@ -248,65 +246,139 @@ def _header_number(text: BvhText, key: str, line: int, value: str) -> float:
     return numbers[0]
 
 
+#: Share of bad rows from which a file is refused, and their largest number.
+_BAD_SHARE, _MAX_BAD = 0.01, 10_000
+#: So many bad rows are read before their share counts.
+_FIRST_BAD = 10
+#: Angles (degrees) that change by less between two frames are interpolated; otherwise a pose is held.
+_STEADY = 45.0
+
+
+@dataclass(frozen=True)
+class _BadLine:
+    """A line that is no row: its number, the index of its first value and their number, and the reason.
+
+    ``word``: the first word of a line without any number; "" for others. ``n_lines``: number of such lines
+    one after another.
+    """
+
+    line: int
+    start: int
+    count: int
+    reason: str
+    word: str = ""
+    n_lines: int = 1
+
+
 class _Rows:
     """Reader of the rows: in blocks, and word by word only where a block is not plain."""
 
-    def __init__(self, text: BvhText, n_channels: int, n_frames: float) -> None:
+    def __init__(self, text: BvhText, angles: NDArray[np.bool_], n_frames: float) -> None:
         self.text = text
-        self.n_channels = n_channels
+        self.angles = angles
+        self.n_channels = len(angles)
         self.n_frames = n_frames
-        self.layout = _Layout(n_channels)
+        self.layout = _Layout(self.n_channels)
+        self.bad: list[_BadLine] = []  # lines with a word that is no number
+        self.n_damaged = 0  # those of them with a number
+        self.n_values = 0
         self.comma: str | None = None  # what replaces commas
         self.has_points = False
 
     def read(self) -> Array:
         """Channel values (F, C) of the rest of the file."""
         parts: list[Array] = []
-        blocks = self.text.blocks()
-        for block in blocks:
+        for block in self.text.blocks():
             if self.n_channels == 0 and block.strip():
                 raise self.text.error("a value, but no joint has channels", self.text.line + 1)
             self.has_points = self.has_points or "." in block
             parsed = _fast_values(block)
-            word_of_tail = ""
             if parsed is None:
                 block = split_glued(self._without_commas(block) if "," in block else block)
                 parsed = _fast_values(block)
-            if parsed is None:
-                values, ends, word_of_tail = self._slow_values(block)
-            else:
-                values, ends = parsed
+            values, ends = self._slow_values(block) if parsed is None else parsed
             parts.append(values)
             self.layout.add(values, ends, self.text.line + 1)
+            self.n_values += len(values)
             self.text.line += len(ends)
-            if word_of_tail:
-                self._check_tail(word_of_tail, block, blocks, sum(map(len, parts)))
-                break
-            if self.layout.is_broken:
+            if self._is_over(self.n_values) or self._is_hopeless():
                 break
         if self.n_channels == 0:
             return np.zeros((1, 0))
         self.layout.end(self.text.line + 1)
-        self._check_layout(sum(map(len, parts)))
-        return np.concatenate([np.empty(0), *parts]).reshape(-1, self.n_channels)
+        return self._rows(np.concatenate([np.empty(0), *parts]))
 
-    def _check_layout(self, n_values: int) -> None:
-        layout, n_channels = self.layout, self.n_channels
-        if layout.odd_line is None:
-            return
-        if layout.is_broken or n_values != self.n_frames * n_channels:
-            # a short row at the end of the file is a truncated file
-            is_cut = layout.odd_line == layout.last_line and layout.odd_count < n_channels
-            raise self.text.error(
-                f"a frame needs {n_channels} values, this has {layout.odd_count}"
-                + ("; the file is truncated" if is_cut else ""),
-                layout.odd_line,
+    def _is_over(self, n_values: int) -> bool:
+        """Whether text follows after as many values as ``Frames:`` says."""
+        is_text = len(self.bad) == 1 and self.bad[0].word and self.bad[0].start == n_values
+        return bool(is_text and n_values and n_values == self.n_frames * self.n_channels)
+
+    def _is_hopeless(self) -> bool:
+        """Whether too many lines are bad already. Text may be the end of the file."""
+        n_bad = self.n_damaged + self.layout.n_odd * self.layout.is_broken
+        n_lines = max(self.layout.n_lines, 0 if np.isnan(self.n_frames) else self.n_frames)
+        return n_bad > min(_MAX_BAD, max(_FIRST_BAD, _BAD_SHARE * n_lines)) or len(self.bad) > _MAX_BAD
+
+    def _rows(self, values: Array) -> Array:
+        """Rows (F, C) of all values; where lines are bad, without them or with frames in their place."""
+        bad = self._without_tail()
+        odd, layout, n_channels = self.layout.odd, self.layout, self.n_channels
+        if odd and not bad and not layout.is_broken and len(values) == self.n_frames * n_channels:
+            self.text.warn(
+                f"not one frame on a line ({odd[0].count} of {n_channels} values): there are as many values "
+                f"as {self.n_frames:g} frames have, which are taken in order",
+                odd[0].line,
             )
-        self.text.warn(
-            f"not one frame on a line ({layout.odd_count} of {n_channels} "
-            f"values): there are as many values as {self.n_frames:g} frames have, which are taken in order",
-            layout.odd_line,
-        )
+            return values.reshape(-1, n_channels)
+        n_good, bad = layout.n_lines - layout.n_odd, sorted([*bad, *odd], key=lambda each: each.line)
+        n_bad = sum(each.n_lines for each in bad) + layout.n_odd - len(odd)
+        if n_bad > min(_MAX_BAD, _BAD_SHARE * (n_good + n_bad)) or (bad and self._is_hopeless()):
+            first = bad[0]
+            # a short row at the end of the file is a truncated file
+            is_cut = first in odd and first.line == layout.last_line and first.count < n_channels
+            raise self.text.error(
+                first.reason
+                + "; the file is truncated" * is_cut
+                + f"; {n_bad} of {n_good + n_bad} rows are bad, more than {_BAD_SHARE:.0%}" * (n_good > 0),
+                first.line,
+            )
+        return self._mended(values, bad) if bad else values.reshape(-1, n_channels)
+
+    def _without_tail(self) -> list[_BadLine]:
+        """The bad lines but for text after the last row, with a warning."""
+        tail = len(self.bad)
+        while tail and self.bad[tail - 1].word and self.bad[tail - 1].start == self.n_values:
+            tail -= 1
+        if self.n_values and tail < len(self.bad):
+            first = self.bad[tail]
+            self.text.warn(
+                f"the text from {first.word[:40]!r} on is not part of the motion: left out", first.line
+            )
+            return self.bad[:tail]
+        return self.bad
+
+    def _mended(self, values: Array, bad: list[_BadLine]) -> Array:
+        """Rows (F, C) with a frame in the place of each bad line that was one."""
+        keep = np.ones(len(values), dtype=bool)
+        before = np.cumsum([0, *(each.count for each in bad)])[:-1]
+        for each in bad:
+            keep[each.start : each.start + each.count] = False
+        rows = values[keep].reshape(-1, self.n_channels)
+        places = (np.array([each.start for each in bad]) - before) // self.n_channels
+        is_frame = self._were_frames(bad, len(rows)) & (places < len(rows))
+        for chosen, what in ((~is_frame, "the line is left out"), (is_frame, "a frame is put in its place")):
+            lines = [each for each, this in zip(bad, chosen, strict=True) if this]
+            if lines:
+                more = f" (so in line {some_of(each.line for each in lines[1:])})" if lines[1:] else ""
+                self.text.warn(f"{lines[0].reason}: {what}{more}", lines[0].line)
+        n_lines = np.array([each.n_lines for each in bad])
+        return _filled(rows, np.repeat(places, n_lines * is_frame), self.angles)
+
+    def _were_frames(self, bad: list[_BadLine], n_rows: int) -> NDArray[np.bool_]:
+        """Whether bad lines are damaged frames, rather than text between them: ``Frames:`` decides."""
+        if self.n_frames in (n_rows, n_rows + sum(each.n_lines for each in bad)):
+            return np.full(len(bad), self.n_frames > n_rows)
+        return np.array([not each.word for each in bad])
 
     def _without_commas(self, block: str) -> str:
         """A block with its commas replaced; as it is where their meaning is not clear."""
@@ -319,44 +391,67 @@ class _Rows:
             self.comma = mark
         return block.replace(",", mark)
 
-    def _slow_values(self, block: str) -> tuple[Array, NDArray[np.intp], str]:
-        """As :func:`_fast_values`, for any white space and with the line of an error.
-
-        Also the first word of a line that is no number, at which the values end; "" without one.
-        """
+    def _slow_values(self, block: str) -> tuple[Array, NDArray[np.intp]]:
+        """As :func:`_fast_values`, for any white space; notes bad lines, and ends where only text follows."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(block.split("\n"), self.text.line + 1):
-            for place, word in enumerate(line.split()):
-                try:
-                    values.append(to_float(word))
-                except ValueError:
-                    starts_line = place == 0 and (ends or self.layout.is_at_line_start)
-                    if starts_line and self.n_channels:
-                        return np.array(values), np.array(ends, dtype=np.intp), word
-                    raise self._no_number(word, number) from None
-                if not abs(values[-1]) <= LARGEST:
-                    raise self.text.error(f"{word[:40]!r} is not finite, or beyond {LARGEST:g}", number)
+            if bad := self._add_line(line.split(), values, number):
+                last = self.bad[-1] if self.bad else bad
+                if last is not bad and bad.word and last.word and bad.start == last.start:
+                    self.bad[-1] = replace(last, n_lines=last.n_lines + 1)
+                else:
+                    self.bad.append(bad)
+                self.n_damaged += not bad.word
             ends.append(len(values))
-        return np.array(values), np.array(ends[:-1], dtype=np.intp), ""
+            if bad and self._is_over(self.n_values + len(values)):
+                break
+        return np.array(values), np.array(ends[:-1], dtype=np.intp)
 
-    def _check_tail(self, word: str, block: str, blocks: Iterator[str], n_values: int) -> None:
-        """Accept text after the last row with a warning; it must not hide rows. ``blocks``: the next ones."""
-        line = self.text.line + 1
-        is_damaged_number = _NUMBER_START.match(word)
-        if n_values == 0 or n_values % self.n_channels or self.layout.is_broken or is_damaged_number:
-            raise self._no_number(word, line)
-        if n_values != self.n_frames * self.n_channels:
-            # without a number of frames that fits, only text without any number is clear
-            words_of_block = block.split()
-            rest = words_of_block[words_of_block.index(word) :]
-            for words in (rest, *map(str.split, blocks)):
-                if any(map(is_number, words)):
-                    raise self._no_number(word, line)
-        self.text.warn(f"the text from {word[:40]!r} on is not part of the motion: left out", line)
+    def _add_line(self, words: list[str], values: list[float], number: int) -> _BadLine | None:
+        """Add the values of a line, or tell why it has none."""
+        numbers: list[float] = []
+        reason = bad_word = ""
+        for word in words:
+            try:
+                numbers.append(to_float(word))
+            except ValueError:
+                bad_word = bad_word or word
+                reason = reason or f"{word[:40]!r} is not a number{comma_hint(word)}"
+                continue
+            if not abs(numbers[-1]) <= LARGEST:
+                reason = reason or f"{word[:40]!r} is not finite, or beyond {LARGEST:g}"
+        if reason:
+            is_text = not numbers and not _NUMBER_START.match(words[0])
+            return _BadLine(number, self.n_values + len(values), 0, reason, bad_word if is_text else "")
+        values += numbers
+        return None
 
-    def _no_number(self, word: str, line: int) -> MotionError:
-        return self.text.error(f"{word[:40]!r} is not a number{comma_hint(word)}", line)
+
+def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) -> Array:
+    """Rows (F, C) with a frame before each place: between its neighbours, or like the nearer one.
+
+    Args:
+        rows: The good rows, (R, C).
+        places: Numbers of the rows before which a frame is missing, sorted; a number twice for two frames.
+        angles: Whether each channel is an angle in degrees, (C,).
+    """
+    out = np.insert(rows, places, 0.0, axis=0)
+    missing = places + np.arange(len(places))
+    known = np.setdiff1d(np.arange(len(out)), missing)
+    for frame, place in zip(missing.tolist(), places.tolist(), strict=True):
+        after = known[place]
+        if place == 0:
+            out[frame] = rows[0]
+            continue
+        before = known[place - 1]
+        change = rows[place] - rows[place - 1]
+        change[angles] = (change[angles] + 180) % 360 - 180
+        share = (frame - before) / (after - before)
+        if np.abs(change[angles]).max(initial=0.0) > _STEADY:
+            share = np.round(share)
+        out[frame] = rows[place - 1] + share * change if share < 1 else rows[place]
+    return out
 
 
 class _Layout:
@@ -368,15 +463,17 @@ class _Layout:
 
     def __init__(self, n_channels: int) -> None:
         self.n_channels = n_channels
-        #: First line without exactly one row, and its number of values.
-        self.odd_line: int | None = None
-        self.odd_count = 0
+        #: First lines without exactly one row, the number of all of them, and of all lines with values.
+        self.odd: list[_BadLine] = []
+        self.n_odd = 0
+        self.n_lines = 0
         #: Last line with a value.
         self.last_line = 0
         #: Whether a line holds the end of a row and the start of the next.
         self.is_broken = False
         self._on_line = 0  # values so far on the current line
         self._in_row = 0  # values so far in the current row
+        self._n_values = 0  # values on all lines before the current one
 
     @property
     def is_at_line_start(self) -> bool:
@@ -405,11 +502,17 @@ class _Layout:
         self.last_line = line + int(places[-1])
         counts = counts[places]
         odd = counts != self.n_channels
+        first_value, self._n_values = self._n_values, self._n_values + int(counts.sum())
+        self.n_lines += len(counts)
         if self._in_row == 0 and not odd.any():
             return
-        if self.odd_line is None:
-            first = int(odd.argmax())
-            self.odd_line, self.odd_count = line + int(places[first]), int(counts[first])
+        last_value = first_value + np.cumsum(counts)
+        for place in np.flatnonzero(odd)[: _MAX_BAD + 1 - len(self.odd)].tolist():
+            count = int(counts[place])
+            reason = f"a frame needs {self.n_channels} values, this has {count}"
+            start = int(last_value[place]) - count
+            self.odd.append(_BadLine(line + int(places[place]), start, count, reason))
+        self.n_odd += int(odd.sum())
         ends = self._in_row + np.cumsum(counts)
         starts = (ends - counts) % self.n_channels
         is_part = starts + counts <= self.n_channels

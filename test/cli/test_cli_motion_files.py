@@ -50,10 +50,7 @@ def _text(name: str) -> str:
 ODD = ("rest frame at the origin", "kilometres away", "no MOTION and no frame time", "End with a name",
        "commas", "one axis", "any axes", "no hands and feet", "one frame", "no frames")  # fmt: skip
 NO_PERSONS = {*NO_PERSON, "dog_D1_010", "fairmotion_sinusoidal", "firepal_vr", "pybvh_rotation_first_root"}
-REAL = [
-    pytest.param(*each.values, marks=[*each.marks, pytest.mark.nightly])
-    for each in shared_motions(fails=("coda02_woman",))
-]
+REAL = [pytest.param(*each.values, marks=[*each.marks, pytest.mark.nightly]) for each in shared_motions()]
 
 
 @cache

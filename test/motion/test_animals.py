@@ -283,7 +283,6 @@ def test_a_real_dog_is_refused(shared_data: Path) -> None:
         "fairmotion_sinusoidal",
         "firepal_vr",
         "pybvh_rotation_first_root",
-        fails=("coda02_woman",),
     ),
 )
 def test_no_real_person_is_taken_for_an_animal(stem: str) -> None:

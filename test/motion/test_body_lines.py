@@ -27,7 +27,7 @@ from humansim_ros.types import Array
 SKELETON = hanim_skeleton()
 #: Files of a chain, of a head with two hands, of six joints, and of a dog.
 NO_PERSONS = ("fairmotion_sinusoidal", "firepal_vr", "pybvh_rotation_first_root", "dog_D1_010")
-PERSONS = shared_motions(*NO_PERSONS, fails=("coda02_woman",))
+PERSONS = shared_motions(*NO_PERSONS)
 MOTIONS: dict[str, Mapping[str, Rotation]] = {
     "walk": files.walk(40),
     "walk to the side": files.walk(40, heading=35),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import re
 import tracemalloc
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from stand_ins import motion_path
 
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh, write_bvh
+from humansim_ros.motion.bvh import Parser
 from humansim_ros.motion.kinematics import CHANNEL_NAMES
 from humansim_ros.types import Array
 
@@ -484,7 +487,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("a row that is no row", GOOD.replace("7 8", "seven 8"), 20, "'seven' is not a number"),
     ("rows after text", GOOD.replace("\n7 8", "\ntext\n7 8"), 20, "'text' is not a number"),
     ("text without rows", GOOD[: GOOD.index(ROW)] + "nothing here", 19, "'nothing' is not a number"),
-    ("text after a part of a row", GOOD.replace(ROW, "4 5 6\nend"), 20, "'end' is not a number"),
+    ("text after a part of a row", GOOD.replace(ROW, "4 5 6\nend"), 19, "needs 9 values, this has 3"),
     ("rows without MOTION of other width", REST[0] + "4 5 6\n", 16, "needs 9 values, this has 3"),
     ("a second OFFSET", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 10 0\nOFFSET 0 1 0"), 9, "second OFFSET"),
     ("a second CHANNELS", GOOD.replace("CHANNELS 3", "CHANNELS 0\nCHANNELS 3"), 10, "second CHANNELS"),
@@ -724,15 +727,154 @@ def test_a_walk_across_the_origin_has_no_added_positions(tmp_path: Path) -> None
         assert motion.positions == expected
 
 
-@pytest.mark.parametrize("where", [0.1, 0.5, 0.97])
-def test_an_error_far_down_a_big_file_names_its_line(tmp_path: Path, where: float) -> None:
+@pytest.mark.parametrize("where", [0.1, 0.97])
+def test_a_fault_far_down_a_big_file_names_its_line(tmp_path: Path, where: float) -> None:
     """Rows are read in blocks of bytes: lines must be counted over all of them."""
-    line = int(where * 400_000)
-    rows = [ROW] * 400_000
+    line = int(where * 200_000)
+    rows = [ROW] * 200_000
     rows[line] = ROW.replace("30", "3O")
-    with pytest.raises(MotionError, match="'3O' is not a number") as caught:
-        read(tmp_path, GOOD[: GOOD.index(ROW)] + "\n".join(rows))
-    assert caught.value.line == 19 + line
+    with pytest.warns(HumansimWarning, match=f"bvh:{19 + line}: '3O' is not a number: a frame is put in its"):
+        motion = read(tmp_path, GOOD[: GOOD.index(ROW)] + "\n".join(rows))
+    assert (motion.values == VALUES[0]).all()
+    assert motion.n_frames == 200_000
+
+
+# Bad rows
+
+MANY = 300
+
+
+def many_rows(frames: int = MANY) -> list[str]:
+    """Rows that change steadily; angles pass 180 degrees."""
+    return [
+        " ".join(f"{(value + 170) % 360 - 180:g}" if channel > 2 else f"{value:g}" for channel in range(9))
+        for value in range(frames)
+    ]
+
+
+def with_rows(rows: list[str], frames: int | None = None) -> str:
+    return (
+        GOOD[: GOOD.index(ROW)].replace("Frames: 2", f"Frames: {frames or len(rows)}")
+        + "\n".join(rows)
+        + "\n"
+    )
+
+
+#: What becomes of a row.
+BAD_ROWS: dict[str, tuple[Callable[[str], str], str]] = {
+    "a value too few": (lambda row: row.rsplit(" ", 1)[0], "a frame needs 9 values, this has 8"),
+    "a value too many": (lambda row: row + " 7", "a frame needs 9 values, this has 10"),
+    "all but one value lost": (lambda row: row[:1], "a frame needs 9 values, this has 1"),
+    "a stray letter": (lambda row: row.replace(" ", " x", 1), "'x1[45]0' is not a number"),
+    "a letter of its own": (lambda row: row + " x", "'x' is not a number"),
+    "not a number": (lambda row: row.rsplit(" ", 1)[0] + " nan", "'nan' is not finite"),
+    "a huge number": (lambda row: row.rsplit(" ", 1)[0] + " 1e99", "'1e99' is not finite, or beyond 1e[+]15"),
+    "a line of junk": (lambda _: "@@ lost marker @@", "'@@' is not a number"),
+    "a decimal comma": (lambda row: row + ",5.5", "a frame needs 9 values, this has 10"),
+}
+
+
+@pytest.mark.parametrize("fault", BAD_ROWS)
+def test_a_bad_row_becomes_the_frame_between_its_neighbours(tmp_path: Path, fault: str) -> None:
+    damage, reason = BAD_ROWS[fault]
+    good = read(tmp_path, with_rows(many_rows())).values
+    rows = many_rows()
+    for line in (140, 150):  # angles jump from 179 to -180 there
+        rows[line] = damage(rows[line])
+    with pytest.warns(
+        HumansimWarning, match=rf"bvh:159: {reason}.*: a frame is put.*so in line 169"
+    ) as caught:
+        values = read(tmp_path, with_rows(rows)).values
+    assert sum("a frame is put" in str(each.message) for each in caught) == 1
+    assert len(values) == MANY
+    np.testing.assert_allclose((values - good + 180) % 360 - 180, 0, atol=1e-9)
+
+
+def test_two_bad_rows_in_succession_are_both_filled(tmp_path: Path) -> None:
+    rows = many_rows()
+    rows[40] = rows[41] = "1 2 3"
+    with pytest.warns(HumansimWarning, match="so in line 60"):
+        values = read(tmp_path, with_rows(rows)).values
+    np.testing.assert_allclose(values[39:43, 0], [39, 40, 41, 42])
+
+
+def test_a_value_that_slid_into_the_next_line_costs_two_frames(tmp_path: Path) -> None:
+    rows = many_rows()
+    rows[40], last = rows[40].rsplit(" ", 1)
+    rows[41] = f"{last} {rows[41]}"
+    with pytest.warns(HumansimWarning, match="bvh:59: a frame needs 9 values, this has 8"):
+        values = read(tmp_path, with_rows(rows)).values
+    np.testing.assert_allclose(values[:, 0], np.arange(MANY))
+
+
+def test_where_the_angles_jump_a_pose_is_held(tmp_path: Path) -> None:
+    """Between two descriptions of a rotation, means are no pose."""
+    rows = [ROW] * 100 + [ROW.replace("10 20 30", "-170 160 -150")] * 100
+    rows[100] = "1 2"
+    with pytest.warns(HumansimWarning, match="this has 2"):
+        values = read(tmp_path, with_rows(rows)).values
+    assert values[100].tolist() in (values[99].tolist(), values[101].tolist())
+
+
+def test_the_first_row_is_held_and_the_last_left_out(tmp_path: Path) -> None:
+    rows = many_rows()
+    rows[0] = rows[-1] = "1 2 3"
+    with pytest.warns(HumansimWarning) as caught:
+        values = read(tmp_path, with_rows(rows)).values
+    texts = " ".join(str(each.message) for each in caught)
+    assert "bvh:19: a frame needs 9 values, this has 3: a frame is put" in texts
+    assert "bvh:318: a frame needs 9 values, this has 3: the line is left out" in texts
+    np.testing.assert_array_equal(values[0], values[1])
+    assert values[-1, 0] == MANY - 2
+
+
+@pytest.mark.parametrize("n_texts", [1, 3])
+def test_text_between_the_rows_is_no_frame(tmp_path: Path, n_texts: int) -> None:
+    rows = many_rows()
+    rows[100:100] = ["# take 2"] * n_texts
+    with pytest.warns(HumansimWarning, match="bvh:119: '#' is not a number: the line is left out"):
+        values = read(tmp_path, with_rows(rows, MANY)).values
+    np.testing.assert_allclose(values[:, 0], np.arange(MANY))
+
+
+def test_the_number_of_frames_tells_how_many_frames_a_text_hides(tmp_path: Path) -> None:
+    rows = many_rows()
+    rows[100:103] = ["lost"] * 3
+    with pytest.warns(HumansimWarning, match="bvh:119: 'lost' is not a number: a frame is put in its place"):
+        values = read(tmp_path, with_rows(rows)).values
+    np.testing.assert_allclose(values[:, 0], np.arange(MANY))
+
+
+@pytest.mark.parametrize(("n_bad", "fits"), [(3, True), (4, False)])
+def test_more_than_one_percent_of_bad_rows_are_refused(tmp_path: Path, n_bad: int, fits: bool) -> None:
+    rows = many_rows()
+    for line in range(20, 20 + 7 * n_bad, 7):
+        rows[line] += " x"
+    text = with_rows(rows)
+    if fits:
+        with pytest.warns(HumansimWarning, match="bvh:39: 'x' is not a number"):
+            read(tmp_path, text)
+        return
+    with pytest.raises(MotionError, match="4 of 300 rows are bad, more than 1%") as caught:
+        read(tmp_path, text)
+    assert caught.value.line == 39
+
+
+def test_nothing_but_bad_rows_is_refused_early(tmp_path: Path) -> None:
+    """The claimed number of frames does not let the reader go on for long."""
+    read_lines = []
+
+    class Counted(io.StringIO):
+        def read(self, size: int | None = -1) -> str:
+            read_lines.append(size)
+            return super().read(size)
+
+    for row in ("1 2 x 4 5 6 7 8 9\n", "1 2 3 4\n"):
+        read_lines.clear()
+        header = GOOD[: GOOD.index(ROW)].replace("Frames: 2", "Frames: 1e12")
+        with pytest.raises(MotionError, match=r"needs 9 values|is not a number"):
+            Parser("motion.bvh", Counted(header + row * 400_000)).parse()
+        assert len(read_lines) < 100
 
 
 def test_a_motion_that_cannot_be_read_back_is_not_written(tmp_path: Path) -> None:

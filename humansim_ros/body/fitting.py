@@ -27,6 +27,8 @@ _SYMMETRY = 1.6
 _SLENDER = 1.4
 #: Heights of body parts as shares of the body height: head and feet; shins; soles; top of the head.
 _END, _SHINS, _FEET, _CROWN = 0.12, (0.08, 0.16), 0.05, 0.06
+#: Gap between the body and a part that no bone moves, as a share of the body's size.
+_FAR_PART = 0.15
 _POSE = "a mesh must hold one person, standing in a T or A pose"
 _AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -75,6 +77,39 @@ def check_one_person(points: Array) -> None:
     gap = float(np.diff(np.sort(crown[:, 2])).max(initial=0.0)) / height
     if np.quantile(aside, 0.2) > 0.06 or np.quantile(aside, 0.95) > 0.2 or gap > 0.05:
         raise MeshError(f"the mesh has no single head over its middle: {_POSE}")
+
+
+def check_parts(mesh: Mesh) -> None:
+    """Raise MeshError with place and size of a part that is far from the body, if there is one."""
+    samples, vertices = surface_samples(mesh), used_vertices(mesh)
+    points = np.concatenate([samples, vertices])
+    size = float(np.ptp(points, axis=0).max())
+    for _ in range(3):  # a far part makes the whole larger than the body
+        cells = np.floor((points - points.min(axis=0)) / (0.5 * _FAR_PART * size)).astype(np.int64)
+        occupied, cell_of = np.unique(cells, axis=0, return_inverse=True)
+        neighbours = scipy.spatial.cKDTree(occupied).query_pairs(1.8, output_type="ndarray")
+        graph = scipy.sparse.coo_matrix(
+            (np.ones(len(neighbours)), neighbours.T), shape=(len(occupied), len(occupied))
+        )
+        count, cluster_of = scipy.sparse.csgraph.connected_components(graph, directed=False)
+        cluster = cluster_of[cell_of.reshape(-1)]
+        body = np.bincount(cluster[: len(samples)]).argmax()
+        if count == 1:
+            return
+        size = float(np.ptp(points[cluster == body], axis=0).max())
+    gaps = np.full(count, np.inf)
+    np.minimum.at(gaps, cluster, scipy.spatial.cKDTree(points[cluster == body]).query(points)[0])
+    far = int(gaps.argmax())
+    if gaps[far] < _FAR_PART * size:
+        return
+    part = points[cluster == far]
+    x, y, z = (part.min(axis=0) + part.max(axis=0)) / 2
+    number = int((cluster[len(samples) :] == far).sum())
+    raise MeshError(
+        f"a part of {number} vertices around ({x:.3g}, {y:.3g}, {z:.3g}) is too far from every bone: "
+        f"{gaps[far]:.3g} from the rest, {gaps[far] / size:.0%} of the body's size. Delete the part, or "
+        f"move it to the body; {_POSE}"
+    )
 
 
 def surface_samples(mesh: Mesh) -> Array:
@@ -205,6 +240,7 @@ def fit_skeleton(
         raise MeshError(
             f"{len(mesh.vertices):,} vertices; at most {MAX_VERTICES:,} are rigged: simplify the mesh first"
         )
+    check_parts(mesh)
     known = known_joints(mesh) if joints == "fitted" else None
     if known is not None and up is None and facing is None:
         rotation = _rotation_of_joints(known)

@@ -46,6 +46,8 @@ _AIR, _SAMPLES, _TRIES = 0.025, 20, 4
 _VOXELS = 160
 #: A piece with a smaller share of the vertices (an eye, a button) moves with the surface it touches.
 _SMALL = 0.1
+#: Share of a limb's bone that is in the box of a piece around the bone.
+_AROUND = 0.6
 _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
 
 
@@ -75,7 +77,7 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
         weights = _conjugate_gradients(matrix, transfer[:, None] * share)
     else:
         weights = np.asarray(sparse.linalg.splu(matrix).solve(transfer[:, None] * share))
-    weights = _small_pieces(np.clip(weights, 0.0, None), points, triangles)
+    weights = _small_pieces(np.clip(weights, 0.0, None), points, triangles, skeleton)
     weights *= _own_side(points, skeleton, height)
     weights[weights < _LEAST * weights.sum(axis=1, keepdims=True)] = 0.0
     empty = weights.sum(axis=1) <= 0
@@ -299,11 +301,23 @@ def _pieces(count: int, triangles: NDArray[np.intp]) -> tuple[int, NDArray[np.in
     return number, piece.astype(np.intp)
 
 
-def _small_pieces(weights: Array, points: Array, triangles: NDArray[np.intp]) -> Array:
-    """Give each small piece of the surface the mean weights (B,) of the nearest points of the body."""
+def _small_pieces(weights: Array, points: Array, triangles: NDArray[np.intp], skeleton: Skeleton) -> Array:
+    """Give each small piece of the surface the mean weights (B,) of the nearest points of the body.
+
+    A piece around a bone of a limb, such as an arm or a sleeve, is no small piece.
+    """
     number, piece = _pieces(len(points), triangles)
     size = np.bincount(piece, minlength=number)
     small = size < _SMALL * size.max()
+    order = np.argsort(piece, kind="stable")
+    starts = np.searchsorted(piece[order], np.arange(number))
+    low, high = (bound.reduceat(points[order], starts) for bound in (np.minimum, np.maximum))
+    for bone, name in enumerate(skeleton.names):
+        if side_of(name) != 0 and "_to_" not in name:
+            ends = skeleton.heads[bone], skeleton.tails[bone]
+            along = np.linspace(*ends, _SAMPLES)[:, None]
+            inside = ((along > low) & (along < high)).all(axis=2).mean(axis=0)
+            small &= inside < _AROUND
     if not small.any() or small.all():
         return weights
     body, rows = np.flatnonzero(~small[piece]), np.flatnonzero(small[piece])

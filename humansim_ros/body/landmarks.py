@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,6 +104,9 @@ def surface_points(mesh: Mesh, spacing: float) -> Array:
 
 #: Height of a person in voxels.
 _VOXELS = 160
+#: Separate parts: most that are joined; smallest, as a share of the largest part; longest gap, and distance
+#: of the middles of mirror images, as shares of the height.
+_MOST_PARTS, _LEAST_PART, _LONGEST_GAP, _MIRRORED = 20, 2e-3, 0.12, 0.08
 _NO_LIMB = "no limb where a T or A pose has one: the mesh must stand upright with the arms out or down"
 #: Lengths are shares of the height. Search ranges of groin and neck; half width of the middle slice.
 _GROIN, _NECK, _CORE = (0.3, 0.65), (0.72, 0.93), 0.03
@@ -197,8 +200,85 @@ class Measures:
 
 
 def measure(mesh: Mesh) -> Measures:
-    """Measure a mesh of height 1, y up, facing +z, soles at 0. Raises MeshError if it has no limbs."""
-    volume = solid(mesh, 1 / _VOXELS)
+    """Measure a mesh of height 1, y up, facing +z, soles at 0. Raises MeshError if it has no limbs.
+
+    Limbs that do not touch the trunk are joined to it, with a warning; other separate parts do not count.
+    """
+    whole = solid(mesh, 1 / _VOXELS)
+    volume, gaps = joined_parts(whole, pairs_only=True)
+    try:
+        measures = _measure(mesh, volume)
+    except MeshError:
+        volume, gaps = joined_parts(whole, pairs_only=False)
+        measures = _measure(mesh, volume)
+    if gaps:
+        parts = (
+            f"{len(gaps)} parts of the body are separate"
+            if len(gaps) > 1
+            else "a part of the body is separate"
+        )
+        warn_about(
+            "mesh",
+            f"{parts}, with gaps of up to {max(gaps):.1%} of the height: joined to find the joints; look at "
+            "the result",
+        )
+    return measures
+
+
+def joined_parts(volume: Volume, *, pairs_only: bool) -> tuple[Volume, list[float]]:
+    """The largest part of a volume, and the parts that belong to it over short gaps, with bridges to them.
+
+    Args:
+        volume: Volume of a body of height 1, whose middle is at x = 0.
+        pairs_only: Join parts only that are in the middle or have a mirror image, as limbs have, not a sword.
+
+    Returns:
+        One connected volume, and the length of each bridge.
+    """
+    label, count = scipy.ndimage.label(volume.filled, structure=np.ones((3, 3, 3)))
+    if count < 2:
+        return volume, []
+    sizes = np.bincount(label.ravel())
+    sizes[0] = 0
+    body = label == sizes.argmax()
+    order = np.argsort(-sizes)[1 : 1 + _MOST_PARTS]
+    parts = [np.argwhere(label == n) for n in order if sizes[n] >= _LEAST_PART * sizes.max()]
+    if pairs_only:
+        parts = [part for part in parts if _belongs(volume.centres(part), map(volume.centres, parts))]
+    gaps: list[float] = []
+    while parts:
+        tree = scipy.spatial.cKDTree(np.argwhere(body))
+        found = [tree.query(part) for part in parts]
+        nearest = int(np.argmin([distance.min() for distance, _ in found]))
+        distance, place = found[nearest]
+        gap = float(distance.min()) * volume.spacing
+        if gap > _LONGEST_GAP:
+            break
+        part = parts.pop(nearest)
+        start, end = part[distance.argmin()], tree.data[place[distance.argmin()]]
+        steps = np.linspace(0.0, 1.0, int(np.ceil(distance.min())) + 1)[:, None]
+        line = np.rint((1 - steps) * start + steps * end).astype(np.intp)
+        body[tuple(part.T)] = True
+        for offset in np.argwhere(np.ones((3, 3, 3))) - 1:
+            body[tuple(np.clip(line + offset, 0, np.array(body.shape) - 1).T)] = True
+        gaps.append(gap)
+    return Volume(body, volume.origin, volume.spacing), gaps
+
+
+def _belongs(part: Array, parts: Iterable[Array]) -> bool:
+    """Whether points (N, 3) of a part are in the middle of the body, or mirror another part."""
+    low, high = part[:, 0].min(), part[:, 0].max()
+    if low < 0 < high:
+        return True
+    mirrored = part.mean(axis=0) * [-1.0, 1.0, 1.0]
+    return any(
+        np.linalg.norm(other.mean(axis=0) - mirrored) < _MIRRORED and 0.7 < len(other) / len(part) < 1.4
+        for other in parts
+    )
+
+
+def _measure(mesh: Mesh, volume: Volume) -> Measures:
+    """Measure one connected volume of a mesh of height 1. Raises MeshError if it has no limbs."""
     filled, size = volume.filled, volume.spacing
     xs, heights, zs = (volume.origin[k] + size * np.arange(filled.shape[k]) for k in range(3))
     groin = _groin(filled.sum(axis=2), xs, heights, size)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, vstack
+from scipy.sparse import block_diag, csr_matrix, vstack
 
 from humansim_ros.errors import MeshError, in_section, located, warn_about
 from humansim_ros.io.images import encode_srgb
@@ -17,7 +17,9 @@ from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import GltfMaterial, Primitive, TextureInfo, TextureTransform
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.mesh.mesh import FaceIndices, Material, Mesh, SkinnedMesh, normalise_weights, padded
+from humansim_ros.mesh.normals import shading_weights
 from humansim_ros.mesh.texels import PLAIN, atlas_mesh, plain_tile
+from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Image
 
 _REPEATED, _MIRRORED, _CLAMPED = 10497, 33648, 33071
@@ -139,7 +141,7 @@ _MAX_VERTICES = 5_000_000
 @dataclass(frozen=True)
 class _Piece:
     """A primitive in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down,
-    ``colors`` (V, 3) linear.
+    ``colors`` (V, 3) linear, ``normals`` (V, 3), zero where they have no length.
     """
 
     vertices: Array
@@ -148,6 +150,7 @@ class _Piece:
     material: int | None
     weights: csr_matrix | None
     colors: Array | None
+    normals: Array | None
 
 
 def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
@@ -172,22 +175,33 @@ def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
     )
 
 
-def read_gltf_scene(path: str | os.PathLike[str], data: bytes) -> Mesh:
+def read_gltf_scene(path: str | os.PathLike[str], data: bytes, *, shaded: bool = False) -> Mesh:
     """Read the scene of a glTF file as one mesh; skinned meshes have the pose of their nodes.
 
-    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
-    """
-    gltf = Gltf.parse(path, data)
-    return _one_mesh(gltf, _all_pieces(gltf, None))
+    Args:
+        path: Path of the file.
+        data: Content of the file.
+        shaded: With the normals of the file. A mesh without normals is flat: its triangles get vertices of
+            their own.
 
-
-def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
-    """Read the scene of a glTF file as one mesh for each material. Textures may repeat.
-
-    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
+    Raises:
+        MeshError: The file is wrong or has no triangles.
     """
     gltf = Gltf.parse(path, data)
     pieces = _all_pieces(gltf, None)
+    if not shaded:
+        return _one_mesh(gltf, pieces)
+    pieces = _flat_without_normals(pieces)
+    return replace(_one_mesh(gltf, pieces), shading=_shading(pieces))
+
+
+def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
+    """Read the scene of a glTF file as one mesh for each material, with normals. Textures may repeat.
+
+    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
+    """
+    gltf = Gltf.parse(path, data)
+    pieces = _flat_without_normals(_all_pieces(gltf, None))
     materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
     return [
         _material_mesh(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
@@ -210,6 +224,40 @@ def _all_pieces(gltf: Gltf, skeleton: GltfSkeleton | None) -> list[_Piece]:
     return pieces
 
 
+def _flat_without_normals(pieces: list[_Piece]) -> list[_Piece]:
+    """Pieces in which triangles without normals have vertices of their own: they look flat [glTF 2.0].
+
+    If these were too many vertices, nothing changes.
+    """
+    total = sum(len(p.vertices) if p.normals is not None else 3 * len(p.triangles) for p in pieces)
+    if total > _MAX_VERTICES:
+        return pieces
+    out = []
+    for piece in pieces:
+        if piece.normals is None:
+            corners = piece.triangles.ravel()
+            uv, colors = (None if each is None else each[corners] for each in (piece.uv, piece.colors))
+            own = np.arange(len(corners)).reshape(-1, 3)
+            piece = replace(piece, vertices=piece.vertices[corners], triangles=own, uv=uv, colors=colors)
+        out.append(piece)
+    return out
+
+
+def _shading(pieces: list[_Piece]) -> csr_matrix | None:
+    """Weights (V, N) of all triangles in the vertex normals; None if no piece has normals."""
+    if all(piece.normals is None for piece in pieces):
+        return None
+    blocks = [
+        shading_weights(
+            piece.vertices,
+            piece.triangles,
+            np.zeros_like(piece.vertices) if piece.normals is None else piece.normals,
+        )
+        for piece in pieces
+    ]
+    return csr_matrix(block_diag(blocks, format="csr"))
+
+
 def _joined(pieces: list[_Piece]) -> tuple[Array, FaceIndices]:
     """Vertices (V, 3) and faces (F, 4) of all pieces."""
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
@@ -226,10 +274,12 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     linear = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
     if not coordinates:  # the mean colour of a texture without texture coordinates
         srgb = encode_srgb(linear) * texture.reshape(-1, 3).mean(axis=0)
-        return Mesh(vertices, faces, colors=np.rint(srgb).astype(np.uint8), material=material)
+        srgb_colors = np.rint(srgb).astype(np.uint8)
+        return Mesh(vertices, faces, colors=srgb_colors, material=material, shading=_shading(pieces))
     uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
     colors = None if (linear == 1).all() else np.rint(255 * encode_srgb(linear)).astype(np.uint8)
-    return Mesh(vertices, faces, uv, faces, colors, texture, material=material)
+    shading = _shading(pieces)
+    return Mesh(vertices, faces, uv, faces, colors, texture, material=material, shading=shading)
 
 
 @dataclass(frozen=True)
@@ -308,17 +358,27 @@ def _piece(gltf: Gltf, primitive: Primitive, key: str, attachment: _Attachment) 
     weights: csr_matrix | None = None
     to_common = attachment.to_common
     vertices = points @ to_common[:3, :3].T + to_common[:3, 3]
+    own_normals = _normals(gltf, primitive, key, len(points))
+    normals = None if own_normals is None else own_normals @ np.linalg.pinv(to_common[:3, :3])
     mirrored = np.linalg.det(to_common[:3, :3]) < 0
     if attachment.joints is not None and (attachment.pose is None or "JOINTS_0" in primitive.attributes):
         weights = _weights(gltf, primitive, key, attachment.joints, len(points), attachment.n_joints)
         if attachment.pose is not None:
-            vertices = _posed(points, normalise_weights(weights), attachment.pose)
+            scaled = normalise_weights(weights)
+            vertices = _posed(points, scaled, attachment.pose)
+            if own_normals is not None:
+                pose = attachment.pose.copy()
+                pose[:, :3, :3] = np.swapaxes(np.linalg.pinv(pose[:, :3, :3]), 1, 2)
+                pose[:, :3, 3] = 0.0
+                normals = _posed(own_normals, scaled, pose)
             mirrored, weights = np.median(np.linalg.det(attachment.pose[:, :3, :3])) < 0, None
     elif attachment.parent_joint is not None:
         ones = np.ones(len(points))
         columns = np.full(len(points), attachment.parent_joint)
         shape = (len(points), attachment.n_joints)
         weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=shape)
+    if normals is not None:
+        normals = unit_vectors(normals)
     if mirrored:
         triangles = triangles[:, ::-1]
     uv = _texture_coordinates(gltf, primitive, key, len(points))
@@ -329,7 +389,16 @@ def _piece(gltf: Gltf, primitive: Primitive, key: str, attachment: _Attachment) 
         if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
             warn_about(gltf.path, f"{key}: the opacity of vertex colours is ignored")
         colors = np.clip(colors[:, :3], 0.0, 1.0)
-    return _Piece(vertices, triangles, uv, primitive.material, weights, colors)
+    return _Piece(vertices, triangles, uv, primitive.material, weights, colors, normals)
+
+
+def _normals(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | None:
+    """Normals (V, 3) in the space of the mesh; None if the file has none."""
+    if "NORMAL" not in primitive.attributes:
+        return None
+    normals: Array = gltf.attribute(primitive, "NORMAL", ["VEC3"], "normals").astype(float)
+    _same_length(gltf, normals, count, key)
+    return normals
 
 
 def _texture_coordinates(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | None:

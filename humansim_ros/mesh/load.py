@@ -57,8 +57,11 @@ def read_mesh_or_figure(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
 
 
 def read_mesh_z_up(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file as one mesh, with z up; in metres, if the file states its unit. Raises MeshError."""
-    mesh, up, unit = _read(path, *read_format(path))
+    """Read a mesh file as one mesh, with z up and the normals of a glTF file.
+
+    It is in metres, if the file states its unit. Raises MeshError.
+    """
+    mesh, up, unit = _read(path, *read_format(path), shaded=True)
     return _to_z_up(mesh, up, unit)
 
 
@@ -82,12 +85,17 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
     return [_to_z_up(mesh, up or foreign.up, foreign.unit)]
 
 
-def _read(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) -> tuple[Mesh, str, float]:
-    """Mesh, up axis and metres per unit of a file with its format and content."""
+def _read(
+    path: str | os.PathLike[str], kind: MeshFormat, data: bytes, *, shaded: bool = False
+) -> tuple[Mesh, str, float]:
+    """Mesh, up axis and metres per unit of a file with its format and content.
+
+    ``shaded``: with the normals of a glTF file.
+    """
     if kind == "gltf":
         from humansim_ros.mesh.gltf_mesh import read_gltf_scene  # slow to import
 
-        return read_gltf_scene(path, data), "y", 1.0
+        return read_gltf_scene(path, data, shaded=shaded), "y", 1.0
     if kind == "obj":
         return read_obj(path, data), "z", 1.0
     foreign = read_foreign(path, kind, data)

@@ -94,6 +94,8 @@ class Mesh:
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
     ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8, share of skin in
     each texel (the rest is cloth and hair), or None. ``material``: reflection of static meshes; matt if None.
+    ``shading``: (V, N) weights of the area vectors of the N triangles in the vertex normals, or None for 1
+    (:func:`humansim_ros.mesh.normals.shading_weights`).
 
     Raises:
         MeshError: An index is out of range, a vertex is not finite, or shapes do not match.
@@ -113,6 +115,7 @@ class Mesh:
     texture: NDArray[np.uint8] | None = None
     skin: NDArray[np.uint8] | None = None
     material: Material | None = None
+    shading: csr_matrix | None = None
 
     def __post_init__(self) -> None:
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) == 0:

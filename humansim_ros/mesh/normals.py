@@ -69,6 +69,69 @@ def mean_normals(face_normals: Array, faces: NDArray[np.integer], n_vertices: in
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
+#: Vertices at one place that share their triangles; more have their own only.
+_MOST_AT_PLACE = 32
+#: Degrees by which normals may differ from area-weighted means; steps of the fit where they differ more.
+_SAME, _STEPS = 1.0, 300
+
+
+def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Array) -> csr_matrix:
+    """Weights (V, N) with which the area vectors of triangles sum to the direction of given vertex normals.
+
+    Weights stay valid when the mesh moves, and follow its surface when it deforms, unlike the normals
+    themselves. They are at least 0, so that a normal outside its triangles' normals becomes the nearest one
+    between them. Triangles at other vertices of the same place count: smooth normals cross seams.
+
+    Args:
+        vertices: (V, 3).
+        triangles: (N, 3) vertex indices.
+        normals: (V, 3) unit normals; zero where unknown, which gives area-weighted means.
+    """
+    count = len(vertices)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    area = np.cross(b - a, c - a) / 2
+    size = np.maximum(np.linalg.norm(area, axis=1), 1e-30)
+    _, place = np.unique(vertices, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    crowded = np.bincount(place)[place] > _MOST_AT_PLACE
+    place = np.where(crowded, place.max() + 1 + np.arange(count), place)
+    shape = (int(place.max()) + 1, count)
+    at_place = csr_matrix((np.ones(count, np.float32), (place, np.arange(count))), shape=shape)
+    of_triangles = csr_matrix(
+        (np.ones(triangles.size, np.float32), (triangles.ravel(), np.repeat(np.arange(len(triangles)), 3))),
+        shape=(count, len(triangles)),
+    )
+    around = (at_place.T @ (at_place @ of_triangles)).tocsr()
+    rows, columns = np.repeat(np.arange(count), np.diff(around.indptr)), around.indices
+    own = np.asarray(of_triangles[rows, columns]).ravel() > 0
+    plain = np.where(own, size[columns], 0.0)
+
+    def mean(weights: Array, chosen: NDArray[np.intp]) -> Array:
+        """Weighted sums (V, 3) of the unit normals of triangles."""
+        unit = area[columns[chosen]] / size[columns[chosen], None]
+        return np.stack([np.bincount(rows[chosen], weights * unit[:, k], count) for k in range(3)], axis=1)
+
+    smooth = _unit(mean(plain, np.arange(len(rows))).T).T
+    known = np.linalg.norm(normals, axis=1) > 0.5
+    other = known & (np.einsum("ij,ij->i", smooth, normals) < np.cos(np.radians(_SAME)))
+    chosen = np.flatnonzero(other[rows])
+    unit = area[columns[chosen]] / size[columns[chosen], None]
+    goal = normals[rows[chosen]]
+    # projected gradient; the largest eigenvalue is at most the number of triangles
+    step = 1.0 / np.maximum(np.bincount(rows[chosen], minlength=count), 1)[rows[chosen]]
+    fitted = np.clip(np.einsum("ij,ij->i", unit, goal), 0.0, None) ** 4
+    for _ in range(_STEPS if len(chosen) else 0):
+        residual = mean(fitted, chosen)[rows[chosen]] - goal
+        fitted = np.clip(fitted - step * np.einsum("ij,ij->i", unit, residual), 0.0, None)
+    weights = plain
+    weights[chosen] = fitted
+    empty = other & (np.bincount(rows, weights, count) < 1e-6)  # normals opposite to all triangles
+    weights = np.where(empty[rows], np.where(own, size[columns], 0.0), weights) / size[columns]
+    made = csr_matrix((weights.astype(np.float32), columns, around.indptr), shape=around.shape)
+    made.eliminate_zeros()
+    return made
+
+
 @dataclass(frozen=True, init=False)
 class SurfaceTangents:
     """Tangents of a surface with texture coordinates, as MikkTSpace computes them for triangles

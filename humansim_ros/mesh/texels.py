@@ -144,6 +144,7 @@ def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
         uv=uv,
         uv_faces=None if uv_triangles is None else padded(uv_triangles),
         colors=None,
+        shading=None,
     )
     return Subdivision(finer, owner, tuple(edges))
 

@@ -250,6 +250,7 @@ class Topology:
 
     def __init__(self, mesh: Mesh) -> None:
         self._triangles, self._rest_vertices = mesh.triangles, mesh.vertices
+        self._shading = mesh.shading
         triangles = mesh.triangles.astype(np.intp)
         self.corners = tuple(np.ascontiguousarray(column) for column in triangles.T)
         edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -283,6 +284,11 @@ class Topology:
         rows, columns = self._triangles.ravel(), np.repeat(np.arange(n), 3)
         shape = (len(self._rest_vertices), n)
         return csr_matrix((np.ones(3 * n, dtype=np.float32), (rows, columns)), shape=shape)
+
+    @property
+    def shading(self) -> Any:
+        """(V, N) sparse matrix that sums the area vectors of triangles to vertex normals."""
+        return self.vertex_triangles if self._shading is None else self._shading
 
     @cached_property
     def vertex_areas(self) -> Float32Array:
@@ -321,8 +327,8 @@ class PosedMesh:
 
     @cached_property
     def normals(self) -> Float32Array:
-        """(V, 3) unit vertex normals: area-weighted means of the triangle normals."""
-        triangles = self.topology.vertex_triangles
+        """(V, 3) unit vertex normals: means of the triangle normals, weighted by area or as the file says."""
+        triangles = self.topology.shading
         normals = np.stack([triangles @ component for component in self.areas])
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
         return np.ascontiguousarray(normals.T)

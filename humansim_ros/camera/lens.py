@@ -232,3 +232,29 @@ def _solve(matrices: Array, vectors: Array) -> Array:
     (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
     u, v = vectors.T
     return np.asarray(np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)[:, None])
+
+
+def fit_lens(ideal: ArrayLike, distorted: ArrayLike) -> tuple[Lens, float]:
+    """Fit a lens to points of the normalised image plane and their distorted places, each (N, 2).
+
+    Returns:
+        A plumb_bob lens, or a rational_polynomial one where that is better, and its error: the root of the
+        mean square of the distances.
+    """
+    import scipy  # slow to import
+
+    points, places = np.asarray(ideal, dtype=float), np.asarray(distorted, dtype=float)
+
+    def fitted(model: str, start: Array) -> tuple[Lens, float]:
+        def errors(values: Array) -> Array:
+            return np.asarray(Lens(model, tuple(values)).distort(points) - places).ravel()
+
+        solution = scipy.optimize.least_squares(errors, start, method="lm", xtol=1e-15, ftol=1e-15)
+        lens = Lens(model, tuple(float(v) for v in solution.x))
+        return lens, float(np.sqrt((errors(solution.x) ** 2).sum() / len(points)))
+
+    simple = fitted("plumb_bob", np.zeros(5))
+    if simple[1] < 1e-6:
+        return simple
+    rational = fitted("rational_polynomial", np.array([*simple[0].coefficients, 0, 0, 0]))
+    return rational if rational[1] < simple[1] / 2 else simple

@@ -377,7 +377,7 @@ ONE = flat(CAMERAS["cam0"])
         (OUTER, "humansim camera show INTRINSICS EXTRINSICS"),
         ({"size": [640, 480]}, "Found image size; missing: K or focal length, rotation, translation"),
         ({"a": {**ONE, "K": [[NAN, 0, 1], [0, 1, 1], [0, 0, 1]]}}, "a.K: a number is not finite"),
-        ({"a": {**ONE, "K": [[10**400, 0, 1], [0, 1, 1], [0, 0, 1]]}}, "a.K: a number is not finite"),
+        ({"a": {**ONE, "K": [[10**400, 0, 1], [0, 1, 1], [0, 0, 1]]}}, "too large"),
         ({"a": {**ONE, "t": [0, 0, 1e200]}}, "a.t: 1e+200 is too large"),
         ({"a": {**ONE, "R": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}}, "a.R: R is not a rotation"),
         ({"a": {**ONE, "R": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "a.R: R is a reflection"),

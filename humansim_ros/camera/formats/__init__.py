@@ -12,7 +12,9 @@ from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat,
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.matrices import MATRICES, MATRICES_NPZ
+from humansim_ros.camera.formats.mocap import DLT, EGOEXO, MOTIVE, THEIA, VICON
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
+from humansim_ros.camera.formats.photogrammetry import BUNDLER, MESHROOM, METASHAPE, MVSNET, OPENMVG
 from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, PROJECTION
 from humansim_ros.camera.formats.qualisys import QUALISYS
 from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
@@ -22,6 +24,7 @@ from humansim_ros.camera.formats.transforms import TRANSFORMS
 
 #: All formats, in the order in which they are tried: the first one that recognises a file reads it.
 FORMATS: tuple[CalibrationFormat, ...] = (
+    *(BUNDLER, MVSNET, EGOEXO, DLT, METASHAPE, VICON, MOTIVE, THEIA, OPENMVG, MESHROOM),
     *(CAMERA_INFO, INI, KALIBR, SCENE),
     *(H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE),
     *(QUALISYS, REALSENSE, OPEN3D),

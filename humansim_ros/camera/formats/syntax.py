@@ -90,6 +90,16 @@ def _read_npz(path: str | os.PathLike[str]) -> CalibrationFile:
     return CalibrationFile(str(path), "", document, syntax="npz")
 
 
+#: Root elements of XML with attributes, and elements by which they are known.
+_ROOTS = {
+    "calibration": ("cameras/camera", "projection"),
+    "document": ("chunk",),
+    "chunk": ("sensors",),
+    "Cameras": ("Camera",),
+    "calibrationProfile": ("Calibration/Cameras/Camera",),
+}
+
+
 class Matrix(dict[str, Any]):
     """Matrix of OpenCV: rows, cols, dt, data."""
 
@@ -208,11 +218,11 @@ def _parse_xml(path: str, text: str) -> Any:
         raise CameraError("a calibration file must not have document types or entities", path=path) from None
     except (ValueError, LookupError) as reason:  # an unknown encoding
         raise CameraError(f"not valid XML: {reason}", path=path) from None
-    if root.tag == "calibration" and root.find("cameras/camera") is not None:
+    if root.tag in _ROOTS and any(root.find(place) is not None for place in _ROOTS[root.tag]):
         return {root.tag: _attributes(root, path)}
     if root.tag != "opencv_storage":
-        known = "known are <opencv_storage> and the <calibration> of Qualisys"
-        message = f"XML with <{root.tag[:40]}> is not a known calibration format; {known}"
+        known = "OpenCV, Qualisys, Theia3D, Vicon, Motive and Metashape"
+        message = f"XML with <{root.tag[:40]}> is not a known calibration format; known is XML of {known}"
         raise CameraError(message, path=path)
     return _value(root, path)
 
@@ -224,6 +234,9 @@ def _attributes(element: Element, path: str, depth: int = 0) -> dict[str, Any]:
     content: dict[str, Any] = {}
     for child in element:
         content.setdefault(child.tag, []).append(_attributes(child, path, depth + 1))
+    text = (element.text or "").strip()
+    if text:
+        content["text"] = text
     return {**content, **element.attrib}
 
 

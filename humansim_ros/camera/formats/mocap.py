@@ -1,0 +1,538 @@
+"""Motion capture: Vicon .xcp, OptiTrack Motive .mcal, Theia3D, DLT coefficients, Ego-Exo4D csv.
+
+- Vicon: millimetres, z up; ORIENTATION (x y z w) rotates the world to the camera (z forward, y down) and
+  POSITION is its centre; VICON_RADIAL2 maps pixels r from a centre to ideal ones,
+  r (1 + k1 r^2 + k2 r^4 + k3 r^6). Poses and K are as in Pose2Sim. https://github.com/perfanalytics/pose2sim
+- Motive: metres, y up; the columns of OrientMatrix are the axes of the camera (x right, y up, z backward);
+  IntrinsicStandardCameraModel is the lens of OpenCV. https://docs.optitrack.com/motive/calibration
+- Theia3D: millimetres, z up; x = R X + t in pixels.
+  https://docs.theiamarkerless.com/theia3d-documentation/data-formats/calibration-files
+- DLT: u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), v with L5 ... L8; a column for each camera.
+  http://www.kwon3d.com/theory/dlt/dlt.html
+- Ego-Exo4D: metres, z up; the pose of the camera in the world, KANNALABRANDTK3 is cv2.fisheye.
+  https://docs.ego-exo4d-data.org/
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.formats.base import (
+    MAX_CAMERAS,
+    CalibrationFile,
+    CalibrationFormat,
+    Keys,
+    RawCamera,
+    SourceLocation,
+    number,
+    row,
+)
+from humansim_ros.camera.lens import fit_lens
+from humansim_ros.errors import CameraError, some_of, warn_about
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.types import Array, ImageSize
+
+_FLIP = np.diag([1.0, -1.0, -1.0])
+_LENGTH_SLACK = 1e-2
+
+
+def _words(file: CalibrationFile, count: int, *keys: str | int) -> Array:
+    """Numbers (count,) of a text."""
+    words = str(file.need(*keys)).split()
+    if len(words) != count:
+        raise file.error(f"needs {count} numbers, not {len(words)}", *keys)
+    return np.array(file.row(words, file.location(*keys).line or 0, file.location(*keys).key))
+
+
+def _rotation(file: CalibrationFile, xyzw: Array, *keys: str | int, line: int | None = None) -> Array:
+    length = float(np.linalg.norm(xyzw))
+    if abs(length - 1) > _LENGTH_SLACK:
+        raise file.error(
+            f"the quaternion is not a rotation: its length is {length:g}, not 1", *keys, line=line
+        )
+    return quaternion_to_matrix(xyzw / length)
+
+
+def _whole(file: CalibrationFile, values: Array, *keys: str | int) -> ImageSize:
+    if any(value != int(value) or value <= 0 for value in values):
+        raise file.error("needs width and height, whole numbers above zero", *keys)
+    return int(values[0]), int(values[1])
+
+
+def _check_name(name: str) -> None:
+    if not name.isprintable() or name != name.strip() or not name:
+        raise CameraError("this format needs a name without control characters", key=name)
+
+
+# -- Vicon
+
+
+def _is_vicon(file: CalibrationFile) -> bool:
+    return isinstance(file.get("Cameras", "Camera"), list)
+
+
+def _read_vicon(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    skipped = []
+    for index, camera in enumerate(file.need("Cameras", "Camera")):
+        at: Keys = ("Cameras", "Camera", index)
+        name = str(camera.get("DEVICEID") or camera.get("USERID") or index)
+        frame = (*at, "KeyFrames", 0, "KeyFrame", 0)
+        if file.get(*frame, "FOCAL_LENGTH") is None:
+            skipped.append(name)
+            continue
+        file.add(cameras, name, _vicon_camera(file, at, frame), *at)
+    if not cameras:
+        raise CameraError("no camera has a KeyFrame: the system was not calibrated", path=file.path)
+    if skipped:
+        warn_about(file.path, f"left out, because they are not calibrated: {some_of(skipped, 4)}")
+    return cameras
+
+
+def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> RawCamera:
+    size = _whole(file, _words(file, 2, *at, "SENSOR_SIZE"), *at, "SENSOR_SIZE")
+    focal = float(_words(file, 1, *frame, "FOCAL_LENGTH")[0])
+    ratio = (
+        float(_words(file, 1, *at, "PIXEL_ASPECT_RATIO")[0]) if file.get(*at, "PIXEL_ASPECT_RATIO") else 1.0
+    )
+    if ratio <= 0 or focal <= 0:
+        raise file.error("the focal length and the aspect ratio must be above zero", *at)
+    point = _words(file, 2, *frame, "PRINCIPAL_POINT")
+    r = _rotation(file, _words(file, 4, *frame, "ORIENTATION"), *frame, "ORIENTATION")
+    k = pinhole(focal, focal / ratio, point[0], point[1])
+    model, distortion = _vicon_lens(file, frame, k, size)
+    return RawCamera(
+        k,
+        r,
+        center=_words(file, 3, *frame, "POSITION"),
+        size=size,
+        distortion=distortion,
+        model=model,
+        locations=file.locations(frame, K="FOCAL_LENGTH", R="ORIENTATION", t="POSITION"),
+    )
+
+
+def _vicon_lens(
+    file: CalibrationFile, frame: Keys, k: Array, size: ImageSize
+) -> tuple[str, tuple[float, ...]]:
+    """Lens that fits the radial correction of Vicon over the image."""
+    center, radial = k[:2, 2], np.zeros(3)
+    if file.get(*frame, "VICON_RADIAL2") is not None:
+        kind, *words = str(file.get(*frame, "VICON_RADIAL2")).split() or [""]
+        if kind != "Vicon3Parameter" or len(words) != 5:
+            raise file.error(
+                "needs Vicon3Parameter, a centre (2) and three coefficients", *frame, "VICON_RADIAL2"
+            )
+        values = np.array(file.row(words, 0, file.location(*frame, "VICON_RADIAL2").key))
+        center, radial = values[:2], values[2:]
+    elif file.get(*frame, "VICON_RADIAL") is not None:
+        radial[:2] = _words(file, 2, *frame, "VICON_RADIAL")
+    if not radial.any():
+        return "plumb_bob", ()
+    columns, rows = np.meshgrid(np.linspace(0, size[0] - 1, 25), np.linspace(0, size[1] - 1, 19))
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    r2 = ((pixels - center) ** 2).sum(axis=1, keepdims=True)
+    factor = 1 + r2 * (radial[0] + r2 * (radial[1] + r2 * radial[2]))
+    ideal = center + (pixels - center) * factor
+    focal = k[[0, 1], [0, 1]]
+    lens, error = fit_lens((ideal - k[:2, 2]) / focal, (pixels - k[:2, 2]) / focal)
+    what = (
+        f"the lens of Vicon is written as {lens.model}, which differs by {error * focal[0]:.2g} pixels (RMS)"
+    )
+    name = file.get("Cameras", "Camera", frame[2], "DEVICEID")
+    warn_about(file.path, f"{name}: {what}")
+    return lens.model, lens.coefficients
+
+
+def _write_vicon(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<Cameras VERSION="1.0">']
+    for index, (name, camera) in enumerate(cameras.items()):
+        _check_name(name)
+        k = camera.K
+        point = row(k[:2, 2])
+        frame = {
+            "FRAME": "0",
+            "FOCAL_LENGTH": number(k[0, 0]),
+            "PRINCIPAL_POINT": point,
+            "ORIENTATION": row(matrix_to_quaternion(camera.R)),
+            "POSITION": row(camera.center),
+            "VICON_RADIAL2": f"Vicon3Parameter {point} 0 0 0",
+        }
+        size = f'SENSOR_SIZE="{camera.size[0]} {camera.size[1]}"'
+        ratio = f'PIXEL_ASPECT_RATIO="{number(k[0, 0] / k[1, 1])}"'
+        words = " ".join(f'{key}="{value}"' for key, value in frame.items())
+        lines += [
+            f'  <Camera DEVICEID={quoteattr(name)} USERID="{index + 1}" {size} {ratio}>',
+            f"    <KeyFrames><KeyFrame {words}/></KeyFrames>",
+            "  </Camera>",
+        ]
+    return {"": "\n".join([*lines, "</Cameras>"]) + "\n"}
+
+
+VICON = CalibrationFormat(
+    "vicon", "Vicon .xcp", ".xcp", "xml", _is_vicon, _read_vicon, _write_vicon, unit=0.001, holds_skew=False
+)
+
+
+# -- OptiTrack Motive
+
+_MOTIVE: Keys = ("calibrationProfile", "Calibration", 0, "Cameras", 0, "Camera")
+_LENS = ("k1", "k2", "TangentialX", "TangentialY", "k3")
+_ORIENT = tuple(f"OrientMatrix{i}" for i in range(9))
+
+
+def _is_motive(file: CalibrationFile) -> bool:
+    return isinstance(file.get(*_MOTIVE), list)
+
+
+def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    unlike = []
+    for index, camera in enumerate(file.need(*_MOTIVE)):
+        at: Keys = (*_MOTIVE, index)
+        name = str(camera.get("Serial") or index)
+        standard = (*at, "IntrinsicStandardCameraModel", 0)
+        inner = standard if file.get(*standard) is not None else (*at, "Intrinsic", 0)
+        if inner is not standard:
+            unlike.append(name)
+        fx, fy, cx, cy = (
+            float(file.numbers((), *inner, key))
+            for key in ("HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY")
+        )
+        given = [
+            float(file.numbers((), *inner, k)) if file.get(*inner, k) is not None else 0.0 for k in _LENS
+        ]
+        outer = (*at, "Extrinsic", 0)
+        rotation, center = None, None
+        if file.get(*outer) is not None:
+            axes = np.reshape([float(file.numbers((), *outer, key)) for key in _ORIENT], (3, 3))
+            rotation = _FLIP @ axes.T
+            center = np.array([float(file.numbers((), *outer, key)) for key in "XYZ"])
+        camera_ = RawCamera(
+            pinhole(fx, fy, cx, cy),
+            rotation,
+            center=center,
+            size=file.size(
+                (*at, "Attributes", 0, "ImagerPixelWidth"), (*at, "Attributes", 0, "ImagerPixelHeight")
+            ),
+            distortion=tuple(given) if inner is standard else (),
+            model="plumb_bob",
+            locations={
+                "": file.location(*at),
+                "K": file.location(*inner),
+                "R": file.location(*outer),
+                "t": file.location(*outer),
+            },
+        )
+        file.add(cameras, name, camera_, *at)
+    if unlike:
+        what = f"no IntrinsicStandardCameraModel of {some_of(unlike, 4)}"
+        warn_about(file.path, f"{what}: the lens of Motive is not of OpenCV, and its distortion is left out")
+    return cameras
+
+
+def _write_motive(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    lines = ['<?xml version="1.0"?>', '<calibrationProfile version="1">', "<Calibration>"]
+    lines.append(f'<Cameras Count="{len(cameras)}">')
+    for index, (name, camera) in enumerate(cameras.items()):
+        _check_name(name)
+        k = camera.K
+        lens = {
+            "LensCenterX": k[0, 2],
+            "LensCenterY": k[1, 2],
+            "HorizontalFocalLength": k[0, 0],
+            "VerticalFocalLength": k[1, 1],
+            **dict(zip(_LENS, camera.distortion, strict=False)),
+        }
+        axes = (_FLIP @ camera.R).T
+        pose = {
+            **dict(zip("XYZ", camera.center, strict=True)),
+            **dict(zip(_ORIENT, axes.ravel(), strict=True)),
+        }
+        size = f'ImagerPixelWidth="{camera.size[0]}" ImagerPixelHeight="{camera.size[1]}"'
+        lines += [
+            f"  <Camera Serial={quoteattr(name)}>",
+            f'    <Properties CameraID="{index + 1}"/><Attributes {size}/>',
+            f"    <IntrinsicStandardCameraModel {_attributes(lens)}/>",
+            f"    <Extrinsic {_attributes(pose)}/>",
+            "  </Camera>",
+        ]
+    return {"": "\n".join([*lines, "</Cameras>", "</Calibration>", "</calibrationProfile>"]) + "\n"}
+
+
+def _attributes(values: Mapping[str, float]) -> str:
+    return " ".join(f'{key}="{number(value)}"' for key, value in values.items())
+
+
+MOTIVE = CalibrationFormat(
+    "motive",
+    "OptiTrack Motive .mcal",
+    ".mcal",
+    "xml",
+    _is_motive,
+    _read_motive,
+    _write_motive,
+    up="y",
+    holds_skew=False,
+    lenses={"plumb_bob": 5},
+)
+
+
+# -- Theia3D
+
+_R = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+#: Both spellings are in use.
+_THEIA_LENS = (
+    *(("radialDistortion1",), ("radialDistortion2",)),
+    *(("tangentalDistortion1", "tengentialDistortion1", "tangentialDistortion1"),),
+    *(("tangentalDistortion2", "tengentialDistortion2", "tangentialDistortion2"),),
+    ("radialDistortion3",),
+)
+#: Largest side of a sensor in pixels; Qualisys counts 64 units for each pixel.
+_LARGEST_SIDE = 12_000.0
+
+
+def _theia_cameras(file: CalibrationFile) -> list[Keys]:
+    groups = file.get("calibration", "cameras")
+    return [
+        ("calibration", "cameras", group, "camera", index)
+        for group, content in enumerate(groups if isinstance(groups, list) else ())
+        for index, _ in enumerate(content.get("camera") or ())
+    ]
+
+
+def _is_theia(file: CalibrationFile) -> bool:
+    for at in _theia_cameras(file)[:1]:
+        try:
+            return 0 < float(file.get(*at, "intrinsic", 0, "sensorMaxU") or 0) < _LARGEST_SIDE
+        except (TypeError, ValueError):
+            return False
+    return False
+
+
+def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for at in _theia_cameras(file):
+        inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
+        fx, fy, cx, cy = (
+            float(file.numbers((), *inner, key))
+            for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
+        )
+        k = pinhole(fx, fy, cx, cy)
+        k[0, 1] = float(file.numbers((), *inner, "skew")) if file.get(*inner, "skew") is not None else 0.0
+        keys = (
+            next((key for key in names if file.get(*inner, key) is not None), None) for names in _THEIA_LENS
+        )
+        lens = tuple(0.0 if key is None else float(file.numbers((), *inner, key)) for key in keys)
+        rotation, t = None, np.zeros(3)
+        if file.get(*outer) is not None:
+            rotation = np.reshape([float(file.numbers((), *outer, key)) for key in _R], (3, 3))
+            t = np.array([float(file.numbers((), *outer, key)) for key in "xyz"])
+        sides = []
+        for low, high in (("sensorMinU", "sensorMaxU"), ("sensorMinV", "sensorMaxV")):
+            side = float(file.numbers((), *inner, high)) - float(file.numbers((), *inner, low))
+            sides.append(side + 1 if side % 2 else side)  # 1919 or 1920
+        location = file.location(*outer)
+        where = {"": file.location(*at), "K": file.location(*inner), "R": location, "t": location}
+        size = _whole(file, np.array(sides), *inner, "sensorMaxU")
+        name = str(file.get(*at, "serial") or len(cameras))
+        camera = RawCamera(k, rotation, t, size=size, distortion=lens, model="plumb_bob", locations=where)
+        file.add(cameras, name, camera, *at)
+    return cameras
+
+
+def _write_theia(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    lines = ['<?xml version="1.0"?>', "<calibration>", "  <cameras>"]
+    for name, camera in cameras.items():
+        _check_name(name)
+        k = camera.K
+        pose = {**dict(zip("xyz", camera.t, strict=True)), **dict(zip(_R, camera.R.ravel(), strict=True))}
+        lens = {
+            "sensorMinU": 0.0,
+            "sensorMaxU": camera.size[0],
+            "sensorMinV": 0.0,
+            "sensorMaxV": camera.size[1],
+            "focalLengthU": k[0, 0],
+            "focalLengthV": k[1, 1],
+            "centerPointU": k[0, 2],
+            "centerPointV": k[1, 2],
+            "skew": k[0, 1],
+            **dict(zip((names[0] for names in _THEIA_LENS), camera.distortion, strict=False)),
+        }
+        lines += [
+            f'    <camera active="1" serial={quoteattr(name)} viewrotation="0">',
+            f"      <transform {_attributes(pose)}/>",
+            f"      <intrinsic {_attributes(lens)}/>",
+            "    </camera>",
+        ]
+    return {"": "\n".join([*lines, "  </cameras>", "</calibration>"]) + "\n"}
+
+
+THEIA = CalibrationFormat(
+    "theia",
+    "Theia3D calibration",
+    ".txt",
+    "xml",
+    _is_theia,
+    _read_theia,
+    _write_theia,
+    unit=0.001,
+    lenses={"plumb_bob": 5},
+)
+
+
+# -- DLT
+
+_DLT = 11
+
+
+def _dlt_rows(file: CalibrationFile) -> list[list[str]]:
+    rows = (text.replace(",", " ").replace(";", " ").split() for _, text in file.lines())
+    return list(islice(rows, _DLT + 2))
+
+
+def _is_dlt(file: CalibrationFile) -> bool:
+    rows = _dlt_rows(file)
+    while rows and any(word[:1].isalpha() for word in rows[0]):
+        rows = rows[1:]  # a header
+    csv_ = Path(file.path).suffix.lower() == ".csv" or "," in (file.head or [""])[-1]
+    alike = len({len(words) for words in rows}) == 1
+    return csv_ and alike and len(rows) == _DLT and len(rows[0]) <= MAX_CAMERAS
+
+
+def _read_dlt(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = [(n, text.replace(",", " ").replace(";", " ").split()) for n, text in file.lines()]
+    names: list[str] = []
+    while any(word[:1].isalpha() for word in lines[0][1]):
+        names, lines = lines[0][1], lines[1:]
+    table = np.array([file.row(words, line) for line, words in lines])
+    cameras: dict[str, RawCamera] = {}
+    upward = []
+    for index, values in enumerate(table.T):
+        p = np.append(values, 1.0).reshape(3, 4)
+        size = file.given_size
+        # the image y axis points up where the matrix is a reflection
+        if np.linalg.det(p[:, :3]) < 0:
+            upward.append(str(index))
+            if size is None:
+                message = (
+                    "missing: image size; its y axis points up, as in DLTdv, and is turned with the height"
+                )
+                raise CameraError(f"{message}: give the size", path=file.path, key="size")
+            p = np.array([[1.0, 0, 0], [0, -1, size[1] - 1], [0, 0, 1]]) @ p
+        where = SourceLocation(f"column {index + 1}", lines[0][0])
+        try:
+            camera = Camera.from_projection_matrix(p, (1, 1))
+        except CameraError as error:
+            raise CameraError(error.message, path=file.path, line=where.line, key=where.key) from None
+        name = names[index] if len(names) == len(table.T) else f"camera_{index + 1}"
+        raw = RawCamera(camera.K, camera.R, camera.t, size=size, locations={"": where})
+        file.add(cameras, name, raw, line=where.line)
+    if upward:
+        warn_about(
+            file.path, "the image y axis of the coefficients points up; row 0 is taken as the lowest row"
+        )
+    return cameras
+
+
+def _write_dlt(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    columns = []
+    for name, camera in cameras.items():
+        p = camera.P
+        if p[2, 3] < 1e-9 * np.abs(p[2]).max():
+            raise CameraError("this format needs the origin of the world in front of the camera", key=name)
+        columns.append((p / p[2, 3]).ravel()[:_DLT])
+    return {"": "\n".join(row(values, ",") for values in np.array(columns).T) + "\n"}
+
+
+DLT = CalibrationFormat("dlt", "DLT csv", ".csv", "text", _is_dlt, _read_dlt, _write_dlt, holds_size=False)
+
+
+# -- Ego-Exo4D
+
+_EGO = (
+    *("cam_uid", "tx_world_cam", "ty_world_cam", "tz_world_cam"),
+    *("qx_world_cam", "qy_world_cam", "qz_world_cam", "qw_world_cam"),
+    *("image_width", "image_height", "intrinsics_type"),
+    *(f"intrinsics_{i}" for i in range(8)),
+)
+
+
+def _is_ego(file: CalibrationFile) -> bool:
+    head = file.head[0] if file.head else ""
+    return "cam_uid" in head and "tx_world_cam" in head
+
+
+def _read_ego(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = list(islice(file.lines(), MAX_CAMERAS + 1))
+    head = [word.strip() for word in next(csv.reader([lines[0][1]]))]
+    absent = [key for key in _EGO if key not in head]
+    if absent:
+        raise CameraError(f"columns are missing: {some_of(absent)}", path=file.path, line=lines[0][0])
+    cameras: dict[str, RawCamera] = {}
+    for line, text in lines[1:]:
+        words = next(csv.reader([text]))
+        if len(words) != len(head):
+            message = f"needs {len(head)} values as the header, not {len(words)}"
+            raise CameraError(message, path=file.path, line=line)
+        cells = dict(zip(head, (word.strip() for word in words), strict=True))
+        if cells["intrinsics_type"] != "KANNALABRANDTK3":
+            message = f"{cells['intrinsics_type'][:40]!r} is not a supported lens; known is KANNALABRANDTK3"
+            raise CameraError(message, path=file.path, line=line, key="intrinsics_type")
+        value = {
+            key: file.row([cells[key]], line, key)[0]
+            for key in _EGO
+            if key not in ("cam_uid", "intrinsics_type")
+        }
+        xyzw = np.array([value[f"q{axis}_world_cam"] for axis in "xyzw"])
+        fx, fy, cx, cy, *lens = (value[f"intrinsics_{i}"] for i in range(8))
+        camera = RawCamera(
+            pinhole(fx, fy, cx, cy),
+            _rotation(file, xyzw, line=line).T,
+            center=np.array([value[f"t{axis}_world_cam"] for axis in "xyz"]),
+            size=_whole(file, np.array([value["image_width"], value["image_height"]])),
+            distortion=tuple(lens),
+            model="equidistant",
+            locations={"": SourceLocation(None, line)},
+        )
+        file.add(cameras, cells["cam_uid"], camera, line=line)
+    if not cameras:
+        raise CameraError("the file has no cameras", path=file.path)
+    return cameras
+
+
+def _write_ego(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    lines = [",".join(_EGO)]
+    for name, camera in cameras.items():
+        _check_name(name)
+        if camera.model != "equidistant":
+            raise CameraError("this format has only the equidistant lens", key=name)
+        if set(name) & set(',"'):
+            raise CameraError("this format needs a name without commas and quotation marks", key=name)
+        k = camera.K
+        pose = (*camera.center, *matrix_to_quaternion(camera.R.T))
+        lens = (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *camera.distortion)
+        lines.append(
+            f"{name},{row(pose, ',')},{camera.size[0]},{camera.size[1]},KANNALABRANDTK3,{row(lens, ',')}"
+        )
+    return {"": "\n".join(lines) + "\n"}
+
+
+EGOEXO = CalibrationFormat(
+    "egoexo4d",
+    "Ego-Exo4D csv",
+    ".csv",
+    "text",
+    _is_ego,
+    _read_ego,
+    _write_ego,
+    holds_skew=False,
+    lenses={"equidistant": 4},
+)

@@ -1,0 +1,699 @@
+"""Projects of photogrammetry programs: Metashape, OpenMVG, Meshroom, Bundler, MVSNet.
+
+- Metashape (document, calibration XML): u = w/2 + cx + x f + x B1 + y B2, v = h/2 + cy + y f; the centre of
+  the first pixel is (0.5, 0.5); tangential coefficients are in the other order than in OpenCV; a camera has
+  its pose in the chunk, whose transform leads to the world (Metashape manual, appendix D).
+- OpenMVG: x = R (X - C). https://openmvg.readthedocs.io/en/latest/software/SfM/SfM_OutputFormat/
+- Meshroom (AliceVision): R in column order, x = R (X - C), focal length in mm, principal point from the image
+  centre (from version 1.2.1). https://github.com/alicevision/AliceVision (sfmDataIO/jsonIO.cpp)
+- Bundler: x = R X + t, the camera looks along -z with y up, pixels from the image centre.
+  https://www.cs.cornell.edu/~snavely/bundler/bundler-v0.4-manual.html
+- MVSNet (cam.txt): the matrix from the world to the camera and K. https://github.com/YoYo000/MVSNet
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.checks import size_of_named_image
+from humansim_ros.camera.formats.base import (
+    MAX_CAMERAS,
+    CalibrationFile,
+    CalibrationFormat,
+    Keys,
+    RawCamera,
+    SourceLocation,
+    check_words,
+    image_names,
+    json_file,
+    nested,
+    number,
+    row,
+    without_suffix,
+)
+from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.types import Array, ImageSize
+
+_FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+def _float(file: CalibrationFile, *keys: str | int, otherwise: float | None = None) -> float:
+    """Number at a key path."""
+    if otherwise is not None and file.get(*keys) is None:
+        return otherwise
+    return float(file.numbers((), *keys))
+
+
+# -- Metashape
+
+_ROOTS = ("document", "chunk")
+
+
+def _chunk(file: CalibrationFile) -> Keys | None:
+    """Key path of the first chunk with cameras."""
+    for root in _ROOTS:
+        for keys in ((root,), (root, "chunk", 0)):
+            if file.get(*keys, "sensors") is not None and file.get(*keys, "cameras") is not None:
+                return keys
+    return None
+
+
+def _is_metashape(file: CalibrationFile) -> bool:
+    return _chunk(file) is not None or file.get("calibration", "projection", 0, "text") is not None
+
+
+def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
+    chunk = _chunk(file)
+    if chunk is None:
+        return {Path(file.path).stem: _metashape_lens(file, ("calibration",), None)}
+    sensors = {}
+    for group, _ in enumerate(file.get(*chunk, "sensors") or ()):
+        for index, sensor in enumerate(file.get(*chunk, "sensors", group, "sensor") or ()):
+            sensors[str(sensor.get("id"))] = (*chunk, "sensors", group, "sensor", index)
+    components = _components(file, chunk)
+    cameras: dict[str, RawCamera] = {}
+    referenced, skipped = 0, 0
+    lenses: dict[str, RawCamera] = {}
+    for at in _metashape_cameras(file, chunk):
+        sensor_id = str(file.get(*at, "sensor_id"))
+        if sensor_id not in sensors:
+            raise file.error(f"there is no sensor {sensor_id[:40]!r}", *at, "sensor_id")
+        if sensor_id not in lenses:
+            lenses[sensor_id] = _sensor_lens(file, sensors[sensor_id])
+        lens = lenses[sensor_id]
+        pose = _metashape_pose(file, at, components)
+        if pose is None and file.get(*at, "reference") is not None:
+            pose = _reference_pose(file, (*at, "reference", 0))
+            referenced += pose is not None
+        label = without_suffix(str(file.get(*at, "label") or len(cameras)))
+        name = label if label not in cameras else f"{label}_{file.get(*at, 'id')}"
+        if pose is None:
+            skipped += 1
+            file.add(cameras, name, lens, *at)
+            continue
+        location = file.location(*at)
+        posed = RawCamera(
+            lens.K,
+            pose[0],
+            center=pose[1],
+            size=lens.size,
+            distortion=lens.distortion,
+            model=lens.model,
+            locations={**lens.locations, "": location, "R": location, "t": location},
+        )
+        file.add(cameras, name, posed, *at)
+    if not cameras:
+        raise CameraError("the document has no cameras", path=file.path)
+    if referenced:
+        what = "their reference poses (x, y, z, yaw, pitch, roll) are taken"
+        warn_about(file.path, f"{referenced} cameras are not aligned: {what}")
+    return cameras
+
+
+def _metashape_cameras(file: CalibrationFile, chunk: Keys) -> list[Keys]:
+    found: list[Keys] = []
+    for group, cameras in enumerate(file.get(*chunk, "cameras") or ()):
+        at = (*chunk, "cameras", group)
+        found += [(*at, "camera", index) for index, _ in enumerate(cameras.get("camera") or ())]
+        for outer, inner in enumerate(cameras.get("group") or ()):
+            found += [(*at, "group", outer, "camera", i) for i, _ in enumerate(inner.get("camera") or ())]
+    return found
+
+
+def _sensor_lens(file: CalibrationFile, at: Keys) -> RawCamera:
+    """Lens of a sensor: the adjusted calibration, else the initial one, else focal length and pixel size."""
+    calibrations = file.get(*at, "calibration") or []
+    order = sorted(range(len(calibrations)), key=lambda i: calibrations[i].get("class") != "adjusted")
+    if order:
+        return _metashape_lens(file, (*at, "calibration", order[0]), at)
+    values = {p.get("name"): p.get("value") for p in file.get(*at, "property") or ()}
+    try:
+        focal = float(values["focal_length"]) / float(values["pixel_width"])
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        raise file.error("has no calibration, and no focal_length and pixel_width", *at) from None
+    size = _metashape_size(file, at)
+    if size is None or not 0 < focal < np.inf:
+        raise file.error("has no calibration, and no resolution", *at)
+    k = pinhole(focal, focal, size[0] / 2 - 0.5, size[1] / 2 - 0.5)
+    warn_about(file.path, f"sensor {file.get(*at, 'label')}: no calibration; K is of its focal length in mm")
+    return RawCamera(k, size=size, locations={"": file.location(*at)})
+
+
+def _metashape_size(file: CalibrationFile, at: Keys) -> ImageSize | None:
+    if file.get(*at, "resolution", 0) is not None:
+        return file.size((*at, "resolution", 0, "width"), (*at, "resolution", 0, "height"))
+    if file.get(*at, "width", 0) is not None:
+        return file.size((*at, "width", 0, "text"), (*at, "height", 0, "text"))
+    return None
+
+
+def _metashape_lens(file: CalibrationFile, at: Keys, sensor: Keys | None) -> RawCamera:
+    kind = file.get(*at, "type") or file.get(*at, "projection", 0, "text") or "frame"
+    if kind not in ("frame", "fisheye"):
+        raise file.error(
+            f"{str(kind)[:40]!r} is not a supported camera type; known are frame and fisheye", *at
+        )
+    size = _metashape_size(file, at)
+    size = _metashape_size(file, sensor) if size is None and sensor is not None else size
+    if size is None:
+        raise file.error("has no resolution", *at)
+    names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+    if file.get(*at, "f", 0) is None and file.get(*at, "fx", 0) is None:
+        raise file.error("has no focal length f", *at)
+    value = {name: _float(file, *at, name, 0, "text", otherwise=0.0) for name in names}
+    if file.get(*at, "f", 0) is None:  # older versions: fx, fy and absolute cx, cy
+        fx, fy = (_float(file, *at, key, 0, "text") for key in ("fx", "fy"))
+        k = pinhole(fx, fy, value["cx"] - 0.5, value["cy"] - 0.5)
+        k[0, 1] = _float(file, *at, "skew", 0, "text", otherwise=0.0)
+    else:
+        f = value["f"]
+        k = pinhole(f + value["b1"], f, size[0] / 2 + value["cx"] - 0.5, size[1] / 2 + value["cy"] - 0.5)
+        k[0, 1] = value["b2"]
+    unknown = [name for name in ("p3", "p4") if value[name]]
+    if kind == "fisheye":
+        unknown += [name for name in ("p1", "p2") if value[name]]
+        lens, model = tuple(value[name] for name in ("k1", "k2", "k3", "k4")), "equidistant"
+    else:
+        unknown += ["k4"] * bool(value["k4"])
+        lens, model = tuple(value[name] for name in ("k1", "k2", "p2", "p1", "k3")), "plumb_bob"
+    if unknown:
+        warn_about(file.path, f"{' and '.join(unknown)} of a {kind} lens are not supported, and left out")
+    location = file.location(*at)
+    return RawCamera(k, size=size, distortion=lens, model=model, locations={"": location, "K": location})
+
+
+def _similarity(file: CalibrationFile, at: Keys) -> tuple[Array, Array, float] | None:
+    """Rotation, translation and scale of an element ``transform``; None without one."""
+    if file.get(*at) is None:
+        return None
+    if file.get(*at, "rotation", 0) is None and file.get(*at, "text"):
+        values = _words(file, 16, *at, "text").reshape(4, 4)
+        scale = float(np.cbrt(max(np.linalg.det(values[:3, :3]), 1e-300)))
+        return values[:3, :3] / scale, values[:3, 3], scale
+    rotation, shift, scale = np.eye(3), np.zeros(3), 1.0
+    if file.get(*at, "rotation", 0) is not None:
+        rotation = _words(file, 9, *at, "rotation", 0, "text").reshape(3, 3)
+    if file.get(*at, "translation", 0) is not None:
+        shift = _words(file, 3, *at, "translation", 0, "text")
+    if file.get(*at, "scale", 0) is not None:
+        scale = float(_words(file, 1, *at, "scale", 0, "text")[0])
+    return rotation, shift, scale
+
+
+def _words(file: CalibrationFile, count: int, *keys: str | int) -> Array:
+    """Numbers (count,) of a text."""
+    words = str(file.need(*keys)).split()
+    if len(words) != count:
+        raise file.error(f"needs {count} numbers, not {len(words)}", *keys)
+    line = file.location(*keys)
+    return np.array(file.row(words, line.line or 0, line.key))
+
+
+def _components(file: CalibrationFile, chunk: Keys) -> dict[str, tuple[Array, Array, float]]:
+    """Transforms to the world by the id of a component; "" is the chunk."""
+    found = {}
+    own = _similarity(file, (*chunk, "transform", 0))
+    if own is not None:
+        found[""] = own
+    for group, components in enumerate(file.get(*chunk, "components") or ()):
+        for index, component in enumerate(components.get("component") or ()):
+            inner = _similarity(file, (*chunk, "components", group, "component", index, "transform", 0))
+            if inner is not None:
+                found[str(component.get("id"))] = inner
+    return found
+
+
+def _metashape_pose(
+    file: CalibrationFile, at: Keys, components: Mapping[str, tuple[Array, Array, float]]
+) -> tuple[Array, Array] | None:
+    """R from the world to the camera, and its centre; None for a camera that is not aligned."""
+    if file.get(*at, "transform", 0, "text") is None:
+        return None
+    pose = _words(file, 16, *at, "transform", 0, "text").reshape(4, 4)
+    component = str(file.get(*at, "component_id") or "")
+    rotation, shift, scale = components.get(component, components.get("", (np.eye(3), np.zeros(3), 1.0)))
+    return (rotation @ pose[:3, :3]).T, scale * rotation @ pose[:3, 3] + shift
+
+
+def _reference_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array] | None:
+    """Pose of an element ``reference`` in a local coordinate system; None without all six numbers.
+
+    Yaw is clockwise from north (y), pitch is 0 for a camera that looks down and 90 degrees for one that looks
+    at the horizon, roll is about the line of sight.
+    """
+    if any(file.get(*at, key) is None for key in ("x", "y", "z", "yaw", "pitch", "roll")):
+        return None
+    center = np.array([_float(file, *at, key) for key in "xyz"])
+    yaw, pitch, roll = (_float(file, *at, key) for key in ("yaw", "pitch", "roll"))
+    pose = Rotation.from_euler("ZXY", [-yaw, pitch, roll], degrees=True).as_matrix() @ _FLIP
+    return pose.T, center
+
+
+def _write_metashape(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    sensors, views = [], []
+    for index, (name, camera) in enumerate(cameras.items()):
+        width, height = camera.size
+        k, d = camera.K, camera.distortion
+        fisheye = camera.model == "equidistant"
+        names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p2", "p1", "k3")
+        kind = "fisheye" if fisheye else "frame"
+        values = {
+            "f": k[1, 1],
+            "cx": k[0, 2] + 0.5 - width / 2,
+            "cy": k[1, 2] + 0.5 - height / 2,
+            "b1": k[0, 0] - k[1, 1],
+            "b2": k[0, 1],
+            **dict(zip(names, d, strict=False)),
+        }
+        resolution = f'<resolution width="{width}" height="{height}"/>'
+        lens = "".join(f"<{key}>{number(value)}</{key}>" for key, value in values.items())
+        sensors += [
+            f'      <sensor id="{index}" label={quoteattr(name)} type="{kind}">{resolution}',
+            f'        <calibration type="{kind}" class="adjusted">{resolution}{lens}</calibration></sensor>',
+        ]
+        pose = row(camera.world_from_optical.ravel())
+        views += [
+            f'      <camera id="{index}" sensor_id="{index}" label={quoteattr(name)}>',
+            f"        <transform>{pose}</transform></camera>",
+        ]
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<document version="2.0.0">',
+        '  <chunk label="Chunk 1">',
+    ]
+    lines += ["    <sensors>", *sensors, "    </sensors>", "    <cameras>", *views, "    </cameras>"]
+    return {"": "\n".join([*lines, "  </chunk>", "</document>"]) + "\n"}
+
+
+METASHAPE = CalibrationFormat(
+    "metashape",
+    "Metashape XML",
+    ".xml",
+    "xml",
+    _is_metashape,
+    _read_metashape,
+    _write_metashape,
+    lenses={"plumb_bob": 5, "equidistant": 4},
+)
+
+
+# -- OpenMVG
+
+#: Key of the lens -> coefficients in the order of OpenMVG, and the model.
+_OPENMVG = {
+    "disto_k1": (("k1",), "plumb_bob"),
+    "disto_k3": (("k1", "k2", "k3"), "plumb_bob"),
+    "disto_t2": (("k1", "k2", "k3", "p1", "p2"), "plumb_bob"),
+    "fisheye": (("k1", "k2", "k3", "k4"), "equidistant"),
+}
+_ORDER = {"plumb_bob": ("k1", "k2", "p1", "p2", "k3"), "equidistant": ("k1", "k2", "k3", "k4")}
+
+
+def _is_openmvg(file: CalibrationFile) -> bool:
+    return file.get("sfm_data_version") is not None and isinstance(file.get("views"), list)
+
+
+def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
+    lenses, poses = {}, {}
+    for index, item in enumerate(file.get("intrinsics") or ()):
+        lenses[str(_of(item, "key"))] = _openmvg_lens(
+            file, ("intrinsics", index, "value", "ptr_wrapper", "data")
+        )
+    for index, item in enumerate(file.get("extrinsics") or ()):
+        poses[str(_of(item, "key"))] = ("extrinsics", index, "value")
+    cameras: dict[str, RawCamera] = {}
+    for index, _ in enumerate(file.need("views")):
+        at: Keys = ("views", index, "value", "ptr_wrapper", "data")
+        view = file.mapping(*at)
+        lens = lenses.get(str(view.get("id_intrinsic")))
+        if lens is None:
+            raise file.error(
+                f"there are no intrinsics {str(view.get('id_intrinsic'))[:40]}", *at, "id_intrinsic"
+            )
+        pose = poses.get(str(view.get("id_pose")))
+        name = without_suffix(str(view.get("filename") or view.get("id_view") or index))
+        file.add(cameras, name, _posed(file, lens, pose, "rotation", "center"), *at)
+    if not cameras:
+        raise file.error("the file has no views", "views")
+    return cameras
+
+
+def _of(item: Any, key: str) -> Any:
+    return item.get(key) if isinstance(item, Mapping) else None
+
+
+def _posed(
+    file: CalibrationFile,
+    lens: RawCamera,
+    pose: Keys | None,
+    rotation: str,
+    center: str,
+    columns: bool = False,
+) -> RawCamera:
+    """Camera with a lens and a pose x = R (X - C); without a pose if ``pose`` is None."""
+    if pose is None:
+        return lens
+    r = file.numbers((3, 3), *pose, rotation)
+    return RawCamera(
+        lens.K,
+        r.T if columns else r,
+        center=file.numbers((3,), *pose, center),
+        size=lens.size,
+        distortion=lens.distortion,
+        model=lens.model,
+        locations={**lens.locations, **file.locations(pose, R=rotation, t=center)},
+    )
+
+
+def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
+    data = file.mapping(*at)
+    base: Keys = (*at, "value0") if isinstance(data.get("value0"), Mapping) else at
+    size = file.size((*base, "width"), (*base, "height"))
+    focal = _float(file, *base, "focal_length")
+    cx, cy = file.numbers((2,), *base, "principal_point")
+    distortion, model = (), None
+    for key, (names, kind) in _OPENMVG.items():
+        if data.get(key) is not None:
+            values = dict(zip(names, file.numbers((len(names),), *at, key), strict=True))
+            distortion, model = tuple(values.get(name, 0.0) for name in _ORDER[kind]), kind
+    return RawCamera(
+        pinhole(focal, focal, cx, cy),
+        size=size,
+        distortion=distortion,
+        model=model,
+        locations={"": file.location(*at), "K": file.location(*base, "focal_length")},
+    )
+
+
+def _write_openmvg(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    images = image_names(cameras)
+    views, lenses, poses = [], [], []
+    for index, (name, camera) in enumerate(cameras.items()):
+        _square(name, camera)
+        width, height = camera.size
+        fisheye = camera.model == "equidistant"
+        key = "fisheye" if fisheye else "disto_t2"
+        values = dict(zip(_ORDER[str(camera.model)], camera.distortion, strict=True))
+        base = {
+            "width": width,
+            "height": height,
+            "focal_length": camera.K[0, 0],
+            "principal_point": nested(camera.K[:2, 2]),
+        }
+        lens = {**base, key: [values[k] for k in _OPENMVG[key][0]]}
+        kind = "fisheye" if fisheye else "pinhole_brown_t2"
+        ids = {"id_view": index, "id_intrinsic": index, "id_pose": index}
+        view = {"local_path": "", "filename": images[name], "width": width, "height": height, **ids}
+        views.append(
+            {"key": index, "value": {"polymorphic_id": 1 << 30, "ptr_wrapper": {"id": index, "data": view}}}
+        )
+        wrapped = {"polymorphic_name": kind, "ptr_wrapper": {"id": index, "data": lens}}
+        lenses.append({"key": index, "value": wrapped})
+        poses.append({"key": index, "value": {"rotation": nested(camera.R), "center": nested(camera.center)}})
+    content = {"sfm_data_version": "0.3", "root_path": "", "views": views, "intrinsics": lenses}
+    return {**json_file({**content, "extrinsics": poses, "structure": [], "control_points": []})}
+
+
+def _square(name: str, camera: Camera) -> None:
+    if abs(camera.K[0, 0] / camera.K[1, 1] - 1) > 1e-9:
+        raise CameraError("this format needs square pixels: idealize the camera with --square", key=name)
+
+
+OPENMVG = CalibrationFormat(
+    "openmvg",
+    "OpenMVG sfm_data.json",
+    ".json",
+    "json",
+    _is_openmvg,
+    _read_openmvg,
+    _write_openmvg,
+    holds_skew=False,
+    lenses={"plumb_bob": 5, "equidistant": 4},
+)
+
+
+# -- Meshroom
+
+#: Lens types of AliceVision -> coefficients in its order, and the model.
+_ALICE = {
+    "none": ((), None),
+    "pinhole": ((), None),
+    "radial1": (("k1",), "plumb_bob"),
+    "radialk1": (("k1",), "plumb_bob"),
+    "radial3": (("k1", "k2", "k3"), "plumb_bob"),
+    "radialk3": (("k1", "k2", "k3"), "plumb_bob"),
+    "brown": (("k1", "k2", "k3", "p1", "p2"), "plumb_bob"),
+    "fisheye4": (("k1", "k2", "k3", "k4"), "equidistant"),
+}
+
+
+def _is_meshroom(file: CalibrationFile) -> bool:
+    views, lenses = file.get("views"), file.get("intrinsics")
+    named = isinstance(views, list) and any(isinstance(view, dict) and "viewId" in view for view in views)
+    return named and isinstance(lenses, list)
+
+
+def _read_meshroom(file: CalibrationFile) -> dict[str, RawCamera]:
+    lenses = {
+        str(_of(item, "intrinsicId")): _meshroom_lens(file, ("intrinsics", index))
+        for index, item in enumerate(file.need("intrinsics"))
+    }
+    poses: dict[str, Keys] = {
+        str(_of(item, "poseId")): ("poses", index, "pose", "transform")
+        for index, item in enumerate(file.get("poses") or ())
+    }
+    cameras: dict[str, RawCamera] = {}
+    for index, _ in enumerate(file.need("views")):
+        at: Keys = ("views", index)
+        view = file.mapping(*at)
+        lens = lenses.get(str(view.get("intrinsicId")))
+        if lens is None:
+            raise file.error(
+                f"there are no intrinsics {str(view.get('intrinsicId'))[:40]}", *at, "intrinsicId"
+            )
+        path = str(view.get("path") or view.get("viewId") or index).replace("\\", "/")
+        name = without_suffix(path.rsplit("/", 1)[-1])
+        name = name if name not in cameras else f"{name}_{view.get('viewId')}"
+        pose = poses.get(str(view.get("poseId", view.get("viewId"))))
+        file.add(cameras, name, _posed(file, lens, pose, "rotation", "center", columns=True), *at)
+    return cameras
+
+
+def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
+    version = tuple(int(v) for v in file.optional_numbers("version")) or (1, 2, 6)
+    width, height = file.size((*at, "width"), (*at, "height"))
+    if file.get(*at, "pxFocalLength") is not None:
+        pixels = file.some_numbers(*at, "pxFocalLength")
+        fx, fy = float(pixels[0]), float(pixels[-1])
+    else:
+        sensor = _float(file, *at, "sensorWidth", otherwise=36.0)
+        if sensor <= 0:
+            raise file.error("needs a width above zero", *at, "sensorWidth")
+        fx = _float(file, *at, "focalLength") / sensor * width
+        ratio = _float(file, *at, "pixelRatio", otherwise=1.0)
+        if ratio <= 0:
+            raise file.error("needs a ratio above zero", *at, "pixelRatio")
+        fy = fx * ratio if version >= (1, 2, 5) else fx / ratio
+    point = file.numbers((2,), *at, "principalPoint")
+    if version >= (1, 2, 1):
+        point = point + np.array([width, height]) / 2
+    kind = str(file.get(*at, "distortionType") or file.get(*at, "type") or "pinhole").lower()
+    if kind not in _ALICE:
+        known = ", ".join(_ALICE)
+        raise file.error(f"{kind[:40]!r} is not a supported lens; known are {known}", *at, "distortionType")
+    names, model = _ALICE[kind]
+    key = next(
+        (k for k in ("distortionParams", "distortionParameters") if file.get(*at, k)), "distortionParams"
+    )
+    values = file.optional_numbers(*at, key)
+    distortion: tuple[float, ...] = ()
+    if model is not None and len(values):
+        given = dict(zip(names, file.numbers((len(names),), *at, key), strict=True))
+        distortion = tuple(given.get(name, 0.0) for name in _ORDER[model])
+    return RawCamera(
+        pinhole(fx, fy, point[0], point[1]),
+        size=(width, height),
+        distortion=distortion,
+        model=model if distortion else None,
+        locations=file.locations(at, K="focalLength", distortion=key, size="width"),
+    )
+
+
+def _write_meshroom(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    images = image_names(cameras)
+    views, lenses, poses = [], [], []
+    for index, (name, camera) in enumerate(cameras.items()):
+        width, height = camera.size
+        fisheye = camera.model == "equidistant"
+        kind = "fisheye4" if fisheye else "brown"
+        values = dict(zip(_ORDER[str(camera.model)], camera.distortion, strict=True))
+        ids = {"viewId": str(index), "poseId": str(index), "intrinsicId": str(index)}
+        views.append({**ids, "path": images[name], "width": str(width), "height": str(height)})
+        lenses.append(
+            {
+                "intrinsicId": str(index),
+                "width": str(width),
+                "height": str(height),
+                "sensorWidth": "36.0",
+                "type": "pinhole",
+                "distortionType": kind,
+                "focalLength": number(camera.K[0, 0] / width * 36.0),
+                "pixelRatio": number(camera.K[1, 1] / camera.K[0, 0]),
+                "principalPoint": [number(p) for p in camera.K[:2, 2] - np.array(camera.size) / 2],
+                "distortionParams": [number(values[k]) for k in _ALICE[kind][0]],
+            }
+        )
+        transform = {
+            "rotation": [number(v) for v in camera.R.T.ravel()],
+            "center": [number(v) for v in camera.center],
+        }
+        poses.append({"poseId": str(index), "pose": {"transform": transform, "locked": "0"}})
+    return {**json_file({"version": ["1", "2", "6"], "views": views, "intrinsics": lenses, "poses": poses})}
+
+
+MESHROOM = CalibrationFormat(
+    "meshroom",
+    "Meshroom cameras.sfm",
+    ".sfm",
+    "json",
+    _is_meshroom,
+    _read_meshroom,
+    _write_meshroom,
+    holds_skew=False,
+    lenses={"plumb_bob": 5, "equidistant": 4},
+)
+
+
+# -- Bundler
+
+
+def _is_bundler(file: CalibrationFile) -> bool:
+    return file.text.lstrip()[:14].lower().startswith("# bundle file")
+
+
+def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = ((line, text.split()) for line, text in file.lines())
+    first, head = next(lines, (1, []))
+    counts = file.row(head, first)
+    if len(counts) != 2 or counts[0] != int(counts[0]) or not 0 < counts[0] <= MAX_CAMERAS:
+        raise CameraError("needs the number of cameras and of points", path=file.path, line=first)
+    names = _list_of_images(file)
+    folder = Path(file.path).parent
+    cameras: dict[str, RawCamera] = {}
+    for index in range(int(counts[0])):
+        rows = list(islice(lines, 5))
+        values = [file.row(words, line) for line, words in rows]
+        if [len(v) for v in values] != [3] * 5:
+            message = f"camera {index} needs five lines of three numbers: f k1 k2, R (3 x 3), t"
+            raise CameraError(message, path=file.path, line=rows[-1][0] if rows else first)
+        focal, k1, k2 = values[0]
+        if focal == 0:
+            continue  # not reconstructed
+        image = names[index] if index < len(names) else str(index)
+        size = file.given_size or size_of_named_image(folder, image)
+        if size is None:
+            message = f"missing: image size; pixels count from the image centre, and {image[:60]} is not here"
+            raise CameraError(f"{message}: give the size", path=file.path, key="size")
+        r, t = _FLIP @ np.array(values[1:4]), _FLIP @ np.array(values[4])
+        where = SourceLocation(None, rows[0][0])
+        k = pinhole(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+        camera = RawCamera(
+            k, r, t, size=size, distortion=(k1, k2, 0, 0, 0), model="plumb_bob", locations={"": where}
+        )
+        file.add(cameras, without_suffix(image.rsplit("/", 1)[-1]), camera, line=rows[0][0])
+    if not cameras:
+        raise CameraError("no camera was reconstructed: all focal lengths are 0", path=file.path)
+    return cameras
+
+
+def _list_of_images(file: CalibrationFile) -> list[str]:
+    """Images of list.txt in the folder of the file or above it; empty without one."""
+    for folder in (Path(file.path).parent, Path(file.path).parent.parent):
+        path = folder / "list.txt"
+        if path.is_file() and path.stat().st_size < 1 << 20:
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+            return [line.split()[0].removeprefix("./") for line in lines if line.strip()]
+    return []
+
+
+def _write_bundler(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    images = image_names(cameras)
+    lines = ["# Bundle file v0.3", f"{len(cameras)} 0"]
+    for name, camera in cameras.items():
+        _square(name, camera)
+        middle = (np.array(camera.size) - 1) / 2
+        if np.abs(camera.K[:2, 2] - middle).max() > 1e-6:
+            raise CameraError(
+                "this format needs a principal point at the image centre: idealize first", key=name
+            )
+        k1, k2 = camera.distortion[:2]
+        lines.append(row((camera.K[0, 0], k1, k2)))
+        lines += [row(values) for values in (*(_FLIP @ camera.R), _FLIP @ camera.t)]
+    return {"bundle.out": "\n".join(lines) + "\n", "list.txt": "\n".join(images.values()) + "\n"}
+
+
+BUNDLER = CalibrationFormat(
+    "bundler",
+    "Bundler bundle.out",
+    "",
+    "text",
+    _is_bundler,
+    _read_bundler,
+    _write_bundler,
+    holds_size=False,
+    holds_skew=False,
+    lenses={"plumb_bob": 2},
+)
+
+
+# -- MVSNet
+
+
+def _is_mvsnet(file: CalibrationFile) -> bool:
+    return bool(file.head) and file.head[0].lower() == "extrinsic"
+
+
+def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = list(islice(file.lines(), 12))
+    words = [text.split() for _, text in lines]
+    inner = next((i for i, w in enumerate(words) if w[0].lower() == "intrinsic"), None)
+    if inner != 5 or [len(w) for w in words[1:5]] != [4] * 4 or [len(w) for w in words[6:9]] != [3] * 3:
+        message = "needs 'extrinsic' with 4 x 4 numbers, then 'intrinsic' with 3 x 3 numbers"
+        raise CameraError(message, path=file.path, line=lines[-1][0])
+    pose = np.array([file.row(w, line) for w, (line, _) in zip(words[1:5], lines[1:5], strict=True)])
+    k = np.array([file.row(w, line) for w, (line, _) in zip(words[6:9], lines[6:9], strict=True)])
+    if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        message = "needs 0 0 0 1 as the last row of its 4 x 4 numbers"
+        raise CameraError(message, path=file.path, line=lines[4][0], key="extrinsic")
+    at = SourceLocation("extrinsic", lines[1][0])
+    where = {"K": SourceLocation("intrinsic", lines[6][0]), "R": at, "t": at}
+    name = Path(file.path).stem.removesuffix("_cam")
+    return {name: RawCamera(k, pose[:3, :3], pose[:3, 3], locations=where)}
+
+
+def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    check_words(cameras)
+    (camera,) = cameras.values()
+    lines = ["extrinsic", *(row(values) for values in camera.optical_from_world), "", "intrinsic"]
+    return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}
+
+
+MVSNET = CalibrationFormat(
+    "mvsnet",
+    "MVSNet cam.txt",
+    "_cam.txt",
+    "text",
+    _is_mvsnet,
+    _read_mvsnet,
+    _write_mvsnet,
+    multiple=False,
+    holds_size=False,
+)

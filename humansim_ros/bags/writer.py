@@ -81,6 +81,12 @@ def _lock_bag(folder: Path) -> int:
     return descriptor
 
 
+def check_unlocked(folder: Path) -> None:
+    """Raise BagError if another process writes a bag."""
+    with _unwritable(folder):
+        os.close(_lock_bag(folder))
+
+
 def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
     """Common beginning of the names, and files of a bag in their order. Raises BagError if there are none."""
     found: dict[str, dict[int, Path]] = {}

@@ -171,7 +171,9 @@ def _check_lens(camera: Camera) -> Iterator[str]:
     if not valid.all():
         limit = np.degrees(np.arctan(camera.lens.valid_radius))
         why = "this lens model folds" if limit < 89 else "cameras are limited"
-        yield f"{1 - valid.mean():.0%} of the image sees nothing: {why} at {limit:.1f} degrees off the axis"
+        lost = 1 - valid.mean()
+        share = f"{lost:.0%}" if lost >= 0.01 else "less than 1%"
+        yield f"{share} of the image sees nothing: {why} at {limit:.1f} degrees off the axis"
 
 
 def _check_rectified(camera: Camera) -> Iterator[str]:

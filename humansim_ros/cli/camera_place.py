@@ -345,7 +345,8 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     longest = max(len(camera["name"]) for camera in facts["cameras"])
     for camera in facts["cameras"]:
         x, y, z = camera["center"]
-        down = f"looks {camera['tilt_deg']:.1f} degrees down"
+        tilt = float(camera["tilt_deg"])
+        down = f"looks {abs(tilt):.1f} degrees {'down' if tilt >= 0 else 'up'}"
         sees = f"sees {camera['sees']} of a person of {_STATURE:g} m"
         lines.append(f"  {camera['name']:{longest}}  at {x:.2f} {y:.2f}, {z:.2f} m high, {down}, {sees}")
     x, y = facts["person_at"]

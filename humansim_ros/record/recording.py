@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -17,9 +18,9 @@ from humansim_ros import __version__
 from humansim_ros.bags.chunks import BagMessage, Chunk, Compression, encode_chunk
 from humansim_ros.bags.metadata import Storage, read_metadata
 from humansim_ros.bags.topics import BagTopic, Qos, described
-from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import BagError, RenderError, near_names
-from humansim_ros.io.files import parse_json
+from humansim_ros.bags.writer import BagWriter, check_unlocked
+from humansim_ros.errors import BagError, RenderError, near_names, warn_about
+from humansim_ros.io.files import parse_json, size_text
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.jobs.workers import run_frames
 from humansim_ros.messages import ImageCompression
@@ -44,6 +45,10 @@ _COMPRESSED = {
 }
 #: Most topics that an error lists.
 _MAX_LISTED = 6
+#: Number of new frames from which the size of the others is estimated.
+_ESTIMATED_AFTER = 5
+#: Multiples of the free space from which an estimate is warned of and refused: frames differ in size.
+_MUCH, _TOO_MUCH = 0.9, 1.5
 
 
 @dataclass(frozen=True)
@@ -414,6 +419,8 @@ def record(
     plan, writer = recording.plan, None
     begun = folder.exists() or folder.is_symlink()
     if resume and begun:
+        if folder.is_dir():
+            check_unlocked(folder)  # a bag that has just begun has no plan yet
         check_plan(plan, folder)
     elif begun:
         raise BagError("this path exists; choose another one, or continue with --resume", path=folder)
@@ -446,11 +453,38 @@ def record(
             for number, chunk in enumerate(chunks, 1):
                 writer.append(chunk, ends_group=number == len(chunks))
             progress.add_cost(WRITING, time.process_time() - start)
-            return sum(chunk.size for chunk in chunks)
+            size = sum(chunk.size for chunk in chunks)
+            if progress.new + 1 == _ESTIMATED_AFTER:
+                check_space(
+                    folder, (progress.size + size) / _ESTIMATED_AFTER, progress.frames - progress.done - 1
+                )
+            return size
 
         frames = range(progress.first, progress.frames)
         run_frames(recording, frames, jobs, progress, append, begin=begin, on_progress=on_progress)
     return progress
+
+
+def check_space(folder: Path, frame_size: float, frames: int) -> None:
+    """Warn if the frames to come hardly fit on the disk of a bag.
+
+    Args:
+        folder: Folder of the bag.
+        frame_size: Bytes of a frame.
+        frames: Number of frames to come.
+
+    Raises:
+        BagError: They do not fit, also if they are much smaller than the first ones.
+    """
+    needed, free = int(frame_size * frames), shutil.disk_usage(folder).free
+    text = (
+        f"the other {frames} frames need about {size_text(needed)}, but {size_text(free)} are free on the "
+        "disk; --images jpeg and --depth png need less, --topics chooses what is recorded"
+    )
+    if needed > _TOO_MUCH * free:
+        raise BagError(f"{text}. With more space, the same command with --resume goes on", path=folder)
+    if needed > _MUCH * free:
+        warn_about(folder, text)
 
 
 def check_plan(plan: RecordingPlan, folder: Path) -> None:

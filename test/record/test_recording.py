@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -11,6 +15,8 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import SCENE, hashes, write_scene
 
+from humansim_ros.errors import BagError
+from humansim_ros.record import recording
 from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
@@ -266,6 +272,46 @@ def test_a_recording_in_one_process_has_one_context_and_one_table(
     monkeypatch.setattr(recording, "scene_topics", lambda *words: (made.append("table"), topics(*words))[1])
     record(SceneRecording.of(scene, 2, ["/noisy/image_raw"]), tmp_path / "bag")
     assert sorted(made) == ["context", "table"]
+
+
+@pytest.mark.parametrize(
+    ("free", "outcome"), [(1 << 40, ""), (20_000_000, "warning"), (10_000_000, "error"), (0, "error")]
+)
+def test_a_disk_that_is_too_small_is_told_before_it_is_full(
+    free: int, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """20 frames of 1 MB are to come."""
+    monkeypatch.setattr(recording.shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        if outcome == "error":
+            with pytest.raises(BagError, match=r"the other 20 frames need about 19\.1 MB, but .* are free"):
+                recording.check_space(tmp_path, 1e6, 20)
+        else:
+            recording.check_space(tmp_path, 1e6, 20)
+    assert len(found) == (outcome == "warning")
+
+
+def test_a_recording_stops_after_a_few_frames_if_the_disk_is_too_small(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = SceneRecording.of(scene, 9, ["/bent/joints"])
+    with monkeypatch.context() as patch:
+        patch.setattr(recording.shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+        with pytest.raises(BagError, match="the other 4 frames need about"):
+            record(job, tmp_path / "bag")
+    assert record(job, tmp_path / "bag", resume=True).done == 9
+
+
+def test_a_bag_that_another_process_writes_is_not_continued(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    lock = os.open(tmp_path / "bag", os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        with pytest.raises(BagError, match="another process is writing this bag"):
+            record(SceneRecording.of(scene, 2, ["/bent/joints"]), tmp_path / "bag", resume=True)
+    finally:
+        os.close(lock)
 
 
 def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -> None:

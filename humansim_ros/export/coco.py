@@ -9,8 +9,9 @@ as detectors expect them from COCO.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import count
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -65,7 +66,8 @@ class CocoWriter(FormatWriter):
             ("person_keypoints.json", scene.people, categories[:1]),
             ("instances.json", scene.labels, categories),
         ):
-            content = coco_document(listed_records, {name: category_of[name] for name in names}, listed)
+            chosen = {name: category_of[name] for name in names}
+            content = coco_document(listed_records, chosen, listed, licenses=scene.license_links)
             folder.write(file, json.dumps(content) + "\n")
 
 
@@ -86,6 +88,7 @@ def coco_document(
     category_of: dict[str, int],
     categories: list[dict[str, Any]],
     first: int = 1,
+    licenses: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Content of a file of annotations.
 
@@ -94,6 +97,7 @@ def coco_document(
         category_of: Number of the category by body; others are left out.
         categories: Categories of COCO.
         first: Number of the first image; annotations are numbered from 1.
+        licenses: Licences of the people, with the addresses of their texts.
     """
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
@@ -106,7 +110,9 @@ def coco_document(
                 annotations.append(given | annotation)
     return {
         "info": {"description": "synthetic humans, made by humansim_ros"},
-        "licenses": [],
+        "licenses": [
+            {"id": number, "name": name, "url": url} for number, (name, url) in enumerate(licenses.items(), 1)
+        ],
         "images": images,
         "annotations": annotations,
         "categories": categories,

@@ -97,6 +97,7 @@ class CroissantWriter(FormatWriter):
         settings = self.settings
         scene = settings.scene
         first, last = settings.frames[0], settings.frames[-1]
+        links = scene.license_links
         return {
             "@context": _CONTEXT,
             "@type": "sc:Dataset",
@@ -107,6 +108,7 @@ class CroissantWriter(FormatWriter):
                 f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
                 f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
             ),
+            **({"license": [url or name for name, url in links.items()]} if links else {}),
             "version": "1.0.0",
             "distribution": [*files, *self._image_sets()],
             "recordSet": [_image_records(camera) for camera in settings.cameras],

@@ -340,6 +340,7 @@ def _finish(job: Export, files_of_frames: dict[str, FileEntry]) -> None:
             provenance=job.source.provenance(job.plan.frames),
             rate=scene.rate,
             humans=scene.people,
+            licenses=dict(scene.licenses),
             objects=list(scene.objects),
             cameras={name: list(each.camera.size) for name, each in scene.cameras.items()},
             files={name: files[name] for name in sorted(files) if not name.startswith(f"{TEMPORARY}/")},

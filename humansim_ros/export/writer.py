@@ -23,6 +23,15 @@ from humansim_ros.scene import Frame, Scene
 
 #: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
 TEMPORARY = ".frames"
+#: Addresses of the texts of licences by their SPDX identifier.
+LICENSES = {
+    "CC0-1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
+    "CC-BY-4.0": "https://creativecommons.org/licenses/by/4.0/",
+    "CC-BY-SA-4.0": "https://creativecommons.org/licenses/by-sa/4.0/",
+    "CC-BY-NC-4.0": "https://creativecommons.org/licenses/by-nc/4.0/",
+    "MIT": "https://opensource.org/license/mit",
+    "Apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
+}
 
 
 class FileEntry(TypedDict):
@@ -147,6 +156,7 @@ class ExportScene:
         objects: Kind of each labelled object by name, such as ``box``.
         parts: Names of the values of body parts, from 1, by person.
         humans: Bodies without pose by name; a bag has none.
+        licenses: Licence of the body of each person whose licence is known, by name.
     """
 
     title: str
@@ -156,6 +166,7 @@ class ExportScene:
     objects: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     humans: Mapping[str, Human] = field(default_factory=dict)
+    licenses: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene) -> ExportScene:
@@ -171,7 +182,17 @@ class ExportScene:
             objects={name: Path(scene.objects[name].shape).stem for name in scene.object_labels},
             parts={name: actor.human.skeleton.names for name, actor in scene.actors.items()},
             humans={name: actor.human for name, actor in scene.actors.items()},
+            licenses={
+                name: text
+                for name, actor in scene.actors.items()
+                if (text := actor.human.notes.get("license", "").strip())
+            },
         )
+
+    @property
+    def license_links(self) -> dict[str, str]:
+        """Different licences, with the address of the text of known ones, else empty."""
+        return {text: LICENSES.get(text, "") for text in sorted(set(self.licenses.values()))}
 
     @property
     def people(self) -> list[str]:

@@ -114,6 +114,15 @@ def test_points_outside_of_the_image_are_not_labelled(tmp_path: Path) -> None:
     assert 0 < found["bert"]["num_keypoints"] < 16
 
 
+def test_data_sets_carry_the_licences_of_their_people(root: Path) -> None:
+    index = json.loads((root / "index.json").read_text())
+    assert index["licenses"] == dict.fromkeys(index["humans"], "CC0-1.0")
+    address = "https://creativecommons.org/publicdomain/zero/1.0/"
+    for file in ("person_keypoints.json", "instances.json"):
+        document = json.loads((root / "coco" / file).read_text())
+        assert document["licenses"] == [{"id": 1, "name": "CC0-1.0", "url": address}]
+
+
 def test_categories_have_the_keypoints_and_the_kinds_of_objects(root: Path) -> None:
     keypoints = json.loads((root / "coco/person_keypoints.json").read_text())
     (person,) = keypoints["categories"]

@@ -33,4 +33,5 @@ def test_patterns_find_the_images_of_each_camera(root: Path) -> None:
         assert found == ["000003.png", "000004.png"]
         (records,) = [row for row in card["recordSet"] if row["@id"] == f"frames-{camera}"]
         assert all(field["source"]["fileSet"]["@id"] in sets for field in records["field"])
+    assert card["license"] == ["https://creativecommons.org/publicdomain/zero/1.0/"]
     assert card["conformsTo"] == "http://mlcommons.org/croissant/1.0"

@@ -105,6 +105,8 @@ class Stage:
                 name: self._scene.add_glb(f"/objects/{name}", glb_of([mesh]))
                 for name, mesh in source.objects.items()
             }
+            # viser's own lights shine from one side: without a room, the other side of people were black
+            self._scene.add_light_ambient("/light", intensity=1.2)
             self._axes = self._scene.add_frame("/map", axes_length=0.5, axes_radius=0.008)
             self._frusta = {name: self._add_camera(name, camera) for name, camera in source.cameras.items()}
             for name in source.people:

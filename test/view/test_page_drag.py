@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, mosaic_of, needs_browser, opened_page, pause, scrub, until
+from pages import browser, mosaic_of, needs_browser, opened_page, pause, scrub, three_vertices, until
 from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
@@ -119,3 +120,33 @@ def test_a_drag_moves_a_person_and_the_saved_scene_gives_the_picture_of_the_page
             return float(np.abs(shown.astype(float) - expected.image).mean()) < 2.0
 
         until(same_picture)
+
+
+def test_a_changed_body_is_dressed_and_posed_at_once(app: ViewApp) -> None:
+    editor = app.editor
+    assert editor is not None
+    with browser() as chromium:
+        page = opened_page(chromium, app.server.url)
+        pause(page)
+        scrub(page, 12)
+        (before,) = page.evaluate("[...window.humansim.meshes.keys()]")
+        for body in ("child", "adult_man", "adult_woman"):
+            app.post(partial(editor.set, ("humans", "anna", "body"), body))
+            page.wait_for_function(
+                """(before) => {
+                    const [key] = [...window.humansim.meshes.keys()];
+                    const [mesh] = window.humansim.meshes.get(key) || [];
+                    return key !== before && mesh && mesh.material.map
+                        && mesh.material.map.image.src.endsWith(window.humansim.tableOf(key).texture);
+                }""",
+                arg=before,
+            )
+            (before,) = page.evaluate("[...window.humansim.meshes.keys()]")
+            expected = editor.document.scene().actors["anna"].at(12 / 30).vertices
+            numbers = list(range(0, len(expected), 211))
+
+            def is_posed(key: str = before, numbers: list[int] = numbers, expected: Array = expected) -> bool:
+                found = three_vertices(page, key, numbers)
+                return float(np.linalg.norm(found - expected[numbers], axis=1).max()) < 0.01
+
+            until(is_posed)

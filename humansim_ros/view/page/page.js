@@ -19,6 +19,7 @@
   const textures = new Map();
   const state = { textured: 0, people: 0, frame: null };
   window.humansim = state;
+  state.tableOf = (key) => people[key];
 
   async function loadPeople() {
     try {
@@ -63,11 +64,16 @@
     return image;
   }
 
-  function dress(mesh) {
+  // A mesh is reused when its body changes: viser gives it the colour of the new body. White: it is dressed.
+  function keyOf(mesh) {
+    const color = mesh.material.color.getHexString();
+    return color === "ffffff" ? mesh.userData.humansimKey : color;
+  }
+
+  function dress(mesh, key) {
     const material = mesh.material;
-    const dressed = `${version} ${material.uuid} ${mesh.geometry.uuid}`;
+    const dressed = `${version} ${key} ${material.uuid} ${mesh.geometry.uuid}`;
     if (mesh.userData.humansimDressed === dressed) return;
-    const key = mesh.userData.humansimKey || material.color.getHexString();
     const person = people[key];
     const attributes = mesh.geometry.attributes;
     const surface = onceFor(surfaces, person.surface, surfaceOf);
@@ -85,8 +91,9 @@
       texture.anisotropy = 4;
       texture.needsUpdate = true;
       material.map = texture;
-      material.color.setHex(0xffffff);
-    }
+    } else material.map = null;
+    // white times the texture; a person without one keeps its colour
+    if (image) material.color.setHex(0xffffff);
     material.needsUpdate = true;
     mesh.userData.humansimKey = key;
     mesh.userData.humansimDressed = dressed;
@@ -111,9 +118,9 @@
     for (const scene of scenes)
       scene.traverse((node) => {
         if (!node.isSkinnedMesh || !node.material || !node.material.color) return;
-        const key = node.userData.humansimKey || node.material.color.getHexString();
+        const key = keyOf(node);
         if (!people[key] || node.geometry.attributes.position.count !== people[key].vertices) return;
-        dress(node);
+        dress(node, key);
         if (!found.has(key)) found.set(key, []);
         found.get(key).push(node);
       });

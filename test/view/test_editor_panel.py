@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
 from humansim_ros.errors import HumansimError
+from humansim_ros.humans import load_human
 from humansim_ros.scene import Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.edits import keyframe_times
@@ -282,6 +283,51 @@ def test_a_saved_scene_is_what_the_page_shows(page: Page) -> None:
     assert "another program has changed this file" in page.told[-1]
     page.editor.save(str(page.path), overwrite=True)
     assert "# theirs" not in page.path.read_text()
+
+
+def test_the_outfits_on_offer_are_of_the_body(page: Page) -> None:
+    page.editor.select("person walker")
+    for body in ("adult_man", "child", "adult_woman"):
+        page.type("body", body)
+        outfits = load_human(body).outfits
+        assert set(outfits) <= set(page.control("outfit").handle.options)
+        page.type("outfit", outfits[-1])
+        assert page.document.errors() == []
+        others = set(page.control("outfit").handle.options) - set(outfits)
+        assert others == {"(default)"}
+
+
+def test_another_body_leaves_an_outfit_that_it_does_not_have_in_one_step(page: Page) -> None:
+    first, second = load_human("adult_woman").outfits, load_human("adult_man").outfits
+    worn = next(name for name in first if name not in second)
+    page.document.set("humans.walker.body", "adult_woman")
+    page.document.set("humans.walker.outfit", worn)
+    page.editor.refresh()
+    page.editor.select("person walker")
+    before = page.document.text()
+    page.type("body", "adult_man")
+    assert page.document.errors() == [] and page.document.value("humans.walker.outfit") is None
+    assert worn in page.told[-1]
+    page.editor.undo()
+    assert page.document.text() == before
+
+
+def test_a_scene_with_errors_is_saved_only_after_a_question(page: Page) -> None:
+    before = page.path.read_text()
+    page.document.set("rate", -5)
+    page.editor.save(str(page.path))
+    assert page.editor.question is not None and page.path.read_text() == before
+    page.editor.save(str(page.path), wrong=True)
+    assert "rate: -5" in page.path.read_text()
+
+
+def test_an_error_of_a_top_level_key_stands_in_the_folder_of_its_control(page: Page) -> None:
+    page.editor.select("scene")
+    page.type("rate", -5)
+    control = page.control("rate")
+    assert control.error is not None
+    own = [control.handle, control._error]
+    assert {handle._impl.parent_container_id for handle in own} == {page.editor._keys._impl.uuid}
 
 
 def test_commands_run_on_the_saved_scene_with_their_progress_and_can_be_stopped(page: Page) -> None:

@@ -36,6 +36,7 @@ class SectionControls:
         only: Keys of the section; all if empty.
         choices: Values of keys to choose from, by dotted key within the section.
         post: Runs a function in the thread that edits the document.
+        folder: Folder of the controls, where errors stand too; None: the root of the page.
     """
 
     def __init__(
@@ -47,13 +48,14 @@ class SectionControls:
         only: Sequence[str] = (),
         choices: Mapping[str, Sequence[str]] | None = None,
         post: Callable[[Callable[[], None]], None] = lambda function: function(),
+        folder: Any = None,
     ) -> None:
         self.keys = tuple(keys)
         self._gui, self._document, self._change, self._post = gui, document, change, post
         self._choices = choices or {}
         self.controls: dict[tuple[YamlKey, ...], KeyControl] = {}
         self._order = 0.0
-        self._add(tuple(keys), None, only)
+        self._add(tuple(keys), folder, only)
 
     def refresh(self) -> None:
         """Show the values of the document."""
@@ -174,6 +176,15 @@ class SectionControls:
             self._change(control.key.keys, control.read())
         except HumansimError as error:
             control.tell(self._gui, error.message)
+
+    def offer(self, key: str, names: Sequence[str]) -> None:
+        """Offer other names for a dotted key within the section."""
+        control = self.control(key)
+        value = self._document.value(control.key.keys)
+        shown = (_OFF, *names) if value is None or value in names else (_OFF, *names, str(value))
+        if tuple(control.handle.options) != shown:
+            control.handle.options = shown
+            control.show(self._document)
 
     def _names_for(self, found: SceneKey, kind: str | None) -> list[str]:
         """Names to choose from: built-ins, files of a kind, and the value of the document."""

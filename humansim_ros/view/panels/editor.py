@@ -34,6 +34,7 @@ _TOP = ("rate", "renderer")
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
 _UNDO, _REDO = "Undo", "Redo"
+_SAVE_WRONG = "Save with errors"
 _COPY, _REMOVE = "Duplicate", "Remove"
 #: Movements below these are the gizmo's own rounding: metres, and sine of half an angle.
 _MOVED, _TURNED = 5e-5, 4e-5
@@ -55,6 +56,7 @@ class EditorPanel:
         self._gizmo: Any = None
         self._seconds = 0.0
         self._controls: SectionControls | None = None
+        self.question: Any = None
         gui = app.gui
         self._tab = app.tabs["Edit"]
         with self._tab:
@@ -146,10 +148,28 @@ class EditorPanel:
         """Set a key of the file, or remove it if the value is None. Raises HumansimError."""
         if value is not None:
             check_value(self.document.folder, value)
-            self.document.set(keys, value, continues=True)
+            with self.document.step(f"Set {'.'.join(map(str, keys))}", continues=True):
+                self.document.set(keys, value, continues=True)
+                if keys[0] == "humans" and keys[2:] == ("body",):
+                    self._leave_outfit(str(keys[1]))
         elif self.document.has(keys):
             self.document.remove(keys)
         self.refresh()
+
+    def outfits(self, name: str) -> Sequence[str]:
+        """Names of the outfits of the body that a person has in the file; none if the body is wrong."""
+        try:
+            return self.document.source.human(str(self.document.value(["humans", name, "body"]))).outfits
+        except HumansimError:  # the status says so
+            return ()
+
+    def _leave_outfit(self, name: str) -> None:
+        """Remove the outfit of a person whose body does not have it."""
+        keys, outfits = ["humans", name, "outfit"], self.outfits(name)
+        worn = self.document.value(keys)
+        if worn is not None and outfits and worn not in outfits:
+            self.document.remove(keys)
+            self._app.notify("Another outfit", f"This body has no outfit {worn!r}: it wears {outfits[0]!r}.")
 
     def move(self, position: Array, quaternion: Array) -> None:
         """Place the selected item where its gizmo is.
@@ -179,8 +199,18 @@ class EditorPanel:
 
         self.edit(place)
 
-    def save(self, path: str, overwrite: bool = False) -> None:
-        """Save the scene as a file."""
+    def save(self, path: str, overwrite: bool = False, wrong: bool = False) -> None:
+        """Save the scene as a file.
+
+        Args:
+            path: The file, below the folder of the scene.
+            overwrite: Replace a file of others.
+            wrong: Save a scene with errors; else a question comes first.
+        """
+        faults = self.document.errors()
+        if faults and not wrong:
+            self._ask(faults[0].key, faults[0].message, lambda: self.save(path, overwrite, wrong=True))
+            return
         try:
             target = inside(self.document.folder, path) if path else None
             saved = self.document.save(target, overwrite=overwrite)
@@ -192,6 +222,24 @@ class EditorPanel:
         self._path.value = str(saved)
         self._app.saved(saved)
         self.refresh()
+
+    def _ask(self, key: str, message: str, yes: Callable[[], None]) -> None:
+        """Ask whether a scene with errors is to be saved."""
+        if self.question is not None:
+            self.question.close()
+        gui = self._app.gui
+        self.question = modal = gui.add_modal("This scene does not run")
+
+        def answer(action: Callable[[], None] | None) -> None:
+            modal.close()
+            self.question = None
+            if action is not None:
+                action()
+
+        with modal:
+            gui.add_markdown(f"**{plain_markdown(key)}**: {plain_markdown(message)}\n\nSave it nevertheless?")
+            self._on(gui.add_button(_SAVE_WRONG, color="red"), "on_click", lambda: answer(yes))
+            self._on(gui.add_button("Do not save"), "on_click", lambda: answer(None))
 
     # --- selection and elements of the tab
 
@@ -226,6 +274,9 @@ class EditorPanel:
         if self._controls is None or self._controls.keys != self._path_of_selected():
             self._build_controls()
         self.controls_now().refresh()
+        kind, name = self.item
+        if kind == "humans":
+            self.controls_now().offer("outfit", self.outfits(name))
         self._show_status()
         self.place_gizmo()
 
@@ -322,8 +373,8 @@ class EditorPanel:
             self._keys = gui.add_folder(f"Keys of {self.selected}", order=self._rename.order + 0.5)
         kind, name = self.item
         choices: dict[str, Sequence[str]] = dict(choices_of(kind))
-        if kind == "humans" and name in self._app.source.people:
-            choices["outfit"] = self._app.source.people[name].outfits
+        if kind == "humans":
+            choices["outfit"] = self.outfits(name) or ("",)
         with self._keys:
             self._controls = SectionControls(
                 gui,
@@ -333,6 +384,7 @@ class EditorPanel:
                 _TOP if self.selected == "scene" else (),
                 choices,
                 self._app.post,
+                self._keys,
             )
 
     def controls_now(self) -> SectionControls:

@@ -47,6 +47,8 @@ MAX_BYTES = 1 << 29
 MAX_VALUES, _MAX_ZEROS = 100_000_000, 10_000_000
 #: Maximum count of values in the JSON part; each needs some fifty bytes of memory.
 _MAX_ITEMS = 10_000_000
+#: Maximum count of nodes; a house with all its furniture has some thousands.
+_MAX_NODES = 50_000
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
@@ -78,6 +80,11 @@ class Gltf:
         except ValueError as reason:
             raise MeshError(f"not a glTF file: {reason}", path=path) from None
         content = parse_json(decoded, MeshError, path, kind="a glTF file", most=_MAX_ITEMS)
+        nodes = content.get("nodes") if isinstance(content, dict) else None
+        if isinstance(nodes, list) and len(nodes) > _MAX_NODES:
+            raise MeshError(
+                f"{len(nodes)} nodes; at most {_MAX_NODES} are read: join its meshes", path=path, key="nodes"
+            )
         try:
             document = Document.model_validate(content)
         except ValidationError as reason:

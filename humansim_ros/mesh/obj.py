@@ -205,6 +205,8 @@ def _file(path: Path, name: str) -> Path | None:
 _GREY = (0.6, 0.6, 0.6)
 #: Largest OBJ file: its text needs about ten times its size of memory while it is parsed.
 _MAX_OBJ_BYTES = 1 << 28
+#: Most corners of a polygon: it becomes a fan of triangles, which only fits a convex one.
+_MAX_CORNERS = 50_000
 
 
 def read_obj(path: str | os.PathLike[str], data: bytes) -> Mesh:
@@ -311,10 +313,12 @@ def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
     materials: list[str] = []
     material = ""
     for number, line in enumerate(text.splitlines(), 1):
-        words = line.partition("#")[0].split()
+        words = line.partition("#")[0].split(maxsplit=_MAX_CORNERS + 1)
         if not words:
             continue
         keyword = words[0]
+        if len(words) > _MAX_CORNERS + 1:
+            raise MeshError(f"more than {_MAX_CORNERS} corners or numbers on a line", path=path, line=number)
         if keyword == "mtllib":
             libraries.append(line.split(None, 1)[1].strip() if len(words) > 1 else "")
         elif keyword == "usemtl":

@@ -34,6 +34,8 @@ from humansim_ros.types import Array
 _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
 #: Most characters of a joint's name: every end site repeats the name of its joint.
 LONGEST_NAME = 1000
+#: Most joints, end sites included. A person with face, fingers and hair has some hundreds.
+_MAX_JOINTS = 20_000
 #: Words that start an end site; the first is followed by "Site".
 _ENDS = ("END", "ENDSITE", "END_SITE")
 
@@ -183,6 +185,8 @@ class Parser:
             raise text.error(f"{keyword} {name!r} does not belong here")
         if parent >= 0 and self.is_end[parent]:
             raise text.error(f"{keyword} {name!r} inside an End Site")
+        if len(self.names) == _MAX_JOINTS:
+            raise text.error(f"more than {_MAX_JOINTS} joints and end sites: this is no skeleton of a person")
         self.names.append(name)
         self.is_end.append(is_end)
         self.joint_lines.append(text.line)

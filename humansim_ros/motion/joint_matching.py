@@ -374,11 +374,17 @@ def match_table(
     return match_roles(table, roles, joint_names)
 
 
+@lru_cache(4)
+def _numbers_by_name(names: tuple[str, ...]) -> tuple[dict[str, int], dict[str, int]]:
+    """Number of the first joint of each name, by its plain name and by its key."""
+    numbered = list(reversed(list(enumerate(names))))
+    exact = {plain_name(name): number for number, name in numbered}
+    return exact, {comparison_key(name): number for number, name in numbered}
+
+
 def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
     """Joint of each role of a table: the first of its names that is there, exactly or nearly so."""
-    numbered = list(reversed(list(enumerate(joint_names))))
-    exact = {plain_name(name): number for number, name in numbered}
-    similar = {comparison_key(name): number for number, name in numbered}
+    exact, similar = _numbers_by_name(tuple(joint_names))
     roles = {}
     for role, names in table.joints.items():
         joints = (exact.get(name, similar.get(comparison_key(name))) for name in names)

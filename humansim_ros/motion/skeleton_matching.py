@@ -21,6 +21,8 @@ from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by at most this share.
 _PAIR_TOLERANCE = 0.12
+#: Most branches of one joint, the longest, and most pairs of the body that are compared with a person's.
+_MAX_BRANCHES, _MAX_PAIRS = 30, 60
 #: Standard deviation of the length of a bone, as a share of it.
 _BONE_VARIATION = 0.01
 
@@ -47,9 +49,9 @@ class JointTree:
         self.links[self.parents < 0] = 0.0
         self.points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
         self.children: list[list[int]] = [[] for _ in range(count)]
-        for joint in range(count - 1, -1, -1):
-            if self.parents[joint] >= 0:
-                self.children[int(self.parents[joint])].insert(0, joint)
+        for joint, parent in enumerate(self.parents.tolist()):
+            if parent >= 0:
+                self.children[parent].append(joint)
         #: Longest way from a joint's parent through the joint to a leaf.
         self.reach = self.links.copy()
         self.next = np.full(count, -1)
@@ -86,6 +88,9 @@ class JointTree:
         pairs = []
         for joint in range(len(self.parents)):
             branches = [child for child in self._branches(joint) if self.reach[child] > 0.15 * self.size]
+            if len(branches) > _MAX_BRANCHES:
+                shortest = sorted(self.reach[branches], reverse=True)[_MAX_BRANCHES - 1]
+                branches = [child for child in branches if self.reach[child] >= shortest][:_MAX_BRANCHES]
             for a, b in combinations(branches, 2):
                 longer, shorter = sorted((self.reach[a], self.reach[b]), reverse=True)
                 if shorter > (1 - _PAIR_TOLERANCE) * longer:
@@ -155,20 +160,15 @@ def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> Joint
 
 def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
     """Candidates for legs and arms: two pairs of branches that share no joint."""
-    pairs = sorted(tree.pairs(), key=lambda pair: -pair.length)[:60]
-    for legs in pairs:
-        for arms in pairs:
+    pairs = sorted(tree.pairs(), key=lambda pair: -pair.length)[:_MAX_PAIRS]
+    above = [{joint for start in (p.joint, *p.branches) for joint in tree.path(start)[1:]} for p in pairs]
+    for legs, above_legs in zip(pairs, above, strict=True):
+        for arms, above_arms in zip(pairs, above, strict=True):
             if arms is legs or set(arms.branches) & set(legs.branches):
                 continue
-            legs_in_arms = any(
-                b in tree.path(a)[1:] for a in (legs.joint, *legs.branches) for b in arms.branches
-            )
-            arms_in_legs = any(
-                b in tree.path(a)[1:] for a in (arms.joint, *arms.branches) for b in legs.branches
-            )
             if (
-                not legs_in_arms
-                and not arms_in_legs
+                not above_legs.intersection(arms.branches)
+                and not above_arms.intersection(legs.branches)
                 and legs.joint not in arms.branches
                 and arms.joint not in legs.branches
             ):

@@ -99,3 +99,25 @@ def test_an_accessor_without_data_stands_for_a_limited_number_of_zeros(tmp_path:
     path.write_text(json.dumps(json.loads(figures.gltf_text(document, binary))))
     with pytest.raises(MeshError, match="30000000 values are too many"):
         read_mesh(path)
+
+
+def test_a_polygon_of_millions_of_corners_is_refused_with_its_line(tmp_path: Path) -> None:
+    corners = " 1 2 3" * 100_000
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf{corners}\n")
+    with pytest.raises(MeshError, match="more than 50000 corners or numbers on a line") as caught:
+        read_mesh(tmp_path / "a.obj")
+    assert (caught.value.path, caught.value.line) == (str(tmp_path / "a.obj"), 5)
+
+
+def test_a_polygon_of_a_thousand_corners_is_read(tmp_path: Path) -> None:
+    angles = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    points = "".join(f"v {np.cos(angle):.6f} {np.sin(angle):.6f} 0\n" for angle in angles)
+    (tmp_path / "a.obj").write_text(points + "f " + " ".join(map(str, range(1, 1001))) + "\n")
+    assert len(read_mesh(tmp_path / "a.obj").faces) == 998
+
+
+def test_a_gltf_file_of_too_many_nodes_is_refused_before_it_is_checked(tmp_path: Path) -> None:
+    text = json.dumps({"asset": {"version": "2.0"}, "nodes": [{}] * 50_001})
+    with pytest.raises(MeshError, match="50001 nodes; at most 50000 are read") as caught:
+        Gltf.parse(tmp_path / "a.gltf", text.encode())
+    assert caught.value.key == "nodes"

@@ -314,6 +314,14 @@ def test_a_file_without_motion_is_a_static_pose(tmp_path: Path) -> None:
     assert motion.n_frames == 1
 
 
+def test_more_joints_than_any_person_has_are_refused_with_the_line(tmp_path: Path) -> None:
+    joint = "JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 0\n}\n"
+    text = "HIERARCHY\nROOT r\n{\nOFFSET 0 0 0\nCHANNELS 0\n" + joint * 21_000 + "}\n"
+    with pytest.raises(MotionError, match="more than 20000 joints and end sites") as caught:
+        read(tmp_path, text)
+    assert caught.value.line == 5 + 5 * 19_999 + 1
+
+
 def test_a_chain_of_ten_thousand_joints_is_read_and_posed(tmp_path: Path) -> None:
     depth = 10_000
     lines = ["HIERARCHY"]

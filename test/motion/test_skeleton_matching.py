@@ -17,7 +17,7 @@ from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.joint_match import write_table
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_tables import load_table
-from humansim_ros.motion.skeleton_matching import match_shape
+from humansim_ros.motion.skeleton_matching import JointTree, match_shape
 
 #: Files of people, and the roles that shape gets otherwise than names: makehuman's twist bones and thumbs.
 PEOPLE: dict[str, set[str]] = {
@@ -204,3 +204,20 @@ def test_the_head_of_a_person_without_a_face_is_below_its_end_site() -> None:
     motion = stand_in("lafan1").motion(walk())
     match = match_motion(nameless(motion))
     assert motion.joint_names[match.roles["Head"]] == "Head"
+
+
+def test_of_a_joint_with_thousands_of_branches_the_longest_are_compared() -> None:
+    """All pairs of a hedgehog's spines would be millions."""
+    count = 2000
+    hedgehog = Motion(
+        joint_names=tuple(f"j{number}" for number in range(count + 1)),
+        parents=np.array([-1] + [0] * count),
+        offsets=np.array([[0.0, 0, 0]] + [[0, 10 + number % 7, 0] for number in range(count)]),
+        channels=((),) * (count + 1),
+        values=np.zeros((1, 0)),
+        frame_time=0.1,
+    )
+    pairs = JointTree(hedgehog).pairs()
+    assert len(pairs) == 30 * 29 / 2
+    assert {pair.length for pair in pairs} == {16.0}
+    assert match_shape(hedgehog) is None

@@ -192,6 +192,13 @@ def _place(name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> s
             index = int(np.argmax(inside))
             where = f"{numbers(centers[index])}{moments[index % len(moments)]}"
             return f"camera {name} is inside {obstacle.name}, at {where}: move one of them"
+        if len(centers) > 1:
+            # a thin wall may lie between two samples
+            ways = obstacle.crossed(centers[:-1, None], centers[1:, None], samples.times[:-1])
+            if ways.any():
+                index = int(np.argmax(ways))
+                where = f"{numbers(centers[index])}{moments[index]}"
+                return f"camera {name} goes through {obstacle.name} after {where}: move one of them"
     return None
 
 

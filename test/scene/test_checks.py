@@ -188,6 +188,19 @@ def test_a_camera_that_sees_a_human_for_a_moment_is_sound() -> None:
     assert "never sees anna" in only(findings(scene)).text
 
 
+def test_a_camera_that_drives_through_a_thin_wall_is_told(tmp_path: Path) -> None:
+    """It is on the one side or on the other at each time that is looked at."""
+    scene = copy.deepcopy(CLEAN) | {"room": None}
+    scene["cameras"] = {"dolly": {"fov_deg": 60, "trajectory": {"file": str(tmp_path / "way.txt")}}}
+    Trajectory.orbit((0, 0, 1), 2.5, 1.6, 20.0).write(tmp_path / "way.txt")
+    wall = {"size": [2.0, 0.002, 3.0], "position": [2.5, 0.0123, 1.5]}
+    found = findings(scene | {"objects": {"wall": wall}}, quick=True)
+    assert any("camera dolly goes through the object wall after" in finding.text for finding in found), found
+    beside = wall | {"position": [4.0, 0.0123, 1.5]}
+    found = findings(scene | {"objects": {"wall": beside}}, quick=True)
+    assert not any("goes through" in finding.text for finding in found)
+
+
 def test_a_moving_camera_is_followed(tmp_path: Path) -> None:
     scene = copy.deepcopy(CLEAN)
     scene["cameras"] = {"dolly": {"fov_deg": 60, "trajectory": {"file": str(tmp_path / "way.txt")}}}

@@ -437,6 +437,21 @@ def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> 
         assert f"'{package}'" not in loaded
 
 
+@pytest.mark.parametrize(
+    "name", ["motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"]
+)
+def test_a_node_says_what_it_does(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from humansim_ros.ros.nodes import __main__ as nodes
+
+    monkeypatch.setattr(nodes, "end_process_on_stop", lambda _: None)
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    assert nodes.run(name) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"usage: ros2 run humansim_ros {name} [--ros-args") and len(said) > 200
+
+
 def test_installed_commands_lead_to_the_light_entry_points() -> None:
     commands = [line.strip(' ",') for line in (ROOT / "setup.py").read_text().splitlines() if ":" in line]
     entries = [

@@ -5,16 +5,35 @@ A node is imported only after its process can be stopped quietly.
 
 from __future__ import annotations
 
+import ast
 import sys
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
+from itertools import takewhile
+from pathlib import Path
 
 from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_with_parent
+
+
+def help_text(name: str) -> str:
+    """What a node does, and how its parameters are given. Nothing of it is imported."""
+    spec = find_spec(f"humansim_ros.ros.nodes.{name}")
+    assert spec is not None and spec.origin is not None
+    about = ast.get_docstring(ast.parse(Path(spec.origin).read_text("utf-8"))) or name
+    return (
+        f"usage: ros2 run humansim_ros {name} [--ros-args -p NAME:=VALUE ...]\n\n{about}\n\n"
+        f"While it runs, `ros2 param list /{name}` and `ros2 param describe` show its parameters."
+    )
 
 
 def run(name: str) -> int:
     """Run the node of module ``name``; returns its exit code, which is 0 after a stop signal."""
     end_process_on_stop(0)
+    own = takewhile(lambda word: word != "--ros-args", sys.argv[1:])
+    if not {"-h", "--help"}.isdisjoint(own):
+        print(help_text(name))
+        return 0
     return int(import_module(f"humansim_ros.ros.nodes.{name}").main())
 
 

@@ -271,7 +271,11 @@ def ros(old: str, new: str) -> str:
         (P.replace("0 0 1 3", "0 0 0 0"), ":1: P: P is singular: its camera is at infinity"),
         (P.replace("0 0 1 3", "0 0 inf 3"), ":3: a number is not finite"),
         (P.replace("0 0 1 3", "0 0 1e300 3"), ":3: 1e+300 is too large"),
-        (P.replace("0 0 1 3\n", ""), ":2: the last matrix has fewer than three rows"),
+        (P.replace("0 0 1 3\n", ""), ":2: found 2 rows of 4 numbers, which are not matrices P of three rows"),
+        (
+            "1 0 0 2\n0 1 0 3\n0 0 1 4\n0 0 0 1\n",
+            ":4: found one 4 x 4 matrix: rotation and translation; missing",
+        ),
         (P + "1 2 3\n", ":4: rows of P have 4 numbers each"),
         (f"# a\n{P}# a\n{P}", ":6: there are two cameras with the name 'a'"),
         (KRTD[:30], ":5: needs K (3 x 3), R (3 x 3) and t (3)"),
@@ -524,7 +528,11 @@ def test_truncated_files_are_refused_or_read(tmp_path: Path, form: Any) -> None:
     k = np.array([[640.0, 0, 319.5], [0, 640, 239.5], [0, 0, 1]])
     lens = ((0.0,) * 4, "equidistant") if form.name == "egoexo4d" else ()
     camera = Camera((640, 480), k, np.eye(3), np.array([0, 0, 3.0]), *lens)
-    (path, *_) = write_calibration(tmp_path / f"out{form.suffix}", {"out": camera}, form.name)
+    cameras = {"color" if form.name == "k4a" else "out": camera}
+    if form.name == "zed":
+        left = Camera((672, 376), k, np.eye(3), np.zeros(3))
+        cameras = {"left": left, "right": left}
+    (path, *_) = write_calibration(tmp_path / f"out{form.suffix}", cameras, form.name)
     content, read = path.read_bytes(), 0
     for length in range(0, len(content), 7):
         path.write_bytes(content[:length])

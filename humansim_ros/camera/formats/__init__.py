@@ -11,6 +11,7 @@ lists of cameras and names of lens models.
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
+from humansim_ros.camera.formats.devices import K4A, ZED
 from humansim_ros.camera.formats.matrices import MATRICES, MATRICES_NPZ
 from humansim_ros.camera.formats.mocap import DLT, EGOEXO, MOTIVE, THEIA, VICON
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
@@ -20,11 +21,12 @@ from humansim_ros.camera.formats.qualisys import QUALISYS
 from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
 from humansim_ros.camera.formats.ros import CAMERA_INFO, INI, KALIBR
 from humansim_ros.camera.formats.scene import SCENE
-from humansim_ros.camera.formats.transforms import TRANSFORMS
+from humansim_ros.camera.formats.transforms import BLENDER, TRANSFORMS
 
 #: All formats, in the order in which they are tried: the first one that recognises a file reads it.
 FORMATS: tuple[CalibrationFormat, ...] = (
     *(BUNDLER, MVSNET, EGOEXO, DLT, METASHAPE, VICON, MOTIVE, THEIA, OPENMVG, MESHROOM),
+    *(ZED, K4A, BLENDER),
     *(CAMERA_INFO, INI, KALIBR, SCENE),
     *(H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE),
     *(QUALISYS, REALSENSE, OPEN3D),

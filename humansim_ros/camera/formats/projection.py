@@ -80,8 +80,13 @@ def _read_projection(file: CalibrationFile) -> dict[str, RawCamera]:
             raise CameraError(f"there are more than {MAX_CAMERAS} cameras", path=file.path, line=line)
         else:
             matrices.append((line, name, values))
+    if len(matrices) == 2 and matrices[-1][2] == [0, 0, 0, 1] and not matrices[-1][1]:
+        message = "found one 4 x 4 matrix: rotation and translation; missing: K or focal length, image size"
+        raise CameraError(message, path=file.path, line=last)
     if len(matrices[-1][2]) < 12:
-        raise CameraError("the last matrix has fewer than three rows", path=file.path, line=last)
+        count = sum(len(values) for _, _, values in matrices) // 4
+        message = f"found {count} rows of 4 numbers, which are not matrices P of three rows each"
+        raise CameraError(f"{message}; missing: K or focal length", path=file.path, line=last)
     rest = next((n for n, text in file.lines() if n > last and text[0] not in "%/"), None)
     if rest is not None:
         message = "rows of P have 4 numbers each, or all 12 on one line"

@@ -1,6 +1,7 @@
 """Intrinsics as JSON: dumps of rs2_intrinsics (librealsense, pyrealsense2), and camera files of Open3D.
 
-The first have the fields of rs2_intrinsics, for one camera or for streams by name. Files of Open3D have
+The first have the fields of rs2_intrinsics, for one camera or for streams by name, and may have
+rs2_extrinsics from depth to colour (metres, rotation in column order). Files of Open3D have
 matrices in column order, and may have extrinsics (x = R X + t, metres). Both measure pixels from the centre
 of the first one. https://github.com/realsenseai/librealsense/wiki/Projection-in-RealSense-SDK-2.0,
 https://www.open3d.org/docs/release/python_api/open3d.camera.html
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -167,12 +169,36 @@ def _write_open3d(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return json_file({"class_name": "PinholeCameraTrajectory", "parameters": parameters, **version})
 
 
+#: Keys of rs2_extrinsics between the streams of one device.
+_EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "extrinsics_depth_to_color")
+_matches_realsense, _read_streams = reader_of(_realsense_cameras, _realsense_camera)
+
+
+def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
+    """Streams; with rs2_extrinsics from the depth to the colour stream, the depth camera is the world."""
+    cameras = _read_streams(file)
+    at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)
+    depth = [name for name in cameras if "depth" in name.lower()]
+    color = [name for name in cameras if "color" in name.lower() or "rgb" in name.lower()]
+    if at is None or len(depth) != 1 or len(color) != 1:
+        return cameras
+    # librealsense stores rotations in column order
+    rotation = file.numbers((3, 3), at, "rotation").T
+    t = file.numbers((3,), at, "translation")
+    where = {"R": file.location(at, "rotation"), "t": file.location(at, "translation")}
+    if at == "extrinsics":
+        warn_about(file.path, f"{at}: taken from depth to color, with the rotation in column order")
+    posed = replace(cameras[color[0]], R=rotation, t=t, locations={**cameras[color[0]].locations, **where})
+    return cameras | {depth[0]: replace(cameras[depth[0]], R=np.eye(3)), color[0]: posed}
+
+
 REALSENSE = CalibrationFormat(
     "realsense",
     "RealSense intrinsics JSON",
     ".json",
     "json",
-    *reader_of(_realsense_cameras, _realsense_camera),
+    _matches_realsense,
+    _read_realsense,
     _write_realsense,
     holds_pose=False,
     holds_skew=False,

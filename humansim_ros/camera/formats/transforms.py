@@ -1,8 +1,12 @@
-"""transforms.json of NeRF, Instant-NGP and Nerfstudio: intrinsics, and the pose of each image.
+"""transforms.json of NeRF, Instant-NGP and Nerfstudio, and cameras of Blender as JSON.
 
 transform_matrix is the pose of a camera in the world, with the camera axes of OpenGL (x right, y up, z
 backward). The centre of the first pixel is (0.5, 0.5), as in COLMAP. The world has z up and any unit.
 https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md
+
+JSON of Blender has the names of bpy: matrix_world (or location with rotation_euler or
+rotation_quaternion) with the same camera axes, lens and sensor_width in mm (or angle), shift_x and shift_y,
+resolution_x and resolution_y. https://docs.blender.org/api/current/bpy.types.Camera.html
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.checks import size_of_named_image
@@ -18,15 +23,20 @@ from humansim_ros.camera.formats.base import (
     CalibrationFile,
     CalibrationFormat,
     Key,
+    Keys,
     RawCamera,
     SourceLocation,
+    find_cameras,
+    has_keys,
     image_names,
     json_file,
     nested,
+    reader_of,
     without_suffix,
 )
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_about
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
 #: Size of the images of the synthetic scenes of NeRF, whose files have no size.
@@ -198,4 +208,113 @@ TRANSFORMS = CalibrationFormat(
     _write,
     holds_skew=False,
     lenses={"plumb_bob": 5, "equidistant": 4},
+)
+
+
+# -- Blender: cameras as scripts write them, with the names of bpy
+
+_BLENDER_POSE = {"matrix_world", "location"}
+_BLENDER_LENS = {"lens", "angle", "angle_x", "focal_length_mm"}
+
+
+def _blender_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    return find_cameras(file, has_keys(_BLENDER_POSE, _BLENDER_LENS), has_keys(_BLENDER_POSE))
+
+
+def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float | None = None) -> float:
+    """Number of a camera, of the section ``render``, or of the file."""
+    places: tuple[Keys, ...] = ((*at, key), (*at, "render", key), ("render", key), (key,))
+    found = next((place for place in places if file.get(*place) is not None), None)
+    if found is None and otherwise is not None:
+        return otherwise
+    return float(file.numbers((), *(found or (*at, key))))
+
+
+def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    sides = [_blender_value(file, at, f"resolution_{axis}") for axis in "xy"]
+    percent = _blender_value(file, at, "resolution_percentage", 100.0) / 100
+    width, height = (round(side * percent) for side in sides)
+    if min(width, height) < 1:
+        raise file.error("needs resolution_x and resolution_y above zero", *at)
+    aspect = _blender_value(file, at, "pixel_aspect_y", 1.0) / _blender_value(file, at, "pixel_aspect_x", 1.0)
+    if aspect <= 0:
+        raise file.error("needs pixel aspects above zero", *at)
+    fit = str(file.get(*at, "sensor_fit") or "AUTO").upper()
+    across = fit == "HORIZONTAL" or (fit == "AUTO" and width >= aspect * height)
+    view = width if across else aspect * height
+    if any(file.get(*at, key) is not None for key in ("lens", "focal_length_mm")):
+        key = "lens" if file.get(*at, "lens") is not None else "focal_length_mm"
+        sensor = _blender_value(file, at, "sensor_width", 36.0)
+        if fit == "VERTICAL":
+            sensor = _blender_value(file, at, "sensor_height", 24.0)
+        if sensor <= 0:
+            raise file.error("needs a sensor above zero", *at, "sensor_width")
+        focal = _blender_value(file, at, key) / sensor * view
+    else:
+        key = "angle" if file.get(*at, "angle") is not None else "angle_x"
+        angle = _blender_value(file, at, key)
+        if not 0 < angle < np.pi:
+            raise file.error(f"must be an angle between 0 and pi radians, not {angle:g}", *at, key)
+        focal = (width if key == "angle_x" else view) / 2 / float(np.tan(angle / 2))
+    cx = width / 2 - _blender_value(file, at, "shift_x", 0.0) * view - 0.5
+    cy = height / 2 + _blender_value(file, at, "shift_y", 0.0) * view / aspect - 0.5
+    rotation, center = _blender_pose(file, at)
+    part = "matrix_world" if file.get(*at, "matrix_world") is not None else "location"
+    return RawCamera(
+        pinhole(focal, focal / aspect, cx, cy),
+        _FLIP @ rotation.T,
+        center=center,
+        size=(width, height),
+        locations=file.locations(at, K=key, R=part, t=part),
+    )
+
+
+def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
+    """Rotation from the axes of the camera to the world, and its centre."""
+    if file.get(*at, "matrix_world") is not None:
+        pose = file.pose_matrix(*at, "matrix_world", rows=4, tolerance=1e-6)
+        lengths = np.linalg.norm(pose[:3, :3], axis=0)
+        if lengths.min() <= 0:
+            raise file.error("has an axis of length 0", *at, "matrix_world")
+        return pose[:3, :3] / lengths, pose[:3, 3]
+    center = file.numbers((3,), *at, "location")
+    if file.get(*at, "rotation_quaternion") is not None:
+        w, x, y, z = file.numbers((4,), *at, "rotation_quaternion")
+        length = float(np.linalg.norm((w, x, y, z)))
+        if abs(length - 1) > 1e-2:
+            raise file.error("is not a quaternion of length 1", *at, "rotation_quaternion")
+        return quaternion_to_matrix(np.array([x, y, z, w]) / length), center
+    angles = file.numbers((3,), *at, "rotation_euler")
+    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix()), center
+
+
+def _write_blender(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    content = {}
+    for name, camera in cameras.items():
+        pose = camera.world_from_optical.copy()
+        pose[:3, :3] = pose[:3, :3] @ _FLIP
+        (width, height), k = camera.size, camera.K
+        content[name] = {
+            "matrix_world": nested(pose),
+            "lens": k[0, 0] / width * 36.0,
+            "sensor_width": 36.0,
+            "sensor_fit": "HORIZONTAL",
+            "shift_x": (width / 2 - k[0, 2] - 0.5) / width,
+            "shift_y": (k[1, 2] + 0.5 - height / 2) / width * (k[0, 0] / k[1, 1]),
+            "pixel_aspect_x": 1.0,
+            "pixel_aspect_y": k[0, 0] / k[1, 1],
+            "resolution_x": width,
+            "resolution_y": height,
+        }
+    return {**json_file({"cameras": content})}
+
+
+BLENDER = CalibrationFormat(
+    "blender",
+    "Blender camera JSON",
+    ".json",
+    "json",
+    *reader_of(_blender_cameras, _blender_camera),
+    _write_blender,
+    holds_skew=False,
 )

@@ -1,0 +1,304 @@
+"""Factory calibrations of depth and stereo cameras: ZED .conf and the JSON of Azure Kinect.
+
+- ZED (SN….conf): sections of the left and right camera for each resolution; the right camera is
+  x_right = R x_left + t with R of the rotation vector (RX, CV, RZ) and t = (-Baseline, TY, TZ), millimetres.
+  https://github.com/stereolabs/zed-opencv-native
+- Azure Kinect (k4a_device_get_raw_calibration): focal lengths and principal points are fractions of the
+  sensor, Rt is in metres from the depth camera; the lens is rational_polynomial with p2 before p1. A colour
+  mode of 16:9 is the middle of the sensor. https://github.com/microsoft/Azure-Kinect-Sensor-SDK
+  (src/transformation/mode_specific_calibration.c)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.formats.base import (
+    CalibrationFile,
+    CalibrationFormat,
+    Keys,
+    RawCamera,
+    SourceLocation,
+    json_file,
+    nested,
+    number,
+)
+from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.types import Array, ImageSize
+
+# -- ZED
+
+#: Image size of each resolution of ZED cameras.
+_ZED_SIZES = {
+    "2K": (2208, 1242),
+    "FHD": (1920, 1080),
+    "FHD1200": (1920, 1200),
+    "HD": (1280, 720),
+    "HD1200": (1920, 1200),
+    "SVGA": (960, 600),
+    "VGA": (672, 376),
+    "QHDPLUS": (3200, 1800),
+    "4K": (3840, 2160),
+}
+_ZED_CAMERA = re.compile(r"(LEFT|RIGHT)_CAM_([A-Z0-9]+)", re.IGNORECASE)
+_SECTION = re.compile(r"\[\s*([A-Za-z0-9_]{1,60})\s*\]")
+_MOST_LINES = 2000
+_Section = dict[str, tuple[int, str]]
+
+
+def _is_zed(file: CalibrationFile) -> bool:
+    return (
+        re.search(r"^\s*\[(?:LEFT|RIGHT)_CAM_", file.text[: 1 << 16], re.MULTILINE | re.IGNORECASE)
+        is not None
+    )
+
+
+def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
+    sections: dict[str, tuple[int, _Section]] = {}
+    section: _Section = {}
+    for line, text in file.lines():
+        if line > _MOST_LINES:
+            raise CameraError("the file is too long for a calibration", path=file.path, line=line)
+        heading = _SECTION.fullmatch(text)
+        if heading:
+            section = {}
+            sections[heading[1].upper()] = line, section
+        elif "=" in text:
+            key, _, value = text.partition("=")
+            section[key.strip().lower()] = line, value.strip()
+    return sections
+
+
+def _zed_number(
+    file: CalibrationFile,
+    sections: Mapping[str, tuple[int, _Section]],
+    name: str,
+    *keys: str,
+    needed: bool = True,
+) -> float:
+    """Number of the first of these keys in a section; 0 for an absent one that is not needed."""
+    start, section = sections.get(name, (None, {}))
+    for key in keys:
+        if key.lower() in section:
+            line, word = section[key.lower()]
+            return file.row([word], line, f"{name}.{key}")[0]
+    if needed:
+        raise CameraError("is missing", path=file.path, line=start, key=f"{name}.{keys[0]}")
+    return 0.0
+
+
+def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
+    sections = _zed_sections(file)
+    found = {name: _ZED_CAMERA.fullmatch(name) for name in sections}
+    modes = list(dict.fromkeys(match[2] for match in found.values() if match))
+    unknown = [mode for mode in modes if mode not in _ZED_SIZES]
+    fitting = [mode for mode in modes if file.given_size in (None, _ZED_SIZES.get(mode))]
+    fitting = [mode for mode in fitting if mode in _ZED_SIZES]
+    if unknown:
+        warn_about(file.path, f"left out, because their image size is not known: {', '.join(unknown)}")
+    if not fitting:
+        sizes = ", ".join("{}x{}".format(*_ZED_SIZES[mode]) for mode in modes if mode in _ZED_SIZES)
+        raise CameraError(f"has no resolution of that size; there are {sizes}", path=file.path, key="size")
+    cameras: dict[str, RawCamera] = {}
+    for mode in fitting:
+        for side in ("LEFT", "RIGHT"):
+            name = f"{side}_CAM_{mode}"
+            if name in sections:
+                file.add(cameras, name, _zed_camera(file, sections, name, mode, side), line=sections[name][0])
+    return cameras
+
+
+def _zed_camera(
+    file: CalibrationFile, sections: Mapping[str, tuple[int, _Section]], name: str, mode: str, side: str
+) -> RawCamera:
+    fx, fy, cx, cy = (_zed_number(file, sections, name, key) for key in ("fx", "fy", "cx", "cy"))
+    keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    lens = np.array([_zed_number(file, sections, name, key, needed=key == "k1") for key in keys])
+    rotation, t = np.eye(3), np.zeros(3)
+    if side == "RIGHT":
+        base = _zed_number(file, sections, "STEREO", "Baseline")
+        ty, tz = (_zed_number(file, sections, "STEREO", f"{k}_{mode}", k, needed=False) for k in ("TY", "TZ"))
+        vector = [_zed_number(file, sections, "STEREO", f"{k}_{mode}", k) for k in ("RX", "CV", "RZ")]
+        rotation = np.asarray(Rotation.from_rotvec(vector).as_matrix())
+        t = np.array([-base, ty, tz])
+    where = SourceLocation(name, sections[name][0])
+    return RawCamera(
+        pinhole(fx, fy, cx, cy),
+        rotation,
+        t,
+        size=_ZED_SIZES[mode],
+        distortion=tuple(lens if lens[5:].any() else lens[:5]),
+        model="rational_polynomial" if lens[5:].any() else "plumb_bob",
+        locations={"": where, "K": where},
+    )
+
+
+def _write_zed(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    lines: list[str] = []
+    modes = {size: mode for mode, size in reversed(_ZED_SIZES.items())}
+    if len(cameras) != 2 or len({camera.size for camera in cameras.values()}) > 1:
+        raise CameraError("this format needs the left and the right camera of one size")
+    (name, left), (_, right) = cameras.items()
+    mode = modes.get(left.size)
+    if mode is None:
+        known = ", ".join(f"{w}x{h}" for w, h in modes)
+        raise CameraError(f"this format needs an image size of ZED cameras: {known}", key=name)
+    if not (np.allclose(left.R, np.eye(3)) and np.allclose(left.t, 0)):
+        raise CameraError("this format needs the left camera as the world", key=name)
+    for side, camera in (("LEFT", left), ("RIGHT", right)):
+        k = camera.K
+        values = {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
+        values |= dict(zip(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), camera.distortion, strict=False))
+        lines += [f"[{side}_CAM_{mode}]", *(f"{key}={number(value)}" for key, value in values.items()), ""]
+    rx, cv, rz = Rotation.from_matrix(right.R).as_rotvec()
+    stereo = {"Baseline": -right.t[0], "TY": right.t[1], "TZ": right.t[2]}
+    stereo |= {f"RX_{mode}": rx, f"CV_{mode}": cv, f"RZ_{mode}": rz}
+    lines += ["[STEREO]", *(f"{key}={number(value)}" for key, value in stereo.items())]
+    return {"": "\n".join(lines) + "\n"}
+
+
+ZED = CalibrationFormat(
+    "zed",
+    "ZED .conf",
+    ".conf",
+    "text",
+    _is_zed,
+    _read_zed,
+    _write_zed,
+    unit=0.001,
+    holds_skew=False,
+    lenses={"plumb_bob": 5, "rational_polynomial": 8},
+)
+
+
+# -- Azure Kinect
+
+_K4A: Keys = ("CalibrationInformation", "Cameras")
+_BROWN = "CALIBRATION_LensDistortionModelBrownConrady"
+_COLOR = "CALIBRATION_CameraPurposePhotoVideo"
+#: Size of a mode -> side of the scaled sensor, and the first pixel of the mode in it.
+_DEPTH_MODES = {
+    (640, 576): (1024, (192, 180)),
+    (320, 288): (512, (96, 90)),
+    (1024, 1024): (1024, (0, 0)),
+    (512, 512): (512, (0, 0)),
+}
+
+
+def _is_k4a(file: CalibrationFile) -> bool:
+    return isinstance(file.get(*_K4A), list)
+
+
+def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    skipped = []
+    for index, _ in enumerate(file.need(*_K4A)):
+        at: Keys = (*_K4A, index)
+        color = file.need(*at, "Purpose") == _COLOR
+        name = "color" if color else "depth"
+        name = name if name not in cameras else str(file.get(*at, "Location") or index)
+        sensor = file.size((*at, "SensorWidth"), (*at, "SensorHeight"))
+        mode = _mode(file.given_size or sensor, sensor, color)
+        if mode is None:
+            skipped.append(name)
+            continue
+        file.add(cameras, name, _k4a_camera(file, at, file.given_size or sensor, *mode), *at)
+    if not cameras:
+        raise CameraError("no camera has a mode of this size", path=file.path, key="size")
+    if skipped:
+        width, height = file.given_size or (0, 0)
+        warn_about(file.path, f"left out, because {width}x{height} is no mode of it: {', '.join(skipped)}")
+    return cameras
+
+
+def _mode(size: ImageSize, sensor: ImageSize, color: bool) -> tuple[Array, Array] | None:
+    """Size of the scaled sensor (2,), and the first pixel of a mode in it (2,); None for an unknown mode."""
+    if size == sensor:
+        return np.array(sensor, dtype=float), np.zeros(2)
+    if not color:
+        if size not in _DEPTH_MODES:
+            return None
+        side, corner = _DEPTH_MODES[size]
+        return np.array([side, side], dtype=float), np.array(corner, dtype=float)
+    scaled = np.array(sensor) * (size[0] / sensor[0])
+    cut = (scaled[1] - size[1]) / 2
+    return (scaled, np.array([0, cut])) if 0 <= cut < size[1] / 4 else None
+
+
+def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, corner: Array) -> RawCamera:
+    inner: Keys = (*at, "Intrinsics")
+    values = file.some_numbers(*inner, "ModelParameters")
+    if len(values) < 14:
+        raise file.error(f"needs 14 numbers, not {len(values)}", *inner, "ModelParameters")
+    cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = values[:14]
+    model = str(file.need(*inner, "ModelType"))
+    if model != _BROWN or codx or cody:
+        raise file.error(f"{model[:60]!r} is not a supported lens; known is {_BROWN}", *inner, "ModelType")
+    k = pinhole(
+        fx * scale[0], fy * scale[1], cx * scale[0] - corner[0] - 0.5, cy * scale[1] - corner[1] - 0.5
+    )
+    rotation, t = None, np.zeros(3)
+    if file.get(*at, "Rt") is not None:
+        rotation = file.numbers((3, 3), *at, "Rt", "Rotation")
+        t = file.numbers((3,), *at, "Rt", "Translation")
+    where = file.location(*at, "Rt")
+    return RawCamera(
+        k,
+        rotation,
+        t,
+        size=size,
+        distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
+        model="rational_polynomial",
+        locations={
+            "": file.location(*at),
+            "K": file.location(*inner, "ModelParameters"),
+            "R": where,
+            "t": where,
+        },
+    )
+
+
+def _write_k4a(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    written = []
+    if not set(cameras) <= {"depth", "color"}:
+        raise CameraError(
+            "this format has cameras of the names depth and color only", key=next(iter(cameras))
+        )
+    for name, camera in cameras.items():
+        width, height = camera.size
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*camera.distortion, 0.0, 0.0, 0.0)[:8]
+        k = camera.K
+        point = ((k[0, 2] + 0.5) / width, (k[1, 2] + 0.5) / height)
+        values = (*point, k[0, 0] / width, k[1, 1] / height, k1, k2, k3, k4, k5, k6, 0.0, 0.0, p2, p1)
+        written.append(
+            {
+                "Intrinsics": {
+                    "ModelParameterCount": 14,
+                    "ModelParameters": nested(values),
+                    "ModelType": _BROWN,
+                },
+                "Purpose": _COLOR if name == "color" else "CALIBRATION_CameraPurposeDepth",
+                "Rt": {"Rotation": nested(camera.R.ravel()), "Translation": nested(camera.t)},
+                "SensorWidth": width,
+                "SensorHeight": height,
+            }
+        )
+    return {**json_file({"CalibrationInformation": {"Cameras": written}})}
+
+
+K4A = CalibrationFormat(
+    "k4a",
+    "Azure Kinect JSON",
+    ".json",
+    "json",
+    _is_k4a,
+    _read_k4a,
+    _write_k4a,
+    holds_skew=False,
+    lenses={"plumb_bob": 5, "rational_polynomial": 8},
+)

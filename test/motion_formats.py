@@ -215,3 +215,77 @@ def smpl_poses(person: StandIn, rotations: Rotations, names: Sequence[str], up: 
     for joint, name in enumerate(person.names):
         vectors[:, names.index(name)] = Rotation.from_matrix(local[:, joint]).as_rotvec()
     return vectors.reshape(len(local), -1)
+
+
+def write_trc(path: Path, labels: Sequence[str], points: Array, rate: float = 50.0, unit: str = "mm") -> Path:
+    """Write points (F, K, 3) in metres as a TRC file; NaN is an empty field."""
+    scale = {"mm": 1000.0, "m": 1.0, "cm": 100.0}.get(unit, 1.0)
+    rows = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        f"{rate}\t{rate}\t{len(points)}\t{len(labels)}\t{unit}",
+        "Frame#\tTime\t" + "\t\t\t".join(labels),
+        "\t\t" + "\t".join(f"{axis}{n + 1}" for n in range(len(labels)) for axis in "XYZ"),
+    ]
+    for frame, row in enumerate(points.reshape(len(points), -1)):
+        numbers = ("" if np.isnan(value) else f"{value * scale:.6f}" for value in row)
+        rows.append("\t".join([str(frame + 1), f"{frame / rate:.6f}", *numbers]))
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def write_c3d(path: Path, labels: Sequence[str], points: Array, rate: float = 50.0, unit: str = "mm") -> Path:
+    """Write points (F, K, 3) in metres as a C3D file; NaN has the residual -1."""
+    import c3d
+
+    writer = c3d.Writer(point_rate=rate, point_units=unit)
+    writer.set_point_labels(list(labels))
+    scale = 1000.0 if unit == "mm" else 1.0
+    for frame in points:
+        seen = np.isfinite(frame).all(axis=1)
+        rows = np.zeros((len(labels), 5), np.float32)
+        rows[:, :3] = np.where(seen[:, None], frame, 0) * scale
+        rows[:, 3] = np.where(seen, 0, -1)
+        writer.add_frames([(rows, np.zeros((0, 0)))])
+    with path.open("wb") as file:
+        writer.write(file)
+    return path
+
+
+def plug_in_gait(person: StandIn, rotations: Rotations, root: Array | None = None) -> dict[str, Array]:
+    """Markers (F, 3) in metres on a person in a T pose: y up, facing +z.
+
+    The pelvis follows the regression of Harrington (2007) backwards, from the hip centres. Other markers are
+    beside the joints along the axes of the bones, by the half widths of an adult.
+    """
+    local, _ = person._frames(rotations, root)
+    places = person.positions(rotations, root) * 0.01
+    turns = np.empty_like(local)
+    for joint, parent in enumerate(person.parents):
+        turns[:, joint] = (turns[:, parent] if parent >= 0 else np.eye(3)) @ local[:, joint]
+
+    def on(role: str, x: float, y: float, z: float, axes: str = "") -> Array:
+        return places[:, person.joint(role)] + turns[:, person.joint(axes or role)] @ np.array([x, y, z])
+
+    hips = (places[:, person.joint("LeftHip")] + places[:, person.joint("RightHip")]) / 2
+    pelvis = turns[:, person.joint("Hips")]
+    half = abs(person.offsets[person.joint("LeftHip"), 0]) * 0.01
+    width, depth = (half - 0.0073) / 0.33, 0.12
+    out = {"C7": on("Neck", 0, 0, -0.05), "CLAV": on("Neck", 0, 0, 0.05)}
+    for mark, side, s in (("L", "Left", 1.0), ("R", "Right", -1.0)):
+        front = np.array([s * width / 2, 0.30 * width + 0.0109, 0.24 * depth + 0.0099])
+        out[f"{mark}ASI"] = hips + pelvis @ front
+        out[f"{mark}PSI"] = hips + pelvis @ (front * (0, 1, 1) + (s * 0.045, 0, -depth))
+        out[f"{mark}KNE"] = on(f"{side}Knee", s * 0.055, 0, 0, f"{side}Hip")
+        out[f"{mark}ANK"] = on(f"{side}Ankle", s * 0.04, 0, 0, f"{side}Knee")
+        out[f"{mark}HEE"] = on(f"{side}Ankle", 0, -0.05, -0.06)
+        out[f"{mark}TOE"] = on(f"{side}Toe", 0, 0, 0)
+        out[f"{mark}SHO"] = on(f"{side}Shoulder", 0, 0.05, 0, "Chest")
+        # in a T pose with the palms down the outer side of the elbow is in front, of its hinge above
+        out[f"{mark}ELB"] = on(f"{side}Elbow", 0, 0.045, 0, f"{side}Shoulder")
+        out[f"{mark}WRA"] = on(f"{side}Wrist", 0, 0, 0.03)
+        out[f"{mark}WRB"] = on(f"{side}Wrist", 0, 0, -0.03)
+        out[f"{mark}FIN"] = on(f"{side}Wrist", s * 0.08, 0, 0)
+        out[f"{mark}FHD"] = on("Head", s * 0.07, 0, 0.08)
+        out[f"{mark}BHD"] = on("Head", s * 0.07, 0, -0.08)
+    return out

@@ -34,6 +34,7 @@ MOTION_FORMATS = (
     MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),
     MotionFormat("vrma", "VRMA", (".vrma",), "animation"),
     MotionFormat("smpl", "AMASS/SMPL", (".npz",), also="human"),
+    MotionFormat("markers", "C3D, TRC", (".c3d", ".trc"), "person"),
     MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
 )
 #: Suffixes of all formats.

@@ -68,6 +68,10 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         from humansim_ros.motion.smpl_motion import read_smpl_motion
 
         return read_smpl_motion(file)
+    if name == "markers":
+        from humansim_ros.motion.marker_motion import read_marker_motion
+
+        return read_marker_motion(file, part)
     return read_bvh(file, positions)
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.errors import EvaluationError, warn_about
+from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
-from humansim_ros.io.files import open_file, read_json, read_text
+from humansim_ros.io.files import read_json, read_text
+from humansim_ros.io.marker_files import MarkerFile, label_parts, number, read_c3d_points, read_trc_points
 from humansim_ros.types import Array
 
 #: Greatest size of a file of poses: as text, an hour of ten people at 30 Hz.
@@ -30,8 +29,6 @@ _HELP = (
     "the first line must name the columns: time (seconds), stamp (nanoseconds) or frame; person, if there "
     "are several; then joint, x, y, z, or three columns of each joint, such as l_knee_x, l_knee_y, l_knee_z"
 )
-#: Metres of each unit.
-UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001}
 #: Metres of a unit of Panoptic.
 _CENTIMETRE = 0.01
 #: Names of the joints of Panoptic [Joo 2015] by the key of their list.
@@ -64,25 +61,6 @@ class ReadOptions:
     scale: float = 1.0
 
 
-def number(text: str, path: str | os.PathLike[str], line: int, key: str) -> float:
-    """A number of a file; NaN for an empty field.
-
-    Args:
-        text: The field.
-        path, line, key: File, its line and the name of the field, for messages.
-
-    Raises:
-        EvaluationError: It is no number; with path, line and key.
-    """
-    text = text.strip()
-    if not text:
-        return math.nan
-    try:
-        return float(text)
-    except ValueError:
-        raise EvaluationError(f"{text[:40]!r} is not a number", path=path, line=line, key=key) from None
-
-
 def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str) -> int:
     """A time as nanoseconds.
 
@@ -100,8 +78,8 @@ def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str)
 
 def split_name(label: str, path: Path) -> tuple[str, str]:
     """Person and joint of a label such as ``anna:l_knee``; without a person, the file has its name."""
-    person, found, joint = label.rpartition(":")
-    return (person, joint) if found and person and joint else (path.stem, label)
+    person, joint = label_parts(label)
+    return person or path.stem, joint
 
 
 def read_csv(path: Path, options: ReadOptions) -> PoseSequence:
@@ -134,7 +112,11 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
             raise EvaluationError(f"{len(row)} fields, but {len(header)} column names", path=path, line=line)
         time = _csv_time(row[columns[clock]], clock, options, path, line)
         person = row[columns["person"]].strip() if "person" in columns else "1"
-        score = number(row[columns["score"]], path, line, "score") if "score" in columns else None
+        score = (
+            number(row[columns["score"]], EvaluationError, path, line, "score")
+            if "score" in columns
+            else None
+        )
         names, positions, _ = poses.setdefault((time, person), ([], [], score))
         given = {row[columns["joint"]].strip(): [columns[a] for a in "xyz"]} if by_joint else joints
         for name, places in given.items():
@@ -143,7 +125,9 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
                     f"joint {name!r} of person {person!r} is given twice for one time", path=path, line=line
                 )
             names.append(name)
-            positions.append([number(row[place], path, line, header[place]) for place in places])
+            positions.append(
+                [number(row[place], EvaluationError, path, line, header[place]) for place in places]
+            )
     builder = SequenceBuilder(str(path))
     for (time, person), (names, positions, score) in poses.items():
         builder.add(time, person, tuple(names), np.array(positions), score)
@@ -153,7 +137,7 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
 def _csv_time(text: str, clock: str, options: ReadOptions, path: Path, line: int) -> int:
     if clock == "stamp" and text.strip().lstrip("-").isdecimal():
         return nanoseconds(int(text) * 1e-9, path, line, clock) and int(text)
-    value = number(text, path, line, clock)
+    value = number(text, EvaluationError, path, line, clock)
     if clock == "stamp":
         return nanoseconds(value * 1e-9, path, line, clock)
     if clock == "frame":
@@ -176,41 +160,24 @@ def read_trc(path: Path, options: ReadOptions) -> PoseSequence:
     A marker ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
     Raises EvaluationError.
     """
-    lines = read_text(path, EvaluationError, "TRC", MAX_BYTES).splitlines()
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-        raise EvaluationError("not a TRC file: it must begin with PathFileType", path=path, line=1)
-    facts = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    unit = facts.get("Units", "").strip()
-    if unit not in UNITS:
-        known = ", ".join(UNITS)
-        raise EvaluationError(f"unknown unit {unit!r}; known are {known}", path=path, line=3, key="Units")
-    markers = [split_name(word.strip(), path) for word in lines[3].split("\t")[2:] if word.strip()]
-    if not markers:
-        raise EvaluationError("no marker names", path=path, line=4)
+    file = read_trc_points(path, EvaluationError, MAX_BYTES)
+    stamps = [
+        options.start + nanoseconds(time, path, line, "Time")
+        for time, line in zip(file.times.tolist(), file.lines, strict=True)
+    ]
+    return _of_markers(path, file, stamps)
+
+
+def _of_markers(path: Path, file: MarkerFile, stamps: Sequence[int]) -> PoseSequence:
+    """Poses of the points of a file, whose frames have these stamps."""
+    markers = [split_name(label, path) for label in file.labels]
     people: dict[str, list[int]] = {}
     for index, (person, _) in enumerate(markers):
         people.setdefault(person, []).append(index)
     builder = SequenceBuilder(str(path))
-    for line, text in enumerate(lines[5:], 6):
-        fields = text.split("\t")
-        if not text.strip():
-            continue
-        values = [number(field, path, line, f"column {i}") for i, field in enumerate(fields[:2], 1)]
-        values += [number(field, path, line, f"column {i}") for i, field in enumerate(fields[2:], 3)]
-        while len(values) > 2 + 3 * len(markers) and np.isnan(values[-1]):
-            values.pop()  # separators at the end of the line
-        values += [np.nan] * (2 + 3 * len(markers) - len(values))
-        if len(values) != 2 + 3 * len(markers):
-            raise EvaluationError(
-                f"{len(values)} numbers, but {2 + 3 * len(markers)} for {len(markers)} markers",
-                path=path,
-                line=line,
-            )
-        time = options.start + nanoseconds(values[1], path, line, "Time")
-        positions = UNITS[unit] * np.array(values[2:]).reshape(-1, 3)
+    for stamp, positions in zip(stamps, file.points, strict=True):
         for person, indices in people.items():
-            names = tuple(markers[i][1] for i in indices)
-            builder.add(time, person, names, positions[indices])
+            builder.add(stamp, person, tuple(markers[i][1] for i in indices), positions[indices])
     return builder.build()
 
 
@@ -220,53 +187,8 @@ def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
     A label ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
     Raises EvaluationError.
     """
-    labels, unit, rate, first, points = _points(path)
-    if unit not in UNITS:
-        raise EvaluationError(
-            f"unknown unit {unit!r}; known are {', '.join(UNITS)}", path=path, key="POINT:UNITS"
-        )
-    if not rate > 0:
-        raise EvaluationError("the rate must be positive", path=path, key="POINT:RATE")
-    markers = [split_name(label, path) for label in labels]
-    people: dict[str, list[int]] = {}
-    for index, (person, _) in enumerate(markers):
-        people.setdefault(person, []).append(index)
-    builder = SequenceBuilder(str(path))
-    for frame, positions in enumerate(points * UNITS[unit], first):
-        for person, indices in people.items():
-            names = tuple(markers[i][1] for i in indices)
-            builder.add(options.start + round(frame * 1e9 / rate), person, names, positions[indices])
-    return builder.build()
-
-
-def _points(path: Path) -> tuple[list[str], str, float, int, Array]:
-    """Labels (K), unit, frames per second, number of the first frame from 0, and points (F, K, 3)."""
-    try:
-        import c3d
-    except ImportError:
-        raise EvaluationError(
-            "C3D files need the library c3d; install it with: pip install 'humansim_ros[evaluate]'",
-            path=path,
-        ) from None
-    opened = open_file(path, EvaluationError, "C3D", MAX_BYTES)
-    try:
-        with opened as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as of a file without analog data
-            reader: Any = c3d.Reader(file)
-            last = int(reader.last_frame)  # a NumPy number of 16 bits overflows in the library
-            reader.__class__ = type("Reader", (c3d.Reader,), {"last_frame": last})
-            rows = np.array([row[:, :4] for _, row, _ in reader.read_frames()], float)
-            # a parameter holds at most 255 labels
-            parts = (reader.get(f"POINT:LABELS{number}") for number in ("", *range(2, 258)))
-            labels = [word.strip() for part in parts if part is not None for word in part.string_array]
-            unit, rate = reader.get_string("POINT:UNITS").strip(), float(reader.point_rate)
-            first, count = reader.first_frame - 1, reader.frame_count
-    except Exception as reason:  # the library documents no exceptions
-        raise EvaluationError(f"not a C3D file that can be read: {reason}", path=path) from None
-    if len(rows) < count:
-        warn_about(path, f"the file ends after {len(rows)} of {count} frames")
-    points = np.where(rows[..., 3:] < 0, np.nan, rows[..., :3])
-    return labels[: points.shape[1]], unit, rate, first, points
+    file = read_c3d_points(path, EvaluationError, MAX_BYTES)
+    return _of_markers(path, file, [options.start + round(time * 1e9) for time in file.times.tolist()])
 
 
 def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:

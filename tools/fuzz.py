@@ -44,6 +44,8 @@ ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 
 import figures  # noqa: E402
+import motion_files  # noqa: E402
+import motion_formats  # noqa: E402
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
 from humansim_ros.camera.checks import image_size  # noqa: E402
@@ -140,6 +142,25 @@ def reading_bvh(path: Path) -> None:
         motion.world_positions(0)
 
 
+def reading_motion(path: Path) -> None:
+    """Read a motion of any format, match its joints, and place it."""
+    motion = read_motion(path)
+    match_motion(motion)
+    assert np.isfinite(motion.world_positions(0)).all()
+
+
+def reading_amc(path: Path) -> None:
+    """Read a damaged AMC motion with a valid skeleton."""
+    path.with_name("input.asf").write_bytes(MOTIONS[".asf"])
+    reading_motion(path)
+
+
+def reading_asf(path: Path) -> None:
+    """Read a valid AMC motion with a damaged skeleton."""
+    path.with_name("input.amc").write_bytes(MOTIONS[".amc"])
+    reading_motion(path.with_suffix(".amc"))
+
+
 def reading_figure(path: Path) -> None:
     """Read a skinned mesh and its animation."""
     make_human(path)
@@ -213,6 +234,13 @@ def reading_materials(path: Path) -> None:
 
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bvh": (reading_bvh, "*.bvh"),
+    "amc": (reading_amc, "*.amc"),
+    "asf": (reading_asf, "*.asf"),
+    "trc": (reading_motion, "*.trc"),
+    "c3d": (reading_motion, "*.c3d"),
+    "vrma": (reading_motion, "*.vrma"),
+    "smpl motion": (reading_motion, "*.npz"),
+    "zip": (reading_motion, "*.zip"),
     "keyframes": (read_keyframes, "*.xml"),
     "obj": (read_mesh, "*.obj"),
     "gltf": (reading_figure, "*.gltf"),
@@ -265,6 +293,35 @@ LENIENT_BVH = [
     BVH.replace(b"10.5", b"10,5").replace(b"1e-3", b"0").replace(b"0.0333333", b"0,03") + b"end of file\n",
     BVH.replace(b"5 6 10", b"5.5, 6, 10,").replace(b"}\nMOTION", b"MOTION") + BVH,
 ]
+
+
+def motions() -> dict[str, bytes]:
+    """Motions of three frames, by the suffix of their format."""
+    person, turns = motion_files.stand_in("cmu_asf"), motion_files.walk(3)
+    places = person.positions(turns)[:, : len(person.roles)] * 0.01
+    labels = [role.replace("Left", "L").replace("Right", "R") for role in person.roles]
+    marks = motion_formats.plug_in_gait(person, turns)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        motion_formats.write_acclaim(folder, person, turns)
+        motion_formats.write_trc(folder / "walk.trc", labels, places)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # there are no analog data
+            motion_formats.write_c3d(folder / "walk.c3d", list(marks), np.stack(list(marks.values()), axis=1))
+        motion_formats.write_vrma(folder / "walk.vrma", person, turns)
+        with zipfile.ZipFile(folder / "walk.zip", "w") as archive:
+            archive.writestr("sub/walk.bvh", person.text(turns))
+        return {path.suffix: path.read_bytes() for path in folder.glob("walk.*")}
+
+
+MOTIONS = motions()
+POSES = {
+    "poses": np.linspace(-0.3, 0.3, 3 * 72).reshape(3, 72),
+    "trans": np.zeros((3, 3)),
+    "mocap_framerate": np.array(60.0),
+    "gender": np.array("neutral"),
+}
+PARTS = {"root_orient": np.zeros((3, 3)), "pose_body": np.zeros((3, 63)), "trans": np.zeros((3, 3))}
 XML = b"""<?xml version="1.0"?>
 <animation startframe="0" endframe="90" rate="30">
   <object name="anna">
@@ -461,6 +518,8 @@ SEEDS = {
     "world glb": [figures.glb(*figures.gltf()), figures.glb(*figures.gltf(**SHINY))],
     "mtl": [MATERIALS],
     "bvh": [BVH, *LENIENT_BVH],
+    **{suffix[1:]: [MOTIONS[suffix]] for suffix in (".amc", ".asf", ".trc", ".c3d", ".vrma", ".zip")},
+    "smpl motion": [packed(POSES), packed(PARTS)],
     "keyframes": [XML],
     "obj": [OBJ],
     "gltf": [figures.gltf_text(*figures.gltf())],
@@ -488,7 +547,7 @@ def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> byt
     """Damage a copy of a file."""
     if data[:4] == b"glTF" and random_.random() < 0.9:
         return inside_glb(data, random_)
-    if data[:2] == b"PK" and random_.random() < 0.9:
+    if data[:2] == b"PK" and b".npy" in data and random_.random() < 0.9:
         return inside_npz(data, random_)
     if data[:1] == b"{" and random_.random() < 0.5:
         return changed_json(data, random_)

@@ -88,7 +88,7 @@ def _find_skeleton(path: Path, name: str | None) -> Path:
     except OSError as reason:
         raise MotionError(f"cannot look for its .asf file: {reason.strerror}", path=path) from None
     found = sorted(file for file in names if file.lower().endswith(".asf"))
-    stem = path.stem.lower()
+    stem = path.stem.lower().lstrip(".")  # the page reads a file under a hidden name first
     fitting = [file for file in found if stem == file[:-4].lower()] or [
         file for file in found if stem.startswith((f"{file[:-4].lower()}_", f"{file[:-4].lower()}-"))
     ]

@@ -23,6 +23,7 @@ from humansim_ros.humans.loading import SUFFIXES as HUMAN_SUFFIXES
 from humansim_ros.humans.loading import load_human
 from humansim_ros.io.files import exists, read_bytes, size_text
 from humansim_ros.io.images import decode_image
+from humansim_ros.io.motion_formats import MOTION_SUFFIXES
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.mesh.load import read_mesh, read_mesh_or_figure
 from humansim_ros.mesh.mesh import MESH_SUFFIXES
@@ -36,6 +37,8 @@ from humansim_ros.view.server import MOST_UPLOAD, check_value, inside
 _LONGEST, _MOST_FILES = 80, 500
 _TEXTS = (".yaml", ".yml", ".json", ".toml", ".xml", ".txt", ".csv", ".cam", ".cal", ".xcp", ".npz", ".dat")
 _IMAGES = (".png", ".jpg", ".jpeg")
+#: Suffix of the skeletons that AMC motions name.
+_SKELETON = ".asf"
 
 
 # --- kinds
@@ -71,7 +74,7 @@ KINDS: Mapping[str, FileKind] = {
     "body": FileKind("a mesh of a person, or a human", HUMAN_SUFFIXES, _person),
     "motion": FileKind(
         "a motion of a person",
-        (".bvh", ".glb", ".gltf", ".vrm"),
+        tuple(suffix for suffix in MOTION_SUFFIXES if suffix != _SKELETON),
         lambda path: match_motion(read_motion(path)),
     ),
     "calibration": FileKind("a calibration", _TEXTS, lambda path: load_calibration(path, all_cameras=True)),
@@ -82,7 +85,7 @@ KINDS: Mapping[str, FileKind] = {
     "estimate": FileKind("an estimate of a tracker", ESTIMATE_SUFFIXES, lambda path: None),
     "companion": FileKind(
         "a file that others name",
-        (".mtl", ".bin", ".txt", ".csv", ".tum", ".hdr", ".exr", *_IMAGES, *_TEXTS),
+        (_SKELETON, ".mtl", ".bin", ".txt", ".csv", ".tum", ".hdr", ".exr", *_IMAGES, *_TEXTS),
         lambda path: None,
     ),
 }

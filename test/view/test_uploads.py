@@ -14,10 +14,13 @@ from waiting import wait_until
 
 pytest.importorskip("viser")
 
+from motion_files import stand_in, walk
+from motion_formats import write_acclaim
 from msgspec.msgpack import encode
 from test_server import CAMERA, connected, get
 
 from humansim_ros.errors import HumansimError
+from humansim_ros.io.motion_formats import MOTION_SUFFIXES
 from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import new_scene, open_source
 from humansim_ros.view.server import MOST_UPLOAD, PART, PageServer, UploadGate
@@ -66,6 +69,21 @@ def test_a_motion_is_kept_beside_the_scene_and_offered(tmp_path: Path) -> None:
     other = keep_file(folder, "My Walk.bvh", WALK + b"\n", "motion")
     assert other.name == "My_Walk_2.bvh" and path.read_bytes() == WALK
     assert names(folder) == ["My_Walk.bvh", "My_Walk_2.bvh"]
+
+
+def test_an_amc_motion_is_kept_after_its_skeleton(tmp_path: Path) -> None:
+    amc = write_acclaim(tmp_path, stand_in("cmu_asf"), walk(3))
+    folder = tmp_path / "scene"
+    with pytest.raises(HumansimError, match=r"its skeleton is missing: put .* beside it"):
+        keep_file(folder, "walk.amc", amc.read_bytes(), "motion")
+    keep_file(folder, "walk.asf", amc.with_suffix(".asf").read_bytes(), "companion")
+    keep_file(folder, "other.asf", amc.with_suffix(".asf").read_bytes(), "companion")
+    keep_file(folder, "walk.amc", amc.read_bytes(), "motion")
+    assert files_in(folder, "motion") == ["walk.amc"]
+
+
+def test_motions_of_all_formats_are_taken() -> None:
+    assert {*KINDS["motion"].suffixes, ".asf"} == set(MOTION_SUFFIXES)
 
 
 @pytest.mark.parametrize(

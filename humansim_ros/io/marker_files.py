@@ -44,7 +44,16 @@ def label_parts(label: str) -> tuple[str, str]:
 
 
 def number(text: str, error: type[HumansimError], path: Path, line: int, key: str) -> float:
-    """A number of a file; NaN for an empty field. Raises ``error`` with path, line and key."""
+    """A number of a file; NaN for an empty field.
+
+    Args:
+        text: The field.
+        error: Error class to raise.
+        path, line, key: File, its line and the name of the field, for messages.
+
+    Raises:
+        HumansimError: ``error`` with path, line and key, if it is no number.
+    """
     text = text.strip()
     if not text:
         return math.nan

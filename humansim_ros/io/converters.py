@@ -14,6 +14,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 
 from humansim_ros.errors import HumansimError, located
@@ -27,6 +28,8 @@ _MAX_FBX = 1 << 29
 _MEMORY, _CPU_SECONDS, _SECONDS = 8 << 30, 300, 600
 #: Converted files in the cache; the least recently used are deleted.
 _MOST_CONVERTED = 50
+#: Names beside an FBX file, and in the folders there, among which its textures may be.
+_MOST_NAMES = 5000
 _BINARY_FBX = b"Kaydara FBX Binary"
 _IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff")
 _NAMES = ("FBX2glTF", "fbx2gltf", "FBX2glTF-linux-x64", "FBX2glTF-linux-x86_64")
@@ -242,11 +245,9 @@ def _cached_file(path: Path, content: bytes, converter: _Converter) -> Path | No
     digest = hashlib.sha256(content)
     digest.update(repr((converter, _BLENDER)).encode())
     parent = path.resolve().parent
-    places = [parent, *(entry for entry in parent.iterdir() if entry.is_dir())]
-    for place in sorted(places):
-        with suppress(OSError):
-            for image in sorted(place.iterdir()):
-                if image.suffix.lower() in _IMAGES:
-                    state = image.stat()
-                    digest.update(repr((str(image), state.st_size, state.st_mtime_ns)).encode())
+    names = chain(parent.glob("*"), parent.glob("*/*"))
+    with suppress(OSError):
+        for image in sorted(name for name in islice(names, _MOST_NAMES) if name.suffix.lower() in _IMAGES):
+            state = image.stat()
+            digest.update(repr((str(image), state.st_size, state.st_mtime_ns)).encode())
     return folder / "converted" / f"{digest.hexdigest()[:40]}.glb"

@@ -207,10 +207,10 @@ def measure(mesh: Mesh) -> Measures:
     whole = solid(mesh, 1 / _VOXELS)
     volume, gaps = joined_parts(whole, pairs_only=True)
     try:
-        measures = _measure(mesh, volume)
+        measures = _measure(mesh, whole, volume)
     except MeshError:
         volume, gaps = joined_parts(whole, pairs_only=False)
-        measures = _measure(mesh, volume)
+        measures = _measure(mesh, whole, volume)
     if gaps:
         parts = (
             f"{len(gaps)} parts of the body are separate"
@@ -277,9 +277,12 @@ def _belongs(part: Array, parts: Iterable[Array]) -> bool:
     )
 
 
-def _measure(mesh: Mesh, volume: Volume) -> Measures:
-    """Measure one connected volume of a mesh of height 1. Raises MeshError if it has no limbs."""
-    filled, size = volume.filled, volume.spacing
+def _measure(mesh: Mesh, whole: Volume, volume: Volume) -> Measures:
+    """Measure a mesh of height 1. Raises MeshError if it has no limbs.
+
+    ``whole``: volume of the mesh. ``volume``: the parts of it that count, with bridges between them.
+    """
+    filled, size = whole.filled & volume.filled, volume.spacing  # slices are measured without the bridges
     xs, heights, zs = (volume.origin[k] + size * np.arange(filled.shape[k]) for k in range(3))
     groin = _groin(filled.sum(axis=2), xs, heights, size)
     neck, front, back = _trunk(filled, xs, heights, zs, size)

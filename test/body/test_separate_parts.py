@@ -79,6 +79,22 @@ def test_floating_limbs_are_rigged_to_their_bones_with_a_warning(
 
 
 @pytest.mark.slow
+def test_a_floating_head_leaves_the_joints_where_they_are(child: Human) -> None:
+    names, vertices = child.skeleton.names, child.mesh.vertices.copy()
+    head, triangles = dominant_bones(child.weights) == names.index("vt3"), child.mesh.triangles
+    vertices[head, 1] += 0.05
+    within = head[triangles].sum(axis=1)
+    mesh = Mesh(vertices, padded(triangles[(within == 0) | (within == 3)]))
+    with pytest.warns(HumansimWarning, match="a part of the body is separate"):
+        fitted, skeleton = fit_skeleton(mesh, up="y", facing="z", stature=stature(mesh))
+    truth = child.skeleton.heads + fitted.vertices[0] - mesh.vertices[0]
+    assert np.linalg.norm(skeleton.heads - truth, axis=1).max() < 0.05 * stature(mesh)
+    used = np.unique(mesh.faces[mesh.faces >= 0])
+    got = np.array(skeleton.names)[dominant_bones(rig(fitted, skeleton))]
+    assert (got[used][head[used]] == "vt3").mean() > 0.95
+
+
+@pytest.mark.slow
 def test_a_sword_beside_the_hand_does_not_lengthen_the_arm_and_stays_rigid(child: Human) -> None:
     hand = child.skeleton.tails[child.skeleton.bone("r_wrist")]
     sword = with_box(child.mesh, (hand[0] - 0.1, hand[1] - 0.15, hand[2]), (0.02, 0.25, 0.01))

@@ -43,6 +43,11 @@ _TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
 _STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.1
 #: Standard deviation of logarithms of girths. Only outlines tell them.
 _GIRTH_SPREAD = 0.2
+#: Greatest logarithms of lengths and girths of people relative to others, children and clothes included; and
+#: their standard deviation beyond.
+_LENGTH_LIMIT, _GIRTH_LIMIT, _BEYOND_SHAPE = 0.35, 0.55, 0.02
+#: Standard deviations where no point shows the part: logarithm of its length, rotation in radians.
+_HELD_LENGTH, _HELD_TURN = 0.03, 0.3
 #: Standard deviation of a joint beyond its limit, radians.
 _BEYOND = 0.02
 #: Standard deviations of accelerations: metres per second squared of the place; radians per second squared
@@ -193,8 +198,18 @@ class _Problem:
     def __init__(self, model: PoseModel, sights: Sequence[Sight], settings: Settings) -> None:
         self.model, self.sights, self.settings = model, sights, settings
         self.slack = 1.0  # factor of the standard deviations of accelerations
-        spreads = np.array([_STIFFNESS.get(plain_name(name), _USUAL) for name in model.skeleton.names])[1:]
+        spreads = np.array([_STIFFNESS.get(plain_name(name), _USUAL) for name in model.skeleton.names])
+        turned, lengthened = model.shown(np.any([_used(sight) for sight in sights], axis=0))
+        spreads = np.where(turned, spreads, np.minimum(spreads, _HELD_TURN))[1:]
         self._has_edges = any(sight.edges is not None for sight in sights)
+        self._shape_spreads = np.r_[
+            _STATURE_SPREAD,
+            np.where(lengthened, _LENGTH_SPREAD, _HELD_LENGTH),
+            np.full(len(model.girths), _GIRTH_SPREAD),
+        ]
+        self._shape_limits = np.r_[
+            np.inf, np.full(len(model.groups), _LENGTH_LIMIT), np.full(len(model.girths), _GIRTH_LIMIT)
+        ]
         # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
         frames, bones = len(sights), len(spreads)
         self._pulls = np.tile(np.eye(3) / spreads[:, None, None] ** 2, (frames, 1, 1, 1))
@@ -284,13 +299,16 @@ class _Problem:
             vectors = state.vectors[1:]
             cost += float(np.einsum("bi,bij,bj->", vectors, self._pulls[number], vectors))
             cost += float(self._constants[number] - 2 * (self._heads[number] * vectors).sum())
-        cost += (states[0].stature / _STATURE_SPREAD) ** 2
-        cost += float(((states[0].lengths / _LENGTH_SPREAD) ** 2).sum())
-        if self._has_edges:
-            cost += float(((states[0].girths / _GIRTH_SPREAD) ** 2).sum())
+        shape = states[0].shape
+        cost += float(((shape / self._shape_spreads) ** 2).sum())
+        cost += float(((self._beyond_limits(shape) / _BEYOND_SHAPE) ** 2).sum())
         if self._smooth(states):
             cost += float((self._accelerations(states) ** 2).sum())
         return cost
+
+    def _beyond_limits(self, shape: Array) -> Array:
+        """What numbers of the proportions have beyond their limits, with its sign."""
+        return np.asarray(shape - np.clip(shape, -self._shape_limits, self._shape_limits))
 
     @staticmethod
     def _edge_distances(sight: Sight, positions: Array) -> tuple[Array, Array]:
@@ -363,15 +381,21 @@ class _Problem:
                 matrix[6 + 3 * bone : 9 + 3 * bone, 6 + 3 * bone : 9 + 3 * bone] += pull
             right[6:size] += (np.einsum("bij,bj->bi", pulls, vectors) - self._heads[number]).ravel()
             equations.add_frame(number, matrix, right)
-        prior = np.full(extra, 1 / _LENGTH_SPREAD**2)
-        prior[0] = 1 / _STATURE_SPREAD**2
-        prior[1 + groups :] = 1 / _GIRTH_SPREAD**2
-        first = states[0]
-        equations.add_shape(prior, prior * np.r_[first.stature, first.lengths, first.girths])
+        shape = states[0].shape
+        beyond = self._beyond_limits(shape)
+        prior = 1 / self._shape_spreads**2
+        equations.add_shape(
+            prior + (beyond != 0) / _BEYOND_SHAPE**2, prior * shape + beyond / _BEYOND_SHAPE**2
+        )
         if self._smooth(states):
             spread = self._acceleration_spreads()
             equations.add_accelerations(self._accelerations(states) / spread, 1 / spread**2)
         return equations
+
+
+def _used(sight: Sight) -> NDArray[np.bool_]:
+    """Keypoints (K,) that some point of a frame shows."""
+    return np.isfinite(sight.places[:, 0]) | (sight.weights > 0).any(axis=0)
 
 
 class _Equations:

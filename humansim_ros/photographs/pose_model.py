@@ -58,6 +58,11 @@ class BodyState:
     lengths: Array
     girths: Array
 
+    @property
+    def shape(self) -> Array:
+        """Numbers (1 + G + D) of the proportions: stature, lengths, girths."""
+        return np.r_[self.stature, self.lengths, self.girths]
+
 
 @dataclass(frozen=True, eq=False)
 class Attachments:
@@ -124,6 +129,12 @@ class PoseModel:
         fixed = trunk | (trunk[np.maximum(parents, 0)] & (np.abs(self._points.local).max(axis=2) < 1e-9))
         found = (fixed | (np.abs(self._points.shares) < 1e-9)).all(axis=1)
         return found if found.sum() >= 3 else np.ones(len(found), bool)
+
+    def shown(self, keypoints: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Bones (B,) whose rotation, and length groups (G,) whose length, some of the keypoints (K,) shows."""
+        slopes = np.abs(self.derivatives(self.neutral())[1][keypoints]).max(axis=(0, 1), initial=0.0) > 1e-6
+        turns = slopes[3 : self.pose_size].reshape(-1, 3).any(axis=1)
+        return turns, slopes[self.pose_size + 1 :][: len(self.groups)]
 
     @property
     def pose_size(self) -> int:

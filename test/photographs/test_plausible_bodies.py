@@ -1,0 +1,67 @@
+"""Bodies of fits stay near people, whatever points and masks say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from humansim_ros.humans import load_human
+from humansim_ros.keypoints import keypoint_set
+from humansim_ros.photographs.pose_fitting import Settings, Sight, fit_poses
+from humansim_ros.photographs.pose_model import BodyState, PoseModel
+
+COCO = keypoint_set("coco17")
+FACE = 5  # the first points of COCO
+
+
+@pytest.fixture(scope="module")
+def model() -> PoseModel:
+    return PoseModel(load_human("adult_man"), COCO)
+
+
+def fitted(model: PoseModel, truth: BodyState, known: slice = slice(None)) -> BodyState:
+    """Fit of the places of the known keypoints of a body, from the body at rest."""
+    places = np.full((len(COCO), 3), np.nan)
+    places[known] = model.keypoints(truth)[known]
+    sight = Sight((), np.zeros((0, len(COCO), 2)), np.zeros((0, len(COCO))), places)
+    return fit_poses(model, [model.neutral()], [sight], Settings(0.0))[0]
+
+
+def lengths_of(model: PoseModel, **factors: float) -> np.ndarray:
+    """Logarithms (G,) of lengths by name of the group."""
+    return np.array([np.log(factors.get(group, 1.0)) for group in model.groups])
+
+
+def test_a_body_that_no_person_has_is_fitted_by_the_nearest_plausible_one(model: PoseModel) -> None:
+    """A tenth of a forearm, at exact places."""
+    truth = replace(model.neutral(), lengths=lengths_of(model, elbow=0.1))
+    factors = np.exp(fitted(model, truth).lengths)
+    assert factors.min() > 0.65 and factors.max() < 1.5
+
+
+def test_proportions_of_a_child_are_not_beyond_the_limits(model: PoseModel) -> None:
+    truth = replace(model.neutral(), stature=np.log(0.7), lengths=lengths_of(model, vt3=1.3, hip=0.85))
+    found = model.keypoints(fitted(model, truth))
+    np.testing.assert_allclose(found, model.keypoints(truth), atol=0.02)
+
+
+def test_a_head_without_points_keeps_its_proportion_and_its_direction(model: PoseModel) -> None:
+    truth = replace(model.neutral(), stature=np.log(0.8))
+    found = fitted(model, truth, slice(FACE, None))
+    neck = model.groups.index("vt3")
+    assert np.exp(found.lengths[neck]) == pytest.approx(1, abs=0.01)
+    assert np.exp(found.stature) == pytest.approx(0.8, abs=0.04)
+    assert np.linalg.norm(found.vectors[model.skeleton.bone("vt3")]) < 0.05
+
+
+def test_points_show_the_bones_between_them_and_the_root(model: PoseModel) -> None:
+    turned, lengthened = model.shown(np.arange(len(COCO)) >= FACE)
+    hidden = {name for name, shown in zip(model.skeleton.names, turned, strict=True) if not shown}
+    assert hidden == {"vt3", "l_wrist", "r_wrist", "l_ankle", "r_ankle"}
+    assert {g for g, shown in zip(model.groups, lengthened, strict=True) if not shown} == {
+        "vt3",
+        "wrist",
+        "ankle",
+    }

@@ -109,6 +109,8 @@ _LEAST_COSINE = 0.12
 _BORDER, _RAMP = 1.0, 4.0
 #: Jump of depth between neighbouring pixels that is a border, metres.
 _JUMP = 0.04
+#: Width of what is behind a jump that may show what is in front, if the pose is slightly wrong, metres.
+_DOUBTFUL = 0.02
 #: Rounds of averaging over neighbours that make weights fade before the border of the seen surface.
 _FADE = 4
 #: Columns of tables of texels: OpenCV looks up images, not lists.
@@ -354,7 +356,8 @@ def _sight(
     at = np.nan_to_num(pixels, nan=-1e6).astype(np.float32)
     behind = lookup(depth, at, cv2.INTER_NEAREST, np.inf)
     visible = np.isfinite(behind) & (depths <= behind + tolerance) & (cosine > _LEAST_COSINE) & (depths > 0)
-    inside = np.clip((_border_distance(depth) - _BORDER) / _RAMP, 0, 1)
+    behind_steps = step_distance(depth) * depth / focal > _DOUBTFUL
+    inside = np.clip((_border_distance(depth) - _BORDER) / _RAMP, 0, 1) * behind_steps
     faded = np.clip(2 * surface.smoothed(visible.astype(float), _FADE) - 1, 0, 1)
     density = np.where(visible, focal / np.maximum(depths, 1e-3), 0.0) / 100  # about 1 for usual images
     weights = visible * lookup(inside, at) * faded * np.maximum(cosine, 0) ** 2 * density**2
@@ -378,6 +381,26 @@ def _border_distance(depth: Float32Array) -> Float32Array:
     lowest = cv2.erode(np.where(seen, depth, 1e6).astype(np.float32), kernel)
     smooth = seen & (highest - lowest < _JUMP + 0.01 * filled)
     return np.asarray(cv2.distanceTransform(smooth.astype(np.uint8), cv2.DIST_L2, 3), np.float32)
+
+
+def step_distance(depth: Float32Array) -> Float32Array:
+    """Distance (H, W) in pixels of what is behind another part of the person from that part; great elsewhere.
+
+    A pixel is behind if another one within reach is nearer to the camera by a jump.
+    """
+    seen = np.isfinite(depth)
+    far = np.where(seen, depth, 1e6).astype(np.float32)
+    nearest = cv2.erode(far, np.ones((3, 3), np.uint8))
+    steps = seen & (far - nearest > _JUMP + 0.01 * nearest)
+    if not steps.any():
+        return np.full(depth.shape, 1e6, np.float32)
+    distance, labels = cv2.distanceTransformWithLabels(
+        (~steps).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    # the depth behind the nearest step tells on which side of it a pixel is
+    at = np.zeros(int(labels.max()) + 1, np.float32)
+    at[labels[steps]] = (far - (far - nearest) / 2)[steps]
+    return np.where(far >= at[labels], distance, 1e6).astype(np.float32)
 
 
 def _normals(points: Array, surface: Surface) -> Array:

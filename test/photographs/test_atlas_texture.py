@@ -20,7 +20,7 @@ from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import Human, load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.photographs.atlas_texture import align_colours, texture_atlas
-from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView, fill_colours
+from humansim_ros.photographs.surface import Surface, TexturedPerson, TextureView, fill_colours, step_distance
 
 #: Cameras that took no photograph.
 NEW = tuple(
@@ -224,3 +224,13 @@ def test_large_triangles_are_seen_in_part() -> None:
     for face, image, again in zip(truth.faces, truth.images, found.images, strict=True):
         assert psnr(image, again, face > 0) > 18  # noise; nothing seen gives 13
     assert textured.seen.mean() > 0.9 and len(textured.cameras) == len(faces)
+
+
+def test_what_is_behind_a_step_of_depth_knows_its_distance_from_what_is_in_front() -> None:
+    """A hand, at 2 m, before trousers, at 2.3 m."""
+    depth = np.full((20, 40), np.inf, np.float32)
+    depth[:, 5:30] = 2.3
+    depth[:, 12:18] = 2.0
+    distance = step_distance(depth)[10]
+    np.testing.assert_allclose(distance[[18, 19, 22, 11, 9]], [0, 1, 4, 0, 2], atol=0.1)
+    assert (distance[12:18] > 1e5).all() and (step_distance(depth[:, :12]) > 1e5).all()

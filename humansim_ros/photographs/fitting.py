@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from humansim_ros.errors import PhotographError
+from humansim_ros.errors import HumansimWarning, PhotographError, some_of
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names, find_asset
 from humansim_ros.photographs.person_fit import (
@@ -20,7 +21,9 @@ from humansim_ros.photographs.person_fit import (
     with_proportions,
 )
 from humansim_ros.photographs.pose_fitting import (
+    GIRTH_LIMIT,
     LEAST_NOISE,
+    LENGTH_LIMIT,
     Settings,
     Sight,
     first_state,
@@ -76,11 +79,50 @@ def fit_person(
     name = _stored_name(human or (photos.human if start is None else start.human))
     found = triangulate_photos(photos)
     fit = _fit(photos, name, found, start, silhouettes, progress)
-    if fit.proportions.shape or not can_be_shaped(name):
-        return fit
-    shape = fit_shape(name, fit.body.mesh.vertices)
-    begun = replace(fit, proportions=Proportions(shape=shape))
-    return _fit(photos, name, found, begun, silhouettes, progress)
+    if not fit.proportions.shape and can_be_shaped(name):
+        shape = fit_shape(name, fit.body.mesh.vertices)
+        begun = replace(fit, proportions=Proportions(shape=shape))
+        fit = _fit(photos, name, found, begun, silhouettes, progress)
+    for doubt in doubts(fit, photos, silhouettes):
+        warnings.warn(f"{photos.path}: {doubt}", HumansimWarning, stacklevel=2)
+    return fit
+
+
+def doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> list[str]:
+    """What is guessed or implausible in a fit: sentences for people, with what to do.
+
+    Args:
+        fit: Fit of the photographs.
+        photos: Photographs.
+        silhouettes: The masks were used.
+    """
+    model = PoseModel(shaped_human(fit.human, fit.proportions.shape), photos.keypoints)
+    found = []
+    masks = silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame)
+    used = np.isfinite(fit.residuals) & ~fit.outliers
+    turned, _ = model.shown(np.asarray(used.any(axis=(0, 1))))
+    shown = dict(zip(model.skeleton.names, turned, strict=True))
+    ends = {"head": ("vt3",), "legs": ("l_knee", "r_knee")}
+    missing = [part for part, bones in ends.items() if not any(shown.get(bone, True) for bone in bones)]
+    if missing and not masks:
+        stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
+        parts = " and the ".join(missing)
+        found.append(
+            f"the stature of {stature:.2f} m is a guess, because no point shows the {parts}: "
+            "add such points, or masks"
+        )
+    for kind, factors, limit in (
+        ("length", fit.proportions.lengths, LENGTH_LIMIT),
+        ("girth", fit.proportions.girths, GIRTH_LIMIT),
+    ):
+        names = [f"{name} ({value:.2f})" for name, value in factors.items() if abs(np.log(value)) > limit]
+        if names:
+            found.append(
+                f"the {kind} of {some_of(names, 4)} is at the limit of people, relative to {photos.human}: "
+                "check points, masks and calibration, or start from a human that is more alike "
+                "(key human of the views file)"
+            )
+    return found
 
 
 def _fit(

@@ -45,7 +45,7 @@ _STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.1
 _GIRTH_SPREAD = 0.2
 #: Greatest logarithms of lengths and girths of people relative to others, children and clothes included; and
 #: their standard deviation beyond.
-_LENGTH_LIMIT, _GIRTH_LIMIT, _BEYOND_SHAPE = 0.35, 0.55, 0.02
+LENGTH_LIMIT, GIRTH_LIMIT, _BEYOND_SHAPE = 0.35, 0.55, 0.02
 #: Standard deviations where no point shows the part: logarithm of its length, rotation in radians.
 _HELD_LENGTH, _HELD_TURN = 0.03, 0.3
 #: Standard deviation of a joint beyond its limit, radians.
@@ -208,7 +208,7 @@ class _Problem:
             np.full(len(model.girths), _GIRTH_SPREAD),
         ]
         self._shape_limits = np.r_[
-            np.inf, np.full(len(model.groups), _LENGTH_LIMIT), np.full(len(model.girths), _GIRTH_LIMIT)
+            np.inf, np.full(len(model.groups), LENGTH_LIMIT), np.full(len(model.girths), GIRTH_LIMIT)
         ]
         # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
         frames, bones = len(sights), len(spreads)

@@ -50,6 +50,8 @@ _COLOUR, _BRIGHTNESS = 0.5, 0.8
 #: Height of the row of a keypoint; rows of one column.
 _ROW, _ROWS = 21, 13
 _CAPTION = 28
+#: Pixels by which keypoints are worse than before, so that a reader asks why.
+_WORSE = 0.2
 #: Least width of the picture, so that titles and two columns of bars have room, pixels.
 _LEAST_WIDTH = 1080
 _AZIMUTHS = range(0, 360, 45)
@@ -85,7 +87,7 @@ def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = Non
     width = max(rows[0].shape[1], _LEAST_WIDTH)
     bars = _residual_bars(fit, before, photos, width)
     parts = [title_bar(_title(fit, overlaps, before is not None), width), _legend(width, before is not None)]
-    parts += [_note(text, width) for text in _notes(fit)]
+    parts += [_note(text, width) for text in _notes(fit, before)]
     parts += [*rows, title_bar("Distance of the given from the fitted keypoints, pixels (median)", width)]
     parts.append(bars)
     return np.concatenate([_widened(part, width) for part in parts])
@@ -201,9 +203,16 @@ def _title(fit: PersonFit, overlaps: list[tuple[float, float]], compared: bool) 
     return title
 
 
-def _notes(fit: PersonFit) -> list[str]:
+def _notes(fit: PersonFit, before: PersonFit | None) -> list[str]:
     """Facts that people must know."""
     notes = []
+    if before is not None and np.isfinite(before.residuals).any() and np.isfinite(fit.residuals).any():
+        earlier, now = np.nanmedian(before.residuals), np.nanmedian(fit.residuals)
+        if now > earlier + _WORSE:
+            notes.append(
+                f"keypoints are {now - earlier:.1f} px farther than before the silhouettes: where both "
+                "disagree, the body meets between them (clothes, hair, rough masks)"
+            )
     if fit.swapped.any():
         names = [fit.views[view] for view in np.flatnonzero(fit.swapped.any(axis=0))]
         notes.append("left and right of the points were exchanged in " + ", ".join(names))

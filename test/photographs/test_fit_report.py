@@ -88,6 +88,13 @@ def test_a_point_that_is_left_out_is_red(fit: PersonFit, photos: PhotoSet) -> No
 
 
 @pytest.mark.slow
+def test_a_line_says_why_keypoints_are_worse_than_before(fit: PersonFit, photos: PhotoSet) -> None:
+    worse = replace(fit, residuals=fit.residuals + 5)
+    lines = draw_report(worse, photos, fit).shape[0] - draw_report(fit, photos, worse).shape[0]
+    assert lines == 28  # the height of a line
+
+
+@pytest.mark.slow
 def test_views_without_images_points_and_masks_are_drawn(fit: PersonFit, photos: PhotoSet) -> None:
     bare = replace(
         photos,

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from photographs.studio import make_studio
 
+from humansim_ros.errors import HumansimWarning
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import keypoint_set
+from humansim_ros.photographs import read_views
+from humansim_ros.photographs.fitting import doubts, fit_person
 from humansim_ros.photographs.pose_fitting import Settings, Sight, fit_poses
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
+from humansim_ros.photographs.views import read_points, write_points
 
 COCO = keypoint_set("coco17")
 FACE = 5  # the first points of COCO
@@ -65,3 +71,19 @@ def test_points_show_the_bones_between_them_and_the_root(model: PoseModel) -> No
         "wrist",
         "ankle",
     }
+
+
+def test_a_stature_that_no_point_shows_and_an_implausible_body_are_told(tmp_path: Path) -> None:
+    studio = make_studio(tmp_path, cameras=4, images=False)
+    for file in (tmp_path / "points").glob("*.json"):
+        (points,) = read_points(file, COCO)
+        points[:FACE] = 0
+        write_points(file, COCO, [points])
+    photos = read_views(studio.path)
+    with pytest.warns(HumansimWarning) as said:
+        fit = fit_person(photos, silhouettes=False)
+    assert any("views.yaml: the stature of" in str(each.message) for each in said)
+    assert not any("is a guess" in text for text in doubts(fit, photos))  # masks show it
+    squat = replace(fit, proportions=replace(fit.proportions, girths={"l_hip": 1.9}))
+    (told,) = doubts(squat, photos)
+    assert told.startswith("the girth of l_hip (1.90) is at the limit of people") and "check points" in told

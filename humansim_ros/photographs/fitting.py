@@ -83,12 +83,12 @@ def fit_person(
         shape = fit_shape(name, fit.body.mesh.vertices)
         begun = replace(fit, proportions=Proportions(shape=shape))
         fit = _fit(photos, name, found, begun, silhouettes, progress)
-    for doubt in doubts(fit, photos, silhouettes):
+    for doubt in find_doubts(fit, photos, silhouettes):
         warnings.warn(f"{photos.path}: {doubt}", HumansimWarning, stacklevel=2)
     return fit
 
 
-def doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> list[str]:
+def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> list[str]:
     """What is guessed or implausible in a fit: sentences for people, with what to do.
 
     Args:

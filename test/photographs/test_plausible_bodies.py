@@ -13,7 +13,7 @@ from humansim_ros.errors import HumansimWarning
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.photographs import read_views
-from humansim_ros.photographs.fitting import doubts, fit_person
+from humansim_ros.photographs.fitting import find_doubts, fit_person
 from humansim_ros.photographs.pose_fitting import Settings, Sight, fit_poses
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
 from humansim_ros.photographs.views import read_points, write_points
@@ -83,7 +83,7 @@ def test_a_stature_that_no_point_shows_and_an_implausible_body_are_told(tmp_path
     with pytest.warns(HumansimWarning) as said:
         fit = fit_person(photos, silhouettes=False)
     assert any("views.yaml: the stature of" in str(each.message) for each in said)
-    assert not any("is a guess" in text for text in doubts(fit, photos))  # masks show it
+    assert not any("is a guess" in text for text in find_doubts(fit, photos))  # masks show it
     squat = replace(fit, proportions=replace(fit.proportions, girths={"l_hip": 1.9}))
-    (told,) = doubts(squat, photos)
+    (told,) = find_doubts(squat, photos)
     assert told.startswith("the girth of l_hip (1.90) is at the limit of people") and "check points" in told

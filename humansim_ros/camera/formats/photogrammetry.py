@@ -40,6 +40,7 @@ from humansim_ros.camera.formats.base import (
     without_suffix,
 )
 from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.io.files import read_text
 from humansim_ros.types import Array, ImageSize
 
 _FLIP = np.diag([1.0, -1.0, -1.0])
@@ -619,7 +620,7 @@ def _list_of_images(file: CalibrationFile) -> list[str]:
     for folder in (Path(file.path).parent, Path(file.path).parent.parent):
         path = folder / "list.txt"
         if path.is_file() and path.stat().st_size < 1 << 20:
-            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = read_text(path, CameraError, "list of images", 1 << 20).splitlines()
             return [line.split()[0].removeprefix("./") for line in lines if line.strip()]
     return []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from humansim_ros.camera import Camera, idealize, load_calibration, write_calibration
 from humansim_ros.camera.calibration import Z_UP_FROM_FILE, Calibration
 from humansim_ros.camera.placement import RigPlacement, place_by_floor, place_by_level, read_floor_points
-from humansim_ros.errors import CameraError, SceneError
+from humansim_ros.errors import CameraError, SceneError, some_of
 from humansim_ros.io.files import exists, expand_user
 from humansim_ros.motion.keyframes import Keyframes, KeyframeTimeline, KeyframeTrack, write_keyframes
 from humansim_ros.scene.camera import read_cameras
@@ -38,6 +38,7 @@ def add_calibration(
     path: str | os.PathLike[str],
     floor_points: str | os.PathLike[str] | None = None,
     as_file: bool = False,
+    only: Sequence[str] | None = None,
 ) -> list[str]:
     """Add the cameras of a calibration file: as the rig, in place of another one, or singly without poses.
 
@@ -47,9 +48,10 @@ def add_calibration(
         floor_points: File of floor points (docs/rigs.md) that place the rig; without it, the cameras are
             taken to stand upright.
         as_file: The world of the file is ``map``.
+        only: Names of the cameras to take; all if None.
 
     Returns:
-        Names of the cameras in the file.
+        Names of the cameras that were added.
 
     Raises:
         HumansimError: A file cannot be read, or the rig cannot be placed.
@@ -57,13 +59,18 @@ def add_calibration(
     file = document.folder / expand_user(os.fspath(path))
     read = load_calibration(file, all_cameras=True)
     name = os.path.relpath(file, document.folder) if file.is_relative_to(document.folder) else str(file)
-    posed = {key: camera for key, camera in read.cameras.items() if key in read.posed}
+    chosen = {name: camera for name, camera in read.cameras.items() if only is None or name in only}
+    if not chosen:
+        raise CameraError(f"none of these cameras is in the file; it has {some_of(read.cameras)}", path=file)
+    posed = {key: camera for key, camera in chosen.items() if key in read.posed}
     command = f"humansim camera place {shlex.quote(str(file))} -o lab.yaml"
     with document.step(f"Load {file.name}", command if posed and not as_file else ""):
         if not posed:
-            _add_singly(document, name, read)
-            return list(read.cameras)
+            _add_singly(document, name, chosen)
+            return list(chosen)
         section: dict[str, Any] = {"file": name}
+        if len(chosen) < len(read.cameras):
+            section["cameras"] = list(posed)
         if read.format is not None and read.format.find_unit is not None:
             section["unit"] = float(f"{read.unit:g}")
         if not as_file:
@@ -147,15 +154,15 @@ def _placement(
     return place_by_floor(posed, read_floor_points(points, in_metres)).placement
 
 
-def _add_singly(document: SceneDocument, file: str, read: Calibration) -> None:
+def _add_singly(document: SceneDocument, file: str, cameras: Mapping[str, Camera]) -> None:
     """Add cameras without poses, on a circle around the middle."""
-    for number, name in enumerate(read.cameras):
-        angle = 2 * np.pi * number / len(read.cameras)
+    for number, name in enumerate(cameras):
+        angle = 2 * np.pi * number / len(cameras)
         plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_")
         plain = plain if plain[:1].isalpha() else f"camera_{plain}".rstrip("_")
         at = (_RADIUS * np.cos(angle), _RADIUS * np.sin(angle), _HEIGHT)
         section: dict[str, Any] = {"calibration": file}
-        if len(read.cameras) > 1:
+        if len(cameras) > 1:
             section["camera"] = name
         document.add_section("cameras", plain, section | {"position": metres(at), "look_at": _TARGET})
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from pydantic import ValidationError
 
 from humansim_ros.body.fitting import joints_of, skeleton_at
@@ -22,6 +21,7 @@ from humansim_ros.humans.human import Human, write_human
 from humansim_ros.humans.loading import fit_mesh, load_human, make_human
 from humansim_ros.io.files import exists, write_file
 from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml_edit import flow
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import Mesh, SkinnedMesh
 from humansim_ros.types import Array, Image
@@ -193,7 +193,7 @@ class PersonDraft:
 
     def text(self) -> str:
         """The description, as it is written."""
-        return _HEAD + yaml.safe_dump(self.options, sort_keys=False, default_flow_style=None, width=100)
+        return _HEAD + "".join(f"{key}: {flow(value)}\n" for key, value in self.options.items())
 
     def command(self, name: str) -> str:
         """The command that makes the same person without the page."""

@@ -66,6 +66,14 @@ def _person(path: Path) -> object:
     return load_human(path) if path.suffix.lower() == ".npz" else read_mesh_or_figure(path)
 
 
+def _views(path: Path) -> object:
+    data = read_yaml(path, HumansimError, "views file")[0]
+    if not isinstance(data, dict) or "views" not in data:
+        raise HumansimError("it has no key 'views' (docs/from_photographs.md)")
+    check_value(path.parent, data)
+    return data
+
+
 def _image(path: Path) -> object:
     return decode_image(read_bytes(path, HumansimError, "image", MOST_UPLOAD))
 
@@ -83,6 +91,7 @@ KINDS: Mapping[str, FileKind] = {
     "keyframes": FileKind("a keyframe file", (".xml",), read_keyframes),
     "image": FileKind("an image", _IMAGES, _image),
     "estimate": FileKind("an estimate of a tracker", ESTIMATE_SUFFIXES, lambda path: None),
+    "views": FileKind("a views file of photographs", (".yaml", ".yml"), _views),
     "companion": FileKind(
         "a file that others name",
         (_SKELETON, ".mtl", ".bin", ".txt", ".csv", ".tum", ".hdr", ".exr", *_IMAGES, *_TEXTS),

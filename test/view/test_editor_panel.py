@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
+from stand_ins import STAND_INS
 from waiting import wait_until
 
 from humansim_ros.errors import HumansimError
@@ -419,3 +420,104 @@ def test_a_file_that_is_broken_while_it_is_shown_keeps_the_panel_alive(page: Pag
     assert page.editor.file_changed()
     page.editor.refresh()
     assert page.document.errors() == []
+
+
+def test_the_joints_of_a_motion_are_listed_and_assigned_in_a_table_beside_the_scene(page: Page) -> None:
+    shutil.copy(STAND_INS["own_mixamo"].path(), page.path.parent / "walk.bvh")
+    page.editor.select("person walker")
+    page.type("motion.file", "walk.bvh")
+    matching = page.editor.matching
+    names = page.app.source.scene.actors["walker"].motion.motion.joint_names  # type: ignore[attr-defined]
+    elbow = next(name for name in names if name.endswith("LeftForeArm"))
+    text = matching._text.content
+    assert "l_elbow" in text and "LeftForeArm" in text and "confidence" in text
+    matching._role.value = "LeftElbow"
+    matching._show_joint()
+    assert matching._joint.value == elbow
+    hand = next(name for name in names if name.endswith("LeftHand"))
+    matching.assign("LeftElbow", hand)
+    assert page.document.value("humans.walker.motion.joint_names") == "walk_joints.yaml"
+    assert page.document.errors() == []
+    match = page.app.source.scene.actors["walker"].motion.match  # type: ignore[attr-defined]
+    assert names[match.roles["LeftElbow"]] == hand
+    assert "humansim motion table walk.bvh" in page.document.command()
+    page.editor.undo()
+    assert not (page.path.parent / "walk_joints.yaml").exists()
+    assert page.document.value("humans.walker.motion.joint_names") is None
+    for role, joint in (("LeftElbow", "(none)"), ("Tail", hand), ("LeftElbow", "no such joint")):
+        told = len(page.told)
+        matching.assign(role, joint)
+        assert len(page.told) == told + 1 and not (page.path.parent / "walk_joints.yaml").exists()
+
+
+def test_cameras_of_a_calibration_are_described_and_chosen(page: Page) -> None:
+    page.document.remove("cameras")
+    (page.path.parent / "lab.yaml").write_text(DEMO)
+    calibration = page.editor.calibration
+    calibration.file.take("lab.yaml")
+    assert "4 cameras, 4 with a pose" in calibration._facts.content
+    assert list(calibration._boxes) == ["camera_1", "camera_2", "camera_3", "camera_4"]
+    for name in ("camera_2", "camera_4"):
+        calibration._boxes[name].value = False
+    calibration._load()
+    assert page.document.value("rig.cameras") == ["camera_1", "camera_3"]
+    assert list(page.app.source.cameras) == ["camera_1", "camera_3"]
+    for box in calibration._boxes.values():
+        box.value = False
+    with pytest.raises(HumansimError, match="choose a camera"):
+        calibration._load()
+    calibration.load("lab.yaml", only=["top"])
+    assert "none of these cameras" in page.told[-1]
+    (page.path.parent / "bad.json").write_text("{}")
+    with pytest.raises(HumansimError, match=r"bad\.json"):
+        calibration.file.take("bad.json")
+
+
+def test_results_of_commands_are_links_to_files_of_the_folder_only(page: Page) -> None:
+    commands = page.app.commands
+    assert commands is not None
+    folder = page.path.parent
+    commands.choose("snapshot")
+    assert commands._text.value == "humansim snapshot scene.yaml -o scene_snapshot.png"
+    (folder / "secret.txt").write_text("secret")
+    commands.start("humansim check scene.yaml")
+    job = commands.job
+    assert job is not None
+    commands._outputs.append("out")
+    (folder / "out").mkdir()
+    (folder / "out" / "a b.csv").write_text("1")
+    (folder / "out" / "link.txt").symlink_to(folder / "secret.txt")
+    job.text = "humansim export scene.yaml -o out"
+    job.close()
+    assert "[a b.csv]" not in commands._links() and "results/out/a%20b.csv" in commands._links()
+    assert "link.txt" not in commands._links()
+    assert commands.result("out/a b.csv") == folder.resolve() / "out" / "a b.csv"
+    for name in (
+        "secret.txt",
+        "out/link.txt",
+        "../x",
+        "/etc/passwd",
+        "out",
+        "scene.yaml",
+        "out/../secret.txt",
+        "a\0",
+    ):
+        assert commands.result(name) is None, name
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "humansim human fit views.yaml -o fit.yaml --detector 'touch x'",
+        "humansim human fit views.yaml -o fit.yaml --detector=touch",
+        "humansim view views.yaml --ros",
+        "humansim human build person.yaml -o person.npz",
+        "humansim challenge --tracker 'touch x' -o report",
+    ],
+)
+def test_no_option_that_starts_other_programs_is_taken(line: str, unchanged_page: Page) -> None:
+    page = unchanged_page
+    assert page.app.commands is not None
+    page.app.commands.start(line)
+    assert page.app.commands.job is None
+    assert "humansim" in page.told[-1]

@@ -11,21 +11,40 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import Any
+from urllib.parse import quote
 
 from humansim_ros.errors import HumansimError, printable
+from humansim_ros.io.files import size_text
 from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.panels.page import Page
-from humansim_ros.view.server import check_value
+from humansim_ros.view.panels.files import FileChoice
+from humansim_ros.view.panels.page import Page, plain_markdown
+from humansim_ros.view.server import PREFIX, check_value, inside
 
 _START, _STOP = "Start", "Stop"
 #: Options that a command needs, as a beginning.
 _BEGINNINGS = {
     "run": "humansim run {scene}",
-    "record": "humansim record {scene} -o {stem}_bag --frames 100",
-    "export": "humansim export {scene} -o {stem}_export --format coco --frames 100",
-    "evaluate": "humansim evaluate --truth {scene} --estimate estimate.csv",
+    "record": "humansim record {scene} -o {stem}_bag --frames {frames}",
+    "export": "humansim export {scene} -o {stem}_export --format {formats} --frames {frames}",
+    "evaluate": "humansim evaluate --truth {scene} --estimate {estimate} --report {stem}_report.html",
+    "check": "humansim check {scene}",
+    "snapshot": "humansim snapshot {scene} -o {stem}_snapshot.png",
+    "open the photographs": "humansim view {views} --no-browser --port 0",
+    "fit the photographs": "humansim human fit {views} -o fit.yaml --picture fit.png",
+    "texture": "humansim human texture {views} --fit fit.yaml -o {person}.npz --picture {person}.png",
 }
+#: Choices beside the buttons.
+_NO_OTHER = "(another command)"
+#: Most links to files of a result, and most files of a folder that are looked at.
+_MOST_LINKS, _MOST_LOOKED = 30, 5000
+#: Options of commands that name what they write.
+_WRITTEN = ("-o", "--output", "--report", "--picture")
+#: Address of a page that a command serves.
+_ADDRESS = re.compile(r"http://127\.0\.0\.1:\d{2,5}\b")
 
 
 class CommandsPanel:
@@ -39,25 +58,62 @@ class CommandsPanel:
     def __init__(self, app: Page, document: SceneDocument) -> None:
         self._app, self._document = app, document
         self._shown = ""
+        self._command = COMMANDS[0]
+        self._outputs: list[str] = []
         self.job: Job | None = None
         gui = app.gui
         with app.tabs["Run"]:
             self._choice = gui.add_button_group("Command", COMMANDS)
+            self._other = gui.add_dropdown("Other", (_NO_OTHER, *list(_BEGINNINGS)[len(COMMANDS) :]))
+            self._frames = gui.add_number("Frames", 100, min=1, max=1_000_000, step=1)
+            self._formats = gui.add_text(
+                "Formats", "coco", hint="of export: coco, openpose, c3d, bvh … (docs/export.md)"
+            )
+            self.estimate = FileChoice(
+                app, document, "Estimate", "estimate", lambda _: self.choose("evaluate")
+            )
+            with gui.add_folder("Photographs", expand_by_default=False):
+                self.views = FileChoice(
+                    app, document, "Views file", "views", lambda _: self.choose("open the photographs")
+                )
+                self._photo = FileChoice(app, document, "Photographs", "image", lambda _: None)
             self._text = gui.add_text(
                 "Line", "", hint="the command that the button starts; copy it to a terminal for the same"
             )
             self._button = gui.add_button(_START)
             self._bar = gui.add_progress_bar(0.0, visible=False)
+            self._results = gui.add_markdown("")
             self._output = gui.add_markdown("")
         self._choice.on_click(lambda event: app.post(lambda: self.choose(event.target.value)))
         self._button.on_click(lambda _: app.post(self.toggle))
+        self._other.on_update(lambda event: self._used(event, lambda: self.choose(str(self._other.value))))
+        for handle in (self._frames, self._formats):
+            handle.on_update(lambda event: self._used(event, lambda: self.choose(self._command)))
+        app.server.result = self.result
         self.choose(COMMANDS[0])
 
     def choose(self, command: str) -> None:
         """Show the line of a command for this scene."""
+        if command not in _BEGINNINGS:
+            return
+        self._command = command
         path = self._document.path or Path("scene.yaml")
-        scene, stem = shlex.quote(str(path.resolve())), shlex.quote(path.stem)
-        self._text.value = _BEGINNINGS[command].format(scene=scene, stem=stem)
+        views = self.views.value or "views.yaml"
+        values = {
+            "scene": path.name if path.resolve().parent == self._document.folder else str(path.resolve()),
+            "stem": path.stem,
+            "frames": str(int(self._frames.value)),
+            "formats": str(self._formats.value).strip(),
+            "estimate": self.estimate.value or "estimate.csv",
+            "views": views,
+            "person": f"{Path(views).stem}_person",
+        }
+        quoted = {key: shlex.quote(value) for key, value in values.items()}
+        self._text.value = _BEGINNINGS[command].format(**quoted)
+
+    def _used(self, event: Any, action: Callable[[], None]) -> None:
+        if event.client_id is not None:
+            self._app.post(action)
 
     def toggle(self) -> None:
         """Start the command, or stop the one that runs."""
@@ -70,9 +126,14 @@ class CommandsPanel:
     def start(self, text: str) -> None:
         """Start a command line in the folder of the scene; an error is shown."""
         try:
-            if self._document.path is None or self._document.changed:
+            words = command_words(text, self._document.folder)
+            of_scene = words[1] in (*COMMANDS, "check", "snapshot")
+            if of_scene and (self._document.path is None or self._document.changed):
                 raise HumansimError("commands read the file of the scene: save it first")
+            if self.job is not None and self.job.code is None:
+                raise HumansimError("a command runs: stop it first")
             self.job = Job(text, self._document.folder)
+            self._outputs += outputs_of(words)
         except HumansimError as error:
             self._app.notify("Not started", str(error))
 
@@ -86,9 +147,44 @@ class CommandsPanel:
             return
         self._shown = shown
         self._output.content = shown
+        self._results.content = self._links()
         self._button.label = _STOP if running else _START
         self._bar.visible, self._bar.value = running, 100 * self.job.progress
         self._bar.animated = running
+
+    def result(self, name: str) -> Path | None:
+        """A file that a command of this page has written, by its path in the folder of the scene."""
+        folder = self._document.folder
+        try:
+            path = inside(folder, name)
+            written = [inside(folder, output) for output in self._outputs]
+        except HumansimError:
+            return None
+        mine = any(path == output or path.is_relative_to(output) for output in written if output != folder)
+        return path if mine and path.is_file() else None
+
+    def _links(self) -> str:
+        """Links to what the command has written, or to the page that it serves."""
+        if self.job is None:
+            return ""
+        if self.job.code is None:
+            found = next((match[0] for line in self.job.lines if (match := _ADDRESS.search(line))), None)
+            return f"[Open the photographs]({found})" if found and self.job.text.split()[1] == "view" else ""
+        folder, lines = self._document.folder, []
+        for output in outputs_of(shlex.split(self.job.text)):
+            try:
+                path = inside(folder, output)
+            except HumansimError:
+                continue
+            files = [path] if path.is_file() else files_below(path)
+            lines += [
+                f"- [{plain_markdown(str(file.relative_to(folder)))}]({PREFIX}results/"
+                f"{quote(str(file.relative_to(folder)))}) ({size_text(file.stat().st_size)})"
+                for file in files[:_MOST_LINKS]
+            ]
+            if len(files) > _MOST_LINKS:
+                lines.append(f"- and {len(files) - _MOST_LINKS} more in {plain_markdown(str(path))}")
+        return "\n".join(["**Results**", "", *lines]) if lines else ""
 
     def close(self) -> None:
         """End the command that runs."""
@@ -100,6 +196,23 @@ class CommandsPanel:
 
 #: Commands that the page starts.
 COMMANDS = ("run", "record", "export", "evaluate")
+#: Other commands that it starts, with their options: of none of them a value is a command.
+_OPTIONS: dict[str, tuple[str, ...]] = {
+    "check": ("--quick", "--frames"),
+    "snapshot": ("-o", "--output", "--time", "--frame"),
+    "view": ("--no-browser", "--port"),
+    "human fit": (
+        "-o",
+        "--output",
+        "--picture",
+        "--body",
+        "--npz",
+        "--bvh",
+        "--no-silhouettes",
+        "--silhouettes",
+    ),
+    "human texture": ("-o", "--output", "--fit", "--picture", "--method", "--texture-size", "--frame"),
+}
 #: Lines that are kept, characters of a line, and seconds for an end in order.
 _LINES, _WIDTH, _PATIENCE = 12, 200, 10.0
 #: Lines of progress: ``120 of 300 frames, …``.
@@ -118,13 +231,39 @@ def command_words(text: str, folder: Path) -> list[str]:
         words = shlex.split(text)
     except ValueError as error:
         raise HumansimError(f"the command line cannot be read: {error}") from None
-    if words[:1] != ["humansim"] or len(words) < 2 or words[1] not in COMMANDS or "\0" in text:
-        known = ", ".join(COMMANDS)
-        raise HumansimError(f"give 'humansim' with one of {known}; found {printable(text, 60)!r}")
+    known = (*COMMANDS, *_OPTIONS)
+    command = next((name for name in known if words[1 : 1 + len(name.split())] == name.split()), None)
+    if words[:1] != ["humansim"] or command is None or "\0" in text:
+        raise HumansimError(f"give 'humansim' with one of {', '.join(known)}; found {printable(text, 60)!r}")
     for word in words[2:]:
+        option = word.partition("=")[0]
+        if command in _OPTIONS and option.startswith("-") and option not in _OPTIONS[command]:
+            raise HumansimError(
+                f"{printable(option, 60)}: the page starts 'humansim {command}' without this option"
+            )
         for value in {word, *word.split(",")}:  # a list has commas
             check_value(folder, re.sub(r"^--?[\w-]*=?", "", value))
     return words
+
+
+def outputs_of(words: Sequence[str]) -> list[str]:
+    """Files and folders that a command line writes, as it names them."""
+    found = []
+    for word, value in zip(words, [*words[1:], ""], strict=True):
+        option, equals, own = word.partition("=")
+        if option in _WRITTEN:
+            found.append(own if equals else value)
+        elif word.startswith("-o") and len(word) > 2:
+            found.append(word[2:])
+    return [name for name in found if name and not name.startswith("-")]
+
+
+def files_below(folder: Path) -> list[Path]:
+    """Files below a folder, links left out, sorted."""
+    paths = islice(
+        (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()), _MOST_LOOKED
+    )
+    return sorted(paths)
 
 
 class Job:

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from humansim_ros.camera.calibration import load_calibration
 from humansim_ros.drawing.people import StickFigureArtist, strip
 from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.io.yaml_edit import YamlKey
@@ -23,6 +24,8 @@ from humansim_ros.view.edits import (
     set_keyframe,
 )
 from humansim_ros.view.panels.controls import SectionControls, choices_of
+from humansim_ros.view.panels.files import FileChoice
+from humansim_ros.view.panels.matching import MatchingTools
 from humansim_ros.view.panels.page import Page, plain_markdown
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import check_value, inside
@@ -69,6 +72,7 @@ class EditorPanel:
             self._rename = gui.add_button("Rename")
             self._keys = gui.add_folder("Keys")
             self.picture = MotionPicture(app)
+            self.matching = MatchingTools(app, document, self.edit)
             self.keyframes = KeyframeTools(app, document, self.edit)
             self.calibration = CalibrationTools(app, document, self.edit)
             self._command = gui.add_markdown("")
@@ -406,6 +410,7 @@ class EditorPanel:
         source = self._app.source
         actors = source.scene.actors if isinstance(source, SceneViewSource) and kind == "humans" else {}
         self.picture.show(actors.get(name))
+        self.matching.show(name, actors.get(name))
 
     def _show_status(self) -> None:
         faults = self.controls_now().show_errors(self.document.errors())
@@ -435,6 +440,8 @@ class EditorPanel:
 Edit = Callable[[Callable[[], Any]], bool]
 
 _ADD = "Add"
+#: Most cameras of a file that have a box each.
+_MOST_BOXES = 100
 #: Size of a figure in the picture of a motion, pixels, and number of figures.
 _FIGURE, _PHASES = (110, 150), 6
 
@@ -501,26 +508,46 @@ class CalibrationTools:
     def __init__(self, app: Page, document: SceneDocument, edit: Edit) -> None:
         self._document, self._edit = document, edit
         self._item: tuple[SectionName, str] = "rig", "rig"
-        gui = app.gui
+        self._gui = gui = app.gui
         self._ideal = gui.add_checkbox("Ideal lens", False, hint="no distortion, a centred principal point")
         with gui.add_folder("Calibration", expand_by_default=False):
-            self._file = gui.add_text("Calibration file", "", hint="path from the folder of the scene")
-            self._floor = gui.add_text(
-                "Floor points",
-                "",
-                hint="file with points of the floor; without it, the cameras stand upright",
-            )
+            self.file = FileChoice(app, document, "Calibration file", "calibration", self.describe)
+            self._facts = gui.add_markdown("")
+            self._cameras = gui.add_folder("Cameras of the file", visible=False)
+            self._floor = FileChoice(app, document, "Floor points", "companion", lambda _: None)
             self._as_file = gui.add_checkbox("As the file says", False, hint="its world is map")
             load = gui.add_button("Load")
+        self._boxes: dict[str, Any] = {}
         load.on_click(lambda _: app.post(self._load))
         self._ideal.on_update(lambda event: self._used(app, event.client_id))
 
-    def load(self, file: str, floor_points: str = "", as_file: bool = False) -> None:
+    def describe(self, file: str) -> None:
+        """Show what is in a calibration file, with a box for each camera. Raises HumansimError."""
+        for box in self._boxes.values():
+            box.remove()
+        self._boxes, self._facts.content, self._cameras.visible = {}, "", False
+        if not file:
+            return
+        read = load_calibration(inside(self._document.folder, file), all_cameras=True)
+        with self._cameras:
+            for name, camera in list(read.cameras.items())[:_MOST_BOXES]:
+                posed = "" if name in read.posed else ", no pose"
+                label = f"{name[:40]} ({camera.size[0]}x{camera.size[1]}{posed})"
+                self._boxes[name] = self._gui.add_checkbox(label, True)
+        self._cameras.visible = True
+        form = "" if read.format is None else f"{read.format.name}; "
+        self._facts.content = plain_markdown(
+            f"{form}{len(read.cameras)} cameras, {len(read.posed)} with a pose"
+        )
+
+    def load(
+        self, file: str, floor_points: str = "", as_file: bool = False, only: Sequence[str] | None = None
+    ) -> None:
         """Add the cameras of a calibration file; parameters as of :func:`add_calibration`."""
 
         def add() -> None:
             check_value(self._document.folder, [file, floor_points])
-            add_calibration(self._document, file, floor_points or None, as_file)
+            add_calibration(self._document, file, floor_points or None, as_file, only)
 
         self._edit(add)
 
@@ -537,7 +564,11 @@ class CalibrationTools:
             self._ideal.value = is_ideal(self._document, kind, name)
 
     def _load(self) -> None:
-        self.load(self._file.value, self._floor.value, bool(self._as_file.value))
+        chosen = [name for name, box in self._boxes.items() if box.value]
+        if self._boxes and not chosen:
+            raise HumansimError("choose a camera of the file")
+        only = None if len(chosen) == len(self._boxes) else chosen
+        self.load(self.file.value, self._floor.value, bool(self._as_file.value), only)
 
     def _used(self, app: Page, client: int | None) -> None:
         if client is not None:

@@ -82,6 +82,7 @@ class FileChoice:
         kind: Kind of the files.
         chosen: Called with the name of a file when a user chooses or uploads one; empty for none.
         more: Other choices, such as names of built-ins.
+        upload: Text of the button; by the kind if None.
     """
 
     NONE = "(none)"
@@ -94,11 +95,12 @@ class FileChoice:
         kind: str,
         chosen: Callable[[str], None],
         more: Sequence[str] = (),
+        upload: str | None = None,
     ) -> None:
         self._app, self._document, self._kind, self._chosen = app, document, kind, chosen
         self._more = tuple(more)
         self._list = app.gui.add_dropdown(label, self._options())
-        self.button = upload_button(app.gui, document, kind, self.take, app.post)
+        self.button = upload_button(app.gui, document, kind, self.take, app.post, label=upload)
         self._list.on_update(self._used)
 
     @property

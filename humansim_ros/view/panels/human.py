@@ -22,9 +22,9 @@ _DETECTED = "detected"
 _AXES = (_DETECTED, "x", "y", "z", "-x", "-y", "-z")
 _SKIN, _ALL_BONES = "skin", "weights of all bones"
 #: Radius of a joint that can be dragged, as a share of the height, and opacity of the body around it.
-_RADIUS, _OPACITY = 0.013, 0.5
+_RADIUS, _OPACITY = 0.014, 0.4
 #: Where the page looks from at a person at the origin, and the point that it looks at, metres.
-_EYE, _TARGET = (3.2, 0.9, 1.4), (0.0, 0.0, 0.9)
+_EYE, _TARGET = (2.0, 0.55, 1.2), (0.0, 0.0, 0.85)
 _COLOURS = {
     "skin": (208, 158, 130),
     "hair": (62, 44, 34),
@@ -56,7 +56,14 @@ class HumanPanel:
             self._bar = gui.add_progress_bar(100.0, visible=False, animated=True)
             with gui.add_folder("1. Mesh"):
                 self.mesh = FileChoice(app, document, "File", "body", self.read)
-                self._extra = FileChoice(app, document, "Its files", "companion", lambda name: None)
+                self._extra = FileChoice(
+                    app,
+                    document,
+                    "Its files",
+                    "companion",
+                    lambda name: None,
+                    upload="Upload its materials or textures",
+                )
                 self._stature = gui.add_number(
                     "Stature", 0.0, min=0.0, max=5.0, step=0.01, hint="metres; 0: as detected"
                 )
@@ -231,6 +238,7 @@ class HumanPanel:
         self._show()
         if self._source is None or self._app.source is not self._source:
             self._source = EmptySource(self._app.source.title)
+            self._source.frames = 1
             self._app.replace_source(self._source)  # draws it, as the 3D scene is made again
             self._look()
         else:

@@ -98,7 +98,8 @@ class ImagesPanel:
         self._tab = self._panel.add_tab("Images")
         with self._tab:
             self._handle: Any = None
-            self._hint = app.gui.add_markdown("The first images are being rendered.")
+            first = "The first images are being rendered." if app.source.cameras else "There are no cameras."
+            self._hint = app.gui.add_markdown(first)
         self._panel.float(x=_EDGE, y=-_EDGE, width=_PANEL_WIDTH)
         self._placed = False
         self._mosaic: Mosaic | None = None

@@ -25,6 +25,8 @@ _SKIN, _ALL_BONES = "skin", "weights of all bones"
 _RADIUS, _OPACITY = 0.014, 0.4
 #: Where the page looks from at a person at the origin, and the point that it looks at, metres.
 _EYE, _TARGET = (2.0, 0.55, 1.2), (0.0, 0.0, 0.85)
+#: Seconds in which a browser has made the scene again.
+_SETTLED = 0.7
 _COLOURS = {
     "skin": (208, 158, 130),
     "hair": (62, 44, 34),
@@ -240,7 +242,8 @@ class HumanPanel:
             self._source = EmptySource(self._app.source.title)
             self._source.frames = 1
             self._app.replace_source(self._source)  # draws it, as the 3D scene is made again
-            self._look()
+            # a browser puts its view back when the scene is made again
+            threading.Timer(_SETTLED, lambda: self._app.post(self._look)).start()
         else:
             self._draw()
 
@@ -335,6 +338,8 @@ class HumanPanel:
         self._nodes, self._lines = [], None
 
     def _look(self) -> None:
+        if self._closed or self._source is None or self._app.source is not self._source:
+            return
         for client in self._app.server.viser.get_clients().values():
             with client.atomic():
                 client.camera.position, client.camera.look_at = _EYE, _TARGET

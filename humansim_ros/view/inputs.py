@@ -105,6 +105,9 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return Opened(make())
     document = SceneDocument.load(what) if _is_scene(what) else None
     try:
+        if document is not None and document.lacks_cameras:  # it is being made
+            source = SceneViewSource(document.scene_so_far(), what.stem, has_cameras=False)
+            return Opened(source, what, make, document=document)
         return Opened(make(), what, make, document=document)
     except HumansimError as error:
         if what.is_dir():

@@ -74,7 +74,7 @@ class ViewApp:
         self.chosen_camera = ALL
         self.options = Options()
         self.server = PageServer(f"{source.title} · humansim", port)
-        self.gui = self.server.viser.gui
+        self.gui: Any = self.server.viser.gui
         self.source = source
         self.dark = False
         self.shown_cameras: tuple[str, ...] = tuple(source.cameras)
@@ -95,11 +95,11 @@ class ViewApp:
         self.set_dark(False)
         self.head = self.gui.add_folder("Time", order=0)
         tabs = self.gui.add_tab_group(order=1)
-        names = ["Show", "Numbers", *(() if document is None else ("Human", "Edit", "Run"))]
+        names = ["Show", "Numbers"] if document is None else ["Show", "Numbers", "Human", "Edit", "Run"]
         if photographs:
             names.insert(0, "Photographs")
             self.server.add_script("photographs.js")
-        self.tabs = {name: tabs.add_tab(name) for name in names}
+        self.tabs: dict[str, Any] = {name: tabs.add_tab(name) for name in names}
         self._place_view()
         self._build()
         self._say_broken(problem)

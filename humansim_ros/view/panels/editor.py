@@ -543,7 +543,14 @@ class CalibrationTools:
     def load(
         self, file: str, floor_points: str = "", as_file: bool = False, only: Sequence[str] | None = None
     ) -> None:
-        """Add the cameras of a calibration file; parameters as of :func:`add_calibration`."""
+        """Add the cameras of a calibration file.
+
+        Args:
+            file: Its path from the folder of the scene.
+            floor_points: File of floor points that place the rig; empty: the cameras stand upright.
+            as_file: The world of the file is ``map``.
+            only: Names of the cameras to take; all if None.
+        """
 
         def add() -> None:
             check_value(self._document.folder, [file, floor_points])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import queue
 import threading
@@ -72,6 +73,7 @@ class ViewApp:
         self._unseen_since: float | None = None  # when another source has replaced the first
         self.commands: CommandsPanel | None = None
         self.chosen_camera = ALL
+        self._state: dict[str, Any] = {}
         self.options = Options()
         self.server = PageServer(f"{source.title} · humansim", port)
         self.gui: Any = self.server.viser.gui
@@ -113,6 +115,7 @@ class ViewApp:
 
     def run(self) -> None:
         """Show frames until :meth:`stop`."""
+        self.source.prepare(self.shown_cameras, self.shown_channels)
         due = time.monotonic()
         while not self._stopped.is_set():
             self._run_posted()
@@ -168,6 +171,20 @@ class ViewApp:
         self.options = options
         self._stage.set_options(options)
         self.refresh()
+
+    def step_back(self, redo: bool = False) -> None:
+        """Take the last edit of the scene back, or do it again."""
+        if self.editor is not None:
+            (self.editor.redo if redo else self.editor.undo)()
+
+    def hide_camera(self, name: str | None) -> None:
+        """Do not draw a camera in 3D: the one that is looked through."""
+        self._stage.hide_camera(name)
+
+    def send_state(self, **values: Any) -> None:
+        """Send values of the state to the scripts of the page (``page/*.js``)."""
+        self._state |= values
+        self.server.stream(json.dumps(self._state))
 
     def set_dark(self, dark: bool) -> None:
         """Dark or light page."""

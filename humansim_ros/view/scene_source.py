@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -123,6 +123,10 @@ class SceneViewSource(ViewSource):
             images=images.images if images else {},
             image_index=images.request.index if images else None,
         )
+
+    def prepare(self, cameras: Collection[str], channels: Collection[str]) -> None:
+        with suppress(HumansimError):  # the first frame tells it
+            self._images(0, cameras, channels, False)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         if self._truth is None:

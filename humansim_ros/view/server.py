@@ -68,6 +68,8 @@ _MOST_OWN = 1 << 26
 _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
 _LOCK = threading.Lock()
+#: Scripts of every page, in this order, before viser's own.
+SCRIPTS = ("page.js", "through.js", "keys.js")
 
 
 class PageServer:
@@ -91,14 +93,15 @@ class PageServer:
         self.files: dict[str, tuple[str, bytes]] = {}
         self.requests: dict[str, Callable[[Mapping[str, str]], None]] = {}
         self._page = _index_page(title)
-        self._add_script("page.js")
+        for script in SCRIPTS:
+            self._add_script(script)
         self._compressed = b""
         self._streams: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self.on_refused: Callable[[str], None] = lambda reason: None
         self.result: Callable[[str], Path | None] = lambda name: None
         self._on_the_way: dict[str, int] = {}
-        self._latest: bytes | None = None
+        self._latest: dict[type, bytes | str] = {}
         with _LOCK, self._checked_connections(), contextlib.redirect_stdout(io.StringIO()):
             self.viser = viser.ViserServer(host=HOST, port=_free_port(port), label=title, verbose=False)
         self.port = int(self.viser.get_port())
@@ -137,9 +140,14 @@ class PageServer:
         """Call ``function`` with the query of requests of ``/humansim/<name>``, in the server's thread."""
         self.requests[PREFIX + name] = function
 
-    def stream(self, data: bytes) -> None:
-        """Send data to the scripts of all pages; a slow or a new page gets the latest only."""
-        self._latest = data
+    def stream(self, data: bytes | str) -> None:
+        """Send poses (bytes) or the state (JSON text) to the scripts of all pages.
+
+        A slow or a new page gets the latest of each only.
+        """
+        if self._latest.get(type(data)) == data:
+            return
+        self._latest[type(data)] = data
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self._loop.call_soon_threadsafe(self._wake)
@@ -151,8 +159,8 @@ class PageServer:
     async def _stream_to(self, connection: Any) -> None:
         """Send what :meth:`stream` is given until the browser goes away."""
         event = asyncio.Event()
-        if self._latest is not None:
-            event.set()
+        event.set()
+        sent: dict[type, bytes | str] = {}
         self._streams.add(event)
         closed = asyncio.ensure_future(connection.wait_closed())
         try:
@@ -161,8 +169,10 @@ class PageServer:
                 await asyncio.wait({woken, closed}, return_when=asyncio.FIRST_COMPLETED)
                 woken.cancel()
                 event.clear()
-                if self._latest is not None and not closed.done():
-                    await connection.send(self._latest)
+                for kind, latest in list(self._latest.items()):
+                    if not closed.done() and sent.get(kind) is not latest:
+                        await connection.send(latest)
+                        sent[kind] = latest
         except websockets.exceptions.ConnectionClosed:
             pass
         finally:
@@ -472,5 +482,5 @@ def _index_page(title: str) -> bytes:
     text = read_text(root, HumansimError, "page of viser", _MOST_OWN)
     safe = title.replace("&", "&amp;").replace("<", "&lt;")
     text = re.sub(r"<title>.*?</title>", lambda _: f"<title>{safe}</title>", text, count=1, flags=re.DOTALL)
-    script = f'<script src="{PREFIX}page.js"></script>'
-    return text.replace("<head>", f"<head>{script}", 1).encode()
+    scripts = "".join(f'<script src="{PREFIX}{name}"></script>' for name in SCRIPTS)
+    return text.replace("<head>", f"<head>{scripts}", 1).encode()

@@ -129,6 +129,10 @@ class ViewSource(ABC):
             wait: The images must belong to this frame; otherwise the latest images that are ready are given.
         """
 
+    def prepare(self, cameras: Collection[str], channels: Collection[str]) -> None:
+        """Begin with what takes time before somebody looks; parameters as of :meth:`frame`."""
+        del cameras, channels
+
     @abstractmethod
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         """Numbers of a pixel of the frame that was given last, as the topics say them."""

@@ -94,6 +94,7 @@ class Stage:
         self._extras: dict[str, Any] = {}
         self._trails: dict[str, deque[Array]] = {name: deque(maxlen=_TRAIL) for name in source.people}
         self._last_index = -1
+        self._hidden: str | None = None
         self._images: object = None
         self.frame: ViewFrame | None = None
         with server.viser.atomic():
@@ -144,9 +145,9 @@ class Stage:
         self._axes.visible = options.axes
         for _, handle in self._bodies.values():
             handle.opacity = _SEE_THROUGH if options.joints or options.joint_names else None
-        for handle, label in self._frusta.values():
-            handle.visible = options.cameras
-            label.visible = options.cameras and options.names
+        for name, (handle, label) in self._frusta.items():
+            handle.visible = options.cameras and name != self._hidden
+            label.visible = handle.visible and options.names
             if not options.images:
                 handle.image = None
         self._drop("coverage")
@@ -155,6 +156,11 @@ class Stage:
         for key in list(self._extras):
             if key != "coverage":
                 self._drop(key)
+
+    def hide_camera(self, name: str | None) -> None:
+        """Do not draw a camera: the one that is looked through, whose own image would cover the view."""
+        self._hidden = name
+        self.set_options(self.options)
 
     # --- people ------------------------------------------------------------------------------------------
 

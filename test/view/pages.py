@@ -9,6 +9,7 @@ import selectors
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,6 +54,28 @@ def served(*arguments: str, cwd: Path | None = None) -> Iterator[tuple[str, list
         yield found.group(), lines
     finally:
         end_process(process)
+
+
+@contextlib.contextmanager
+def running_app(path: Path) -> Iterator[Any]:
+    """The page of a file, served by a thread of this process."""
+    from humansim_ros.view.app import ViewApp
+    from humansim_ros.view.inputs import open_source
+
+    opened = open_source(path)
+    made = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
+
+    def serve() -> None:
+        made.run()
+        made.close()  # in this thread, whose renderers it has
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield made
+    finally:
+        made.stop()
+        thread.join()
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -14,14 +13,23 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, mosaic_of, needs_browser, opened_page, pause, scrub, three_vertices, until
+from pages import (
+    browser,
+    mosaic_of,
+    needs_browser,
+    opened_page,
+    pause,
+    running_app,
+    scrub,
+    three_vertices,
+    until,
+)
 from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.types import Array
 from humansim_ros.view.app import ViewApp
-from humansim_ros.view.inputs import open_source
 from humansim_ros.view.panels.images import mosaic
 
 _ATTEMPTS = 6
@@ -43,14 +51,8 @@ cameras:
 def app(tmp_path: Path) -> Iterator[ViewApp]:
     path = tmp_path / "lab.yaml"
     path.write_text(SCENE)
-    opened = open_source(path)
-    made = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
-    thread = threading.Thread(target=made.run)
-    thread.start()
-    yield made
-    made.stop()
-    thread.join()
-    made.close()
+    with running_app(path) as made:
+        yield made
 
 
 def on_screen(app: ViewApp, page: Any, point: Array) -> Array:

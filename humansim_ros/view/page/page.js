@@ -17,7 +17,7 @@
   let version = "";
   const surfaces = new Map();
   const textures = new Map();
-  const state = { textured: 0, people: 0, frame: null };
+  const state = Object.assign(new EventTarget(), { textured: 0, people: 0, frame: null, page: null, scenes });
   window.humansim = state;
   state.tableOf = (key) => people[key];
 
@@ -171,8 +171,17 @@
   function listen() {
     const socket = new WebSocket(`ws://${location.host}/humansim/frames`);
     socket.binaryType = "arraybuffer";
-    socket.onmessage = (event) => readPoses(event.data);
-    socket.onclose = () => setTimeout(listen, 1000);
+    // text: the state of the page (JSON); bytes: poses
+    socket.onmessage = (event) => {
+      if (typeof event.data !== "string") return readPoses(event.data);
+      state.page = JSON.parse(event.data);
+      state.dispatchEvent(new Event("state"));
+    };
+    socket.onopen = () => state.dispatchEvent(new Event("found"));
+    socket.onclose = () => {
+      state.dispatchEvent(new Event("lost"));
+      setTimeout(listen, 1000);
+    };
   }
   listen();
 

@@ -113,6 +113,12 @@ class Page(Protocol):
     def set_options(self, options: Options) -> None:
         """Change the drawings in 3D."""
 
+    def step_back(self, redo: bool = False) -> None:
+        """Take the last edit of the scene back, or do it again."""
+
+    def hide_camera(self, name: str | None) -> None:
+        """Do not draw a camera in 3D: the one that is looked through."""
+
     def set_dark(self, dark: bool) -> None:
         """Dark or light page."""
 
@@ -124,6 +130,9 @@ class Page(Protocol):
 
     def notify(self, title: str, text: str) -> None:
         """Show a notification in all browsers."""
+
+    def send_state(self, **values: Any) -> None:
+        """Send values of the state to the scripts of the page (``page/*.js``)."""
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
         """Show the numbers of a pixel, given as shares of the width and height of an image."""

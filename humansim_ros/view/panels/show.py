@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-import numpy as np
-
+from humansim_ros.camera import Camera
 from humansim_ros.rotations import matrix_to_quaternion
-from humansim_ros.types import Image
 from humansim_ros.view.panels.page import SPEEDS, Page
-from humansim_ros.view.source import ViewFrame
+from humansim_ros.view.server import PREFIX
+from humansim_ros.view.source import ViewFrame, jpeg_of
 from humansim_ros.view.stage import Options
 
 _LABELS = {
@@ -82,14 +81,18 @@ _WITH_LENS, _WITHOUT = "its image, with its lens", "3D from its position"
 
 
 class ThroughPanel:
-    """Choice of a camera to look through, for each browser."""
+    """Choice of a camera to look through.
+
+    The script ``page/through.js`` shows its image, or gives the 3D view its projection: both fill the same
+    rectangle of the page, whatever shape the page has, and clicks and names use that rectangle, too.
+    """
 
     def __init__(self, app: Page) -> None:
         self._app = app
         self._camera: str | None = None
-        self._covered: set[int] = set()
-        self._image: Image | None = None
+        self._number = 0
         self._version: object = None
+        app.server.on_request("through", self._picked)
         names = tuple(app.source.cameras)
         with (
             app.tabs["Show"],
@@ -101,65 +104,74 @@ class ThroughPanel:
         self._kind.on_update(lambda _: app.post(self._choose))
 
     def update(self, frame: ViewFrame) -> None:
-        """Move the view with the camera, and show its image."""
+        """Move the view with the camera, and show its image or its projection."""
         camera = frame.cameras.get(self._camera or "")
         if camera is None or self._camera is None:
+            self._app.send_state(through=None)
             return
-        image = self._new_image(frame)
         for client in self._app.server.viser.get_clients().values():
             with client.atomic():
                 client.camera.wxyz = matrix_to_quaternion(camera.R.T[None])[0][[3, 0, 1, 2]]
                 client.camera.position = camera.center
-                client.camera.fov = 2 * math.atan2(camera.size[1] / 2, camera.K[1, 1])
-            if image is not None or client.client_id not in self._covered:
-                self._cover(client, image if image is not None else self._image)
+        with_lens = self._kind.value == _WITH_LENS
+        if with_lens:
+            self._serve_image(frame)
+        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+        self._app.send_state(
+            through={
+                "camera": self._camera,
+                "size": list(camera.size),
+                "K": [fx, fy, cx, cy],
+                "image": f"{PREFIX}through.jpg?{self._number}" if with_lens and self._number else None,
+                "lens": with_lens,
+                "names": _names_in(camera, frame) if with_lens and self._app.options.names else [],
+            }
+        )
 
     def remove(self) -> None:
         """Remove the panel."""
-        self._uncover()
         self._app.through = None
+        self._app.send_state(through=None)
         self._folder.remove()
 
-    def _new_image(self, frame: ViewFrame) -> Image | None:
-        """The image of the camera, if there is a new one."""
+    def _serve_image(self, frame: ViewFrame) -> None:
+        """Serve the image of the camera, if there is a new one."""
         images = frame.images.get(self._camera or "", {})
-        if self._kind.value != _WITH_LENS or not images or frame.images is self._version:
-            return None
-        self._version = frame.images
-        self._image = next(iter(images.values()))
-        return self._image
-
-    def _cover(self, client: Any, image: Image | None) -> None:
-        """Show an image over all of a page, with bars where it has another shape."""
-        if image is not None:
-            padded = with_bars(image, client.camera.image_width / max(client.camera.image_height, 1))
-            # a depth of zero: the image is in front of everything
-            client.scene.set_background_image(padded, format="jpeg", depth=np.zeros((2, 2), np.float32))
-            self._covered.add(client.client_id)
-
-    def _uncover(self) -> None:
-        for client in self._app.server.viser.get_clients().values():
-            if client.client_id in self._covered:
-                client.scene.set_background_image(None)
-        self._covered.clear()
-        self._image = self._version = None
+        if images and frame.images is not self._version:
+            self._version = frame.images
+            self._number += 1
+            self._app.server.add_file("through.jpg", "image/jpeg", jpeg_of(next(iter(images.values()))))
 
     def _choose(self) -> None:
         chosen = self._choice.value
         self._camera = chosen if chosen in self._app.source.cameras else None
-        self._uncover()
+        self._number, self._version = 0, None
         self._app.through = self._camera if self._kind.value == _WITH_LENS else None
+        self._app.hide_camera(self._camera)
         self._app.refresh()
 
+    def _picked(self, query: Mapping[str, str]) -> None:
+        """A click in the image of the camera, told by the script; in the server's thread."""
+        camera = self._camera
+        try:
+            across, down = float(query["across"]), float(query["down"])
+        except (KeyError, ValueError):
+            return
+        if camera is not None and 0 <= across < 1 and 0 <= down < 1:
+            self._app.post(lambda: self._app.pick_pixel(camera, across, down))
 
-def with_bars(image: Image, aspect: float) -> Image:
-    """Image with black bars, so that its width is ``aspect`` times its height."""
-    height, width = image.shape[:2]
-    wide, high = max(width, round(height * aspect)), max(height, round(width / aspect))
-    out = np.zeros((high, wide, 3), np.uint8)
-    top, left = (high - height) // 2, (wide - width) // 2
-    out[top : top + height, left : left + width] = image
-    return out
+
+def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]]:
+    """Names of people, each with the place above its head as shares of the width and height of an image."""
+    width, height = camera.size
+    found = []
+    for name, joints in frame.joints.items():
+        positions = joints[:, :3, 3]
+        over = [*positions[:, :2].mean(axis=0), positions[:, 2].max() + 0.2]
+        (x, y), depth = camera.project([over])[0][0], camera.project([over])[1][0]
+        if depth > 0 and -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5:
+            found.append((name, (float(x) + 0.5) / width, (float(y) + 0.5) / height))
+    return found
 
 
 # --- the time
@@ -198,6 +210,7 @@ class TimelinePanel:
                 app.post(lambda: app.seek(index))
 
         self._slider.on_update(seek)
+        app.server.on_request("key", lambda query: app.post(lambda: self.use(query.get("action", ""))))
         self._play.on_click(lambda _: app.post(self._toggle))
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))
@@ -224,6 +237,18 @@ class TimelinePanel:
         """Remove the panel."""
         for handle in (self._slider, self._play, self._steps, self._speed, self._loop, self._text):
             handle.remove()
+
+    def use(self, action: str) -> None:
+        """Do what a key of the page asks for (``page/keys.js``)."""
+        frames = self._app.player.frames
+        if action == "play" and frames != 1:
+            self._toggle()
+        elif action in ("undo", "redo"):
+            self._app.step_back(redo=action == "redo")
+        elif frames is not None and action in ("back", "on"):
+            self._step(_ON if action == "on" else _BACK)
+        elif frames is not None and action in ("first", "last"):
+            self._app.seek(0 if action == "first" else frames - 1)
 
     def _toggle(self) -> None:
         player = self._app.player

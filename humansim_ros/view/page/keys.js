@@ -1,0 +1,78 @@
+// Keys of the page, their help, and what it says when its server has ended.
+"use strict";
+(() => {
+  const page = window.humansim;
+  const keys = {
+    " ": ["play", "space: play or pause"],
+    ArrowLeft: ["back", "← →: one frame back or on"],
+    ArrowRight: ["on", ""],
+    Home: ["first", "Home, End: first or last frame"],
+    End: ["last", ""],
+    "Ctrl+z": ["undo", "Ctrl-Z, Ctrl-Y: undo or redo an edit"],
+    "Ctrl+y": ["redo", ""],
+    "?": ["help", "?: this list"],
+  };
+  const STYLE = {
+    position: "fixed",
+    zIndex: 1000,
+    left: "50%",
+    transform: "translateX(-50%)",
+    padding: ".6em 1em",
+    borderRadius: "6px",
+    font: "15px/1.5 system-ui, sans-serif",
+    color: "#fff",
+    background: "#222e",
+  };
+
+  function box(text, style, role) {
+    const made = document.createElement("div");
+    Object.assign(made.style, STYLE, style);
+    made.setAttribute("role", role);
+    made.style.whiteSpace = "pre-line";
+    made.textContent = text;
+    document.body.append(made);
+    return made;
+  }
+
+  let help = null;
+  function toggleHelp() {
+    if (help) {
+      help.remove();
+      help = null;
+      return;
+    }
+    const lines = Object.values(keys).map(([, text]) => text);
+    help = box(lines.filter(Boolean).join("\n"), { top: "20%" }, "dialog");
+    help.setAttribute("aria-label", "Keys");
+  }
+
+  // What has the keys itself: fields, buttons, sliders, tabs and lists. Only the scene leaves them to the page.
+  function isBusy(target) {
+    return target.closest && target.closest("input, textarea, select, button, [role], [contenteditable]");
+  }
+
+  document.addEventListener(
+    "keydown",
+    (event) => {
+      if (event.altKey || event.metaKey || isBusy(event.target)) return;
+      if (event.key === "Escape" && help) toggleHelp();
+      const chosen = keys[`${event.ctrlKey ? "Ctrl+" : ""}${event.key}`];
+      if (!chosen) return;
+      event.preventDefault();
+      event.stopPropagation();
+      if (chosen[0] === "help") toggleHelp();
+      else fetch(`/humansim/key?action=${chosen[0]}`).catch(() => {});
+    },
+    true,
+  );
+
+  let lost = null;
+  page.addEventListener("lost", () => {
+    const text = "The server of this page has ended, or cannot be reached. Start humansim view again.";
+    lost = lost || box(text, { top: "1em", background: "#b00" }, "alert");
+  });
+  page.addEventListener("found", () => {
+    if (lost) lost.remove();
+    lost = null;
+  });
+})();

@@ -405,7 +405,7 @@ def calibrations() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
         for form in FORMATS:
-            second = replace(first, t=first.t + 0.5, distortion=lens if form.lenses else ())
+            second = replace(first, t=first.t + 0.5, distortion=lens[: dict(form.lenses).get("plumb_bob", 0)])
             two = {"left": first, "right": second}
             target = Path(folder) / form.name
             for path in write_calibration(target, two if form.multiple else {"right": second}, form.name):

@@ -53,7 +53,7 @@ _SUFFIXES = (
     *(".xcp", ".mcal", ".sfm", ".out"),
 )
 #: Formats by the usual ends of their file names, where the suffix alone does not tell.
-_USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms"}
+_USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
 #: Largest distance of principal points of equal images from their median, as a fraction.
 _SAME_IMAGE = 0.25
 #: Smallest image side that is guessed, pixels.

@@ -150,6 +150,7 @@ def main(scene_path: str, number: int) -> int:
     for name in _MODULES:
         import_module(f"humansim_ros.{name}")
     scene = _load(scene_path)
+    starter = str(os.getpid())
     gc.freeze()  # a collection would write to the memory that the copies share
     with socket.socket(fileno=number) as requests:
 
@@ -175,7 +176,7 @@ def main(scene_path: str, number: int) -> int:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
         else:
             return 0
-    os.environ[PARENT_PID] = str(os.getppid())
+    os.environ[PARENT_PID] = starter  # os.getppid() is another one if the starter has been killed meanwhile
     end_with_parent()
     os.setsid()
     with suppress(OSError):  # for top and ps; only Linux has it

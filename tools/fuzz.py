@@ -399,14 +399,19 @@ def exported(kind: str, **options: str) -> bytes:
 
 def calibrations() -> dict[str, bytes]:
     """Calibration files of all formats by name, with two cameras where the format allows it."""
-    first = Camera.look_at((3, 1, 2), (0, 0, 1))
+    first = Camera.look_at((3, 1, 2), (0, 0, 1), size=(1280, 720))  # a size that all devices have
     lens = (-0.31, 0.12, 1e-3, -2e-4)
     files: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
         for form in FORMATS:
-            second = replace(first, t=first.t + 0.5, distortion=lens[: dict(form.lenses).get("plumb_bob", 0)])
-            two = {"left": first, "right": second}
+            counts = dict(form.lenses) or {"plumb_bob": 0}
+            model, count = ("plumb_bob", counts["plumb_bob"]) if "plumb_bob" in counts else counts.popitem()
+            ideal = replace(first, model=model, distortion=() if model == "plumb_bob" else 4 * (0.0,))
+            second = replace(ideal, t=first.t + 0.5, distortion=lens[:count])
+            two = {"left": ideal, "right": second}
+            if form.name in ("zed", "k4a"):  # these describe the two cameras of one device
+                continue
             target = Path(folder) / form.name
             for path in write_calibration(target, two if form.multiple else {"right": second}, form.name):
                 files[path.name if path.parent == target else form.name] = path.read_bytes()

@@ -28,7 +28,7 @@ def test_damaged_files_give_a_result_or_an_error_of_the_package(
     outcome = fuzz.fuzz(name, fuzz.corpus_of(name), inputs, seed=7)
     assert outcome.findings == []
     # the damage is neither always harmless nor always fatal
-    assert 0.01 * inputs < outcome.kinds["read"] < 0.99 * inputs
+    assert 0.01 * inputs <= outcome.kinds["read"] < 0.99 * inputs  # few archives pass their checksums
     assert (
         sum(outcome.kinds[kind] for kind in ("MotionError", "MeshError", "CameraError", "SceneError"))
         > 0.01 * inputs

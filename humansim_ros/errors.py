@@ -120,8 +120,8 @@ def escaped(text: str) -> str:
     """Text with its control characters escaped, such as U+202E, which turns a line around; lines stay.
 
     Example:
-        >>> escaped("a\u202eb")
-        'a\\u202eb'
+        >>> escaped("a" + chr(0x202E) + "b") == "a" + chr(92) + "u202eb"
+        True
     """
     if text.isprintable():
         return text

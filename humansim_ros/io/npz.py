@@ -28,7 +28,7 @@ def read_npz(
     error: type[HumansimError],
     what: str,
     names: Collection[str] | None = None,
-    most: int = MAX_BYTES,
+    most: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Read the arrays of an archive.
 
@@ -37,7 +37,7 @@ def read_npz(
         error: Error class to raise.
         what: Kind of file for messages, such as ``human``.
         names: Arrays to read; all if absent. Others are not unpacked.
-        most: Largest size of the file, and of all its arrays together, in bytes.
+        most: Largest size of the file, and of all its arrays together, in bytes; MAX_BYTES if None.
 
     Returns:
         Arrays by name.
@@ -46,6 +46,7 @@ def read_npz(
         HumansimError: ``error`` with file and array, if the file is not an archive, is damaged, has pickled
             objects, or is larger than ``most``.
     """
+    most = MAX_BYTES if most is None else most
     data = read_bytes(path, error, what, most)
     if not data.startswith(b"PK"):
         raise error(f"not a {what} file: it is not an .npz archive", path=path)

@@ -327,7 +327,7 @@ def test_a_legend_returns_from_its_message() -> None:
     ids=lambda text: text[:12],
 )
 def test_legends_that_are_no_objects_of_json_are_refused(text: str) -> None:
-    with pytest.raises(RosError, match="a legend must be|not the JSON of a legend"):
+    with pytest.raises(RosError, match=r"a legend must be|not the JSON of a legend"):
         read(text)
 
 

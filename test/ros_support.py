@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,21 @@ class Client:
             self.executor.remove_node(node)
         self.executor.shutdown()
         self.node.destroy_node()
+
+
+def node_pids(run: int) -> list[int]:
+    """Processes of the nodes of a ``humansim run``: children of the process that starts them."""
+
+    def children(parent: int) -> dict[int, bytes]:
+        found = {}
+        for entry in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1]) == parent:
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes()
+        return found
+
+    starters = [pid for pid, line in children(run).items() if b"node_starter" in line]
+    return [pid for starter in starters for pid in children(starter)]
 
 
 def deliver(node: Any, topic: str, message: Any) -> None:

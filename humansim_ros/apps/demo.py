@@ -87,7 +87,7 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
 
 
 def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Console) -> float | None:
-    """Wait until every topic has sent a message, then record for ``duration``.
+    """Wait until every topic has sent a message, then record for ``duration`` and until a frame is whole.
 
     Returns:
         Recorded seconds, or None if a node has ended or a topic sends nothing.
@@ -105,7 +105,10 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
         recorder.reset()
         progress.update(task, description="recording", total=duration)
         begin = time.monotonic()
-        while not silent and not nodes.dead() and time.monotonic() < begin + duration:
+        limit = begin + max(duration, _START_LIMIT)
+        while not silent and not nodes.dead() and time.monotonic() < limit:
+            if time.monotonic() >= begin + duration and recorder.thumbnails.whole():
+                break  # on a slow machine no frame of so short a recording may have arrived whole
             recorder.spin(0.1)
             progress.update(task, completed=time.monotonic() - begin)
     if silent or nodes.dead():
@@ -273,7 +276,7 @@ def _has_wrong_clock(scene: Scene, camera: str) -> bool:
 
 
 def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
-    if not recorder.sheet:
+    if not recorder.sheet or not recorder.thumbnails.whole():
         raise HumansimError("no frame was received from all cameras: the machine is too slow for this scene")
     rows = []
     for camera in recorder.cameras:

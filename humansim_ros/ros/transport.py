@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from humansim_ros.io.assets import resource_path
 
@@ -233,17 +232,21 @@ def claim_domain() -> int:
 
 
 @functools.cache
-def _claim(process: int) -> tuple[int, IO[str] | None]:
-    """The domain of a process, and the file that is locked meanwhile."""
+def _claim(process: int) -> tuple[int, int | None]:
+    """The domain of a process, and the descriptor of the file that is locked until the process ends."""
     first = process % len(_DOMAINS)
     for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
         path = Path(tempfile.gettempdir()) / f"humansim_test_domain_{domain}.lock"
         try:
-            file = path.open("a")
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:  # locked, or of another user
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError:  # of another user
             continue
-        return domain, file
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # locked
+            os.close(descriptor)
+            continue
+        return domain, descriptor
     return _DOMAINS[first], None
 
 

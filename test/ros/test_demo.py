@@ -6,13 +6,18 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import ros_support  # noqa: F401  # own ROS domain; skips without ROS
 from conftest import ROOT
+from rich.console import Console
 from waiting import PATIENCE
+
+from humansim_ros.apps import demo
+from humansim_ros.errors import HumansimError
 
 #: Cameras of different sizes and encodings, in a room with one colourful object and a live human.
 LIVE = """
@@ -31,6 +36,29 @@ cameras:
   left: {size: [120, 90], position: [3, 1, 1.2], look_at: [0, 0, 0.7], faults: {clock: 0.013}}
   right: {size: [120, 90], position: [3, -1, 1.2], look_at: [0, 0, 0.7]}
 """
+
+
+def test_a_short_recording_lasts_until_a_frame_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slow machine the first frame with all cameras may arrive after the asked duration."""
+    whole: list[int] = []
+    spins = iter(range(10_000))
+
+    def spin(_: float) -> None:
+        if next(spins) == 50:
+            whole.append(1)
+
+    thumbnails = SimpleNamespace(whole=lambda: whole)
+    recorder = SimpleNamespace(silent=[], sheet={"/c/image_raw": 0}, thumbnails=thumbnails, spin=spin)
+    recorder.reset = lambda: None
+    nodes = SimpleNamespace(dead=lambda: "")
+    assert demo._record(nodes, recorder, 0.0, Console(quiet=True)) is not None  # type: ignore[arg-type]
+    assert whole == [1]
+
+    whole.clear()
+    monkeypatch.setattr(demo, "_START_LIMIT", 0.01)
+    demo._record(nodes, recorder, 0.0, Console(quiet=True))  # type: ignore[arg-type]
+    with pytest.raises(HumansimError, match="the machine is too slow for this scene"):
+        demo._contact_sheet(None, recorder)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 from commands import Done
 from commands import humansim as in_process
 from conftest import ROOT
-from ros_support import SMALL_SCENE, Client, write_scene
+from ros_support import SMALL_SCENE, Client, node_pids, write_scene
 from waiting import PATIENCE, wait_until
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
@@ -52,26 +52,11 @@ def running(tmp_path: Path, scene_text: str) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-def children(pid: int) -> dict[int, str]:
-    """Child processes of a process, with their command lines."""
-    found = {}
-    for entry in Path("/proc").iterdir():
-        try:
-            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            if parent == pid:
-                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except (OSError, ValueError, IndexError):
-            continue
-    return found
-
-
 def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str]:
     """Node processes of a run by process id, with their names, once all of them answer."""
 
     def nodes() -> dict[int, str]:
-        starters = [pid for pid, line in children(process.pid).items() if "node_starter" in line]
-        pids = [pid for starter in starters for pid in children(starter)]
-        return {pid: Path(f"/proc/{pid}/comm").read_text().strip() for pid in pids}
+        return {pid: Path(f"/proc/{pid}/comm").read_text().strip() for pid in node_pids(process.pid)}
 
     client = Client("onlooker")
 

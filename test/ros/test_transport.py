@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import ROOT
-from ros_support import write_scene
+from ros_support import node_pids, write_scene
 from waiting import PATIENCE, wait_until
 
 from humansim_ros.ros import transport
@@ -260,19 +260,6 @@ def run(tmp_path: Path) -> Iterator[Mapping[str, subprocess.Popen[str]]]:
         process.wait(PATIENCE)
 
 
-def nodes(parent: int) -> list[int]:
-    """Node processes of a run: children of the process that starts them."""
-
-    def children(pid: int) -> list[list[str]]:
-        listed = subprocess.run(
-            ["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True
-        )
-        return [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
-
-    starters = [int(pid) for pid, line in children(parent) if "node_starter" in line]
-    return [int(pid) for starter in starters for pid, _ in children(starter)]
-
-
 def test_a_run_is_found_on_this_machine_and_reached_from_no_other(
     run: Mapping[str, subprocess.Popen[str]], tmp_path: Path
 ) -> None:
@@ -285,8 +272,8 @@ def test_a_run_is_found_on_this_machine_and_reached_from_no_other(
         check=True,
     )
     assert heard.stdout == "3\n"
-    assert len(nodes(parent.pid)) == 4
-    for pid in nodes(parent.pid):
+    assert len(node_pids(parent.pid)) == 4
+    for pid in node_pids(parent.pid):
         # Fast DDS joins its multicast group on the loopback interface
         assert {"127.0.0.1"} <= udp_addresses(pid) <= {"127.0.0.1", "239.255.0.1"}
     text = (tmp_path / "output").read_text()
@@ -296,5 +283,7 @@ def test_a_run_is_found_on_this_machine_and_reached_from_no_other(
 @pytest.mark.nightly
 def test_the_network_is_opened_by_an_option(run: Mapping[str, subprocess.Popen[str]], tmp_path: Path) -> None:
     parent = run["--network"]
-    assert wait_until(lambda: "0.0.0.0" in set().union(*(udp_addresses(pid) for pid in nodes(parent.pid))))
+    assert wait_until(
+        lambda: "0.0.0.0" in set().union(*(udp_addresses(pid) for pid in node_pids(parent.pid)))
+    )
     assert "every host on the network" in (tmp_path / "output").read_text()

@@ -24,6 +24,7 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.yaml import line_of
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
 Key = str | int
@@ -32,6 +33,8 @@ Key = str | int
 LARGEST = 1e15
 #: Longest line in characters: a line of COLMAP may hold a hundred thousand points of an image.
 _LONGEST_LINE = 4 << 20
+#: Largest difference from 1 of the length of a quaternion that is a rotation.
+_LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
 MAX_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -149,6 +152,28 @@ class CalibrationFile:
             return np.array([to_number(v) for v in _flat(self.need(*keys), most)], dtype=float)
         except ValueError as reason:
             raise self.error(str(reason), *keys) from None
+
+    def number(self, *keys: Key, otherwise: float | None = None) -> float:
+        """Number at a key path; ``otherwise``, if that is given and the key is absent."""
+        if otherwise is not None and self.get(*keys) is None:
+            return otherwise
+        return float(self.numbers((), *keys))
+
+    def words(self, count: int, *keys: Key) -> Array:
+        """Numbers (count,) of a text with spaces between them."""
+        words = str(self.need(*keys)).split()
+        if len(words) != count:
+            raise self.error(f"needs {count} numbers, not {len(words)}", *keys)
+        location = self.location(*keys)
+        return np.array(self.row(words, location.line or 0, location.key))
+
+    def unit_rotation(self, xyzw: Array, *keys: Key, line: int | None = None) -> Array:
+        """Rotation (3, 3) of a quaternion (4,) from a key path or a line, whose length is about 1."""
+        length = float(np.linalg.norm(xyzw))
+        if abs(length - 1) > _LENGTH_SLACK:
+            message = f"the quaternion is not a rotation: its length is {length:g}, not 1"
+            raise self.error(message, *keys, line=line)
+        return quaternion_to_matrix(xyzw / length)
 
     def optional_numbers(self, *keys: Key) -> Array:
         """All numbers (N,) of a value in row order; (0,) if it is absent or an empty list."""

@@ -153,7 +153,7 @@ def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     if file.get(*at, "f") is not None and file.get(*at, "fx") is None:  # VoxelPose's own arrays
         fx, fy, cx, cy = (*file.numbers((2,), *at, "f"), *file.numbers((2,), *at, "c"))
     else:
-        fx, fy, cx, cy = (float(file.numbers((), *at, key)) for key in ("fx", "fy", "cx", "cy"))
+        fx, fy, cx, cy = (file.number(*at, key) for key in ("fx", "fy", "cx", "cy"))
     radial: Array = np.zeros(3)
     tangential: Array = np.zeros(2)
     if file.get(*at, "k") is not None:

@@ -36,28 +36,10 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.lens import fit_lens
 from humansim_ros.errors import CameraError, some_of, warn_about
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
 
 _FLIP = np.diag([1.0, -1.0, -1.0])
-_LENGTH_SLACK = 1e-2
-
-
-def _words(file: CalibrationFile, count: int, *keys: str | int) -> Array:
-    """Numbers (count,) of a text."""
-    words = str(file.need(*keys)).split()
-    if len(words) != count:
-        raise file.error(f"needs {count} numbers, not {len(words)}", *keys)
-    return np.array(file.row(words, file.location(*keys).line or 0, file.location(*keys).key))
-
-
-def _rotation(file: CalibrationFile, xyzw: Array, *keys: str | int, line: int | None = None) -> Array:
-    length = float(np.linalg.norm(xyzw))
-    if abs(length - 1) > _LENGTH_SLACK:
-        raise file.error(
-            f"the quaternion is not a rotation: its length is {length:g}, not 1", *keys, line=line
-        )
-    return quaternion_to_matrix(xyzw / length)
 
 
 def _whole(file: CalibrationFile, values: Array, *keys: str | int) -> ImageSize:
@@ -97,21 +79,19 @@ def _read_vicon(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> RawCamera:
-    size = _whole(file, _words(file, 2, *at, "SENSOR_SIZE"), *at, "SENSOR_SIZE")
-    focal = float(_words(file, 1, *frame, "FOCAL_LENGTH")[0])
-    ratio = (
-        float(_words(file, 1, *at, "PIXEL_ASPECT_RATIO")[0]) if file.get(*at, "PIXEL_ASPECT_RATIO") else 1.0
-    )
+    size = _whole(file, file.words(2, *at, "SENSOR_SIZE"), *at, "SENSOR_SIZE")
+    focal = float(file.words(1, *frame, "FOCAL_LENGTH")[0])
+    ratio = float(file.words(1, *at, "PIXEL_ASPECT_RATIO")[0]) if file.get(*at, "PIXEL_ASPECT_RATIO") else 1.0
     if ratio <= 0 or focal <= 0:
         raise file.error("the focal length and the aspect ratio must be above zero", *at)
-    point = _words(file, 2, *frame, "PRINCIPAL_POINT")
-    r = _rotation(file, _words(file, 4, *frame, "ORIENTATION"), *frame, "ORIENTATION")
+    point = file.words(2, *frame, "PRINCIPAL_POINT")
+    r = file.unit_rotation(file.words(4, *frame, "ORIENTATION"), *frame, "ORIENTATION")
     k = pinhole(focal, focal / ratio, point[0], point[1])
     model, distortion = _vicon_lens(file, frame, k, size)
     return RawCamera(
         k,
         r,
-        center=_words(file, 3, *frame, "POSITION"),
+        center=file.words(3, *frame, "POSITION"),
         size=size,
         distortion=distortion,
         model=model,
@@ -133,7 +113,7 @@ def _vicon_lens(
         values = np.array(file.row(words, 0, file.location(*frame, "VICON_RADIAL2").key))
         center, radial = values[:2], values[2:]
     elif file.get(*frame, "VICON_RADIAL") is not None:
-        radial[:2] = _words(file, 2, *frame, "VICON_RADIAL")
+        radial[:2] = file.words(2, *frame, "VICON_RADIAL")
     if not radial.any():
         return "plumb_bob", ()
     columns, rows = np.meshgrid(np.linspace(0, size[0] - 1, 25), np.linspace(0, size[1] - 1, 19))
@@ -203,18 +183,16 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
         if inner is not standard:
             unlike.append(name)
         fx, fy, cx, cy = (
-            float(file.numbers((), *inner, key))
+            file.number(*inner, key)
             for key in ("HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY")
         )
-        given = [
-            float(file.numbers((), *inner, k)) if file.get(*inner, k) is not None else 0.0 for k in _LENS
-        ]
+        given = [file.number(*inner, k, otherwise=0.0) for k in _LENS]
         outer = (*at, "Extrinsic", 0)
         rotation, center = None, None
         if file.get(*outer) is not None:
-            axes = np.reshape([float(file.numbers((), *outer, key)) for key in _ORIENT], (3, 3))
+            axes = np.reshape([file.number(*outer, key) for key in _ORIENT], (3, 3))
             rotation = _FLIP @ axes.T
-            center = np.array([float(file.numbers((), *outer, key)) for key in "XYZ"])
+            center = np.array([file.number(*outer, key) for key in "XYZ"])
         camera_ = RawCamera(
             pinhole(fx, fy, cx, cy),
             rotation,
@@ -322,22 +300,22 @@ def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
     for at in _theia_cameras(file):
         inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
         fx, fy, cx, cy = (
-            float(file.numbers((), *inner, key))
+            file.number(*inner, key)
             for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
         )
         k = pinhole(fx, fy, cx, cy)
-        k[0, 1] = float(file.numbers((), *inner, "skew")) if file.get(*inner, "skew") is not None else 0.0
+        k[0, 1] = file.number(*inner, "skew", otherwise=0.0)
         keys = (
             next((key for key in names if file.get(*inner, key) is not None), None) for names in _THEIA_LENS
         )
-        lens = tuple(0.0 if key is None else float(file.numbers((), *inner, key)) for key in keys)
+        lens = tuple(0.0 if key is None else file.number(*inner, key) for key in keys)
         rotation, t = None, np.zeros(3)
         if file.get(*outer) is not None:
-            rotation = np.reshape([float(file.numbers((), *outer, key)) for key in _R], (3, 3))
-            t = np.array([float(file.numbers((), *outer, key)) for key in "xyz"])
+            rotation = np.reshape([file.number(*outer, key) for key in _R], (3, 3))
+            t = np.array([file.number(*outer, key) for key in "xyz"])
         sides = []
         for low, high in (("sensorMinU", "sensorMaxU"), ("sensorMinV", "sensorMaxV")):
-            side = float(file.numbers((), *inner, high)) - float(file.numbers((), *inner, low))
+            side = file.number(*inner, high) - file.number(*inner, low)
             sides.append(side + 1 if side % 2 else side)  # 1919 or 1920
         location = file.location(*outer)
         where = {"": file.location(*at), "K": file.location(*inner), "R": location, "t": location}
@@ -495,7 +473,7 @@ def _read_ego(file: CalibrationFile) -> dict[str, RawCamera]:
         fx, fy, cx, cy, *lens = (value[f"intrinsics_{i}"] for i in range(8))
         camera = RawCamera(
             pinhole(fx, fy, cx, cy),
-            _rotation(file, xyzw, line=line).T,
+            file.unit_rotation(xyzw, line=line).T,
             center=np.array([value[f"t{axis}_world_cam"] for axis in "xyz"]),
             size=_whole(file, np.array([value["image_width"], value["image_height"]])),
             distortion=tuple(lens),

@@ -46,13 +46,6 @@ from humansim_ros.types import Array, ImageSize
 _FLIP = np.diag([1.0, -1.0, -1.0])
 
 
-def _float(file: CalibrationFile, *keys: str | int, otherwise: float | None = None) -> float:
-    """Number at a key path."""
-    if otherwise is not None and file.get(*keys) is None:
-        return otherwise
-    return float(file.numbers((), *keys))
-
-
 # -- Metashape
 
 _ROOTS = ("document", "chunk")
@@ -169,11 +162,11 @@ def _metashape_lens(file: CalibrationFile, at: Keys, sensor: Keys | None) -> Raw
     names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
     if file.get(*at, "f", 0) is None and file.get(*at, "fx", 0) is None:
         raise file.error("has no focal length f", *at)
-    value = {name: _float(file, *at, name, 0, "text", otherwise=0.0) for name in names}
+    value = {name: file.number(*at, name, 0, "text", otherwise=0.0) for name in names}
     if file.get(*at, "f", 0) is None:  # older versions: fx, fy and absolute cx, cy
-        fx, fy = (_float(file, *at, key, 0, "text") for key in ("fx", "fy"))
+        fx, fy = (file.number(*at, key, 0, "text") for key in ("fx", "fy"))
         k = pinhole(fx, fy, value["cx"] - 0.5, value["cy"] - 0.5)
-        k[0, 1] = _float(file, *at, "skew", 0, "text", otherwise=0.0)
+        k[0, 1] = file.number(*at, "skew", 0, "text", otherwise=0.0)
     else:
         f = value["f"]
         k = pinhole(f + value["b1"], f, size[0] / 2 + value["cx"] - 0.5, size[1] / 2 + value["cy"] - 0.5)
@@ -196,26 +189,17 @@ def _similarity(file: CalibrationFile, at: Keys) -> tuple[Array, Array, float] |
     if file.get(*at) is None:
         return None
     if file.get(*at, "rotation", 0) is None and file.get(*at, "text"):
-        values = _words(file, 16, *at, "text").reshape(4, 4)
+        values = file.words(16, *at, "text").reshape(4, 4)
         scale = float(np.cbrt(max(np.linalg.det(values[:3, :3]), 1e-300)))
         return values[:3, :3] / scale, values[:3, 3], scale
     rotation, shift, scale = np.eye(3), np.zeros(3), 1.0
     if file.get(*at, "rotation", 0) is not None:
-        rotation = _words(file, 9, *at, "rotation", 0, "text").reshape(3, 3)
+        rotation = file.words(9, *at, "rotation", 0, "text").reshape(3, 3)
     if file.get(*at, "translation", 0) is not None:
-        shift = _words(file, 3, *at, "translation", 0, "text")
+        shift = file.words(3, *at, "translation", 0, "text")
     if file.get(*at, "scale", 0) is not None:
-        scale = float(_words(file, 1, *at, "scale", 0, "text")[0])
+        scale = float(file.words(1, *at, "scale", 0, "text")[0])
     return rotation, shift, scale
-
-
-def _words(file: CalibrationFile, count: int, *keys: str | int) -> Array:
-    """Numbers (count,) of a text."""
-    words = str(file.need(*keys)).split()
-    if len(words) != count:
-        raise file.error(f"needs {count} numbers, not {len(words)}", *keys)
-    line = file.location(*keys)
-    return np.array(file.row(words, line.line or 0, line.key))
 
 
 def _components(file: CalibrationFile, chunk: Keys) -> dict[str, tuple[Array, Array, float]]:
@@ -238,7 +222,7 @@ def _metashape_pose(
     """R from the world to the camera, and its centre; None for a camera that is not aligned."""
     if file.get(*at, "transform", 0, "text") is None:
         return None
-    pose = _words(file, 16, *at, "transform", 0, "text").reshape(4, 4)
+    pose = file.words(16, *at, "transform", 0, "text").reshape(4, 4)
     component = str(file.get(*at, "component_id") or "")
     rotation, shift, scale = components.get(component, components.get("", (np.eye(3), np.zeros(3), 1.0)))
     return (rotation @ pose[:3, :3]).T, scale * rotation @ pose[:3, 3] + shift
@@ -252,8 +236,8 @@ def _reference_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array] | No
     """
     if any(file.get(*at, key) is None for key in ("x", "y", "z", "yaw", "pitch", "roll")):
         return None
-    center = np.array([_float(file, *at, key) for key in "xyz"])
-    yaw, pitch, roll = (_float(file, *at, key) for key in ("yaw", "pitch", "roll"))
+    center = np.array([file.number(*at, key) for key in "xyz"])
+    yaw, pitch, roll = (file.number(*at, key) for key in ("yaw", "pitch", "roll"))
     pose = Rotation.from_euler("ZXY", [-yaw, pitch, roll], degrees=True).as_matrix() @ _FLIP
     return pose.T, center
 
@@ -378,7 +362,7 @@ def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     data = file.mapping(*at)
     base: Keys = (*at, "value0") if isinstance(data.get("value0"), Mapping) else at
     size = file.size((*base, "width"), (*base, "height"))
-    focal = _float(file, *base, "focal_length")
+    focal = file.number(*base, "focal_length")
     cx, cy = file.numbers((2,), *base, "principal_point")
     distortion, model = (), None
     for key, (names, kind) in _OPENMVG.items():
@@ -495,11 +479,11 @@ def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
         pixels = file.some_numbers(*at, "pxFocalLength")
         fx, fy = float(pixels[0]), float(pixels[-1])
     else:
-        sensor = _float(file, *at, "sensorWidth", otherwise=36.0)
+        sensor = file.number(*at, "sensorWidth", otherwise=36.0)
         if sensor <= 0:
             raise file.error("needs a width above zero", *at, "sensorWidth")
-        fx = _float(file, *at, "focalLength") / sensor * width
-        ratio = _float(file, *at, "pixelRatio", otherwise=1.0)
+        fx = file.number(*at, "focalLength") / sensor * width
+        ratio = file.number(*at, "pixelRatio", otherwise=1.0)
         if ratio <= 0:
             raise file.error("needs a ratio above zero", *at, "pixelRatio")
         fy = fx * ratio if version >= (1, 2, 5) else fx / ratio

@@ -50,20 +50,20 @@ def _camera(file: CalibrationFile, at: tuple[Key, ...]) -> RawCamera:
     inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
     corner, size = _window(file, at)
     fu, fv, cu, cv = (
-        _number(file, inner, key) / _SUBPIXELS
+        file.number(*inner, key) / _SUBPIXELS
         for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
     )
-    skew = _number(file, inner, "skew", 0.0) / _SUBPIXELS
+    skew = file.number(*inner, "skew", otherwise=0.0) / _SUBPIXELS
     rotation, center = None, np.zeros(3)
     if file.get(*outer) is not None:
-        rotation = _FLIP @ np.reshape([_number(file, outer, key) for key in _ROTATION], (3, 3))
-        center = np.array([_number(file, outer, key) for key in "xyz"])
+        rotation = _FLIP @ np.reshape([file.number(*outer, key) for key in _ROTATION], (3, 3))
+        center = np.array([file.number(*outer, key) for key in "xyz"])
     return RawCamera(
         np.array([[fu, skew, cu - corner[0]], [0, fv, cv - corner[1]], [0, 0, 1]]),
         rotation,
         center=center,
         size=size,
-        distortion=tuple(_number(file, inner, key, 0.0) for key in _LENS),
+        distortion=tuple(file.number(*inner, key, otherwise=0.0) for key in _LENS),
         model="plumb_bob",
         locations={
             "": file.location(*at),
@@ -75,19 +75,13 @@ def _camera(file: CalibrationFile, at: tuple[Key, ...]) -> RawCamera:
     )
 
 
-def _number(file: CalibrationFile, at: tuple[Key, ...], key: str, otherwise: float | None = None) -> float:
-    if otherwise is not None and file.get(*at, key) is None:
-        return otherwise
-    return float(file.numbers((), *at, key))
-
-
 def _window(file: CalibrationFile, at: tuple[Key, ...]) -> tuple[Array, ImageSize | None]:
     """First pixel (2,) of the video in the sensor, and its size."""
     for name in _WINDOWS:
         window = (*at, name, 0)
         if file.get(*window) is None:
             continue
-        left, top, right, bottom = (_number(file, window, k) for k in ("left", "top", "right", "bottom"))
+        left, top, right, bottom = (file.number(*window, k) for k in ("left", "top", "right", "bottom"))
         width, height = right - left + 1, bottom - top + 1
         if min(width, height) < 1 or width != int(width) or height != int(height):
             raise file.error("needs whole numbers, with right and bottom beyond left and top", *window)

@@ -53,7 +53,7 @@ def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
 
 
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    fx, fy = (float(file.numbers((), *at, key)) for key in ("fx", "fy"))
+    fx, fy = (file.number(*at, key) for key in ("fx", "fy"))
     cx, cy = (
         float(file.numbers((), *at, next((k for k in keys if file.get(*at, k) is not None), keys[0])))
         for keys in (("ppx", "cx"), ("ppy", "cy"))

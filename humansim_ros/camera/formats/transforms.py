@@ -114,7 +114,7 @@ def _where(file: CalibrationFile, index: int, key: str) -> SourceLocation:
 
 def _number(file: CalibrationFile, index: int, key: str) -> float | None:
     keys = _keys(file, index, key)
-    return None if file.get(*keys) is None else float(file.numbers((), *keys))
+    return None if file.get(*keys) is None else file.number(*keys)
 
 
 def _size(file: CalibrationFile, index: int) -> ImageSize | None:

@@ -23,7 +23,7 @@ from humansim_ros.errors import HumansimWarning, RosError, some_of
 from humansim_ros.messages import to_time
 from humansim_ros.messages.types import message_type
 from humansim_ros.ros.clock import ClockOwner
-from humansim_ros.ros.graph import GraphWatch, TopicChoice, similar
+from humansim_ros.ros.graph import TopicChoice, similar
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.lockstep.settings import CLOCK_SEARCH
 from humansim_ros.ros.qos import publisher_profile
@@ -128,7 +128,7 @@ class BagPlayer:
         self._executor.add_node(self._node)
         plays_clock = bool(options.clock) or CLOCK_TOPIC in self.topics
         try:
-            owner = ClockOwner(self._node, GraphWatch(self._node), CLOCK_SEARCH) if plays_clock else None
+            owner = ClockOwner(self._node, CLOCK_SEARCH) if plays_clock else None
             while owner is not None and (other := owner.check()) is None:
                 self._executor.spin_once(_STEP)
             if owner is not None:

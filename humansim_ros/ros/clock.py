@@ -10,7 +10,7 @@ from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallb
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
-from humansim_ros.ros.graph import GraphWatch
+from humansim_ros.ros.graph import publishers_of
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.qos import ALIVE
 
@@ -31,12 +31,11 @@ class ClockOwner:
 
     Args:
         node: Node that wants to publish.
-        graph: Finds publishers.
         search: Seconds of the search: those in which nodes find each other.
     """
 
-    def __init__(self, node: GuardedNode, graph: GraphWatch, search: float) -> None:
-        self._node, self._graph, self._search = node, graph, search
+    def __init__(self, node: GuardedNode, search: float) -> None:
+        self._node, self._search = node, search
         self._waited, self._last = 0.0, time.monotonic()
         self._alive = 0
         self._has_time = False
@@ -64,7 +63,7 @@ class ClockOwner:
         self._last = now
         if self._waited < self._search:
             return None
-        publishers = self._graph.publishers(_CLOCK)
+        publishers = publishers_of(self._node, _CLOCK)
         names = ", ".join(sorted({each.node for each in publishers.values()}))
         if self._alive or self._has_time:
             return (

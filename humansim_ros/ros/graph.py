@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
-from humansim_ros.errors import RosError, did_you_mean, some_of
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+
+from humansim_ros.errors import RosError, did_you_mean, printable, some_of
+from humansim_ros.messages import serialised_stamp
+from humansim_ros.messages.types import begins_with_stamp, message_type
+from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.qos import CAMERA_ALIVE
 
 #: Topics of every ROS node: no pattern means them, and they carry no data.
@@ -107,20 +112,104 @@ class GraphWatch:
                 found.update(bytes(each.endpoint_gid) for each in endpoints)
         return found
 
-    def publishers(self, topic: str) -> dict[bytes, Endpoint]:
-        """Publishers of a topic by their ids, without publishers of the node itself."""
-        from rclpy.qos import QoSReliabilityPolicy
 
-        own = (self._node.get_name(), self._node.get_namespace())
-        return {
-            bytes(each.endpoint_gid): Endpoint(
-                f"{each.node_namespace.rstrip('/')}/{each.node_name}",
-                each.topic_type,
-                each.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
-            )
-            for each in self._node.get_publishers_info_by_topic(topic)
-            if (each.node_name, each.node_namespace) != own
-        }
+def publishers_of(node: Any, topic: str) -> dict[bytes, Endpoint]:
+    """Publishers of a topic by their ids, without publishers of ``node`` itself, which looks."""
+    own = (node.get_name(), node.get_namespace())
+    return {
+        bytes(each.endpoint_gid): Endpoint(
+            f"{each.node_namespace.rstrip('/')}/{each.node_name}",
+            each.topic_type,
+            each.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
+        )
+        for each in node.get_publishers_info_by_topic(topic)
+        if (each.node_name, each.node_namespace) != own
+    }
+
+
+#: Queue of a subscription, messages.
+_DEPTH = 50
+#: Bytes of the longest message; only its stamp is read.
+_MAX_BYTES = 1 << 30
+
+
+class StampedTopics:
+    """Subscribes to topics as soon as they have a publisher, with the type and reliability that it offers.
+
+    Args:
+        node: Node that subscribes; its own publishers do not count.
+        topics: Names of the topics.
+        on_stamp: Called with topic and stamp (nanoseconds) of each message.
+    """
+
+    def __init__(
+        self, node: GuardedNode, topics: Iterable[str], on_stamp: Callable[[str, int], object]
+    ) -> None:
+        self._node, self._on_stamp = node, on_stamp
+        # by topic: subscription, its type and whether it is reliable
+        self._subscriptions: dict[str, tuple[Any, str, bool] | None] = dict.fromkeys(topics)
+
+    def update(self) -> None:
+        """Subscribe to topics that have a publisher now, or publishers of another type or reliability.
+
+        Raises:
+            RosError: The messages of a topic cannot be used.
+        """
+        for topic, held in self._subscriptions.items():
+            publishers = list(publishers_of(self._node, self._node.resolve_topic_name(topic)).values())
+            if not publishers:
+                continue
+            # a reliable subscription gets nothing from a best-effort publisher
+            reliable = all(each.reliable for each in publishers)
+            kind = held[1] if held and any(each.type == held[1] for each in publishers) else None
+            if kind is None or held is None or held[2] != reliable:
+                self._subscribe(topic, *_usable(topic, publishers), reliable)
+
+    def is_connected(self, topic: str) -> bool:
+        """Whether messages of a topic arrive: a publisher and the subscription have found each other."""
+        held = self._subscriptions[topic]
+        return held is not None and held[0].get_publisher_count() > 0
+
+    def close(self) -> None:
+        """End all subscriptions."""
+        for topic, held in self._subscriptions.items():
+            if held is not None:
+                self._node.destroy_subscription(held[0])
+            self._subscriptions[topic] = None
+
+    def _subscribe(self, topic: str, name: str, kind: Any, reliable: bool) -> None:
+        held = self._subscriptions[topic]
+        if held is not None:
+            self._node.destroy_subscription(held[0])
+        policy = QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT
+        subscription = self._node.create_subscription(
+            kind,
+            topic,
+            lambda data: self._on_stamp(topic, serialised_stamp(data)),
+            QoSProfile(depth=_DEPTH, reliability=policy),
+            raw=True,
+            max_bytes=_MAX_BYTES,
+        )
+        self._subscriptions[topic] = subscription, name, reliable
+
+
+def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
+    """Name and class of a message type of the publishers.
+
+    Raises:
+        RosError: None of their types can be used.
+    """
+    reasons = []
+    for name in dict.fromkeys(each.type for each in publishers):
+        try:
+            kind = message_type(name)
+        except RosError as error:
+            reasons.append(str(error))
+            continue
+        if begins_with_stamp(kind):
+            return name, kind
+        reasons.append(f"{printable(name, 80)} does not begin with a header")
+    raise RosError(f"{topic}: {'; '.join(reasons)}")
 
 
 #: Topics that many nodes publish, and names of topics that all camera processes publish.

@@ -87,10 +87,14 @@ class Stage:
         assert self.sees(lambda: stamp in self.stamps), (stamp, self.stamps)
         self.report(stamp, name)
 
-    def call(self, player: MotionPlayerNode, kind: Any, name: str, **fields: Any) -> Any:
+    def begin(self, player: MotionPlayerNode, kind: Any, name: str, **fields: Any) -> Any:
+        """Send a request; returns the future of the answer."""
         client = self.client.node.create_client(kind, f"/led/{player.get_name()}/{name}")
         assert self.sees(client.service_is_ready)
-        future = client.call_async(kind.Request(**fields))
+        return client.call_async(kind.Request(**fields))
+
+    def call(self, player: MotionPlayerNode, kind: Any, name: str, **fields: Any) -> Any:
+        future = self.begin(player, kind, name, **fields)
         assert self.sees(future.done)
         return future.result()
 
@@ -164,10 +168,9 @@ def test_a_topic_without_a_header_is_refused(stage: Stage, kind: Any) -> None:
     "name", ["nothing_msgs/msg/Pose", "os/msg/path", "antigravity/msg/X", "a/b", "../x/msg/Y", "x" * 9999]
 )
 def test_a_type_of_the_graph_that_is_not_installed_is_refused(name: str) -> None:
-    from humansim_ros.ros.graph import Endpoint
-    from humansim_ros.ros.lockstep.playing import _usable
+    from humansim_ros.ros.graph import Endpoint, _usable
 
-    with pytest.raises(RosError, match="wait_for /x: "):
+    with pytest.raises(RosError, match="/x: "):
         _usable("/x", [Endpoint("/tracker", name, True)])
 
 
@@ -266,6 +269,92 @@ def test_steps_and_restarts_of_a_pause_are_frames_as_any_others(stage: Stage) ->
     stage.finish(stamp_of(6))
     assert stage.scene_times[stamp_of(5)] == 0
     assert stage.scene_times[stamp_of(6)] == SECOND // 20
+
+
+@pytest.fixture(params=["lockstep", "realtime"])
+def stepped(stage: Stage, request: pytest.FixtureRequest) -> tuple[Stage, MotionPlayerNode, Any]:
+    """A paused player whose steps wait for ``/tracker/poses``, and the publisher of this topic."""
+    poses = stage.client.node.create_publisher(PoseStamped, "/tracker/poses", 10)
+    player = stage.player(mode=request.param, step_topic="/tracker/poses")
+    assert stage.sees(lambda: stage.stamps)
+    assert stage.call(player, SetBool, "pause", data=True).success
+    stage.report(stage.stamps[-1])
+    return stage, player, poses
+
+
+def set_parameters(player: MotionPlayerNode, **values: Any) -> list[Any]:
+    return player.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+
+
+def test_a_step_returns_after_the_message_with_its_stamp_and_no_other(stepped: Any) -> None:
+    stage, player, poses = stepped
+    for _ in range(2):
+        elapsed = player.playback_clock.elapsed + 50_000_000
+        answer = stage.begin(player, Trigger, "step")
+        assert stage.sees(lambda e=elapsed: e in stage.scene_times.values())
+        # the first frame of this scene time: a paused player in real time repeats it with later stamps
+        stamp = next(stamp for stamp, shown in stage.scene_times.items() if shown == elapsed)
+        stage.report(stamp)
+        for other in (stamp - 1, stamp + 1, 0):
+            poses.publish(PoseStamped(header=messages.header(other, "map")))
+        assert not stage.client.spin_until(answer.done, 0.3)
+        refused = stage.call(player, Trigger, "step")
+        assert not refused.success and "another step waits for /tracker/poses" in refused.message
+        poses.publish(PoseStamped(header=messages.header(stamp, "map")))
+        assert stage.sees(answer.done)
+        assert answer.result().success
+        told = json.loads(answer.result().message)["stamp"]
+        assert told["sec"] * SECOND + told["nanosec"] == stamp
+
+
+def test_a_step_without_its_message_fails_with_the_newest_stamp_of_the_topic(stepped: Any) -> None:
+    stage, player, poses = stepped
+    set_parameters(player, step_timeout=0.5)
+    answer = stage.begin(player, Trigger, "step")
+    seen = len(stage.stamps)
+    assert stage.sees(lambda: len(stage.stamps) > seen)
+    stage.report(player.playback_clock.last)
+    poses.publish(PoseStamped(header=messages.header(1, "map")))
+    assert stage.sees(answer.done)
+    assert not answer.result().success
+    assert "on /tracker/poses within 0.5 s (step_timeout); newest stamp there: 0.000000001" in (
+        answer.result().message
+    )
+    stage.report(player.playback_clock.last)
+    set_parameters(player, step_topic="/nobody")
+    before = player.playback_clock.elapsed
+    answer = stage.call(player, Trigger, "step")
+    assert not answer.success
+    assert answer.message.startswith("no frame was played: nobody publishes /nobody")
+    assert player.playback_clock.elapsed == before
+    set_parameters(player, step_topic="")
+    assert stage.call(player, Trigger, "step").success
+
+
+def test_a_topic_of_steps_without_a_header_fails_the_step_and_ends_nothing(stage: Stage) -> None:
+    stage.client.node.create_publisher(String, "/tracker/words", 10)
+    player = stage.player(step_topic="/tracker/words")
+    stage.finish(stamp_of(0))
+    stage.call(player, SetBool, "pause", data=True)
+    answer = stage.call(player, Trigger, "step")
+    assert not answer.success
+    assert answer.message == "step_topic /tracker/words: std_msgs/msg/String does not begin with a header"
+    assert player.exit_code is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/", "a//b", "/1a", "a b", "~/x", "/x\n", "/\u202ex", "../x", "{x}", "/x/", "/*", "é", "x" * 9999],
+)
+def test_a_hostile_name_of_a_topic_of_steps_is_refused_and_changes_nothing(stage: Stage, name: str) -> None:
+    player = stage.player()
+    (result,) = set_parameters(player, step_topic=name)
+    assert not result.successful
+    assert result.reason.startswith("step_topic: ") and len(result.reason) < 200
+    assert "\u202e" not in result.reason and "\n" not in result.reason
+    assert player.stamped_steps.topic == ""
+    with pytest.raises(RosError, match="step_topic"):
+        stage.player("second", step_topic=name)
 
 
 def test_a_done_callback_comes_when_all_members_have_finished_the_last_step(stage: Stage) -> None:

@@ -348,6 +348,37 @@ def test_a_step_in_lockstep_ends_when_the_cameras_have_finished_it(driver: Drive
     assert future.result().result.result == OK
 
 
+def test_steps_wait_for_the_message_of_each_frame_on_a_topic(paused: Driver) -> None:
+    from rclpy.parameter import Parameter
+    from std_msgs.msg import Header
+
+    player = paused.player
+    poses = paused.node.create_publisher(Header, "/tracker/poses", 10)
+    player.set_parameters([Parameter("step_topic", value="/tracker/poses")])
+    before = player.playback_clock.elapsed
+    future = paused.begin("StepSimulation", steps=2)
+    for number in (1, 2):
+        elapsed = before + number * 50_000_000
+        paused.spin_until(lambda e=elapsed: any(shown == e for _, shown in paused.frames))
+        assert not paused.client.spin_until(future.done, 0.2)
+        # the first frame of this scene time: a paused player repeats it with later stamps
+        stamp = next(stamp for stamp, shown in paused.frames if shown == elapsed)
+        poses.publish(messages.header(stamp, ""))
+    paused.spin_until(future.done)
+    assert future.result().result.result == OK
+    player.set_parameters([Parameter("step_timeout", value=0.2)])
+    code, text = paused.code("StepSimulation", steps=2)
+    assert code == FAILED and "on /tracker/poses within 0.2 s" in text and text.endswith("after 0 steps")
+    player.set_parameters([Parameter("step_timeout", value=600.0)])
+    future = paused.begin("StepSimulation", steps=2)
+    paused.spin_until(lambda: player.playback_clock.elapsed == before + 4 * 50_000_000)
+    assert paused.set_state("PAUSED") == (OK, "")
+    paused.spin_until(future.done)
+    assert "meanwhile" in future.result().result.error_message
+    player.set_parameters([Parameter("step_topic", value=""), Parameter("step_timeout", value=10.0)])
+    paused.node.destroy_publisher(poses)
+
+
 @pytest.mark.parametrize("interruption", ["PLAYING", "PAUSED", "STOPPED", "reset"])
 def test_steps_without_end_are_ended_by_a_new_state(paused: Driver, interruption: str) -> None:
     future = paused.begin("StepSimulation", steps=2**64 - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -13,16 +13,14 @@ from typing import Any, get_args
 from rclpy.clock import Clock as RosClock
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError, printable
-from humansim_ros.messages import serialised_stamp, to_nanoseconds, to_time
-from humansim_ros.messages.types import begins_with_stamp, message_type
+from humansim_ros.messages import to_nanoseconds, to_time
 from humansim_ros.ros.clock import ClockOwner
-from humansim_ros.ros.graph import Endpoint, GraphWatch
-from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.graph import GraphWatch, StampedTopics, publishers_of
 from humansim_ros.ros.lockstep.rules import (
     Lockstep,
     LockstepSummary,
@@ -168,7 +166,7 @@ class LockstepPlaying(Playing):
         self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)
         self._graph = GraphWatch(player)
         self._next_graph = 0.0
-        self._topics = TopicMembers(player, settings.topics, self._graph, self._on_report)
+        self._topics = StampedTopics(player, settings.topics, self._on_report)
         #: Ids of publishers of reports, by member that has joined, as far as they are its own.
         self._reporters: dict[str, set[bytes]] = {}
         self._is_paused = False
@@ -188,7 +186,7 @@ class LockstepPlaying(Playing):
         self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
         self._newest = self._progress.stamp if self._progress else 0
         player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
-        self._owner = ClockOwner(player, self._graph, settings.clock_search)
+        self._owner = ClockOwner(player, settings.clock_search)
         self._clock_publisher: Any = None
         player.create_subscription(Header, FRAME_DONE, self._on_done, REPORTS)
         player.create_timer(_LOOK_EVERY, self.work, clock=steady)
@@ -388,7 +386,8 @@ class LockstepPlaying(Playing):
             try:
                 self._topics.update()
             except RosError as error:
-                self._stop(WRONG_INPUT, str(error))
+                text = f"wait_for {error}. Let its node report on frame_done in its place (docs/lockstep.md)"
+                self._stop(WRONG_INPUT, text)
                 return
             self._remove_members()
         if (overdue := state.overdue(now)) and (overdue := self._overdue_since_restart(overdue)):
@@ -413,7 +412,7 @@ class LockstepPlaying(Playing):
 
     def _remove_members(self) -> None:
         """Remove members that had joined by a report, and whose publisher has left the graph."""
-        publishers = self._graph.publishers(self.player.resolve_topic_name(FRAME_DONE))
+        publishers = publishers_of(self.player, self.player.resolve_topic_name(FRAME_DONE))
         joined = [name for name, each in self.state.members.items() if not each.required]
         nodes = {self._name(each.node) for each in publishers.values()}
         for name in joined:
@@ -486,84 +485,3 @@ class LockstepPlaying(Playing):
 def _names(names: Any) -> str:
     """Names of members for a log line."""
     return printable(", ".join(names), _MAX_TEXT)
-
-
-#: Queue of a subscription, messages.
-_DEPTH = 50
-#: Bytes of the longest message; only its stamp is read.
-_MAX_BYTES = 1 << 30
-
-
-class TopicMembers:
-    """Subscribes to topics as soon as they have a publisher, with the type and reliability that it offers.
-
-    Args:
-        node: Node that subscribes.
-        topics: Names of the topics.
-        graph: Finds their publishers.
-        on_stamp: Called with topic and stamp of each message.
-    """
-
-    def __init__(
-        self,
-        node: GuardedNode,
-        topics: Iterable[str],
-        graph: GraphWatch,
-        on_stamp: Callable[[str, int], object],
-    ) -> None:
-        self._node, self._graph, self._on_stamp = node, graph, on_stamp
-        # by topic: subscription, its type and whether it is reliable
-        self._subscriptions: dict[str, tuple[Any, str, bool] | None] = dict.fromkeys(topics)
-
-    def update(self) -> None:
-        """Subscribe to topics that have a publisher now, or publishers of another type or reliability.
-
-        Raises:
-            RosError: The messages of a topic cannot be used.
-        """
-        for topic, held in self._subscriptions.items():
-            publishers = list(self._graph.publishers(self._node.resolve_topic_name(topic)).values())
-            if not publishers:
-                continue
-            # a reliable subscription gets nothing from a best-effort publisher
-            reliable = all(each.reliable for each in publishers)
-            kind = held[1] if held and any(each.type == held[1] for each in publishers) else None
-            if kind is None or held is None or held[2] != reliable:
-                self._subscribe(topic, *_usable(topic, publishers), reliable)
-
-    def _subscribe(self, topic: str, name: str, kind: Any, reliable: bool) -> None:
-        held = self._subscriptions[topic]
-        if held is not None:
-            self._node.destroy_subscription(held[0])
-        policy = QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT
-        subscription = self._node.create_subscription(
-            kind,
-            topic,
-            lambda data: self._on_stamp(topic, serialised_stamp(data)),
-            QoSProfile(depth=_DEPTH, reliability=policy),
-            raw=True,
-            max_bytes=_MAX_BYTES,
-        )
-        self._subscriptions[topic] = subscription, name, reliable
-
-
-def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
-    """Name and class of a message type of the publishers.
-
-    Raises:
-        RosError: None of their types can be used.
-    """
-    reasons = []
-    for name in dict.fromkeys(each.type for each in publishers):
-        try:
-            kind = message_type(name)
-        except RosError as error:
-            reasons.append(str(error))
-            continue
-        if begins_with_stamp(kind):
-            return name, kind
-        reasons.append(f"{printable(name, 80)} does not begin with a header")
-    raise RosError(
-        f"wait_for {topic}: {'; '.join(reasons)}. Let its node report on frame_done in its place "
-        "(docs/lockstep.md)"
-    )

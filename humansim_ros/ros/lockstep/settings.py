@@ -160,6 +160,13 @@ def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]
     return tuple(names), tuple(topics)
 
 
+def topic_name(setting: str, text: str) -> str:
+    """Return the value of a setting that names a topic. Raises RosError if it is no such name."""
+    if len(text) > _MAX_NAME or not _NAME.fullmatch(text):
+        raise RosError(f"{setting}: {printable(text, 60)!r} is no name of a topic, such as /tracker/poses")
+    return text
+
+
 def check_choice(name: str, value: str, values: Sequence[str]) -> None:
     """Raise RosError if the value of a setting is none of some values."""
     if value not in values:

@@ -24,9 +24,10 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from humansim_ros.errors import HumansimError, printable
+from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.messages.topics import (
     SCENE_TIME_TOPIC,
     HumanTopics,
@@ -41,7 +42,7 @@ from humansim_ros.ros.player.motions import (
     MotionParameters,
     RequestedMotions,
 )
-from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer
+from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer, StampedSteps
 from humansim_ros.ros.player.realtime import RealtimePlaying
 from humansim_ros.ros.player.simulation_services import serve_simulation
 from humansim_ros.ros.runtime import run_node
@@ -106,6 +107,7 @@ class MotionPlayerNode(FramePlayer):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
         self.playing = LockstepPlaying(self, settings) if settings else RealtimePlaying(self, lead)
+        self.stamped_steps = StampedSteps(self)
         self._simulation = serve_simulation(self)
         place = self.scene.path or "a scene in memory"
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {place}")
@@ -139,6 +141,7 @@ class MotionPlayerNode(FramePlayer):
         """End playing."""
         if self._simulation is not None:
             self._simulation.close()
+        self.stamped_steps.cancel("the player ends")
         self.playing.close()
 
     # --- parameters
@@ -254,8 +257,28 @@ class MotionPlayerNode(FramePlayer):
         if self.playing.waiting >= MAX_WAITING:
             response.message = f"{MAX_WAITING} steps wait for the cameras: wait for their images first"
             return response
+        if self.stamped_steps.topic:
+            return self._stamped_step(response)
         tick = self.playing.step()
         return _accept(response, tick.stamp, tick.elapsed)
+
+    def _stamped_step(self, response: Any) -> Any:
+        """Answer when the message of the step is there: a future of the response, or a refusal."""
+        answered: Any = Future()
+
+        def on_end(tick: Tick | None, failure: str) -> None:
+            if failure or tick is None:
+                response.message = failure
+            else:
+                _accept(response, tick.stamp, tick.elapsed)
+            answered.set_result(response)
+
+        try:
+            self.stamped_steps.play(on_end)
+        except RosError as error:
+            response.message = str(error)
+            return response
+        return answered
 
     def _on_restart(self, _: Any, response: Any) -> Any:
         tick = self.restart()

@@ -19,7 +19,7 @@ from geometry_msgs.msg import Accel, PoseStamped, Vector3
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
-from humansim_ros.errors import HumansimError, printable, within_bounds
+from humansim_ros.errors import HumansimError, RosError, printable, within_bounds
 from humansim_ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
 from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer
@@ -27,7 +27,7 @@ from humansim_ros.ros.processes.node_processes import QUIT
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.playback import Entity, EntityPose, scene_entities
+from humansim_ros.scene.playback import Entity, EntityPose, Tick, scene_entities
 from humansim_ros.types import Array
 
 _PACKAGE = "simulation_interfaces"
@@ -508,13 +508,25 @@ class StepRun:
             self.end(Refusal(f"continued meanwhile, after {self.finished} steps"))
         elif playing.waiting >= MAX_WAITING:
             self.end(Refusal(f"{MAX_WAITING} other steps wait for the cameras"))
+        elif self._player.stamped_steps.topic:
+            try:
+                self._player.stamped_steps.play(self._on_stamped)
+            except RosError as error:
+                self.end(Refusal(f"{error}, after {self.finished} steps"))
         else:
             playing.step(1, lambda: self._player.run_soon(self._finish_step))
+
+    def _on_stamped(self, _: Tick | None, failure: str) -> None:
+        if failure:
+            self.end(Refusal(f"{failure}, after {self.finished} steps"))
+        else:
+            self._player.run_soon(self._finish_step)
 
     def end(self, refusal: Refusal) -> None:
         """End the run early."""
         if not self.ended.done():
             self.ended.set_exception(refusal)
+            self._player.stamped_steps.cancel(str(refusal), self._on_stamped)
 
     def _finish_step(self) -> None:
         if self.ended.done():

@@ -184,7 +184,7 @@ class ViewApp:
     def send_state(self, **values: Any) -> None:
         """Send values of the state to the scripts of the page (``page/*.js``)."""
         self._state |= values
-        self.server.stream(json.dumps(self._state))
+        self.server.stream(json.dumps(self._state), "state")
 
     def set_dark(self, dark: bool) -> None:
         """Dark or light page."""

@@ -69,7 +69,7 @@ _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
 _LOCK = threading.Lock()
 #: Scripts of every page, in this order, before viser's own.
-SCRIPTS = ("page.js", "through.js", "keys.js")
+SCRIPTS = ("page.js", "tiles.js", "through.js", "keys.js")
 
 
 class PageServer:
@@ -101,7 +101,7 @@ class PageServer:
         self.on_refused: Callable[[str], None] = lambda reason: None
         self.result: Callable[[str], Path | None] = lambda name: None
         self._on_the_way: dict[str, int] = {}
-        self._latest: dict[type, bytes | str] = {}
+        self._latest: dict[str, bytes | str] = {}
         with _LOCK, self._checked_connections(), contextlib.redirect_stdout(io.StringIO()):
             self.viser = viser.ViserServer(host=HOST, port=_free_port(port), label=title, verbose=False)
         self.port = int(self.viser.get_port())
@@ -140,14 +140,14 @@ class PageServer:
         """Call ``function`` with the query of requests of ``/humansim/<name>``, in the server's thread."""
         self.requests[PREFIX + name] = function
 
-    def stream(self, data: bytes | str) -> None:
-        """Send poses (bytes) or the state (JSON text) to the scripts of all pages.
+    def stream(self, data: bytes | str, kind: str) -> None:
+        """Send data of a kind to the scripts of all pages: ``poses``, ``images`` or ``state`` (JSON text).
 
-        A slow or a new page gets the latest of each only.
+        A slow or a new page gets the latest of each kind only.
         """
-        if self._latest.get(type(data)) == data:
+        if self._latest.get(kind) == data:
             return
-        self._latest[type(data)] = data
+        self._latest[kind] = data
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self._loop.call_soon_threadsafe(self._wake)
@@ -160,7 +160,7 @@ class PageServer:
         """Send what :meth:`stream` is given until the browser goes away."""
         event = asyncio.Event()
         event.set()
-        sent: dict[type, bytes | str] = {}
+        sent: dict[str, bytes | str] = {}
         self._streams.add(event)
         closed = asyncio.ensure_future(connection.wait_closed())
         try:

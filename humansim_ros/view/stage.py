@@ -219,7 +219,7 @@ class Stage:
                 people.append(
                     (keyed_color(body.color, self._numbers[name]), joints[: len(body.human.skeleton)])
                 )
-        self._server.stream(pose_message(frame.index, people))
+        self._server.stream(pose_message(frame.index, people), "poses")
 
     # --- objects and room --------------------------------------------------------------------------------
 

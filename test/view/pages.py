@@ -117,19 +117,21 @@ def scrub(page: Any, frame: int) -> None:
     page.wait_for_function(f"window.humansim.frame === {frame}")
 
 
-def mosaic_of(page: Any) -> Any:
-    """RGB image (H, W, 3) of all images on the page, or None."""
+def tiles_of(page: Any) -> dict[str, Any]:
+    """RGB images (H, W, 3) of the tiles on the page by "camera channel"; none before they have arrived."""
     data = page.evaluate(
-        """async () => {
-            const image = [...document.images].find((image) => image.naturalWidth > 200);
-            if (!image) return null;
-            const bytes = new Uint8Array(await (await fetch(image.src)).arrayBuffer());
-            return [...bytes];
-        }"""
+        """async () => Object.fromEntries(await Promise.all(
+            [...document.querySelectorAll("[data-humansim=tiles] figure")].map(async (figure) => {
+                const file = await fetch(figure.querySelector("img").src).catch(() => null);
+                return [figure.dataset.humansim, file ? [...new Uint8Array(await file.arrayBuffer())] : []];
+            })))"""
     )
-    if data is None:
-        return None
-    return cv2.imdecode(np.array(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    if not all(data.values()):  # replaced meanwhile
+        return {}
+    return {
+        name: cv2.imdecode(np.array(file, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        for name, file in data.items()
+    }
 
 
 def three_vertices(page: Any, key: str, numbers: list[int]) -> Any:

@@ -130,11 +130,11 @@ def test_websockets_of_foreign_pages_are_refused(server: PageServer, path: str) 
 def test_a_stream_gives_the_latest_data_to_late_pages(server: PageServer) -> None:
     with connected(server, "/humansim/frames"):
         pass  # the server knows its event loop from the first connection on
-    server.stream(b"old")
-    server.stream(b"new")
+    server.stream(b"old", "poses")
+    server.stream(b"new", "poses")
     with connected(server, "/humansim/frames") as page:
         assert page.recv(timeout=30) == b"new"
-        server.stream(b"newer")
+        server.stream(b"newer", "poses")
         assert page.recv(timeout=30) == b"newer"
 
 

@@ -1,4 +1,4 @@
-// Our part of the page: textures of people (viser's skinned meshes have one colour), clicks in images, and a
+// Our part of the page: textures of people (viser's skinned meshes have one colour), areas beside the scene, and a
 // message where the browser has no WebGL. Loaded before viser's own script.
 "use strict";
 (() => {
@@ -171,9 +171,12 @@
   function listen() {
     const socket = new WebSocket(`ws://${location.host}/humansim/frames`);
     socket.binaryType = "arraybuffer";
-    // text: the state of the page (JSON); bytes: poses
+    // text: the state of the page (JSON); bytes: poses, or images (tiles.js)
     socket.onmessage = (event) => {
-      if (typeof event.data !== "string") return readPoses(event.data);
+      if (typeof event.data !== "string") {
+        const images = new DataView(event.data).getUint32(0, true) === 0xffffffff;
+        return images ? state.dispatchEvent(new MessageEvent("images", { data: event.data })) : readPoses(event.data);
+      }
       state.page = JSON.parse(event.data);
       state.dispatchEvent(new Event("state"));
     };
@@ -185,16 +188,20 @@
   }
   listen();
 
-  // --- clicks in images ------------------------------------------------------------------------------------
-  document.addEventListener("click", (event) => {
-    const image = event.target;
-    if (!(image instanceof HTMLImageElement) || image.naturalWidth < 8) return;
-    const box = image.getBoundingClientRect();
-    const x = ((event.clientX - box.left) / box.width) * image.naturalWidth;
-    const y = ((event.clientY - box.top) / box.height) * image.naturalHeight;
-    const query = `x=${x.toFixed(2)}&y=${y.toFixed(2)}&width=${image.naturalWidth}&height=${image.naturalHeight}`;
-    fetch(`/humansim/pick?${query}`).catch(() => {});
-  });
+  // --- areas beside the scene ------------------------------------------------------------------------------
+  // Keep pixels of a side of the page (Left, Bottom …) free from the scene and its panels for an area.
+  const kept = {};
+  state.reserve = (area, side, pixels) => {
+    if (String(kept[area]) === String([side, pixels])) return;
+    kept[area] = [side, pixels];
+    const sums = { Left: 0, Bottom: 0 };
+    for (const [at, count] of Object.values(kept)) sums[at] += count;
+    document.body.style.boxSizing = "border-box";
+    for (const [at, count] of Object.entries(sums)) document.body.style[`padding${at}`] = `${count}px`;
+  };
+  // Pixels of a side that other areas have.
+  state.reservedByOthers = (area, side) =>
+    Object.entries(kept).reduce((sum, [name, [at, count]]) => sum + (name !== area && at === side ? count : 0), 0);
 
   // --- no WebGL --------------------------------------------------------------------------------------------
   function hasWebGL() {

@@ -1,0 +1,157 @@
+"""The images beside the scene: their message, and their area in a real browser."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+
+from pages import browser, needs_browser, opened_page, pause, running_app, until
+
+from humansim_ros.view.panels.images import images_message
+
+SCENE = """\
+room: null
+humans:
+  anna: {body: adult_woman, motion: {file: walk, position: [0.2, 0.4]}}
+cameras:
+  wide: {position: [3, 2, 1.6], look_at: [0, 0, 1], size: [480, 160]}
+  tall: {position: [2, -2, 1.6], look_at: [0, 0, 1], size: [200, 400]}
+  square: {position: [-2, -2, 1.6], look_at: [0, 0, 1], size: [300, 300]}
+"""
+
+
+def test_a_message_has_each_image_with_its_own_shape() -> None:
+    wide = np.full((20, 60, 3), (250, 10, 10), np.uint8)
+    tall = np.full((50, 16, 3), (10, 10, 250), np.uint8)
+    data = images_message({"a": {"rgb": wide}, "b": {"rgb": tall, "depth": tall}, "c": {}})
+    first, size = np.frombuffer(data[:8], np.uint32)
+    table = json.loads(data[8 : 8 + size])
+    assert first == 0xFFFFFFFF  # no frame has this number
+    assert [(entry["camera"], entry["channel"]) for entry in table] == [
+        ("a", "rgb"),
+        ("b", "rgb"),
+        ("b", "depth"),
+    ]
+    at = 8 + int(size)
+    for entry, image in zip(table, (wide, tall, tall), strict=True):
+        found = cv2.imdecode(np.frombuffer(data[at : at + entry["bytes"]], np.uint8), cv2.IMREAD_COLOR)
+        assert (entry["height"], entry["width"]) == image.shape[:2]
+        assert found is not None and np.abs(found[..., ::-1].astype(int) - image).max() < 12  # JPEG
+        at += entry["bytes"]
+    assert at == len(data)
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]]:
+    pytest.importorskip("playwright")
+    path: Path = tmp_path_factory.mktemp("tiles") / "lab.yaml"
+    path.write_text(SCENE)
+    with running_app(path) as app, browser() as chromium:
+        page = opened_page(chromium, app.server.url)
+        pause(page)
+        page.wait_for_function("document.querySelectorAll('[data-humansim=tiles] figure').length === 3")
+        yield page, app
+
+
+def boxes(page: Any) -> tuple[Any, Any, dict[str, Any]]:
+    """Rectangles (left, top, right, bottom) of the scene, the area of the images, and the images."""
+    found = page.evaluate(
+        """() => {
+            const box = (node) => {
+                const { left, top, right, bottom } = node.getBoundingClientRect();
+                return [left, top, right, bottom];
+            };
+            const area = document.querySelector("[data-humansim=tiles]");
+            const tiles = [...area.querySelectorAll("figure")];
+            return [box(document.querySelector("canvas")), box(area),
+                Object.fromEntries(tiles.map((tile) => [tile.dataset.humansim, box(tile)]))];
+        }"""
+    )
+    return found[0], found[1], found[2]
+
+
+def overlap(left: Any, right: Any) -> float:
+    across = min(left[2], right[2]) - max(left[0], right[0])
+    down = min(left[3], right[3]) - max(left[1], right[1])
+    return float(max(across, 0) * max(down, 0))
+
+
+@needs_browser
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("size", [(1280, 800), (800, 1200), (1000, 557)])
+def test_images_never_cover_the_scene_or_each_other(opened: tuple[Any, Any], size: tuple[int, int]) -> None:
+    page, _ = opened
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+
+    def is_apart() -> bool:
+        scene, area, _tiles = boxes(page)
+        large = (scene[2] - scene[0]) * (scene[3] - scene[1]) > 100_000
+        return large and overlap(scene, area) == 0
+
+    until(is_apart)
+    _scene, area, tiles = boxes(page)
+    for name, (left, top, right, bottom) in tiles.items():
+        assert overlap((left, top, right, bottom), area) == pytest.approx((right - left) * (bottom - top))
+        assert sum(overlap((left, top, right, bottom), other) for other in tiles.values()) == pytest.approx(
+            (right - left) * (bottom - top)
+        )
+        width, height = {"wide rgb": (480, 160), "tall rgb": (200, 400), "square rgb": (300, 300)}[name]
+        assert (right - left) / (bottom - top) == pytest.approx(width / height, rel=0.01)
+
+
+@needs_browser
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.process
+def test_the_bar_and_a_click_on_a_name_change_sizes(opened: tuple[Any, Any]) -> None:
+    page, app = opened
+    page.set_viewport_size({"width": 1280, "height": 800})
+    until(lambda: boxes(page)[1][3] == 800)
+    scene, area, _tiles = boxes(page)
+    bar = page.get_by_role("separator", name="Size of the images")
+    box = bar.bounding_box()
+    page.mouse.move(box["x"] + 4, 600)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 104, 600)
+    page.mouse.up()
+    until(lambda: boxes(page)[1][2] == pytest.approx(area[2] + 100, abs=6))
+    until(lambda: boxes(page)[0][0] == pytest.approx(scene[0] + 100, abs=6))
+
+    before = boxes(page)[2]["square rgb"]
+    page.get_by_role("button", name="square", exact=True).click()
+    until(lambda: boxes(page)[2]["square rgb"][2] - boxes(page)[2]["square rgb"][0] > before[2] - before[0])
+    page.locator("[data-humansim='square rgb'] img").click(position={"x": 30, "y": 20})
+    page.get_by_role("tab", name="Numbers").click()
+    page.get_by_role("cell", name="square", exact=True).wait_for()
+    left, _, right, _ = boxes(page)[2]["square rgb"]
+    scale = 300 / (right - left)
+    cell = page.inner_text("table").replace("\t", " ")
+    assert any(
+        f"({int(30 * scale) + i}, {int(20 * scale) + j})" in cell for i in (-1, 0, 1) for j in (-1, 0, 1)
+    )
+    page.get_by_role("button", name="square", exact=True).click()
+    until(lambda: boxes(page)[2]["square rgb"] == before)
+
+    bar.focus()
+    for _ in range(12):
+        page.keyboard.press("ArrowLeft")
+    until(lambda: boxes(page)[0][0] == pytest.approx(8, abs=1))  # the scene has all but the bar
+    for _ in range(8):
+        page.keyboard.press("ArrowRight")
+    until(lambda: boxes(page)[1][2] > 100)
+
+    box = next(box for box in app._show._channels.values() if box.value)
+    box.value = False
+    until(lambda: boxes(page)[0][0] == 0)  # nothing is chosen: no area
+    box.value = True
+    until(lambda: boxes(page)[0][0] > 100)

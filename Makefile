@@ -34,7 +34,7 @@ check: lint
 # others.
 test: TIER = and not nightly
 test test-all: env-test
-	$(BIN)/python -m pytest -n auto -m "not ros and not process $(TIER)"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not ros and not process $(TIER)"
 	$(BIN)/python -m pytest -n 3 --dist loadfile -m "(ros or process) $(TIER)"
 
 lint: env-test

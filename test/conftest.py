@@ -11,6 +11,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Collection, Generator, Iterable, Iterator
 from contextlib import suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -106,7 +107,9 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    is_whole = not any("[" in argument for argument in config.args)
+    _mark_nightly_cases([item for item in items if isinstance(item, pytest.Function)], is_whole)
     for item in items:
         if not isinstance(item, pytest.Function):
             continue  # a doctest
@@ -117,6 +120,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for marker, triggers in MARKED_BY_NAME.items():
             if names & triggers:
                 item.add_marker(marker)
+
+
+def _mark_nightly_cases(items: list[pytest.Function], is_whole: bool) -> None:
+    """Mark cases as nightly that ``pytest.mark.daily`` of their test does not name.
+
+    Raises pytest.UsageError for a name without a case, if ``is_whole``: all cases of each test are there.
+    """
+    unused: dict[tuple[Path, str], set[str]] = {}
+    for item in items:
+        for marker in item.iter_markers("daily"):
+            unused.setdefault((item.path, item.function.__name__), set(marker.args))
+            used = {name for name in marker.args if fnmatchcase(item.callspec.id, name)}
+            unused[item.path, item.function.__name__] -= used
+            if not used:
+                item.add_marker("nightly")
+    for (path, test), names in unused.items():
+        if names and is_whole:
+            raise pytest.UsageError(f"{path}: {test} has no case {', '.join(sorted(names))}")
 
 
 @pytest.hookimpl(hookwrapper=True)

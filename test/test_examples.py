@@ -67,6 +67,7 @@ def test_hello_scene_prints_a_frame_and_where_heads_are(tmp_path: Path) -> None:
     assert len(heads) == 2 and all(1.2 < float(head.split()[2]) < 1.9 for head in heads)
 
 
+@pytest.mark.nightly
 @pytest.mark.gl
 def test_depth_and_labels_measure_the_nearer_person_as_nearer() -> None:
     said = example("depth_and_labels")
@@ -74,6 +75,7 @@ def test_depth_and_labels_measure_the_nearer_person_as_nearer() -> None:
     assert 1.8 < near < 3.0 < 3.8 < far < 5.0
 
 
+@pytest.mark.nightly
 @pytest.mark.gl
 def test_frames_of_a_scene_are_saved(tmp_path: Path) -> None:
     example("save_frames", ROOT / "config" / "scenes" / "demo.yaml", tmp_path / "out", 2)

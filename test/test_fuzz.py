@@ -15,6 +15,7 @@ sys.modules["fuzz"] = fuzz
 _SPEC.loader.exec_module(fuzz)
 
 
+@pytest.mark.daily("100-bvh", "100-c3d", "100-obj", "100-glb", "100-calibration", "100-scene")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(fuzz.READERS))
 @pytest.mark.parametrize("inputs", [100, pytest.param(300, marks=pytest.mark.nightly)])

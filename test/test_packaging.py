@@ -99,6 +99,7 @@ def is_ros(module: str) -> bool:
     return module in ("rclpy", "launch", "launch_ros") or module.endswith(("_msgs", "_srvs", "_interfaces"))
 
 
+@pytest.mark.nightly
 def test_package_xml_has_the_packages_of_ros_that_the_code_imports() -> None:
     used = {module for folder in ("humansim_ros", "launch") for module in imported(folder) if is_ros(module)}
     used |= set(_PACKAGES.values())  # imported by name

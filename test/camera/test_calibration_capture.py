@@ -207,6 +207,7 @@ def vicon(k: tuple[float, float, float], off: float = 0.0) -> str:
     return text + '<Camera DEVICEID="new" SENSOR_SIZE="1 1"><KeyFrames/></Camera></Cameras>'
 
 
+@pytest.mark.daily("k0-0.0")
 @pytest.mark.parametrize(
     ("k", "off"), [((0.0, 0.0, 0.0), 0.0), ((4e-7, 2e-13, 0.0), 0.0), ((3e-7, 0.0, 0.0), 6.0)]
 )

@@ -21,6 +21,7 @@ MODELS = {
 }
 
 
+@pytest.mark.daily("equidistant")
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_calibration_with_a_rendered_chessboard_recovers_the_lens(model: str) -> None:

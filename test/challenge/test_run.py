@@ -253,6 +253,7 @@ def test_a_tracker_that_prints_without_end_is_stopped(tmp_path: Path) -> None:
         assert wait_until(lambda: tracker.is_too_talkative)
 
 
+@pytest.mark.nightly
 def test_nodes_of_a_case_whose_process_dies_are_an_error(tmp_path: Path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("room: null\ncameras: {front: {position: [3, 0, 1.5], look_at: [0, 0, 1]}}\n")

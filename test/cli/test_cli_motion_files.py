@@ -66,6 +66,7 @@ def _file(stem: str) -> Path:
     return path
 
 
+@pytest.mark.daily("no MOTION*", "one axis", "no frames", "own_biovision", "own_z_up", "rootless")
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", [*ODD, *STAND_INS, *NO_PERSON, *REAL])
 def test_every_command_gives_a_result_or_one_line(

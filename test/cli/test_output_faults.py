@@ -87,6 +87,7 @@ def run_here(words: str, stdout: TextIO) -> tuple[int, str]:
         return cli.main(words.split()), said.getvalue()
 
 
+@pytest.mark.daily("motion retarget walk -o out.bvh", "motion table*", "camera convert*", "human show*")
 @pytest.mark.slow
 @pytest.mark.parametrize("words", WRITERS, ids=" ".join)
 def test_a_full_disk_leaves_the_file_of_before(words: list[str], folder: Path) -> None:

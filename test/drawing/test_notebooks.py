@@ -69,6 +69,7 @@ def colors(image: np.ndarray) -> int:
     return len(np.unique(image.reshape(-1, 3), axis=0))
 
 
+@pytest.mark.nightly
 @pytest.mark.gl
 def test_notebooks_show_a_small_picture_of_each_object(scene: Scene, frame: Frame) -> None:
     motion = read_motion("walk")

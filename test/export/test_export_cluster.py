@@ -88,6 +88,7 @@ def test_a_worker_without_the_folder_or_of_another_version_is_refused(tmp_path: 
         write_part(made, replace(part, version="0.0.1"))
 
 
+@pytest.mark.nightly
 def test_wrong_options_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)
 

@@ -41,6 +41,9 @@ CASES = [
 ]
 
 
+@pytest.mark.daily(
+    "aliases-load_config", "merge keys-read_calibration", "itself-load_table", "a chain-read_description"
+)
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "read"), CASES)
 def test_repetition_in_files_is_limited(tmp_path: Path, name: str, read: Callable[[Path], object]) -> None:

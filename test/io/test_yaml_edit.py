@@ -78,6 +78,7 @@ def other_lines(text: str, new: str) -> tuple[list[str], list[str]]:
     return old, changed
 
 
+@pytest.mark.daily("config*", "scene.md*", "mixed")
 @pytest.mark.parametrize("name", TEXTS)
 def test_a_new_value_changes_the_line_of_its_key_only(name: str) -> None:
     text = TEXTS[name]
@@ -106,6 +107,7 @@ def test_a_new_key_adds_lines_and_changes_none(name: str, newline: str) -> None:
     assert remove_value(new, ["added"], name) == text
 
 
+@pytest.mark.daily("1")
 @pytest.mark.parametrize("seed", range(3))
 def test_random_edits_read_as_they_should_and_keep_all_comments(seed: int) -> None:
     rng = random.Random(seed)

@@ -248,6 +248,7 @@ def test_a_wrong_or_malicious_file_is_refused_with_the_reason(tmp_path: Path, na
     assert "Traceback" not in str(caught.value)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_instances_of_instances_end_at_the_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trimesh_files, "_CPU_SECONDS", 2)

@@ -201,6 +201,7 @@ def test_clamped_poses_are_within_the_limits_and_do_not_change_again(rng: np.ran
     assert degrees_between(LIMITS.clamp(clamped), clamped).max() < 1e-5
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(rng=quaternions)

@@ -123,6 +123,7 @@ def hull_depth(a: Array, b: Array) -> float:
     return float(over.min())
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_penetration_of_limbs_agrees_with_the_hulls_of_their_meshes() -> None:
     """Without the two thighs, whose meshes meet between the legs."""

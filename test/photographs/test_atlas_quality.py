@@ -69,6 +69,7 @@ def test_a_person_of_one_colour_gets_a_texture_of_one_colour() -> None:
     assert errors.max() <= 32 and (errors > 8).mean() < 0.004
 
 
+@pytest.mark.nightly
 def test_neither_cameras_nor_islands_leave_a_seam() -> None:
     """Photographs of different exposure: colours change as slowly as those of the person."""
     man = painted(load_human("adult_man"), (60, 90, 140), (170, 120, 60))

@@ -84,6 +84,7 @@ def test_new_views_of_a_textured_person_are_those_of_the_person(name: str, camer
         assert psnr(image, again, seen_pixels(textured, face)) > 27
 
 
+@pytest.mark.nightly
 def test_the_result_is_the_same_every_time(man: Human) -> None:
     views = texture_views(man, list(studio_cameras(4).values()))
     first, second = (texture_atlas(man, views, size=256) for _ in range(2))
@@ -94,6 +95,7 @@ def test_the_result_is_the_same_every_time(man: Human) -> None:
     assert first.human.mesh.skin.mean() == pytest.approx(man.mesh.skin.mean(), rel=0.05)
 
 
+@pytest.mark.nightly
 def test_hidden_parts_look_like_the_other_side(man: Human) -> None:
     """Two cameras see the left of the person only: the right gets its colours."""
     cameras = [Camera.look_at((x, 3.0, 1.2), (0, 0, 0.9)) for x in (-1.5, 1.5)]
@@ -148,6 +150,7 @@ def test_views_without_overlap_are_told(man: Human) -> None:
     assert textured.gains is not None and (textured.gains == 1).all() and "overlap" in textured.notes
 
 
+@pytest.mark.nightly
 def test_a_mesh_without_texture_coordinates_needs_xatlas(man: Human, monkeypatch: pytest.MonkeyPatch) -> None:
     views = texture_views(man, list(studio_cameras(4).values()))
     bare = undressed(man)
@@ -193,6 +196,7 @@ def test_hidden_places_continue_the_colours_beside_them(man: Human) -> None:
     assert np.abs(mirrored * [-1, 1, 1] - own).max() < 0.03
 
 
+@pytest.mark.nightly
 def test_large_triangles_are_seen_in_part() -> None:
     """A body of few triangles: what the views show is found within them, too."""
     sphere = trimesh.creation.icosphere(1, 0.9)

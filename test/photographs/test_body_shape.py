@@ -87,6 +87,7 @@ def test_betas_of_a_body_of_the_model_are_found(model: Path) -> None:
     assert np.abs(rest(shaped_human(str(model))) - rest(body)).max() > 0.01
 
 
+@pytest.mark.nightly
 def test_a_person_of_the_model_is_found_in_photographs(model: Path, tmp_path: Path) -> None:
     """The betas are those of the person; factors of lengths explain little."""
     description = model.with_name("person.yaml")

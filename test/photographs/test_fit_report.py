@@ -56,6 +56,7 @@ def bar_lengths(image: Image) -> list[int]:
     return lengths
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_each_view_of_each_frame_shows_the_body_before_and_after(fit: PersonFit, photos: PhotoSet) -> None:
     aside = np.zeros((4, 4))
@@ -113,6 +114,7 @@ def test_views_without_images_points_and_masks_are_drawn(fit: PersonFit, photos:
     assert len(places(image, AFTER)) > 1000 and not bar_lengths(image)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_command_draws_the_body_before_and_after_the_silhouettes(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, cameras=4)

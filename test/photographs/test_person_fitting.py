@@ -75,6 +75,7 @@ def test_silhouettes_bring_joints_and_outlines_closer(tmp_path: Path) -> None:
     assert fit.proportions.girths
 
 
+@pytest.mark.nightly
 def test_frames_of_a_sequence_have_the_proportions_of_the_silhouettes(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, "child", "wave", 4, frames=6, begin=20, noise=2.0, images=False)
     photos = read_views(studio.path)
@@ -86,6 +87,7 @@ def test_frames_of_a_sequence_have_the_proportions_of_the_silhouettes(tmp_path: 
     assert np.linalg.norm(np.diff(paths, 2, axis=0), axis=-1).mean() < 0.014
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "seed",
     [
@@ -145,6 +147,7 @@ def test_exact_points_of_the_same_person_give_its_pose(tmp_path: Path) -> None:
     assert np.nanmax(fit.residuals) < 2
 
 
+@pytest.mark.nightly
 def test_a_sequence_has_one_shape_and_is_smooth(tmp_path: Path) -> None:
     studio = make_studio(
         tmp_path, "child", "wave", "shelf", frames=20, begin=20, noise=2.0, outliers=0.1, images=False

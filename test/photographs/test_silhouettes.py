@@ -119,6 +119,7 @@ def test_masks_of_the_body_itself_bring_back_its_girths(tmp_path: Path) -> None:
     assert found["l_elbow"] == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_another_frame_takes_over_the_proportions_and_keeps_its_pose(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, cameras=4, frames=2, rate=4, images=False)
@@ -163,6 +164,7 @@ def test_a_mask_of_another_size_is_refused(rough: PersonFit, photos: PhotoSet, t
         fit_silhouettes(rough, small)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_wrong_mask_of_one_view_does_not_spoil_the_fit(
     rough: PersonFit, photos: PhotoSet, shelf: Studio, tmp_path: Path
@@ -180,6 +182,7 @@ def test_a_wrong_mask_of_one_view_does_not_spoil_the_fit(
     assert mean_iou(fine, photos) > 0.92
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.xfail(
     np.lib.NumpyVersion(np.__version__) >= "2.5.0",
@@ -197,6 +200,7 @@ def test_another_person_in_a_mask_does_not_attract_the_body(
     assert mean_iou(fine, photos) > 0.93
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_person_who_is_cut_off_by_the_image_is_fitted(tmp_path: Path) -> None:
     """The border of the image is no outline: legs that are outside of all images keep their girth."""

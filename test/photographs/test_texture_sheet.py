@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from studio import ring
 from texture_scenes import texture_views, undressed
 
@@ -14,6 +15,7 @@ from humansim_ros.photographs.reports import draw_sheet
 from humansim_ros.photographs.texturing import texture_thesis
 
 
+@pytest.mark.nightly
 def test_the_sheet_shows_the_person_the_chosen_views_and_the_gains() -> None:
     human = load_human("adult_woman")
     views = texture_views(human, list(ring(4).values()))

@@ -222,6 +222,7 @@ def test_it_is_a_human_like_any_other(textured: TexturedPerson, tmp_path: Path) 
     assert shown.std(axis=0).min() > 15
 
 
+@pytest.mark.nightly
 def test_exported_and_by_another_renderer_it_looks_the_same(textured: TexturedPerson, tmp_path: Path) -> None:
     human = textured.human
     path = tmp_path / "me.glb"

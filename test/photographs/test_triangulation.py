@@ -100,6 +100,7 @@ def test_the_refined_position_has_the_least_squared_distance_in_the_images() -> 
         assert (cost(found.positions + step) > cost(found.positions)).all()
 
 
+@pytest.mark.daily("shelf-20%", "four-10%")
 @pytest.mark.parametrize(
     ("cameras", "outliers", "mean", "worst"),
     [

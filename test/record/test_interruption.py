@@ -124,6 +124,7 @@ def test_the_death_of_a_worker_ends_the_recording_with_whole_frames(
     assert hashes(bag) == whole
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_full_disk_ends_the_recording_with_whole_frames(scene: Path, tmp_path: Path) -> None:
     options = ("--frames", 20, "--jobs", 1)
@@ -149,6 +150,7 @@ def changed(text: str, folder: Path) -> Path:
     return write_scene(folder, text)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_another_recording_is_not_continued(scene: Path, tmp_path: Path) -> None:
     bag = tmp_path / "bag"

@@ -108,6 +108,7 @@ def cloud(message: Any) -> dict[str, Any]:
     return {name: points[name] for name in dtype.names or ()}
 
 
+@pytest.mark.daily("mcap-by_mcap", "sqlite3-by_rosbags", "mcap-by_own_reader")
 @pytest.mark.slow
 @pytest.mark.parametrize("read", [by_rosbags, by_mcap, by_own_reader])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
@@ -196,6 +197,7 @@ def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scen
     )
 
 
+@pytest.mark.daily("raw")
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize(

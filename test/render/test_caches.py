@@ -79,6 +79,7 @@ def test_meshes_that_are_gone_leave_the_renderer(renderer: Renderer, name: Rende
     assert len(cache) == 0
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_buffers_of_meshes_that_are_gone_leave_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything that is made on the device for a body is released."""

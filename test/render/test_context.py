@@ -58,6 +58,7 @@ def test_the_memory_of_renderers_that_are_dropped_comes_back(name: RendererName)
     assert growth(lambda: image_of(renderer_or_skip(name=name), LARGE)) < GAPS
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_memory_of_renderers_comes_back_across_exceptions() -> None:
     def fail() -> None:
@@ -139,6 +140,7 @@ class CollectingBackdrop:
         return np.full((*camera.size[::-1], 3), 90, np.uint8)
 
 
+@pytest.mark.nightly
 def test_a_renderer_that_is_freed_in_the_middle_of_a_rendering_does_not_disturb_it(
     name: RendererName,
 ) -> None:

@@ -31,6 +31,7 @@ def coverage(renderer: GLRenderer, bodies: list[Body], camera: Camera, fine: int
     return block_means(renderer.render(bodies, finer(camera, fine), ["instance"]).instance > 0, fine)
 
 
+@pytest.mark.daily("17")
 @pytest.mark.slow
 @pytest.mark.parametrize("angle", [0, 3, 17, 31, 45, 60, 88])
 def test_a_straight_edge_is_as_bright_as_it_covers_the_pixel(angle: float) -> None:

@@ -67,6 +67,7 @@ def in_shade(
     return shades[0], shades[1]
 
 
+@pytest.mark.daily("True")
 @pytest.mark.slow
 @pytest.mark.parametrize("bent", [False, True])
 def test_sharp_shadows_fall_where_rays_to_the_sun_are_blocked(
@@ -89,6 +90,7 @@ def test_sharp_shadows_fall_where_rays_to_the_sun_are_blocked(
     assert ((view.shadow > 127) != by_body)[inside].mean() < 0.04
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_larger_the_sun_the_wider_the_rim_and_as_wide_as_geometry_says() -> None:
     # an edge 1 m above the floor under a sun straight above: the rim is 2 tan(angle / 2) wide
@@ -130,6 +132,7 @@ def test_shadow_is_what_bodies_take_and_not_what_furniture_does(people: list[Bod
     renderer.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_soft_shadows_darken_and_leave_the_truth_alone(scene: Scene, people: list[Body]) -> None:
     camera, names = scene.cameras["camera_2"], ("rgb", "depth", "instance", "part", "alpha", "shadow")

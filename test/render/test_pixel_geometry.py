@@ -108,6 +108,7 @@ def test_faces_normals_and_texture_coordinates_are_what_rays_hit(scene: Scene, c
     assert (view.normal[view.instance == 0] == 0).all()
 
 
+@pytest.mark.daily("moving-fisheye")
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["ideal", "fisheye"])
 @pytest.mark.parametrize("moving", [False, True], ids=["still", "moving"])

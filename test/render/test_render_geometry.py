@@ -159,6 +159,7 @@ np.save(sys.argv[2], renderer.render(scene, flags=pyrender.RenderFlags.DEPTH_ONL
 """
 
 
+@pytest.mark.nightly
 def test_pyrender_sees_the_same(scene: Scene, tmp_path: Path) -> None:
     straight = CAMERAS[0]
     k = straight.K.copy()

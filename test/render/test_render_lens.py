@@ -91,6 +91,7 @@ def test_markers_land_where_opencv_projects_them(name: str) -> None:
     renderer.close()
 
 
+@pytest.mark.daily("fisheye")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_a_body_before_large_walls_is_what_rays_hit(scene: Scene, name: str) -> None:
@@ -141,6 +142,7 @@ def blending_error(camera: Camera, factor: int = 8) -> float:
     return float(np.abs(coarse - coverage)[edge].mean())
 
 
+@pytest.mark.daily("fisheye")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_outlines_are_blended_where_the_lens_bends_them(name: str) -> None:
@@ -150,6 +152,7 @@ def test_outlines_are_blended_where_the_lens_bends_them(name: str) -> None:
     assert blending_error(ideal) < 8
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_what_the_lens_cannot_see_is_dark_and_has_no_truth(scene: Scene) -> None:
     camera = with_lens(FOLDING, (2.3, 1.6, 1.4))

@@ -62,6 +62,7 @@ def sent_back(body: Body, light: Lighting) -> NDArray[np.floating]:
     return total
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("skin", [SKIN, CLOTH])
 def test_no_more_light_comes_back_than_falls_on(skin: int) -> None:
@@ -88,6 +89,7 @@ def test_light_goes_on_under_skin_past_its_edge_red_farthest() -> None:
     assert (red > 0.001).all() and (red > 2 * blue).all()
 
 
+@pytest.mark.daily("contact")
 @pytest.mark.slow
 @pytest.mark.parametrize("shadows", ["none", "contact", "soft"])
 def test_what_nobody_knows_is_matt_and_so_is_everything_if_asked_for(shadows: str) -> None:

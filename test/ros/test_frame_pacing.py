@@ -297,6 +297,7 @@ def test_the_player_hears_a_reporter_with_ordinary_quality_of_service(ros: None,
     client.close()
 
 
+@pytest.mark.daily("True")
 @pytest.mark.slow
 @pytest.mark.parametrize("waits", [True, False])
 def test_every_step_of_a_paused_player_is_shown_by_all_cameras(

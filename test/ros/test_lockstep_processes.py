@@ -97,6 +97,7 @@ def test_no_frame_is_lost_when_each_process_is_killed_or_stopped(ros: None, tmp_
     assert done.stdout.count("SIGKILL") == 4 and done.stdout.count("SIGSTOP") == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_member_that_never_comes_stops_the_run_with_its_name(ros: None, tmp_path: Path) -> None:
     done = run(write_scene(tmp_path, SCENE), "--frames", "9", "--wait-for", "nobody", "--timeout", "2")

@@ -51,6 +51,7 @@ def test_without_any_folder_for_logs_it_is_said(tmp: Path) -> None:
     assert not os.environ["ROS_LOG_DIR"]
 
 
+@pytest.mark.nightly
 def test_run_works_without_write_access_and_warns_once(tmp: Path) -> None:
     scene = write_scene(
         tmp, "room: null\ncameras: {front: {size: [64, 48], position: [3, 0, 1], look_at: [0, 0, 1]}}\n"

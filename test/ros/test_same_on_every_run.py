@@ -61,6 +61,7 @@ def images_by_stamp(scene: Path, namespace: str, frames: int) -> dict[int, Any]:
     return {stamp: np.array(client.received[topic][stamp].data) for stamp in stamps}
 
 
+@pytest.mark.nightly
 def test_noise_is_that_of_the_scene_time_at_any_stamp(ros: None, tmp_path: Path) -> None:
     scene = write_scene(tmp_path, NOISY)
     now, later = (images_by_stamp(scene, namespace, 3) for namespace in ("now", "later"))

@@ -87,6 +87,7 @@ def test_a_panorama_of_another_shape_is_refused_by_its_header(suffix: str, tmp_p
     assert used < 1 << 20
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_memory_for_a_panorama_is_little_more_than_its_bytes(tmp_path: Path) -> None:
     """8192 x 4096 bytes of three channels, twice, and the result; all light at once would be 400 MB more."""

@@ -266,6 +266,7 @@ def test_clutter_is_on_the_floor_away_from_all_obstacles(tmp_path: Path, seed: i
         assert np.linalg.norm(standing - thing.initial_pose.position[:2], axis=1).min() > radius
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_clutter_without_a_position_is_reported(tmp_path: Path) -> None:
     with pytest.warns(

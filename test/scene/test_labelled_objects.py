@@ -292,6 +292,7 @@ def test_vertices_of_objects_are_seen_where_rays_reach_them(simulation: Simulati
         assert np.mean(found == (reached & inside)) > 0.99, thing.instance
 
 
+@pytest.mark.daily("contact")
 @pytest.mark.slow
 @pytest.mark.parametrize("shadows", ["contact", "soft"])
 def test_a_label_changes_nothing_but_labels(tmp_path: Path, shadows: str) -> None:

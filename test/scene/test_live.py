@@ -242,6 +242,7 @@ def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) 
     assert heights[-1] == pytest.approx(0.0, abs=0.03)
 
 
+@pytest.mark.daily("broken0", "broken3")
 @pytest.mark.parametrize(
     "broken",
     [

@@ -144,6 +144,7 @@ def test_cameras_of_a_rig_have_photographs(folder: Path, background: str, red: d
     assert {name: int(view.rgb[0, 0, 0]) for name, view in frame.views.items()} == red
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None:
     pytest.importorskip("rclpy")
@@ -325,6 +326,7 @@ RECTIFIED = (
 )
 
 
+@pytest.mark.daily("fisheye")
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", ["plumb_bob", "rectified", "fisheye"])
 def test_image_rect_is_the_image_of_the_ideal_camera_of_p(folder: Path, lens: str) -> None:

@@ -179,6 +179,7 @@ def file_keys(model: type[BaseModel], prefix: str = "") -> set[str]:
     return keys
 
 
+@pytest.mark.daily("*-missing", "humans.*-damaged")
 @pytest.mark.parametrize("fault", ["missing", "folder", "damaged", "nul"])
 @pytest.mark.parametrize("key", FILE_KEYS)
 def test_a_file_that_cannot_be_read_is_named_with_its_key(folder: Path, key: str, fault: str) -> None:

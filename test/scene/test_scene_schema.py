@@ -52,6 +52,7 @@ def example_scenes() -> list[Any]:
     return found
 
 
+@pytest.mark.daily("README-0", "scene-*", "faults-0", "rigs-3")
 @pytest.mark.parametrize("scene", example_scenes())
 def test_scenes_of_the_documents_fit(scene: dict[str, Any]) -> None:
     assert list(validator().iter_errors(scene)) == []

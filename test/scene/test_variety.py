@@ -97,6 +97,7 @@ def test_random_people_walk_through_nothing() -> None:
     assert people_findings(4, 6) == []
 
 
+@pytest.mark.daily("10-0")
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "seed"), [(1, 10), (4, 11), (10, 0), (10, 6), (10, 12)])
 def test_random_people_of_any_seed_walk_through_nothing(count: int, seed: int) -> None:
@@ -104,6 +105,7 @@ def test_random_people_of_any_seed_walk_through_nothing(count: int, seed: int) -
     assert people_findings(count, seed) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_paths_of_any_time_stay_in_the_room_and_apart(tmp_path: Path) -> None:
     """Not only in the minute that the checks look at, and by distances that this test computes itself."""

@@ -69,6 +69,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_data_set_of_the_documents_works_in_spawned_workers(tmp_path: Path) -> None:
     renderer_or_skip().close()

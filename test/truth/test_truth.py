@@ -187,6 +187,7 @@ def test_occluders_of_joints_are_those_of_ray_casting(casters: list[RayCaster]) 
     assert kinds >= {NOTHING, SELF, PERSON, THING}
 
 
+@pytest.mark.daily("room-*")
 @pytest.mark.slow
 def test_visible_vertices_are_those_that_rays_reach(casters: list[RayCaster]) -> None:
     compared = agreed = seen_at_all = 0
@@ -339,6 +340,7 @@ def test_the_box_of_a_body_around_the_camera_is_that_of_its_part_in_front(name: 
     assert pixels > 1000
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_visible_vertices_of_people_around_a_fisheye() -> None:
     """Parts of both are behind it; triangles that intersect its plane hide vertices beside it."""
@@ -372,6 +374,7 @@ def test_vertices_of_back_faces_and_behind_the_camera_are_not_visible() -> None:
     assert visible_vertices(camera, [], view) == {}
 
 
+@pytest.mark.daily("room-moderngl-mediapipe33")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mediapipe33", "plug_in_gait"])
 def test_keypoints_on_the_skin_are_visible_where_rays_reach_them(casters: list[RayCaster], name: str) -> None:

@@ -342,6 +342,7 @@ def test_hostile_places_and_names_are_refused() -> None:
     assert opened.errors()
 
 
+@pytest.mark.nightly
 def test_a_text_stays_within_the_limit_of_scene_files() -> None:
     opened = document("# " + "x" * (1 << 20) + "\n" + ROOMLESS)
     with pytest.raises(SceneError, match="a scene file has at most 1048576 bytes"):

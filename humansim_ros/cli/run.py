@@ -8,7 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -154,20 +154,21 @@ def run(
         relative_namespace,
         scene_processes,
     )
+    from humansim_ros.ros.processes.node_starter import NodeStarter
     from humansim_ros.ros.processes.supervisor import Supervisor
     from humansim_ros.ros.runtime import prepare_transport
     from humansim_ros.scene import Scene
 
     start = time.monotonic()
-    _check_machine()
-    with temporary_folder() as folder:
-        path = scene or resource_path("config/scenes/demo.yaml")
+    with temporary_folder() as folder, ExitStack() as stack:
+        given_path = path = scene or resource_path("config/scenes/demo.yaml")
         options = SceneOptions(motion, body, joint_names, live or ())
         if options:
-            changed = options.write(path, folder)
-            loaded, path = options.load(path, changed), changed
-        else:
-            loaded = Scene.load(path)
+            path = options.write(given_path, folder)
+        # it loads the scene meanwhile
+        starter = stack.enter_context(NodeStarter(str(path.resolve())))
+        _check_machine()
+        loaded = options.load(given_path, path) if options else Scene.load(path)
         namespace = relative_namespace(namespace)
         _describe(loaded, namespace)
         if not options:
@@ -191,7 +192,7 @@ def run(
             path, jobs, namespace, frame_prefix, ",".join(only or ()), options_of_time, recorded, evaluated
         )
         transport = prepare_transport(len(node_processes) + 1, network)
-        with Supervisor(node_processes) as nodes:
+        with Supervisor(node_processes, starter=starter) as nodes:
             try:
                 names = [name for process in node_processes for name in process.visible_nodes]
                 print_text(f"starting {', '.join(names)}; Ctrl-C stops")

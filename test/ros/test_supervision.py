@@ -269,13 +269,29 @@ def test_errors_of_the_scene_are_reported_by_the_nodes(
 
 def test_copies_have_no_threads_of_the_process_that_starts_them(ros: None, tmp_path: Path) -> None:
     """A copy has only the thread that forks: a pool of threads would hang there."""
-    starter = NodeStarter(str(write_scene(tmp_path, SCENE)), {**os.environ, "OPENBLAS_NUM_THREADS": "1"})
-    try:
-        node = starter.start(NodeProcess("skinner", "wrong", {"human": "nobody"}))
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    with NodeStarter(str(write_scene(tmp_path, SCENE)), environment) as starter:
+        node = starter.start(NodeProcess("skinner", "wrong", {"human": "nobody"}), environment)
         assert len(list(Path(f"/proc/{starter.process.pid}/task").iterdir())) == 1
         assert node.wait(PATIENCE) == 2
-    finally:
-        starter.close()
+
+
+def test_a_process_that_loads_a_scene_before_the_transport_is_chosen_starts_its_nodes(
+    ros: None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its nodes have variables that are set after its start; another scene has another process."""
+    scene = str(write_scene(tmp_path, SCENE))
+    skinner = NodeProcess("skinner", "skinner_anna", {"scene": scene, "human": "anna"})
+    early, other = NodeStarter(scene), NodeStarter(str(tmp_path / "other.yaml"))
+    with Supervisor([skinner], {"RCUTILS_CONSOLE_OUTPUT_FORMAT": "said: {message}"}, early) as nodes:
+        assert nodes._starter is early
+        heard = ""
+        while "said: skinning anna" not in heard:
+            assert nodes.wait(time.monotonic() + 0.2) is None
+            heard += "".join(capfd.readouterr())
+    assert not early.is_running
+    with Supervisor([skinner], starter=other) as nodes:
+        assert nodes._starter is not other and not other.is_running
 
 
 # Orphans

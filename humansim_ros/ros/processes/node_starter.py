@@ -5,9 +5,9 @@ scene. A copy has all of it already, in memory that the copies share. ROS and Op
 only: their threads would not be copied.
 
 ``python -m humansim_ros.ros.processes.node_starter SCENE SOCKET`` reads requests from the socket with the
-number SOCKET, one JSON list in each packet: name, executable and ROS arguments of a node. It answers
-``["started", pid]`` and, when a node ends, ``["ended", pid, exit code]``. It ends when the socket is closed,
-and the nodes with it.
+number SOCKET, one JSON list in each packet: name, executable, environment variables and ROS arguments of a
+node. It answers ``["started", pid]`` and, when a node ends, ``["ended", pid, exit code]``. It ends when the
+socket is closed, and the nodes with it.
 """
 
 from __future__ import annotations
@@ -72,14 +72,21 @@ class StartedNode:
 
 
 class NodeStarter:
-    """The process that starts the nodes, as their supervisor sees it.
+    """The process that starts the nodes, as their supervisor sees it; a context manager that ends it.
 
     Args:
         scene: Scene file.
-        environment: Environment variables of the nodes.
+        environment: Environment variables of the process; its own if None.
+
+    Attributes:
+        scene: Scene file.
+        process: The process.
     """
 
-    def __init__(self, scene: str, environment: Mapping[str, str]) -> None:
+    def __init__(self, scene: str, environment: Mapping[str, str] | None = None) -> None:
+        self.scene = scene
+        self._environment = {**(os.environ if environment is None else environment)}
+        self._environment[PARENT_PID] = str(os.getpid())
         self._codes: dict[int, int] = {}
         self._is_gone = False
         # packets arrive whole, also if a stop signal interrupts their receiver
@@ -87,7 +94,7 @@ class NodeStarter:
         with other:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", __name__, scene, str(other.fileno())],
-                env=environment,
+                env=self._environment,
                 pass_fds=[other.fileno()],
                 # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
                 start_new_session=True,
@@ -98,9 +105,16 @@ class NodeStarter:
         """Whether it can start nodes."""
         return not self._is_gone and self.process.poll() is None
 
-    def start(self, node: NodeProcess) -> StartedNode:
-        """Start a node. Raises RosError if the process has ended."""
-        request = [node.node_name, node.executable, *node.ros_arguments]
+    def __enter__(self) -> NodeStarter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self, node: NodeProcess, environment: Mapping[str, str]) -> StartedNode:
+        """Start a node with environment variables. Raises RosError if the process has ended."""
+        changed = {name: text for name, text in environment.items() if self._environment.get(name) != text}
+        request = [node.node_name, node.executable, changed, *node.ros_arguments]
         try:
             self._socket.send(json.dumps(request).encode())
         except OSError:
@@ -164,7 +178,7 @@ def main(scene_path: str, number: int) -> int:
 
         signal.signal(signal.SIGCHLD, report_ends)
         while packet := requests.recv(_MAX_PACKET):
-            name, executable, *arguments = json.loads(packet)
+            name, executable, environment, *arguments = json.loads(packet)
             # a copy must not report its own children
             signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
             pid = os.fork()
@@ -176,6 +190,7 @@ def main(scene_path: str, number: int) -> int:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
         else:
             return 0
+    os.environ.update(environment)
     os.environ[PARENT_PID] = starter  # os.getppid() is another one if the starter has been killed meanwhile
     end_with_parent()
     os.setsid()

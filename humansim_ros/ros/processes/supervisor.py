@@ -48,10 +48,19 @@ class Supervisor:
 
     One process loads the scene and starts the nodes as copies of itself (``node_starter.py``). Nodes do not
     repeat scene warnings; the parent has shown them. They end when the thread ends that has started them.
+
+    Args:
+        processes: Nodes to start.
+        environment: More environment variables of the nodes.
+        starter: Process that starts nodes and may be loading the scene already; a new one if None, or if it
+            has ended or loads another scene. It is ended with the nodes.
     """
 
     def __init__(
-        self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
+        self,
+        processes: Sequence[NodeProcess],
+        environment: Mapping[str, str] | None = None,
+        starter: NodeStarter | None = None,
     ) -> None:
         self._processes = {process.node_name: process for process in processes}
         threads = render_threads(processes)
@@ -60,7 +69,7 @@ class Supervisor:
         self._running: dict[str, StartedNode] = {}
         self._started: dict[str, float] = {}
         self._helpers: list[subprocess.Popen[bytes]] = []
-        self._starter: NodeStarter | None = None
+        self._starter = starter
         self._shared_memory = SharedMemoryFiles()
 
     def __enter__(self) -> Supervisor:
@@ -186,12 +195,12 @@ class Supervisor:
 
     def _start(self, process: NodeProcess) -> StartedNode:
         """Start a node; and first the process that starts nodes, if there is none or it has ended."""
-        if self._starter is None or not self._starter.is_running:
+        scene = str(next(iter(self._processes.values())).parameters.get("scene", ""))
+        if self._starter is None or not self._starter.is_running or self._starter.scene != scene:
             if self._starter is not None:
                 self._starter.close()
-            scene = next(iter(self._processes.values())).parameters.get("scene", "")
-            self._starter = NodeStarter(str(scene), self._environment)
-        return self._starter.start(process)
+            self._starter = NodeStarter(scene, self._environment)
+        return self._starter.start(process, self._environment)
 
 
 #: Seconds before the first start of a row, the second, and so on. After the last one the node is given up.

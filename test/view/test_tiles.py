@@ -155,3 +155,58 @@ def test_the_bar_and_a_click_on_a_name_change_sizes(opened: tuple[Any, Any]) -> 
     until(lambda: boxes(page)[0][0] == 0)  # nothing is chosen: no area
     box.value = True
     until(lambda: boxes(page)[0][0] > 100)
+
+
+@needs_browser
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_picture_is_what_the_page_shows(opened: tuple[Any, Any], tmp_path: Path) -> None:
+    page, _ = opened
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.wait_for_timeout(1500)
+    with page.expect_download(timeout=30_000) as download:
+        page.get_by_role("button", name="Picture", exact=True).click()
+    assert (
+        download.value.suggested_filename.startswith("lab_")
+        and download.value.suggested_filename[-4:] == ".png"
+    )
+    download.value.save_as(tmp_path / "picture.png")
+    page.screenshot(path=str(tmp_path / "screen.png"))
+    picture, screen = (
+        cv2.imread(str(tmp_path / name)).astype(float) for name in ("picture.png", "screen.png")
+    )
+    scene, area, _tiles = boxes(page)
+    assert picture.shape[:2] == (800, 2 * round(scene[2] / 2))
+    # without the buttons and messages over the scene
+    beside = screen[:, : int(area[2])], picture[:, : int(area[2])]
+    within = screen[250:700, int(scene[0]) : int(scene[2])], picture[250:700, int(scene[0]) : int(scene[2])]
+    for shown, saved in (beside, within):
+        assert shown.std() > 5  # there is something
+        assert np.abs(shown - saved).mean() < 3
+
+
+@needs_browser
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_video_shows_the_motion(opened: tuple[Any, Any], tmp_path: Path) -> None:
+    page, _ = opened
+    page.get_by_role("button", name="Play", exact=True).click()
+    page.get_by_role("button", name="Record video").click()
+    page.wait_for_timeout(6000)
+    with page.expect_download(timeout=30_000) as download:
+        page.get_by_role("button", name="Stop recording").click()
+    pause(page)
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    assert path.suffix == ".webm"
+    video = cv2.VideoCapture(str(path))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1].astype(float))
+    scene, area, _tiles = boxes(page)
+    assert len(frames) >= 2 and frames[0].shape[:2] == (800, 2 * round(scene[2] / 2))
+    start, end = (int(area[2]) + 20, int(scene[2]))
+    assert np.abs(frames[-1][:, start:end] - frames[0][:, start:end]).max() > 60  # the person has moved
+    page.get_by_role("button", name="Record video").wait_for()

@@ -74,6 +74,7 @@
       ...through.names.map(([name, across, down]) => {
         const label = document.createElement("span");
         label.textContent = name;
+        label.className = "humansim-label";
         Object.assign(label.style, {
           position: "fixed",
           zIndex: 6,

@@ -163,6 +163,7 @@
       background: "#000a",
       cursor: "pointer",
     }, figure);
+    name.className = "humansim-label";
     name.title = "Make this image large, or show all";
     name.addEventListener("click", () => toggle(key));
     const tile = { figure, image, name };

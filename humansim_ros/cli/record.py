@@ -39,7 +39,7 @@ class _Images(str, Enum):
     png = "png"
 
 
-class _Depth(str, Enum):
+class _Lossless(str, Enum):
     raw = "raw"
     png = "png"
 
@@ -74,8 +74,14 @@ def record(
         _Images, typer.Option(help="Colour images: raw, or compressed as JPEG or PNG (image_raw/compressed).")
     ] = _Images.raw,
     depth: Annotated[
-        _Depth, typer.Option(help="Depth: raw, or PNG of 16 bits (depth/image/compressedDepth).")
-    ] = _Depth.raw,
+        _Lossless, typer.Option(help="Depth: raw, or PNG of 16 bits (depth/image/compressedDepth).")
+    ] = _Lossless.raw,
+    labels: Annotated[
+        _Lossless,
+        typer.Option(
+            help="Instance, part and other channels of 8 and 16 bits: raw, or PNG, exact (…/compressed)."
+        ),
+    ] = _Lossless.raw,
     max_bag_size: Annotated[
         int, typer.Option(metavar="BYTES", help="Bytes after which a new file begins; 0: one file.", min=0)
     ] = 0,
@@ -111,6 +117,7 @@ def record(
             topics or (),
             images=images.value,
             depth=depth.value,
+            labels=labels.value,
             storage=storage.value,
             compression=compression.value,
             max_size=max_bag_size,

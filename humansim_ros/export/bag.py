@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from humansim_ros import messages
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.camera import Camera
-from humansim_ros.errors import BagError, ExportError, HumansimError, some_of, warn_about
+from humansim_ros.errors import BagError, ExportError, HumansimError, printable, some_of, warn_about
 from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.export.source import versions
 from humansim_ros.export.writer import ExportCamera, ExportScene
@@ -397,8 +397,7 @@ class BagFrames:
             cameras[name] = replace(cameras[name], R=pose.R, t=pose.t)
         images: dict[str, dict[str, NDArray[Any]]] = {}
         for (camera, channel), topic in needed.channels.items():
-            pixels = read(topic, _image_type(topic), lambda message: messages.read_pixels(message)[0])
-            images.setdefault(camera, {})[channel] = pixels
+            images.setdefault(camera, {})[channel] = read(topic, _image_type(topic), _reader_of(channel))
         views = {camera: View(**channels) for camera, channels in images.items()}
         boxes = {
             camera: self._boxes(read(topic, PointCloud2, messages.read_boxes))
@@ -556,6 +555,21 @@ def _message(data: bytes, kind: type[Any]) -> Any:
 
 def _read_points(message: PointCloud2) -> NDArray[Any]:
     return messages.read_points(message, messages.JOINT_POINT.names or ())
+
+
+def _reader_of(channel: str) -> Callable[[Any], NDArray[Any]]:
+    """Reader of the images of a channel, which raises ExportError for labels that are not exact."""
+    row = CHANNEL_TABLE[channel]
+
+    def pixels(message: Any) -> NDArray[Any]:
+        read, encoding = messages.read_pixels(message)
+        form = getattr(message, "format", "")
+        if row.encoding.startswith("mono") and (read.dtype != row.dtype or read.ndim != 2 or "jpeg" in form):
+            found = printable(form or encoding, 60)
+            raise ExportError(f"{channel} as {found!r} is not exact; {row.encoding}, raw or PNG, is")
+        return read
+
+    return pixels
 
 
 def _image_type(topic: str) -> type[Any]:

@@ -116,10 +116,10 @@ def set_data(message: Any, data: NDArray[Any]) -> None:
 def compressed_image_message(
     image: NDArray[np.uint8], encoding: str, settings: ImageCompression, stamp: int, frame: str
 ) -> CompressedImage:
-    """Build ``<camera>/image_raw/compressed``.
+    """Build ``<camera>/image_raw/compressed``, or the same of another channel.
 
     Args:
-        image: Pixels (H, W) or (H, W, 3), 8 bits per sample.
+        image: Pixels (H, W) or (H, W, 3), 8 bits per sample; with PNG also (H, W) of 16 bits.
         encoding: ROS encoding of the pixels.
         settings: Format and its settings.
         stamp: Nanoseconds.
@@ -160,12 +160,18 @@ def compressed_depth_message(
     return _message("32FC1; compressedDepth png", np.concatenate([head, png]), stamp, frame)
 
 
-def read_compressed_image(message: CompressedImage) -> tuple[NDArray[np.uint8], str]:
-    """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding. Raises RosError if it is damaged."""
+def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
+    """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding; 16 bits per sample if it is mono16.
+
+    Raises:
+        RosError: The image is damaged, or of another kind.
+    """
     pixels = _decode(np.frombuffer(message.data, dtype=np.uint8))
-    if pixels.dtype != np.uint8:
-        raise RosError("a compressed image must have 8 bits per sample")
     encoding = message.format.partition(";")[0].strip()
+    if pixels.dtype == np.uint16 and pixels.ndim == 2 and encoding == "mono16":
+        return pixels, encoding
+    if pixels.dtype != np.uint8:
+        raise RosError("a compressed image must have 8 bits per sample, or 16 as mono16")
     if pixels.ndim == 2:
         return pixels, encoding if encoding == "bayer_rggb8" else "mono8"
     if encoding == "rgb8":

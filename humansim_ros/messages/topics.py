@@ -63,7 +63,12 @@ SCENE_TIME = "scene_time"
 DATA_DEPTH, LATCHED_DEPTH = 5, 1
 
 #: Last part of the name of the compressed topic of a channel, beside the topic of the channel.
-COMPRESSED = {"rgb": "compressed", "depth": "compressedDepth"}
+COMPRESSED = {
+    "rgb": "compressed",
+    "depth": "compressedDepth",
+    # labels fit into a PNG as they are; a recording may have them so
+    **{row.name: "compressed" for row in CHANNEL_TABLE.values() if row.encoding in ("mono8", "mono16")},
+}
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
@@ -88,6 +93,7 @@ class Topic(Generic[Content]):
         optional: A recording has it only if it is asked for.
         explains: Others cannot be understood without it: it is recorded with them.
         faulty: Faults of the camera change its stamp, and when and how often it is sent.
+        raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
     """
 
     name: str
@@ -103,6 +109,7 @@ class Topic(Generic[Content]):
     optional: bool = False
     explains: bool = False
     faulty: bool = False
+    raw: str = ""
 
     @property
     def type_name(self) -> str:
@@ -272,6 +279,7 @@ class CameraTopics:
 
     Attributes:
         images: Images of the channels; channels of single bodies have an image for each.
+        png_labels: The images of integers of 8 and 16 bits as PNG, which only recordings have.
         rectified: Images without lens distortion by channel; none if the camera has no distortion.
         info: Calibration, beside the colour image: image_transport takes it from the namespace of the image.
         truth_infos: True calibration, beside each other image.
@@ -301,6 +309,12 @@ class CameraTopics:
         supported = [channel for channel in CHANNEL_TABLE.values() if channel.name in channels]
         self.images: Sequence[Topic[View]] = [
             topic for channel in supported for topic in self._channel_topics(channel)
+        ]
+        self.png_labels: Sequence[Topic[View]] = [
+            topic
+            for channel in supported
+            if channel.name in COMPRESSED and channel.encoding.startswith("mono")
+            for topic in self._channel_topics(channel, ImageCompression("png"))
         ]
         self.rectified = {} if camera.rectified is None else self._rectified_topics()
         namespaces = dict.fromkeys(
@@ -401,6 +415,7 @@ class CameraTopics:
             camera=name,
             channels=frozenset({"rgb"}),
             faulty=self._has_faults,
+            raw=f"{name}/{CHANNEL_TABLE['rgb'].topic}",
         )
 
     def compressed_depth(self, settings: DepthCompression) -> Topic[View]:
@@ -413,6 +428,7 @@ class CameraTopics:
             lambda simulated: simulated.views[name],
             camera=name,
             channels=frozenset({"depth"}),
+            raw=f"{name}/{CHANNEL_TABLE['depth'].topic}",
         )
 
     def __iter__(self) -> Iterator[Topic[Any]]:
@@ -442,19 +458,27 @@ class CameraTopics:
     def _encoding(self, channel: Channel) -> str:
         return channel.encoding or self._camera.encoding
 
-    def _channel_topics(self, channel: Channel) -> Sequence[Topic[View]]:
-        """Topic of a channel, or one for each labelled body."""
+    def _channel_topics(
+        self, channel: Channel, compression: ImageCompression | None = None
+    ) -> Sequence[Topic[View]]:
+        """Topic of a channel, or one for each labelled body. ``compression``: none for raw images."""
         name, frame, encoding = self._name, self._frame, self._encoding(channel)
 
         def topic(path: str, image: Callable[[View], NDArray[Any]]) -> Topic[View]:
+            def message(view: View, stamp: int) -> Any:
+                if compression is None:
+                    return messages.image_message(image(view), encoding, stamp, frame)
+                return messages.compressed_image_message(image(view), encoding, compression, stamp, frame)
+
             return Topic(
-                f"{name}/{path}",
-                Image,
-                lambda view, stamp: messages.image_message(image(view), encoding, stamp, frame),
+                f"{name}/{path}" if compression is None else f"{name}/{path}/{COMPRESSED[channel.name]}",
+                Image if compression is None else CompressedImage,
+                message,
                 lambda simulated: simulated.views[name],
-                shown=channel.name in _SHOWN_CHANNELS,
+                shown=compression is None and channel.name in _SHOWN_CHANNELS,
                 camera=name,
                 channels=frozenset({channel.name}),
+                raw="" if compression is None else f"{name}/{path}",
                 faulty=self._has_faults and channel.name == "rgb",
             )
 
@@ -580,11 +604,17 @@ def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose
     return twist, pose
 
 
-def scene_topics(scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION) -> list[Topic[Any]]:
+def scene_topics(
+    scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION, png_labels: bool = False
+) -> list[Topic[Any]]:
     """All topics of a scene: the scene time, humans, moving objects, cameras.
 
-    ``compression``: settings of the compressed images. Topics about the nodes themselves
-    (``/diagnostics``, ``frame_done``) are not among them.
+    Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not among them.
+
+    Args:
+        scene: The scene.
+        compression: Settings of the compressed images.
+        png_labels: With the topics of label images as PNG, which no node publishes.
     """
     topics: list[Topic[Any]] = [SCENE_TIME_TOPIC]
     for name, actor in scene.actors.items():
@@ -592,5 +622,8 @@ def scene_topics(scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESS
     for item in scene.moving_objects.values():
         topics += ObjectTopics(item)
     for camera in scene.scene_cameras.values():
-        topics += CameraTopics(scene, camera).all(compression)
+        own = CameraTopics(scene, camera)
+        topics += own.all(compression)
+        if png_labels:
+            topics += own.png_labels
     return topics

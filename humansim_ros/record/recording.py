@@ -25,10 +25,9 @@ from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.jobs.workers import run_frames
 from humansim_ros.messages import ImageCompression
 from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.topics import COMPRESSED, Topic, scene_topics
+from humansim_ros.messages.topics import Topic, scene_topics
 from humansim_ros.messages.types import CompressedImage
 from humansim_ros.render import GLRenderer, PyrenderRenderer, Renderer
-from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.scene import scene_hash
@@ -36,13 +35,10 @@ from humansim_ros.scene.simulation import Frame
 
 ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
 DepthFormat: TypeAlias = Literal["raw", "png"]
+LabelFormat: TypeAlias = Literal["raw", "png"]
 
 #: Name of the plan in ``custom_data`` of ``metadata.yaml``.
 PLAN = "humansim_recording"
-#: Ends of the topics that replace raw images.
-_COMPRESSED = {
-    f"/{CHANNEL_TABLE[name].topic}": f"/{CHANNEL_TABLE[name].topic}/{end}" for name, end in COMPRESSED.items()
-}
 #: Most topics that an error lists.
 _MAX_LISTED = 6
 #: Number of new frames from which the size of the others is estimated.
@@ -96,6 +92,7 @@ class RecordingPlan:
         device: str,
         images: ImageFormat = "raw",
         depth: DepthFormat = "raw",
+        labels: LabelFormat = "raw",
         storage: Storage = "mcap",
         compression: Compression = "none",
         max_size: int = 0,
@@ -110,6 +107,7 @@ class RecordingPlan:
             device: Device that renders.
             images: Format of colour images.
             depth: Format of depth.
+            labels: Format of the channels of integers of 8 and 16 bits, such as instance and part.
             storage: Storage of the bag.
             compression: Compression of its chunks.
             max_size: Size in bytes at which the bag is split; 0: never.
@@ -118,8 +116,8 @@ class RecordingPlan:
         Raises:
             BagError: No topic has a name, or fits a pattern.
         """
-        table = scene_topics(scene, _image_compression(images))
-        chosen = _chosen(table, patterns, images, depth)
+        table = scene_topics(scene, _image_compression(images), png_labels=labels == "png")
+        chosen = _chosen(table, patterns, images, depth, labels)
         plan = cls(
             scene=scene_hash(scene),
             frames=frames,
@@ -166,7 +164,7 @@ class RecordingPlan:
 
     def recorded_topics(self, scene: Scene) -> list[Topic[Any]]:
         """Topics of the table of the scene that are recorded, in its order."""
-        return _rows(scene_topics(scene, _image_compression(self.images)), self.topics)
+        return _rows(scene_topics(scene, _image_compression(self.images), png_labels=True), self.topics)
 
 
 def _image_compression(images: ImageFormat) -> ImageCompression:
@@ -180,7 +178,11 @@ def _rows(table: Sequence[Topic[Any]], names: Collection[str]) -> list[Topic[Any
 
 
 def _chosen(
-    table: Sequence[Topic[Any]], patterns: Sequence[str], images: ImageFormat, depth: DepthFormat
+    table: Sequence[Topic[Any]],
+    patterns: Sequence[str],
+    images: ImageFormat,
+    depth: DepthFormat,
+    labels: LabelFormat,
 ) -> list[str]:
     """Absolute names of the topics that are recorded, in the order of the table."""
     names = [f"/{topic.name}" for topic in table]
@@ -189,11 +191,13 @@ def _chosen(
     else:
         # what the demo shows, and what gives it meaning
         chosen = {f"/{topic.name}" for topic in table if topic.recorded}
-    for end, form in (("/image_raw", images), ("/depth/image", depth)):
-        if form != "raw":
-            chosen = {
-                name.removesuffix(end) + _COMPRESSED[end] if name.endswith(end) else name for name in chosen
-            }
+    formats = {"rgb": images, "depth": depth}
+    replaced = {
+        f"/{topic.raw}": f"/{topic.name}"
+        for topic in table
+        if topic.raw and any(formats.get(channel, labels) != "raw" for channel in topic.channels)
+    }
+    chosen = {replaced.get(name, name) for name in chosen}
     # a message for each frame, also of a camera that loses images
     faulty = {topic.camera for topic in table if topic.faulty and f"/{topic.name}" in chosen}
     chosen |= {f"/{topic.name}" for topic in table if topic.explains and topic.camera in faulty}

@@ -27,7 +27,7 @@ _MESH, _MARKER, _TEXT = "shape_msgs/msg/Mesh", "visualization_msgs/msg/Marker", 
 _POSES = {"extrinsics": "geometry_msgs/msg/TransformStamped", "pose": "geometry_msgs/msg/PoseStamped"}
 TF, _TIME = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/TimeReference"
 #: Ends of names of compressed topics, beside the topic of the image.
-_COMPRESSED = tuple(f"/{end}" for end in COMPRESSED.values())
+_COMPRESSED = tuple(dict.fromkeys(f"/{end}" for end in COMPRESSED.values()))
 #: Channels by their topic below a camera; channels of single bodies have a topic for each.
 _CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
 #: Namespaces below a camera that repeat its ``camera_info``.

@@ -189,6 +189,40 @@ def test_compressed_images_and_other_storages_are_read(
             np.testing.assert_array_equal(found, truth)
 
 
+def test_labels_as_png_give_the_files_of_the_scene(tmp_path: Path, exports: tuple[Path, Path]) -> None:
+    patterns = recorded_patterns([EXPORT_FORMATS["coco"], EXPORT_FORMATS["labels"]], "coco17")
+    other = recorded(tmp_path / "bag", small_scene(), patterns, labels="png")
+    with BagReader(other) as reader:
+        names = {topic.name for topic in reader.topics}
+    assert "/bent/instance/image/compressed" in names and "/bent/instance/image" not in names
+    export(bag_job(tmp_path / "out", other, "labels"))
+    files = [file for file in (exports[1] / "labels").rglob("*") if file.suffix in (".png", ".npz")]
+    assert files
+    for file in files:
+        assert (tmp_path / "out" / file.relative_to(exports[1])).read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "message"),
+    [
+        (
+            "part",
+            "mono8; jpeg compressed ",
+            "part as 'mono8; jpeg compressed ' is not exact; mono8, raw or PNG",
+        ),
+        ("instance", "mono8; png compressed ", "instance as .* is not exact; mono16, raw or PNG, is"),
+    ],
+)
+def test_labels_that_are_not_exact_are_refused(name: str, form: str, message: str) -> None:
+    from humansim_ros.export.bag import _reader_of
+    from humansim_ros.messages.types import CompressedImage
+
+    suffix = ".jpg" if "jpeg" in form else ".png"
+    data = cv2.imencode(suffix, np.full((8, 8), 3, np.uint8))[1]
+    with pytest.raises(ExportError, match=message):
+        _reader_of(name)(CompressedImage(format=form, data=data.tobytes()))
+
+
 def test_jpeg_images_are_those_of_the_bag(tmp_path: Path, exports: tuple[Path, Path]) -> None:
     other = recorded(
         tmp_path / "bag", small_scene(), ["*/image_raw", "*/camera_info", "*/extrinsics"], images="jpeg"

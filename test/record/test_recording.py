@@ -248,6 +248,52 @@ def test_jpeg_and_png_images_show_the_raw_ones(scene: Scene, frames: list[Frame]
             assert (np.abs(restored - depth[near]) <= 0.51 * depth[near] ** 2 / a + 1e-6).all()
 
 
+def test_labels_as_png_are_exact_in_place_of_the_raw_ones(
+    scene: Scene, frames: list[Frame], tmp_path: Path
+) -> None:
+    patterns = [
+        "bent/instance/image",
+        "bent/part/image",
+        "bent/amodal/*",
+        "bent/face/image",
+        "bent/image_raw",
+    ]
+    found = by_rosbags(recorded(scene, tmp_path / "bag", *patterns, labels="png"))
+    assert sorted(found) == [
+        "/bent/amodal/anna/image/compressed",
+        "/bent/face/image",  # 32 bits do not fit into a PNG
+        "/bent/image_raw",
+        "/bent/instance/image/compressed",
+        "/bent/part/image/compressed",
+    ]
+    for topic, form, truth in (
+        ("instance/image", "mono16", lambda view: view.instance),
+        ("part/image", "mono8", lambda view: view.part),
+        ("amodal/anna/image", "mono8", lambda view: view.amodal[1].astype(np.uint8) * 255),
+    ):
+        for k, (_, message) in enumerate(found[f"/bent/{topic}/compressed"]):
+            pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED)
+            expected = truth(frames[k].views["bent"])
+            assert message.format.startswith(f"{form}; png compressed")
+            assert pixels.dtype == expected.dtype and expected.any()
+            np.testing.assert_array_equal(pixels, expected)
+
+
+def test_labels_are_png_by_default_topics_too_and_only_if_asked(scene: Scene) -> None:
+    raw = RecordingPlan.of(scene, FRAMES).topics
+    png = RecordingPlan.of(scene, FRAMES, labels="png").topics
+    assert [name for name in raw if name not in png] == ["/noisy/part/image", "/bent/part/image"]
+    assert {name for name in png if name not in raw} == {
+        "/noisy/part/image/compressed",
+        "/bent/part/image/compressed",
+    }
+    everything = RecordingPlan.of(scene, FRAMES, ["*"]).topics
+    assert [name for name in everything if name.endswith("/compressed")] == [
+        "/noisy/image_raw/compressed",
+        "/bent/image_raw/compressed",
+    ]
+
+
 def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
     """Shards of frames are files of one bag."""
 
@@ -271,7 +317,9 @@ def test_a_recording_in_one_process_has_one_context_and_one_table(
     made: list[str] = []
     create, topics = OpenGLContext.__init__, recording.scene_topics
     monkeypatch.setattr(OpenGLContext, "__init__", lambda *words: (made.append("context"), create(*words))[1])
-    monkeypatch.setattr(recording, "scene_topics", lambda *words: (made.append("table"), topics(*words))[1])
+    monkeypatch.setattr(
+        recording, "scene_topics", lambda *words, **how: (made.append("table"), topics(*words, **how))[1]
+    )
     record(SceneRecording.of(scene, 2, ["/noisy/image_raw"]), tmp_path / "bag")
     assert sorted(made) == ["context", "table"]
 

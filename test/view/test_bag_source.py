@@ -205,6 +205,16 @@ def test_other_storages_and_compressed_images(
     assert any("is shown at the origin" in text for text in source.messages)
 
 
+def test_labels_as_png_are_shown_as_raw_ones(tmp_path: Path, scene: Scene, truth: Frame) -> None:
+    patterns = ["*/instance/image", "*/part/image", "*/camera_info"]
+    source = BagViewSource(recorded(tmp_path / "bag", scene, patterns, labels="png"))
+    frame = source.frame(SHOWN, ["fixed"], ["instance", "part"])
+    for channel in ("instance", "part"):
+        shown = color_channel(channel, getattr(truth.views["fixed"], channel))
+        np.testing.assert_array_equal(frame.images["fixed"][channel], shown)
+    source.close()
+
+
 # --- bags that lack something
 
 

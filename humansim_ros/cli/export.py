@@ -76,6 +76,14 @@ def export(
     shard_size: Annotated[
         int, typer.Option(metavar="BYTES", help="Size of the shards of webdataset in bytes.", min=1)
     ] = 1_000_000_000,
+    license_: Annotated[
+        str,
+        typer.Option(
+            "--license",
+            metavar="NAME",
+            help="Licence of the data set, such as CC-BY-4.0, or the address of its text.",
+        ),
+    ] = "",
     jobs: JobsOption = None,
     resume: ResumeOption = False,
     ray: RayOption = None,
@@ -112,7 +120,7 @@ def export(
         given = Scene.load(scene)
         warn_about_mistakes(given)
     source = export_source(given, rows, keypoints)
-    plan = ExportPlan.of(source, chosen, f".{images.value}", shard_size)
+    plan = ExportPlan.of(source, chosen, f".{images.value}", shard_size, license_)
     job = Export(source, plan, Path(output) if ray is None else Path(output).resolve())
     if ray is None:
         _export(job, jobs or cores(), resume)

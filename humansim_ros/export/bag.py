@@ -25,7 +25,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import BagError, ExportError, HumansimError, printable, some_of, warn_about
 from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.export.source import versions
-from humansim_ros.export.writer import ExportCamera, ExportScene
+from humansim_ros.export.writer import MAX_LICENSE, ExportCamera, ExportScene
 from humansim_ros.io.files import parse_json
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.messages.cdr import deserialised
@@ -183,7 +183,7 @@ class _Survey:
         cameras = self._camera_names()
         needed = self._needed(cameras)
         frames = self._frames(needed.topics or [f"/{cameras[0]}/camera_info"])
-        labels, objects = self._labels(cameras)
+        labels, objects, licenses = self._labels(cameras)
         parts = self._parts(cameras)
         steps = np.diff([place.stamp for place in frames])
         scene = ExportScene(
@@ -193,6 +193,7 @@ class _Survey:
             labels=labels,
             objects=objects,
             parts={name: parts for name in labels if name not in objects},
+            licenses=licenses,
         )
         path, custom = self._reader.path, self._reader.info.custom
         return BagSource(
@@ -281,16 +282,21 @@ class _Survey:
     def _first(self, topic: str, kind: type[Any]) -> Any:
         return next(self._messages(topic, kind))
 
-    def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str]]:
-        """Instance labels by name, and kinds of objects, by the legend of a camera; else people by topics."""
+    def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str], dict[str, str]]:
+        """Instance labels by name, kinds of objects, and licences of people, by the legend of a camera; else
+        people by topics.
+        """
         for camera in cameras:
             topic = f"/{camera}/joints/legend"
             if topic in self._topics:
                 legend = self._legend(topic)
                 people, objects = legend.get("human", {}), legend.get("object", {})
                 labels = {str(name): int(label) for each in (people, objects) for label, name in each.items()}
-                return labels, {str(name): str(name) for name in objects.values()}
-        return {name: number for number, name in enumerate(self._people(), 1)}, {}
+                stated = legend.get("license")
+                known = stated.items() if isinstance(stated, dict) else ()
+                licenses = {str(name): str(text)[:MAX_LICENSE] for name, text in known if name in labels}
+                return labels, {str(name): str(name) for name in objects.values()}, licenses
+        return {name: number for number, name in enumerate(self._people(), 1)}, {}, {}
 
     def _parts(self, cameras: Sequence[str]) -> tuple[str, ...]:
         """Names of the values of body parts from 1, the same for all people."""

@@ -67,7 +67,10 @@ class CocoWriter(FormatWriter):
             ("instances.json", scene.labels, categories),
         ):
             chosen = {name: category_of[name] for name in names}
-            content = coco_document(listed_records, chosen, listed, licenses=scene.license_links)
+            content = coco_document(listed_records, chosen, listed, licenses=self.settings.license_links)
+            if self.settings.license:  # the first
+                for image in content["images"]:
+                    image["license"] = 1
             folder.write(file, json.dumps(content) + "\n")
 
 
@@ -97,7 +100,7 @@ def coco_document(
         category_of: Number of the category by body; others are left out.
         categories: Categories of COCO.
         first: Number of the first image; annotations are numbered from 1.
-        licenses: Licences of the people, with the addresses of their texts.
+        licenses: Licences of the data set and of its people, with the addresses of their texts.
     """
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []

@@ -97,7 +97,7 @@ class CroissantWriter(FormatWriter):
         settings = self.settings
         scene = settings.scene
         first, last = settings.frames[0], settings.frames[-1]
-        links = scene.license_links
+        links = settings.license_links
         return {
             "@context": _CONTEXT,
             "@type": "sc:Dataset",

@@ -84,7 +84,7 @@ class Export:
         """What writers get."""
         plan = self.plan
         return ExportSettings(
-            self.source.scene, plan.frames, plan.keypoints, plan.image_suffix, plan.shard_size
+            self.source.scene, plan.frames, plan.keypoints, plan.image_suffix, plan.shard_size, plan.license
         )
 
     @property
@@ -340,6 +340,7 @@ def _finish(job: Export, files_of_frames: dict[str, FileEntry]) -> None:
             provenance=job.source.provenance(job.plan.frames),
             rate=scene.rate,
             humans=scene.people,
+            **({"license": job.plan.license} if job.plan.license else {}),
             licenses=dict(scene.licenses),
             objects=list(scene.objects),
             cameras={name: list(each.camera.size) for name, each in scene.cameras.items()},

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros import __version__
-from humansim_ros.errors import MAX_FRAMES, ExportError
+from humansim_ros.errors import MAX_FRAMES, ExportError, printable
 from humansim_ros.export.source import ExportSource
-from humansim_ros.export.writer import SHARD_SIZE
+from humansim_ros.export.writer import MAX_LICENSE, SHARD_SIZE
 from humansim_ros.io.files import ANY_SIZE, read_json
 
 #: File of an export with its plan; when the export is complete, also with all files and their hashes.
@@ -34,6 +34,7 @@ class ExportPlan:
         shard_size: Size of shards of samples, bytes.
         device: Device that renders: others round differently. Empty if nothing is rendered.
         version: Version of this package.
+        license: Licence of the data set; empty if it is not known.
     """
 
     scene: str
@@ -45,6 +46,7 @@ class ExportPlan:
     shard_size: int
     device: str
     version: str = __version__
+    license: str = ""
 
     @classmethod
     def of(
@@ -53,6 +55,7 @@ class ExportPlan:
         frames: range | None = None,
         image_suffix: str = ".png",
         shard_size: int = SHARD_SIZE,
+        license: str = "",
     ) -> ExportPlan:
         """Plan the export of a scene or bag on this machine.
 
@@ -61,12 +64,16 @@ class ExportPlan:
             frames: Numbers of the frames, without steps; all of a bag if None.
             image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
             shard_size: Size of shards of samples, bytes.
+            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text.
 
         Raises:
-            ExportError: There are no such frames.
+            ExportError: There are no such frames, or the licence is no line of text.
             RenderError: OpenGL is missing.
         """
         frames = _checked_frames(frames, source.count)
+        if len(license) > MAX_LICENSE or license != printable(license, MAX_LICENSE):
+            text = f"a licence is one line of at most {MAX_LICENSE} characters, such as CC-BY-4.0"
+            raise ExportError(text, key="--license")
         return cls(
             scene=source.hash,
             first=frames.start,
@@ -76,6 +83,7 @@ class ExportPlan:
             keypoints=source.keypoints,
             shard_size=shard_size,
             device=source.device(),
+            license=license.strip(),
         )
 
     @property

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -32,6 +33,10 @@ LICENSES = {
     "MIT": "https://opensource.org/license/mit",
     "Apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
 }
+#: Most characters of a licence.
+MAX_LICENSE = 200
+#: Beginning of the address of the text of a licence.
+_ADDRESS = re.compile("https?://")
 
 
 class FileEntry(TypedDict):
@@ -182,17 +187,8 @@ class ExportScene:
             objects={name: Path(scene.objects[name].shape).stem for name in scene.object_labels},
             parts={name: actor.human.skeleton.names for name, actor in scene.actors.items()},
             humans={name: actor.human for name, actor in scene.actors.items()},
-            licenses={
-                name: text
-                for name, actor in scene.actors.items()
-                if (text := actor.human.notes.get("license", "").strip())
-            },
+            licenses={name: text for name, actor in scene.actors.items() if (text := actor.human.license)},
         )
-
-    @property
-    def license_links(self) -> dict[str, str]:
-        """Different licences, with the address of the text of known ones, else empty."""
-        return {text: LICENSES.get(text, "") for text in sorted(set(self.licenses.values()))}
 
     @property
     def people(self) -> list[str]:
@@ -217,6 +213,7 @@ class ExportSettings:
         keypoints: Name of the keypoint set (docs/keypoints.md).
         image_suffix: Suffix of colour images: ``.png`` or ``.jpg``.
         shard_size: Largest size of a shard of samples, bytes; a frame more if one is larger.
+        license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text; empty: unknown.
     """
 
     scene: ExportScene
@@ -224,6 +221,17 @@ class ExportSettings:
     keypoints: str = "coco17"
     image_suffix: str = ".png"
     shard_size: int = SHARD_SIZE
+    license: str = ""
+
+    @property
+    def license_links(self) -> dict[str, str]:
+        """Licence of the data set, then the others of its people, with the addresses of their texts.
+
+        The address is empty if it is not known.
+        """
+        people = sorted(set(self.scene.licenses.values()))
+        names = dict.fromkeys([self.license, *people] if self.license else people)
+        return {name: LICENSES.get(name, name if _ADDRESS.match(name) else "") for name in names}
 
     @property
     def rate(self) -> float:

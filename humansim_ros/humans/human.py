@@ -66,6 +66,11 @@ class Human(Pictured):
         """Names of all outfits; the first is the default."""
         return tuple(self.looks) or (self.outfit,)
 
+    @property
+    def license(self) -> str:
+        """Licence of the body, such as ``CC0-1.0``; empty if it is not known."""
+        return self.notes.get("license", "").strip()
+
     def wearing(self, outfit: str) -> Human:
         """Return the human in another outfit. Raises MeshError for an unknown outfit."""
         if outfit == self.outfit and (self.mesh.texture is not None or self.mesh.colors is not None):

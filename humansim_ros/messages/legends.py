@@ -46,14 +46,21 @@ def part_legend(skeleton: Skeleton) -> String:
 
 
 def joints_legend(
-    humans: Mapping[str, tuple[int, Sequence[str]]], objects: Mapping[str, int] = MappingProxyType({})
+    humans: Mapping[str, tuple[int, Sequence[str]]],
+    objects: Mapping[str, int] = MappingProxyType({}),
+    licenses: Mapping[str, str] = MappingProxyType({}),
 ) -> String:
     """Build ``<camera>/joints/legend``: names of the values of the fields ``human``, ``joint``, ``visible``
     and ``occluder``. The names of ``by`` are in ``human`` and ``object``.
 
-    ``humans``: instance label and joint names by human. ``objects``: instance label by object.
+    Args:
+        humans: Instance label and joint names by human.
+        objects: Instance label by object.
+        licenses: Licence of the body by human, where it is known.
     """
-    named = {"joint": {name: list(joints) for name, (_, joints) in humans.items()}}
+    named: dict[str, Any] = {"joint": {name: list(joints) for name, (_, joints) in humans.items()}}
+    if licenses:
+        named["license"] = dict(licenses)
     return _view_legend({name: label for name, (label, _) in humans.items()}, objects, named)
 
 

@@ -9,9 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from export_support import exported, small_scene
+from export_support import exported, job, small_scene
 
 from humansim_ros import Frame, Simulation
+from humansim_ros.errors import ExportError
+from humansim_ros.export.exporting import export
 from humansim_ros.truth import OUTSIDE
 
 CHANNELS = ("depth", "instance", "part", "amodal")
@@ -121,6 +123,36 @@ def test_data_sets_carry_the_licences_of_their_people(root: Path) -> None:
     for file in ("person_keypoints.json", "instances.json"):
         document = json.loads((root / "coco" / file).read_text())
         assert document["licenses"] == [{"id": 1, "name": "CC0-1.0", "url": address}]
+
+
+def test_the_licence_of_the_user_comes_first_and_is_the_licence_of_each_image(tmp_path: Path) -> None:
+    root = exported(tmp_path / "out", "coco,croissant", license="CC-BY-4.0")
+    index = json.loads((root / "index.json").read_text())
+    assert index["license"] == "CC-BY-4.0" and set(index["licenses"].values()) == {"CC0-1.0"}
+    links = [
+        "https://creativecommons.org/licenses/by/4.0/",
+        "https://creativecommons.org/publicdomain/zero/1.0/",
+    ]
+    for file in ("person_keypoints.json", "instances.json"):
+        document = json.loads((root / "coco" / file).read_text())
+        assert [row["name"] for row in document["licenses"]] == ["CC-BY-4.0", "CC0-1.0"]
+        assert [row["url"] for row in document["licenses"]] == links
+        assert {image["license"] for image in document["images"]} == {document["licenses"][0]["id"]}
+    assert json.loads((root / "croissant.json").read_text())["license"] == links
+    with pytest.raises(ExportError, match=r"license: CC-BY-4\.0 there, MIT now"):
+        export(job(root, "coco,croissant", license="MIT"), resume=True)
+
+
+@pytest.mark.parametrize("license", ["two\nlines", "\u202eMIT", "x" * 201])
+def test_a_licence_that_is_no_line_is_refused(tmp_path: Path, license: str) -> None:
+    with pytest.raises(ExportError, match="a licence is one line of at most 200 characters"):
+        job(tmp_path / "out", "coco", license=license)
+
+
+def test_the_address_of_a_licence_is_its_link(tmp_path: Path) -> None:
+    settings = job(tmp_path / "out", "coco", license="https://example.org/terms").settings
+    assert settings.license_links["https://example.org/terms"] == "https://example.org/terms"
+    assert not (tmp_path / "out").exists()
 
 
 def test_categories_have_the_keypoints_and_the_kinds_of_objects(root: Path) -> None:

@@ -115,6 +115,13 @@ _BONES = (
 )
 #: Part of these bones that counts: a foot may stand on something.
 _PART = 0.85
+#: Bones that touch what a person sits on: the lowest part of the trunk, and the legs.
+_SEATED = (_BONES[0], *_BONES[2:6])
+#: Metres to which they may be in it: flesh and cushions give way.
+_CONTACT = 0.12
+#: Metres below the hips in which a seat is looked for, and share of the height of the hips of a person who
+#: stands (the length of the legs) up to which it sits.
+_SEAT, _SITS = (0.05, 0.1, 0.15, 0.2, 0.25), 0.75
 #: Joints of the spine, from below.
 _SPINE = ("HumanoidRoot", "sacroiliac", "vl5", "vt3", "vt3_end")
 #: Points of the spine that are compared. Bodies are in each other if their spines are nearer than this share
@@ -194,7 +201,7 @@ def _in_obstacles(
     samples: SceneSamples,
     obstacles: Sequence[Obstacle],
 ) -> Iterator[Finding]:
-    """Findings about a human inside things, the first time for each thing.
+    """Findings about a human inside things, the first time for each thing. Contact with a seat is meant.
 
     ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as well.
     """
@@ -209,6 +216,10 @@ def _in_obstacles(
     first: dict[str, tuple[float, Obstacle]] = {}
     for obstacle in obstacles:
         hits = obstacle.crossed(starts, ends, times) | obstacle.contains(starts[:, 0], times)
+        if hits.any() and _is_seat(obstacle, joints[inside], names, times):
+            soft = np.array([(names[a], names[b]) in _SEATED for a, b in pairs])
+            hits = obstacle.crossed(starts[:, ~soft], ends[:, ~soft], times)
+            hits |= _is_deep(obstacle, starts[:, soft], ends[:, soft], times)
         if hits.any():
             time = float(times[np.argmax(hits)])
             if obstacle.key not in first or time < first[obstacle.key][0]:
@@ -219,6 +230,51 @@ def _in_obstacles(
             motion_key(samples, name),
             f"{name} is inside {obstacle.name} at {time:.1f} s ({obstacle.key}): move one of them",
         )
+
+
+def _is_seat(obstacle: Obstacle, joints: Array, names: Sequence[str], times: Array) -> bool:
+    """Whether a human sits on a thing at any time: bent legs, and the thing below the hips only.
+
+    Args:
+        obstacle: The thing.
+        joints: Joints (N, J, 3) in ``map``.
+        names: Names of the joints.
+        times: Seconds (N,).
+    """
+    legs = [name for side in "lr" for name in (f"{side}_hip", f"{side}_knee", f"{side}_ankle")]
+    if not set(legs) <= set(names):
+        return False
+    hips, knees, ankles = (
+        joints[:, [names.index(legs[joint]), names.index(legs[joint + 3])]].mean(axis=1) for joint in range(3)
+    )
+    length = np.linalg.norm(hips - knees, axis=1) + np.linalg.norm(knees - ankles, axis=1)
+    sits = hips[:, 2] - ankles[:, 2] < _SITS * length
+    if not sits.any():
+        return False
+    below = np.zeros(len(times), dtype=bool)
+    for depth in _SEAT:
+        below |= obstacle.contains(hips - np.array([0, 0, depth]), times)
+    above = obstacle.contains(hips + np.array([0, 0, _CONTACT]), times)
+    return bool((sits & below & ~above).any())
+
+
+def _is_deep(obstacle: Obstacle, starts: Array, ends: Array, times: Array) -> NDArray[np.bool_]:
+    """Whether a part (N,) of bones from ``starts`` to ``ends`` (N, S, 3) is deeper in a thing than contact.
+
+    A point is deep if it stays inside when it is moved by ``_CONTACT`` sideways or up.
+    """
+    deep = np.zeros(len(times), dtype=bool)
+    moves = _CONTACT * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+    for bone in range(starts.shape[1]):
+        for part in np.linspace(0, 1, 6):
+            points = starts[:, bone] + part * (ends[:, bone] - starts[:, bone])
+            inside = obstacle.contains(points, times)
+            for move in moves:
+                if not inside.any():
+                    break
+                inside &= obstacle.contains(points + move, times)
+            deep |= inside
+    return deep
 
 
 def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:

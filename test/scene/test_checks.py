@@ -341,6 +341,37 @@ def test_a_person_on_a_platform_or_on_a_seat_is_sound() -> None:
     assert findings(scene) == []
 
 
+@pytest.mark.parametrize(
+    ("at", "yaw", "text"),
+    [
+        (-0.45, 0, ""),  # the calves touch the front of the seat
+        (-0.6, 0, "anna is inside the object seat"),  # the calves are in the middle of the seat
+    ],
+)
+def test_contact_with_a_seat_is_meant_and_a_leg_in_its_middle_is_not(
+    at: float, yaw: float, text: str
+) -> None:
+    seat = {"size": [0.9, 0.6, 0.4], "position": [-0.45, 0, 0.2]}
+    motion = {"file": "sit_stand", "position": [at + 0.45, 0], "yaw_deg": yaw}
+    scene = scene_with(humans__anna__motion=motion, objects={"seat": seat}, room=None)
+    found = findings(scene)
+    assert [text in finding.text for finding in found] == [True] * bool(text)
+
+
+@pytest.mark.parametrize("x", [-2.6, -2.4])
+def test_a_person_who_sits_on_the_sofa_of_the_room_is_sound(x: float) -> None:
+    scene = scene_with(humans__anna__motion={"file": "sit_stand", "position": [x, 0.4]})
+    scene["cameras"]["front"] = {"position": [3, 0, 1.6], "look_at": [-2, 0, 1]}
+    assert findings(scene) == []
+
+
+@pytest.mark.slow
+def test_a_person_in_the_middle_of_the_sofa_is_found() -> None:
+    scene = scene_with(humans__anna__motion={"file": "sit_stand", "position": [-2.9, 0.4]})
+    scene["cameras"]["front"] = {"position": [3, 0, 1.6], "look_at": [-2, 0, 1]}
+    assert "anna is inside furniture of the room" in only(findings(scene)).text
+
+
 @pytest.mark.parametrize(("apart", "count"), [(0.1, 1), (0.7, 0)])
 def test_people_in_each_other_are_found(apart: float, count: int) -> None:
     bert = {"body": "adult_man", "motion": {"file": "wave", "position": [0, apart]}}

@@ -33,6 +33,7 @@ from humansim_ros.scene.config import (
     file_keys,
 )
 from humansim_ros.scene.scene import Scene
+from humansim_ros.types import Array
 from humansim_ros.view.scene_file import NEW_SCENE, SceneFile
 from humansim_ros.view.scene_keys import (
     ItemPose,
@@ -42,6 +43,7 @@ from humansim_ros.view.scene_keys import (
     check_name,
     find_key,
     free_place,
+    free_view,
     human_keys,
     human_pose,
     metres,
@@ -60,6 +62,8 @@ _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
 _A_CAMERA = {"position": [3.0, 0.0, 1.8], "look_at": [0, 0, 0.9]}
 #: Height of new cameras, and of the point at which they look, metres.
 _EYE, _CHEST = 1.8, 0.9
+#: Scene times at which a new camera sees the people, seconds, and its least distance from a wall, metres.
+_FIRST, _FROM_WALL = np.linspace(0.0, 2.0, 5), 0.3
 
 
 class SceneFault(NamedTuple):
@@ -243,22 +247,25 @@ class SceneDocument(SceneFile):
         return self.add_section("objects", name, section)
 
     def add_camera(
-        self, name: str = "camera_1", near: ArrayLike = (3.0, 0.0, _EYE), look_at: ArrayLike | None = None
+        self, name: str = "camera_1", near: ArrayLike | None = None, look_at: ArrayLike | None = None
     ) -> str:
         """Add a camera.
 
         Args:
             name: Its name; if it is taken, with a number.
-            near: Its position (3,); (2,) at a height of 1.8 m.
+            near: Its position (3,); (2,) at a height of 1.8 m. None: where it sees the people from a
+                direction that is far from the other cameras.
             look_at: Point (3,) that it looks at; the middle of the people if None.
 
         Returns:
             Its name.
         """
-        position = ItemPose(np.array([0, 0, _EYE]), np.eye(3)).changed(near).position
         target = (
             self._middle() if look_at is None else ItemPose(np.zeros(3), np.eye(3)).changed(look_at).position
         )
+        if near is None:
+            near = self._free_view(target)
+        position = ItemPose(np.array([0, 0, _EYE]), np.eye(3)).changed(near).position
         if np.linalg.norm(target - position) < 1e-3:
             target = position + np.array([1.0, 0.0, 0.0])
         section = {
@@ -557,6 +564,24 @@ class SceneDocument(SceneFile):
         at = ItemPose(np.zeros(3), np.eye(3)).changed(near).position
         placed: list[float] = metres(free_place((float(at[0]), float(at[1])), self._floor_places()))
         return placed
+
+    def _free_view(self, target: Array) -> Array:
+        """Place (3,) for a camera that looks at a target; in the room, if there is one."""
+        people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]
+        points = np.array([[x, y, z] for x, y in people or [(target[0], target[1])] for z in (0.1, 1.8)])
+        centers = np.zeros((0, 3))
+        inside: tuple[float, float] | None = None
+        with suppress(HumansimError):  # the scene has errors: its places on the floor are enough
+            scene = self.scene_so_far()
+            if scene.actors:
+                paths = [actor.joint_paths(_FIRST) for actor in scene.actors.values()]
+                points = np.concatenate([path.reshape(-1, 3) for path in paths])
+            if not self.lacks_cameras:
+                centers = np.array([camera.center for camera in scene.cameras.values()]).reshape(-1, 3)
+            if scene.config.room is not None:
+                length, width, _ = scene.config.room.size
+                inside = (length / 2 - _FROM_WALL, width / 2 - _FROM_WALL)
+        return free_view(points, centers, target, _EYE, inside)
 
     def _middle(self) -> np.ndarray[Any, Any]:
         people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]

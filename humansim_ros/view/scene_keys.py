@@ -378,3 +378,44 @@ def free_place(near: tuple[float, float], taken: Mapping[str, tuple[float, float
             if not len(others) or np.linalg.norm(others - place, axis=1).min() >= 0.8:
                 return float(place[0]), float(place[1])
     return near
+
+
+#: Share of the points that a new camera sees; beyond it, a free direction counts more.
+_ENOUGH = 0.9
+
+
+def free_view(
+    points: Array, cameras: Array, target: Array, height: float, inside: tuple[float, float] | None = None
+) -> Array:
+    """Place of a camera with a field of view of 60 degrees that sees people from a free direction.
+
+    Args:
+        points: (N, 3) of the people, in ``map``.
+        cameras: (C, 3) places of the other cameras.
+        target: (3,) where it looks.
+        height: Its height, metres.
+        inside: Greatest distance along x and y from the origin of the place; None: anywhere.
+
+    Returns:
+        (3,) Among the places that see most points, the one whose direction is farthest from the others.
+    """
+    offsets = cameras - target
+    others = offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-9)
+    best, found = (-1.0, -np.inf, 0.0), target + np.array([3.0, 0.0, 0.0])
+    for angle in np.radians(np.arange(0, 360, 15)):
+        across = np.array([np.cos(angle), np.sin(angle)])
+        for distance in np.arange(2.0, 12.1, 0.5):
+            place = np.array([*(target[:2] + distance * across), height])
+            if inside is not None and (np.abs(place[:2]) > inside).any():
+                break
+            camera = Camera.look_at(place, target)
+            pixels, depths = camera.project(points)
+            size = np.array(camera.size)
+            within = np.all((pixels >= 0) & (pixels < size - 1), axis=1) & (depths > 0)
+            seen = min(float(within.mean()), _ENOUGH)
+            way = (place - target) / np.linalg.norm(place - target)
+            nearest = float((others @ way).max(initial=-1.0))  # cosine
+            rating = (seen, round(-nearest, 6), -distance)
+            if rating > best:
+                best, found = rating, place
+    return found

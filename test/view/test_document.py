@@ -347,3 +347,25 @@ def test_a_text_stays_within_the_limit_of_scene_files() -> None:
     opened = document("# " + "x" * (1 << 20) + "\n" + ROOMLESS)
     with pytest.raises(SceneError, match="a scene file has at most 1048576 bytes"):
         opened.set("rate", 10)
+
+
+@pytest.mark.parametrize("text", [ROOMLESS, NEW_SCENE], ids=["no room", "room"])
+def test_new_cameras_see_the_people_from_directions_of_their_own(text: str) -> None:
+    opened = document(text)
+    opened.add_person("anna", near=(0.5, 0.5), motion="wave")
+    for _ in range(3):
+        opened.add_camera()
+    scene = opened.scene()
+    joints = np.concatenate([actor.at(0.0).positions for actor in scene.actors.values()])
+    for name in list(scene.cameras)[-3:]:
+        camera = scene.cameras[name]
+        across, down, depth = camera.K @ (camera.R @ joints.T + camera.t[:, None])
+        pixels = np.stack([across, down]) / depth
+        assert (depth > 0).all()
+        inside = ((pixels > 0) & (pixels < np.array([[640], [480]]))).all(axis=0)
+        assert inside.mean() > 0.8, name
+        if scene.config.room is not None:
+            assert (np.abs(camera.center[:2]) < np.array(scene.config.room.size[:2]) / 2).all()
+    axes = np.array([camera.R[2] for camera in scene.cameras.values()])
+    angles = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))[np.triu_indices(len(axes), 1)]
+    assert angles.min() > 35

@@ -15,13 +15,21 @@ from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.photographs.person_fit import LARGEST, SMALLEST, PersonFit, Proportions
+from humansim_ros.photographs.person_fit import (
+    GREATEST_OFFSET,
+    LARGEST,
+    MOST_CONTROLS,
+    SMALLEST,
+    PersonFit,
+    Proportions,
+)
 from humansim_ros.photographs.views import MAX_FRAMES
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, transform, unit_quaternions
 
 _HEADER = "# Fit of `humansim human fit`; docs/from_photographs.md describes the keys.\n"
 _Number = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 _Factor = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
+_Offset = Annotated[float, Field(ge=-GREATEST_OFFSET, le=GREATEST_OFFSET)]
 _Quaternion = tuple[_Number, _Number, _Number, _Number]
 
 
@@ -32,6 +40,7 @@ class _ProportionsSection(Section):
     lengths: dict[str, _Factor] = Field(default_factory=dict)
     girths: dict[str, _Factor] = Field(default_factory=dict)
     shape: tuple[_Number, ...] = Field((), max_length=400)
+    offsets: tuple[_Offset, ...] = Field((), max_length=MOST_CONTROLS)
 
 
 class _FrameSection(Section):
@@ -72,6 +81,7 @@ def write_fit(path: str | os.PathLike[str], fit: PersonFit) -> None:
             "lengths": {name: round(float(value), 6) for name, value in shape.lengths.items()},
             "girths": {name: round(float(value), 6) for name, value in shape.girths.items()},
             "shape": list(shape.shape),
+            "offsets": list(shape.offsets),
         },
         "frames": [_frame(fit, number, names) for number in range(len(fit.root))],
     }
@@ -155,7 +165,7 @@ def read_fit(path: str | os.PathLike[str]) -> PersonFit:
     own = section.proportions
     return PersonFit(
         section.human,
-        Proportions(own.stature, own.lengths, own.girths, own.shape),
+        Proportions(own.stature, own.lengths, own.girths, own.shape, own.offsets),
         section.bones,
         root,
         rotations,

@@ -96,7 +96,7 @@ def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> l
         photos: Photographs.
         silhouettes: The masks were used.
     """
-    model = PoseModel(shaped_human(fit.human, fit.proportions.shape), photos.keypoints)
+    model = PoseModel(shaped_human(fit.human, fit.proportions), photos.keypoints)
     found = []
     masks = silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame)
     used = np.isfinite(fit.residuals) & ~fit.outliers
@@ -133,10 +133,10 @@ def _fit(
     silhouettes: bool,
     progress: FitProgress,
 ) -> PersonFit:
-    """Fit a human with the betas of the start to the triangulated points of all frames."""
-    betas = () if start is None else start.proportions.shape
-    body = shaped_human(name, betas)
-    model = PoseModel(body, photos.keypoints, betas)
+    """Fit a human with betas and offsets of the start to the triangulated points of all frames."""
+    base = Proportions() if start is None else start.proportions
+    body = shaped_human(name, base)
+    model = PoseModel(body, photos.keypoints, base)
     sights = [_sight(photos, model, each) for each in found]
     noise = _noise(found)
     states = _initial(model, found, start, progress)
@@ -159,7 +159,10 @@ def _fit(
     refined: list[int] = []
     if silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame):
         refined = [shape_frames[row] for row in _spread(np.zeros(len(shape_frames)), SILHOUETTE_FRAMES)]
-        states = fitted_states(model, fit_silhouettes(result(), photos, refined))
+        fine = fit_silhouettes(result(), photos, refined)
+        body = shaped_human(name, fine.proportions)
+        model = PoseModel(body, photos.keypoints, fine.proportions)
+        states = fitted_states(model, fine)
         progress("silhouettes", len(states), len(states))
     if len(states) > max(len(refined), 1):
         period = photos.period / 1e9 if len(states) > 2 else 0.0

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky
+from scipy.spatial.distance import cdist
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
@@ -17,16 +19,24 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human, make_human
 from humansim_ros.humans.smpl import count_betas
 from humansim_ros.io.assets import find_asset
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.normals import mean_normals
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.posed_bones import PosedBones
-from humansim_ros.types import Array, Float32Array
+from humansim_ros.types import Array, Float32Array, Indices
 
 #: Range of each factor.
 SMALLEST, LARGEST = 0.2, 5.0
+#: Greatest offset of the surface, metres.
+GREATEST_OFFSET = 0.08
 #: Most betas that are fitted: the first ones of a model matter most.
 MOST = 10
 #: Standard deviation of a vertex about its place in the model, metres; and number of independent vertices.
 _NOISE, _INDEPENDENT = 0.01, 200
+#: Offsets of the surface are alike within this share of the height, and this difference of unit normals.
+_REACH, _TURN = 0.03, 1.0
+#: Most controls of the offsets of a surface, and vertices that are computed at once.
+MOST_CONTROLS, _CHUNK = 600, 20_000
 
 
 @dataclass(frozen=True)
@@ -38,12 +48,15 @@ class Proportions:
         lengths: Factor along each bone, by name of the bone; 1 if absent.
         girths: Factor across each bone, by name of the bone; 1 if absent.
         shape: Betas of the human, if it is an SMPL model.
+        offsets: Metres that the surface of the human is moved out at the controls of :class:`SurfaceOffsets`,
+            before it takes the factors: clothes, hair, and what factors cannot be. None if empty.
     """
 
     stature: float = 1.0
     lengths: Mapping[str, float] = field(default_factory=dict)
     girths: Mapping[str, float] = field(default_factory=dict)
     shape: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
 
     def scales(self, skeleton: Skeleton) -> Array:
         """Factors (B, 3) along the axes of the frames of the bones; y is along the bone.
@@ -62,7 +75,7 @@ class Proportions:
 
 
 def with_proportions(human: Human, proportions: Proportions) -> Human:
-    """Return a human, which has the betas ``shape``, in other proportions; its soles stay where they are.
+    """Return a human, which has betas and offsets, in other proportions; its soles stay where they are.
 
     A bone scales the vertices near it about its head, v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)): the
     skin stays smooth where it stretches.
@@ -97,14 +110,84 @@ def with_proportions(human: Human, proportions: Proportions) -> Human:
     )
 
 
-def shaped_human(name: str, shape: tuple[float, ...] = ()) -> Human:
-    """A human by its name or file, with the betas ``shape`` if it is an SMPL model.
+@dataclass(frozen=True, eq=False)
+class SurfaceOffsets:
+    """A smooth field of offsets along the normals of a mesh at rest.
+
+    Offsets are a Gaussian process over places and normals, by its values at controls, which are spread
+    evenly: what is near and faces the same way moves alike.
+
+    Attributes:
+        controls: (K,) vertices.
+        factor: (K, K) lower Cholesky factor of the covariances of the controls; their variance is 1.
+        shares: (V, K) offset of each vertex by the offsets of the controls.
+        normals: (V, 3) unit normals of the vertices.
+    """
+
+    controls: Indices
+    factor: Array
+    shares: Float32Array
+    normals: Array
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> SurfaceOffsets:
+        """Controls of a mesh, and the shares of its vertices."""
+        a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
+        _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+        place = place.reshape(-1)
+        normals = mean_normals(np.cross(b - a, c - a), place[mesh.triangles], len(place))[place]
+        reach = _REACH * max(float(np.ptp(mesh.vertices[:, 1])), 1e-6)
+        features = np.hstack([mesh.vertices / reach, normals / _TURN])
+        used = np.unique(mesh.triangles)
+        controls = np.asarray(used[_spread(features[used], MOST_CONTROLS)], np.intp)
+        covariances = _likeness(features[controls], features[controls]) + 1e-3 * np.eye(len(controls))
+        factor = cholesky(covariances, lower=True)
+        inverse = cho_solve((factor, True), np.eye(len(controls)))
+        parts = np.array_split(features, len(features) // _CHUNK + 1)
+        shares = [(_likeness(part, features[controls]) @ inverse).astype(np.float32) for part in parts]
+        return cls(controls, factor, np.concatenate(shares), normals)
+
+    def moved(self, human: Human, offsets: Sequence[float] | Array) -> Human:
+        """The human with another surface. Raises MeshError if these are not as many offsets as controls."""
+        if len(offsets) != len(self.controls):
+            raise MeshError(
+                f"{len(offsets)} offsets of the surface do not fit {human.name}, which has "
+                f"{len(self.controls)} controls"
+            )
+        vertices = human.mesh.vertices + (self.shares @ np.asarray(offsets))[:, None] * self.normals
+        return replace(human, mesh=replace(human.mesh, vertices=vertices))
+
+
+def _likeness(one: Array, other: Array) -> Array:
+    """Covariances (N, M) of points (N, D), (M, D) at unit reach."""
+    return np.asarray(np.exp(-0.5 * cdist(one, other, "sqeuclidean")))
+
+
+def _spread(points: Array, most: int) -> Indices:
+    """Numbers of points (N, D), each the farthest from those before; until they are nearer than 1."""
+    chosen = [0]
+    gaps = np.square(points - points[0]).sum(axis=1)
+    while len(chosen) < most and gaps.max() > 1:
+        chosen.append(int(gaps.argmax()))
+        gaps = np.minimum(gaps, np.square(points - points[chosen[-1]]).sum(axis=1))
+    return np.array(chosen, np.intp)
+
+
+@lru_cache(maxsize=2)
+def surface_offsets(name: str, shape: tuple[float, ...] = ()) -> SurfaceOffsets:
+    """Offsets of the surface of a human with these betas, by its name or file."""
+    return SurfaceOffsets.of(shaped_human(name, Proportions(shape=shape)).mesh)
+
+
+def shaped_human(name: str, proportions: Proportions) -> Human:
+    """A human by its name or file, with betas and offsets of the surface, before it takes the factors.
 
     Raises:
-        MeshError: It cannot be loaded, or has no such betas.
+        MeshError: It cannot be loaded, or has no such betas or offsets.
     """
-    path = find_asset(name, "humans")
-    return make_human(path, MeshHuman(betas=shape)) if shape else load_human(path)
+    path, shape = find_asset(name, "humans"), proportions.shape
+    human = make_human(path, MeshHuman(betas=shape)) if shape else load_human(path)
+    return surface_offsets(name, shape).moved(human, proportions.offsets) if proportions.offsets else human
 
 
 def can_be_shaped(name: str) -> bool:
@@ -183,7 +266,7 @@ class PersonFit:
     @cached_property
     def body(self) -> Human:
         """The human in the proportions of the person. Raises MeshError if it cannot be loaded."""
-        return with_proportions(shaped_human(self.human, self.proportions.shape), self.proportions)
+        return with_proportions(shaped_human(self.human, self.proportions), self.proportions)
 
     def posed(self, frame: int = 0) -> Array:
         """Frames of the bones (B, 4, 4) in ``map``."""

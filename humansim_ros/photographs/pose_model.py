@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -99,8 +99,10 @@ class PoseModel:
         trust: (K,) how much each keypoint counts; keypoints of the skin count less.
     """
 
-    def __init__(self, human: Human, keypoints: KeypointSet, shape: tuple[float, ...] = ()) -> None:
-        self.shape = shape
+    def __init__(self, human: Human, keypoints: KeypointSet, base: Proportions | None = None) -> None:
+        """``base``: betas and offsets of the human."""
+        self.base = base or Proportions()
+        self.keypoint_set = keypoints
         self.skeleton = human.skeleton
         names = [_group(name) for name in self.skeleton.names]
         self.groups = tuple(dict.fromkeys(names))
@@ -253,7 +255,7 @@ class PoseModel:
             {name: float(each) for name, each in zip(names, own, strict=True) if abs(each - 1) > 1e-6}
             for own in factors
         )
-        return Proportions(float(np.exp(state.stature)), lengths, girths, self.shape)
+        return replace(self.base, stature=float(np.exp(state.stature)), lengths=lengths, girths=girths)
 
     def rotations(self, state: BodyState) -> Array:
         """Quaternions (B, 4) xyzw of the bones."""

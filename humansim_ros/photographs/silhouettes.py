@@ -10,13 +10,20 @@ from functools import cached_property
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.humans.human import Human
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.photographs.person_fit import PersonFit, shaped_human, with_proportions
+from humansim_ros.photographs.person_fit import (
+    GREATEST_OFFSET,
+    PersonFit,
+    shaped_human,
+    surface_offsets,
+    with_proportions,
+)
 from humansim_ros.photographs.pose_fitting import (
     LEAST_NOISE,
     EdgePoints,
@@ -44,13 +51,16 @@ _LEAST_SLOPE = 0.3
 _FARTHEST = 0.5
 #: Pixels around two masks, so that slopes at their outlines are known.
 _MARGIN = 8
-#: Rounds of rendering and least squares.
-_ROUNDS = 6
+#: Rounds of rendering and least squares before the surface moves, and with it.
+_ROUNDS, _SURFACE_ROUNDS = 4, 3
 #: Least squares ends after this number of steps in each round: the outline moves with the body.
 _STEPS = 4
 #: Standard deviation of outlines, as a share of the side of a square of the area of the person: bodies and
 #: clothes differ, and neighbouring points are off alike.
 _NOISE = 0.022
+#: Standard deviation of offsets of the surface, metres; of outlines that move it, as above; and the number of
+#: these beyond which outlines count less.
+_SPREAD, _SURFACE_NOISE, _ROBUST = 0.02, 0.007, 4.0
 Faces = NDArray[np.int32]
 
 
@@ -180,7 +190,9 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     """Refine the proportions of a person, and the poses of some frames, by the masks of these frames.
 
     The body is rendered, points of its outline are paired with the outline of the mask, and pose, lengths and
-    girths follow by least squares of the distances between them, together with the keypoints; then again.
+    girths follow by least squares of the distances between them, together with the keypoints; then again. In
+    the last rounds the surface moves along its normals, too: what is left of the distances is clothes and
+    hair.
 
     Args:
         fit: Person fitted to the keypoints.
@@ -197,28 +209,37 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     chosen = [number for number, own in outlines.items() if own]
     if not chosen:
         return fit
-    human = shaped_human(fit.human, fit.proportions.shape)
-    model = PoseModel(human, keypoint_set(fit.keypoints), fit.proportions.shape)
+    human = shaped_human(fit.human, fit.proportions)
+    model = PoseModel(human, keypoint_set(fit.keypoints), fit.proportions)
     all_states = fitted_states(model, fit)
     states = [all_states[number] for number in chosen]
     noise = _noise(fit)
     sights = [_sight(fit, photos, model, number) for number in chosen]
-    renderer = make_renderer()
+    topology, renderer = human.mesh, make_renderer()
+
+    def edges(number: int, state: BodyState) -> dict[int, Edges]:
+        """Edges of a frame by the number of the view."""
+        vertices = _posed(human, model, state)
+        # one topology in all rounds: a renderer prepares it once
+        surface = Body(topology, vertices, human.triangle_parts, 1)
+        found = {}
+        for view, outline in outlines[number].items():
+            camera = photos.frames[number][view].camera
+            face = renderer.render([surface], camera, ["face"]).face
+            found[view] = find_edges(outline, camera, vertices, topology, face)
+        return found
+
     try:
-        for _ in range(_ROUNDS):
-            body = with_proportions(human, model.proportions(states[0]))
-            with_edges = []
-            for number, state, sight in zip(chosen, states, sights, strict=True):
-                posed = body.skeleton.pose(model.rotations(state), model.root(state, body.skeleton))
-                vertices = body.pose(posed)
-                # one mesh in all rounds: a renderer prepares its topology once
-                surface = Body(human.mesh, vertices, human.triangle_parts, 1)
-                found = {}
-                for view, outline in outlines[number].items():
-                    camera = photos.frames[number][view].camera
-                    face = renderer.render([surface], camera, ["face"]).face
-                    found[view] = find_edges(outline, camera, vertices, human.mesh, face)
-                with_edges.append(replace(sight, edges=_points(human, model, state, photos, found)))
+        for step in range(_ROUNDS + _SURFACE_ROUNDS):
+            if step >= _ROUNDS:
+                found = [edges(number, state) for number, state in zip(chosen, states, strict=True)]
+                base = replace(model.base, offsets=_fit_offsets(fit.human, model, photos, states, found))
+                human = shaped_human(fit.human, base)
+                model = PoseModel(human, model.keypoint_set, base)
+            with_edges = [
+                replace(sight, edges=_points(human, model, state, photos, edges(number, state)))
+                for number, state, sight in zip(chosen, states, sights, strict=True)
+            ]
             states = fit_poses(model, states, with_edges, Settings(noise, steps=_STEPS))
     finally:
         renderer.close()
@@ -230,6 +251,55 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
         for each in all_states
     ]
     return _with_states(fit, photos, human, model, all_states)
+
+
+def _posed(human: Human, model: PoseModel, state: BodyState) -> Float32Array:
+    """Vertices (V, 3) in ``map``. ``human``: before it took proportions."""
+    body = with_proportions(human, model.proportions(state))
+    return body.pose(body.skeleton.pose(model.rotations(state), model.root(state, body.skeleton)))
+
+
+def _fit_offsets(
+    name: str,
+    model: PoseModel,
+    photos: PhotoSet,
+    states: Sequence[BodyState],
+    edges: Sequence[Mapping[int, Edges]],
+) -> tuple[float, ...]:
+    """Offsets of the surface of a human that move the edges of some frames to their outlines.
+
+    Robust least squares with the Gaussian process of the offsets as prior.
+
+    Args:
+        name: Name or file of the human.
+        model: Model of the human with its present offsets.
+        photos: Photographs.
+        states: States of the frames.
+        edges: Edges of the frames by view.
+    """
+    field = surface_offsets(name, model.base.shape)
+    plain = shaped_human(name, replace(model.base, offsets=()))
+    grown = replace(plain, mesh=replace(plain.mesh, vertices=plain.mesh.vertices + field.normals))
+    now = np.zeros(len(field.controls))
+    if model.base.offsets:
+        now = solve_triangular(field.factor, model.base.offsets, lower=True)
+    matrix, right = np.eye(len(now)) / _SPREAD**2, np.zeros(len(now))
+    for state, found in zip(states, edges, strict=True):
+        positions = _posed(field.moved(plain, field.factor @ now), model, state)
+        # positions are linear in the offsets
+        slopes = _posed(grown, model, state).astype(float) - _posed(plain, model, state)
+        for view, each in found.items():
+            by_place = photos.cameras[view].project_jacobian(positions[each.vertices])
+            slope = np.einsum("ni,nij,nj->n", each.normals, by_place, slopes[each.vertices])
+            known = np.isfinite(slope)
+            rows = slope[known, None] * (field.shares[each.vertices[known]] @ field.factor)
+            noise = max(_SURFACE_NOISE * each.size, LEAST_NOISE)
+            distances = each.distances[known]
+            weights = 1 / (1 + (distances / noise / _ROBUST) ** 2) / noise**2
+            matrix += (weights[:, None] * rows).T @ rows
+            right += (weights * (distances + rows @ now)) @ rows
+    offsets = field.factor @ np.linalg.solve(matrix, right)
+    return tuple(np.clip(offsets, -GREATEST_OFFSET, GREATEST_OFFSET).round(5).tolist())
 
 
 def silhouette_iou(fit: PersonFit, photos: PhotoSet, frame: int = 0) -> dict[str, float]:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.smpl import count_betas
 from humansim_ros.photographs import fit_person, read_fit, read_views, write_fit
-from humansim_ros.photographs.person_fit import can_be_shaped, fit_shape, shaped_human
+from humansim_ros.photographs.person_fit import Proportions, can_be_shaped, fit_shape, shaped_human
 
 #: Bones of the built-in people whose heads are the joints of the model.
 _JOINTS = {
@@ -82,9 +82,9 @@ def rest(human: Human) -> np.ndarray:
 def test_betas_of_a_body_of_the_model_are_found(model: Path) -> None:
     assert count_betas(model) == 2 and can_be_shaped(str(model))
     assert not can_be_shaped("adult_man")
-    body = shaped_human(str(model), (0.6, -0.3))
+    body = shaped_human(str(model), Proportions(shape=(0.6, -0.3)))
     np.testing.assert_allclose(fit_shape(str(model), body.mesh.vertices), (0.6, -0.3), atol=0.01)
-    assert np.abs(rest(shaped_human(str(model))) - rest(body)).max() > 0.01
+    assert np.abs(rest(shaped_human(str(model), Proportions())) - rest(body)).max() > 0.01
 
 
 @pytest.mark.nightly
@@ -98,8 +98,8 @@ def test_a_person_of_the_model_is_found_in_photographs(model: Path, tmp_path: Pa
     )  # fmt: skip
     fit = fit_person(read_views(studio.path))
     assert fit.proportions.shape == pytest.approx((0.8, 0.0), abs=0.35)
-    mean = rest(shaped_human(str(model)))
-    found = rest(shaped_human(str(model), fit.proportions.shape))
+    mean = rest(shaped_human(str(model), Proportions()))
+    found = rest(shaped_human(str(model), Proportions(shape=fit.proportions.shape)))
     wrong = [np.linalg.norm(body - rest(studio.human), axis=1).mean() for body in (found, mean)]
     assert wrong[0] < 0.5 * wrong[1], wrong
     errors = np.linalg.norm(fit.joints() - studio.joints[0], axis=1)

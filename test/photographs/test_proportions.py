@@ -12,7 +12,13 @@ import yaml
 from humansim_ros.errors import MeshError, PhotographError
 from humansim_ros.humans import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit, write_fit
-from humansim_ros.photographs.person_fit import PersonFit, Proportions, with_proportions
+from humansim_ros.photographs.person_fit import (
+    PersonFit,
+    Proportions,
+    shaped_human,
+    surface_offsets,
+    with_proportions,
+)
 from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix, transform
 
 LEGS = {"l_knee": 1.2, "r_knee": 1.2}
@@ -87,7 +93,7 @@ def some_fit(man: Human, frames: int = 2) -> PersonFit:
     swapped[-1, 1] = True
     return PersonFit(
         "adult_man",
-        Proportions(1.05, {"l_hip": 1.1}, {"vl5": 0.9}),
+        Proportions(1.05, {"l_hip": 1.1}, {"vl5": 0.9}, offsets=(-0.00345, *[0.0] * 599)),
         man.skeleton.names,
         transform(rotation_vector_to_matrix(rng.normal(size=(frames, 3))), rng.normal(size=(frames, 3))),
         matrix_to_quaternion(rotation_vector_to_matrix(vectors)),
@@ -144,3 +150,34 @@ def test_something_else_is_no_fit(tmp_path: Path) -> None:
     (tmp_path / "fit.yaml").write_text("- 1\n")
     with pytest.raises(PhotographError, match="a fit is a mapping"):
         read_fit(tmp_path / "fit.yaml")
+
+
+def test_an_offset_moves_the_surface_out_near_its_control_alone(man: Human) -> None:
+    field = surface_offsets("adult_man")
+    vertices = man.mesh.vertices
+    own = vertices[field.controls]
+    front = field.controls[np.argmax(own[:, 2] * (abs(own[:, 1] - 1.1) < 0.1) * (abs(own[:, 0]) < 0.1))]
+    offsets = np.where(field.controls == front, 0.01, 0.0)
+    moves = shaped_human("adult_man", Proportions(offsets=tuple(offsets))).mesh.vertices - vertices
+    lengths = np.linalg.norm(moves, axis=1)
+    assert moves[front, 2] > 0.006
+    assert lengths[front] == pytest.approx(0.01, rel=0.1) and lengths.max() < 0.015
+    far = np.linalg.norm(vertices - vertices[front], axis=1) > 0.3
+    assert lengths[far].max() < 1e-4
+    assert lengths[vertices[:, 2] < vertices[front, 2] - 0.15].max() < 1e-3, "the back stays"
+
+
+def test_offsets_of_another_human_are_refused() -> None:
+    with pytest.raises(MeshError, match=r"2 offsets of the surface do not fit .*controls"):
+        shaped_human("adult_man", Proportions(offsets=(0.01, 0.01)))
+
+
+@pytest.mark.parametrize("offset", [".nan", "0.5", "[1]"])
+def test_an_impossible_offset_of_a_file_is_refused_with_its_key(
+    man: Human, tmp_path: Path, offset: str
+) -> None:
+    path = tmp_path / "fit.yaml"
+    write_fit(path, some_fit(man))
+    path.write_text(path.read_text().replace("-0.00345", offset))
+    with pytest.raises(PhotographError, match=r"fit\.yaml.*offsets"):
+        read_fit(path)

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from photographs.studio import Studio, make_studio
+from scipy.spatial import cKDTree
 
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.person_fit import PersonFit, with_proportions
+from humansim_ros.photographs.person_fit import PersonFit, shaped_human, with_proportions
 from humansim_ros.photographs.pose_model import Attachments, PoseModel
 from humansim_ros.photographs.silhouettes import (
     MaskOutline,
@@ -86,11 +87,21 @@ def test_keypoints_still_agree(rough: PersonFit, fine: PersonFit) -> None:
 
 @pytest.mark.slow
 def test_the_residuals_are_those_of_the_refined_body(fine: PersonFit, photos: PhotoSet) -> None:
-    model = PoseModel(load_human("adult_man"), keypoint_set("coco17"))
+    model = PoseModel(shaped_human(fine.human, fine.proportions), keypoint_set("coco17"))
     state = model.state(fine.proportions, fine.root[0], fine.rotations[0], fine.body.skeleton)
     seen = photos.cameras[1].project(model.keypoints(state))[0]
     expected = np.linalg.norm(seen - photos.points[0, 1, :, :2], axis=1)
     np.testing.assert_allclose(fine.residuals[0, 1], expected, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_offsets_bring_the_surface_to_the_truth(fine: PersonFit, shelf: Studio, photos: PhotoSet) -> None:
+    """Proportions of the man are not the shape of the woman: offsets of his surface say the rest."""
+    plain = replace(fine, proportions=replace(fine.proportions, offsets=()))
+    true = shelf.vertices[0]
+    with_them, without = (cKDTree(fit.vertices(0)).query(true)[0].mean() for fit in (fine, plain))
+    assert with_them < 0.9 * without, (with_them, without)
+    assert mean_iou(fine, photos) > max(mean_iou(plain, photos), 0.97)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from humansim_ros.view.panels.human import HumanPanel
 from humansim_ros.view.panels.images import ImagesPanel, NumbersPanel
 from humansim_ros.view.panels.page import Player, plain_markdown
 from humansim_ros.view.panels.photographs import PhotographsPanel
-from humansim_ros.view.panels.show import ALL, ShowPanel, ThroughPanel, TimelinePanel
+from humansim_ros.view.panels.show import ALL, ShowPanel, ThroughPanel, TimelinePanel, TracksPanel
 from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.picking import hit_person, person_info
 from humansim_ros.view.scene_file import file_signature
@@ -38,6 +38,8 @@ _RATE = 30.0
 _LOOK = 0.5
 #: Seconds that a page without browsers waits between looks for one.
 _IDLE = 0.2
+#: Seconds after a step of a drag in which nobody waits for images.
+_DRAG = 0.3
 #: Seconds in which the first images of another source arrive.
 _FIRST_IMAGES = 60.0
 
@@ -90,7 +92,7 @@ class ViewApp:
         self._stopped = threading.Event()
         self._reload, self._path = reload, path
         self._modified = file_signature(path)
-        self._looked = 0.0
+        self._looked = self._scrubbed = 0.0
         self._notice: Any = None
         self._broken: str | None = None
         self.gui.main_panel.dock_right()
@@ -103,6 +105,7 @@ class ViewApp:
             self.server.add_script("photographs.js")
         self.tabs: dict[str, Any] = {name: tabs.add_tab(name) for name in names}
         self._place_view()
+        self._tracks = TracksPanel(self)
         self._build()
         self._say_broken(problem)
         if document is not None:
@@ -141,6 +144,7 @@ class ViewApp:
             self.commands.close()
         if self.human is not None:
             self.human.close()
+        self._tracks.close()
         self.source.close()
         self.server.close()
 
@@ -165,6 +169,11 @@ class ViewApp:
         self._unseen_since = None
         self.player.seek(index)
         self.refresh()
+
+    def scrub(self, index: int) -> None:
+        """Pause, and show a frame while the time is dragged: its images may come later."""
+        self._scrubbed = time.monotonic()
+        self.seek(index)
 
     def set_options(self, options: Options) -> None:
         """Change the drawings in 3D."""
@@ -279,6 +288,7 @@ class ViewApp:
             lambda name, origin, direction: self.post(lambda: self.pick_person(name, origin, direction)),
         )
         self._timeline = TimelinePanel(self)
+        self._tracks.show()
         self._show = ShowPanel(self)
         self._through = ThroughPanel(self)
         self._numbers = NumbersPanel(self)
@@ -332,9 +342,10 @@ class ViewApp:
             return
         self._needs_frame = False
         still = not self.player.playing
+        dragged = time.monotonic() - self._scrubbed < _DRAG
         cameras = self.shown_cameras if self.through is None else (self.through,)
         channels = self.shown_channels or (self.source.channels[:1] if self.through else ())
-        frame = self.source.frame(index, cameras, channels, wait=still and not pending)
+        frame = self.source.frame(index, cameras, channels, wait=still and not (pending or dragged))
         if self._content() != self._built_of:  # people and cameras of a graph come and go
             self._remove_panels()
             self._build()
@@ -342,6 +353,7 @@ class ViewApp:
         self._tell(self.source.messages)
         self._stage.show(frame)
         self._timeline.update(frame)
+        self._tracks.update(frame)
         self._images.update(frame)
         self._through.update(frame)
         self.frames_shown += 1

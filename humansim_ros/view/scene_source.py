@@ -22,6 +22,7 @@ from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, fitted
+from humansim_ros.view.tracks import SceneTracks
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
@@ -134,6 +135,9 @@ class SceneViewSource(ViewSource):
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
             self._exact = self._truth.frame(self._shown, cameras=[camera])
         return pixel_info(self.scene, self._exact, camera, x, y)
+
+    def tracks(self) -> SceneTracks:
+        return SceneTracks(self.scene, self.frames, tuple(self.cameras))
 
     def take_over(self, previous: ViewSource) -> None:
         """Let the processes of another scene render this one: starting them takes seconds."""

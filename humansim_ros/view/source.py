@@ -11,6 +11,7 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.humans import Human
+from humansim_ros.jobs.frame_job import FrameJob
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array, Image
 
@@ -136,6 +137,10 @@ class ViewSource(ABC):
     @abstractmethod
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         """Numbers of a pixel of the frame that was given last, as the topics say them."""
+
+    def tracks(self) -> FrameJob | None:
+        """Job that reads the tracks of the timeline (``tracks.py``); None: the source has no timeline."""
+        return None
 
     @abstractmethod
     def close(self) -> None:

@@ -198,6 +198,7 @@
     for (const [at, count] of Object.values(kept)) sums[at] += count;
     document.body.style.boxSizing = "border-box";
     for (const [at, count] of Object.entries(sums)) document.body.style[`padding${at}`] = `${count}px`;
+    state.dispatchEvent(new Event("reserved"));
   };
   // Pixels of a side that other areas have.
   state.reservedByOthers = (area, side) =>

@@ -45,7 +45,6 @@
     document.body.append(area, bar);
     new ResizeObserver(place).observe(document.documentElement);
     page.addEventListener("reserved", place); // by another area
-    page.addEventListener("reserved", place);
   }
 
   function change(wanted) {

@@ -110,6 +110,9 @@ class Page(Protocol):
     def seek(self, index: int) -> None:
         """Pause, and show a frame."""
 
+    def scrub(self, index: int) -> None:
+        """Pause, and show a frame while the time is dragged: its images may come later."""
+
     def set_options(self, options: Options) -> None:
         """Change the drawings in 3D."""
 

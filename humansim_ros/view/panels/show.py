@@ -11,7 +11,8 @@ from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.view.panels.page import SPEEDS, Page
 from humansim_ros.view.server import PREFIX
 from humansim_ros.view.source import ViewFrame, jpeg_of
-from humansim_ros.view.stage import Options
+from humansim_ros.view.stage import Options, person_color
+from humansim_ros.view.tracks import TrackReader, Tracks
 
 _LABELS = {
     "cameras": "Cameras",
@@ -176,6 +177,8 @@ def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]
 
 # --- the time
 
+#: Fewest frames that need a timeline, and digits of a number of a frame that a page sends.
+_FEWEST, _DIGITS = 2, 12
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
 
@@ -264,3 +267,82 @@ class TimelinePanel:
     def _set_speed(self) -> None:
         if self._speed.value in SPEEDS:
             self._app.player.speed = float(self._speed.value)
+
+
+# --- the timeline along the bottom of the page
+
+
+class TracksPanel:
+    """The timeline that the script ``page/timeline.js`` draws: tracks and curves of the source."""
+
+    def __init__(self, app: Page) -> None:
+        self._app = app
+        self._reader = TrackReader(lambda *found: app.post(lambda: self._take(*found)))
+        self._tracks: Tracks | None = None
+        self._curve: tuple[str, str] = ("", "")
+        self._source = self._version = 0
+        app.server.on_request("seek", self._sought)
+        app.server.on_request("curve", self._chosen)
+
+    def show(self) -> None:
+        """Show the timeline of another source of the page."""
+        self._tracks = None
+        self._source = self._reader.show(self._app.source.tracks())
+        frames = self._app.player.frames
+        if frames is None or frames < _FEWEST:
+            self._publish(None)
+            return
+        self._publish({"frames": frames, "period": self._app.source.period * 1e-9})
+
+    def update(self, frame: ViewFrame) -> None:
+        """Let tracks be read once the page has its images."""
+        app = self._app
+        if frame.image_index is not None or not (app.shown_cameras and app.shown_channels):
+            self._reader.begin()
+
+    def close(self) -> None:
+        """End the process that reads tracks."""
+        self._reader.close()
+
+    def _take(self, source: int, found: Tracks | str) -> None:
+        if source != self._source:
+            return
+        if isinstance(found, str):
+            frames = {"frames": self._app.player.frames, "period": self._app.source.period * 1e-9}
+            self._publish(frames | {"problem": found})
+            return
+        self._tracks = found
+        self._publish(self._table(found))
+
+    def _table(self, tracks: Tracks) -> dict[str, Any]:
+        numbers = {name: number for number, name in enumerate(self._app.source.people)}
+        table = tracks.table()
+        for person in table["people"]:
+            person["color"] = "#{:02x}{:02x}{:02x}".format(*person_color(numbers.get(person["name"], 0)))
+        return table | {"curve": tracks.curve(*self._curve)}
+
+    def _publish(self, table: Mapping[str, Any] | None) -> None:
+        """Serve a table, and tell the script; None: there is no timeline."""
+        self._version += 1
+        if table is not None:
+            self._app.server.add_json("tracks.json", table)
+        self._app.send_state(tracks=None if table is None else self._version)
+
+    def _sought(self, query: Mapping[str, str]) -> None:
+        """A click or drag on the timeline, told by its script; in the server's thread."""
+        text = query.get("frame", "")
+        if text.isdecimal() and len(text) < _DIGITS:
+            index = int(text)
+            seek = self._app.scrub if query.get("drag") else self._app.seek
+            self._app.post(lambda: seek(index))
+
+    def _chosen(self, query: Mapping[str, str]) -> None:
+        """A joint was chosen for the curves; in the server's thread."""
+        chosen = query.get("person", ""), query.get("joint", "")
+
+        def choose() -> None:
+            self._curve = chosen
+            if self._tracks is not None:
+                self._publish(self._table(self._tracks))
+
+        self._app.post(choose)

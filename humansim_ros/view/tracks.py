@@ -1,0 +1,428 @@
+"""Tracks of the timeline of a page: keyframes, drops, joints, visibility and errors over all frames.
+
+They are read frame by frame in a process of their own with a lower priority than images: neither images nor
+poses of the page wait for them. ``humansim_ros.truth`` decides what is visible, at the full size of cameras.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.jobs.frame_job import Costs, FrameJob, FrameResult
+from humansim_ros.jobs.workers import WorkerDiedError, Workers
+from humansim_ros.motion.keyframes import KeyframeTrack
+from humansim_ros.scene.playback import Playback
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.simulation import Simulation
+from humansim_ros.truth import OCCLUDED, VISIBLE
+from humansim_ros.types import Float32Array
+
+#: Most frames whose joints are read, and most whose images are looked at.
+_MOST_MOTION, _MOST_VIEWS = 600, 120
+#: Frames of a request for joints.
+_CHUNK = 30
+#: Added to the niceness of the page: images have 5, and go first.
+_NICE = 10
+#: Seconds that a source is shown before its tracks are read: who edits changes it several times. Then it is
+#: waited for its first images, at most so long.
+_QUIET, _PATIENCE = 1.0, 20.0
+#: Seconds between looks at what has arrived, and between two messages to the page.
+_TICK, _PUBLISH = 0.2, 0.7
+
+
+@dataclass(frozen=True)
+class TrackOutline:
+    """What a timeline has before any frame is looked at; frames are numbers.
+
+    Attributes:
+        frames: Number of frames.
+        period: Nanoseconds between frames.
+        cameras: Names of the cameras.
+        joints: Names of the joints by person.
+        spans: First and last frames in which a person is there, by person.
+        keys: Frames of keyframes by person or object; absent without keyframes.
+        drops: Frames whose image is lost, by camera; absent without.
+        has_views: Visibility can be read.
+        has_errors: There is an estimate.
+    """
+
+    frames: int
+    period: int
+    cameras: Sequence[str] = ()
+    joints: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    spans: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict)
+    keys: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    drops: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    has_views: bool = True
+    has_errors: bool = False
+
+
+@dataclass(frozen=True)
+class TrackSample:
+    """Values of one frame.
+
+    Attributes:
+        joints: Positions (J, 3) in ``map`` by person, metres, in the order of :attr:`TrackOutline.joints`.
+        seen: Shares of the joints that are visible and that are occluded, by person and camera; the others
+            are outside the image.
+        errors: Mean distance of an estimate from the truth by person, millimetres.
+    """
+
+    joints: Mapping[str, Float32Array] = field(default_factory=dict)
+    seen: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+class TrackWorker(Protocol):
+    """Reads the values of a source, in its own process."""
+
+    def outline(self) -> TrackOutline:
+        """What is known without looking at frames."""
+
+    def motion(self, index: int) -> TrackSample:
+        """Joints of a frame."""
+
+    def views(self, index: int) -> TrackSample:
+        """Visibility and errors of a frame."""
+
+    def close(self) -> None:
+        """Free what it has opened."""
+
+
+def seen_shares(visible: NDArray[np.uint8]) -> tuple[float, float]:
+    """Shares of visible and of occluded joints, of their states (J,) in the truth of a camera."""
+    if not len(visible):
+        return 0.0, 0.0
+    return float(np.mean(visible == VISIBLE)), float(np.mean(visible == OCCLUDED))
+
+
+def coarse_to_fine(frames: int, most: int) -> list[int]:
+    """At most ``most`` frames at even distances: first and last, then the middles between them."""
+    chosen = np.unique(np.linspace(0, frames - 1, min(frames, most)).round().astype(int)).tolist()
+    order: dict[int, None] = dict.fromkeys((0, len(chosen) - 1))
+    for power in reversed(range(len(chosen).bit_length())):
+        order |= dict.fromkeys(range(0, len(chosen), 1 << power))
+    return [chosen[place] for place in order]
+
+
+# --- a scene
+
+
+@dataclass(frozen=True)
+class SceneTracks:
+    """Tracks of a scene, as a job.
+
+    Attributes:
+        scene: The scene.
+        frames: Number of frames of the page.
+        cameras: Names of the cameras of the page.
+    """
+
+    scene: Scene
+    frames: int
+    cameras: Sequence[str]
+
+    def start(self) -> Tracker:
+        """Begin, in the process that reads."""
+        return Tracker(_SceneTracks(self))
+
+
+class _SceneTracks:
+    def __init__(self, job: SceneTracks) -> None:
+        self._job, self._scene = job, job.scene
+        self._playback = Playback(job.scene)
+        self._simulation: Simulation | None = None
+
+    def outline(self) -> TrackOutline:
+        job, scene = self._job, self._scene
+        moved = {name: actor.keyframes for name, actor in scene.actors.items()}
+        moved |= {name: item.keyframes for name, item in scene.objects.items()}
+        lost = {
+            name: [
+                index
+                for index in range(job.frames if scene.scene_cameras[name].faults else 0)
+                if (faults := scene.scene_cameras[name].faults) and not faults.at(index).sent
+            ]
+            for name in job.cameras
+        }
+        return TrackOutline(
+            frames=job.frames,
+            period=round(1e9 / scene.config.rate),
+            cameras=tuple(job.cameras),
+            joints={name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()},
+            spans={name: [(0, job.frames - 1)] for name in scene.actors},
+            keys={
+                name: key_frames(track, scene.config.rate, job.frames)
+                for name, track in moved.items()
+                if track is not None
+            },
+            drops={name: frames for name, frames in lost.items() if frames},
+            has_views=bool(job.cameras and scene.actors),
+        )
+
+    def motion(self, index: int) -> TrackSample:
+        poses = self._playback.show(self._scene.frame_time(index)).poses
+        actors = self._playback.actors
+        joints = {name: actor.joints_of(poses[name].contiguous())[0][0] for name, actor in actors.items()}
+        return TrackSample({name: each[:, :3, 3].astype(np.float32) for name, each in joints.items()})
+
+    def views(self, index: int) -> TrackSample:
+        if self._simulation is None:
+            self._simulation = Simulation(self._scene, channels=("depth", "instance", "part"))
+        frame = self._simulation.frame(index, cameras=self._job.cameras)
+        seen: dict[str, dict[str, tuple[float, float]]] = {}
+        for camera, truth in frame.truth.items():
+            for person, joints in truth.joints.items():
+                seen.setdefault(person, {})[camera] = seen_shares(joints.visible)
+        return TrackSample(seen=seen)
+
+    def close(self) -> None:
+        if self._simulation is not None:
+            self._simulation.close()
+
+
+def key_frames(track: KeyframeTrack, rate: float, frames: int) -> list[int]:
+    """Frames of a page, at ``rate`` per second, nearest to the keys of a track, in all rounds of its loop."""
+    timeline = track.timeline
+    seconds = (track.frames - timeline.start) / timeline.rate
+    repeats = timeline.loop == "repeat" and timeline.duration > 0
+    rounds = int(np.ceil(frames / rate / timeline.duration)) if repeats else 1
+    starts = np.arange(max(1, min(rounds, frames))) * timeline.duration
+    found = np.rint((starts[:, None] + seconds).ravel() * rate).astype(int)
+    return np.unique(found[found < frames]).tolist()
+
+
+# --- in the other process
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A request: ``outline``, ``motion`` or ``views`` of some frames, for the source of a number."""
+
+    source: int
+    kind: str
+    frames: tuple[int, ...] = ()
+
+
+class Tracker:
+    """Answers requests with a worker."""
+
+    def __init__(self, worker: TrackWorker) -> None:
+        self.costs = Costs()
+        self._worker = worker
+
+    def work(self, asked: _Asked) -> FrameResult:
+        """Answer a request."""
+        if asked.kind == "outline":
+            return FrameResult(self._worker.outline())
+        read = self._worker.motion if asked.kind == "motion" else self._worker.views
+        return FrameResult({index: read(index) for index in asked.frames})
+
+    def close(self) -> None:
+        """Free what the worker has opened."""
+        self._worker.close()
+
+
+# --- in the process of the page
+
+
+class Tracks:
+    """Tracks of a source, as far as they have been read."""
+
+    def __init__(self, outline: TrackOutline) -> None:
+        self.outline = outline
+        self._motion: dict[int, TrackSample] = {}
+        self._views: dict[int, TrackSample] = {}
+        self.motion_plan = coarse_to_fine(outline.frames, _MOST_MOTION)
+        self.views_plan = coarse_to_fine(outline.frames, _MOST_VIEWS)
+        if not (outline.has_views or outline.has_errors):
+            self.views_plan = []
+
+    def take(self, kind: str, samples: Mapping[int, TrackSample]) -> None:
+        """Add values of frames."""
+        (self._motion if kind == "motion" else self._views).update(samples)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether everything has been read."""
+        return len(self._views) == len(self.views_plan) and len(self._motion) == len(self.motion_plan)
+
+    def table(self) -> dict[str, Any]:
+        """Everything but joints, for the script of the page (``page/timeline.js``).
+
+        ``visible`` and ``occluded`` are percent by person and camera, ``errors`` millimetres by person. All
+        are lists with a value for each frame of ``sampled``, None where there is none.
+        """
+        outline, sampled = self.outline, sorted(self._views)
+        samples = [self._views[index] for index in sampled]
+
+        def shares(person: str, camera: str, which: int) -> list[int | None]:
+            found = (each.seen.get(person, {}).get(camera) for each in samples)
+            return [None if pair is None else round(100 * pair[which]) for pair in found]
+
+        people = list(outline.joints)
+        seen = people if outline.has_views else []
+        return {
+            "frames": outline.frames,
+            "period": outline.period * 1e-9,
+            "cameras": list(outline.cameras),
+            "people": [{"name": name, "spans": list(outline.spans.get(name, ()))} for name in people],
+            "joints": {name: list(joints) for name, joints in outline.joints.items()},
+            "keys": {name: list(keys) for name, keys in outline.keys.items()},
+            "drops": {name: list(frames) for name, frames in outline.drops.items()},
+            "sampled": sampled,
+            "planned": len(self.views_plan),
+            "visible": {name: {c: shares(name, c, 0) for c in outline.cameras} for name in seen},
+            "occluded": {name: {c: shares(name, c, 1) for c in outline.cameras} for name in seen},
+            "errors": {
+                name: [
+                    None if (error := each.errors.get(name)) is None else round(error, 1) for each in samples
+                ]
+                for name in (people if outline.has_errors else ())
+            },
+        }
+
+    def curve(self, person: str, joint: str) -> dict[str, Any] | None:
+        """Positions of a joint in ``map``, metres, over the frames that have been read; None without it."""
+        names = list(self.outline.joints.get(person, ()))
+        if joint not in names:
+            return None
+        number = names.index(joint)
+        found = {k: each.joints[person][number] for k, each in self._motion.items() if person in each.joints}
+        frames = sorted(frames for frames, point in found.items() if np.isfinite(point).all())
+        lines = {
+            axis: [round(float(found[index][place]), 4) for index in frames]
+            for place, axis in enumerate(("x", "y", "z"))
+        }
+        return {"person": person, "joint": joint, "frames": frames, "lines": lines}
+
+
+class TrackReader:
+    """Reads the tracks of the source of a page in the background.
+
+    Args:
+        publish: Called in a thread of its own with the number of a source, and its tracks or the reason why
+            there are none.
+    """
+
+    def __init__(self, publish: Callable[[int, Tracks | str], None]) -> None:
+        self._publish = publish
+        self._condition = threading.Condition()
+        self._number, self._since = 0, 0.0
+        self._job: FrameJob | None = None
+        self._is_ready = self._has_ended = False
+        self._thread: threading.Thread | None = None
+
+    def show(self, job: FrameJob | None) -> int:
+        """Read other tracks instead, once :meth:`begin` is called; None: there are none.
+
+        Returns:
+            Number of the source.
+        """
+        with self._condition:
+            self._number, self._job, self._since = self._number + 1, job, time.monotonic()
+            self._is_ready = False
+            self._condition.notify_all()
+            return self._number
+
+    def begin(self) -> None:
+        """The page has its first images: tracks may be read."""
+        if self._is_ready:
+            return
+        with self._condition:
+            self._is_ready = True
+            self._condition.notify_all()
+            if self._thread is None and self._job is not None:
+                self._thread = threading.Thread(target=self._run, name="tracks", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and its process."""
+        with self._condition:
+            self._has_ended = True
+            self._condition.notify_all()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        workers: Workers | None = None
+        read = 0
+        while (found := self._next(read)) is not None:
+            read, job = found
+            try:
+                if workers is None:
+                    workers = Workers(job, 1, _NICE)
+                else:
+                    workers.use(job)
+                self._read(workers, read)
+            except HumansimError as error:
+                if isinstance(error, WorkerDiedError) and workers is not None:
+                    workers.close()
+                    workers = None
+                self._publish(read, str(error))
+        if workers is not None:
+            workers.close()
+
+    def _next(self, read: int) -> tuple[int, FrameJob] | None:
+        """Number and job of the next source to read; None at the end."""
+        with self._condition:
+            while not self._has_ended:
+                left = self._since + (_QUIET if self._is_ready else _PATIENCE) - time.monotonic()
+                if self._job is None or self._number == read:
+                    self._condition.wait()
+                elif left > 0:
+                    self._condition.wait(left)
+                else:
+                    return self._number, self._job
+        return None
+
+    def _is_replaced(self, number: int) -> bool:
+        return self._has_ended or number != self._number
+
+    def _read(self, workers: Workers, number: int) -> None:
+        outline = self._answer(workers, _Asked(number, "outline"))
+        if outline is None:
+            return
+        tracks = Tracks(outline)
+        self._publish(number, tracks)
+        published = time.monotonic()
+        motion, views = tracks.motion_plan, tracks.views_plan
+        chunks = [("motion", tuple(motion[i : i + _CHUNK])) for i in range(0, len(motion), _CHUNK)]
+        for kind, frames in [*chunks, *(("views", (index,)) for index in views)]:
+            samples = self._answer(workers, _Asked(number, kind, frames))
+            if samples is None:
+                return
+            tracks.take(kind, samples)
+            if time.monotonic() - published > _PUBLISH:
+                self._publish(number, tracks)
+                published = time.monotonic()
+        self._publish(number, tracks)
+
+    def _answer(self, workers: Workers, asked: _Asked) -> Any:
+        """Answer to a request; None if the source has been replaced."""
+        sent = False
+        while not self._is_replaced(asked.source):
+            sent = sent or workers.ask(asked)
+            # all of them: each step frees the memory of the one before
+            found = dict(workers.arrived(_TICK))
+            answer = found.get(asked)
+            if isinstance(answer, HumansimError):
+                raise answer
+            if answer is not None:
+                return answer.value
+        return None
+
+
+def spans_of(present: Iterable[bool]) -> list[tuple[int, int]]:
+    """First and last frames of the stretches in which something is there."""
+    flags = np.concatenate([[False], np.fromiter(present, bool), [False]])
+    edges = np.flatnonzero(flags[1:] != flags[:-1]).reshape(-1, 2)
+    return [(int(first), int(last) - 1) for first, last in edges]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from humansim_ros.cli.options import join_numbers, new_names
 from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text, print_warning
@@ -60,6 +61,14 @@ GROUPS = {
     "mesh": "List the built-in meshes for objects.",
     "motion": "Describe, match, retarget and draw motions.",
 }
+#: Headings of the help, with their commands and groups.
+HEADINGS = {
+    "Run and look": ("run", "demo", "view", "snapshot"),
+    "Scenes and this machine": ("check", "schema", "doctor", "bench"),
+    "Data sets and bags": ("record", "play", "export"),
+    "Trackers": ("evaluate", "challenge"),
+    "Cameras, humans and motions": ("camera", "human", "motion", "mesh"),
+}
 #: ``-h`` as well as ``--help``.
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 #: Variable by which a shell asks for completions.
@@ -76,6 +85,24 @@ def _root(
         raise typer.Exit
 
 
+class _Headed(TyperGroup):
+    """The command with its subcommands below headings."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands of each heading with their short help."""
+        indent = max(map(len, self.commands), default=0) + 6
+        for heading, names in HEADINGS.items():
+            known = [name for name in names if name in self.commands]
+            texts = [self.commands[name].get_short_help_str(formatter.width - indent) for name in known]
+            if known:
+                with formatter.section(heading):
+                    # as wide as the longest name, so that all headings have the same columns
+                    width = max(map(len, self.commands))
+                    formatter.write_dl(
+                        [(name.ljust(width), text) for name, text in zip(known, texts, strict=True)]
+                    )
+
+
 def load_command(name: str) -> Callable[..., None]:
     """Function of a command, such as ``camera show``."""
     module, _, function = COMMANDS[name].partition(":")
@@ -90,6 +117,7 @@ def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
     start. None loads all commands.
     """
     app = typer.Typer(
+        cls=_Headed,
         help="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2.",
         context_settings=_SETTINGS,
         no_args_is_help=True,

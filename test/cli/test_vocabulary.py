@@ -13,7 +13,7 @@ import pytest
 import typer
 from commands import humansim
 
-from humansim_ros.cli.main import COMMANDS, load_command
+from humansim_ros.cli.main import COMMANDS, GROUPS, HEADINGS, load_command
 from humansim_ros.cli.options import RENAMED, new_names, split_commas
 
 #: Kinds of values. A choice lists its words, such as png|jpg.
@@ -176,3 +176,14 @@ def test_lists_are_repeated_or_have_commas(tmp_path: Path) -> None:
     for words in (("--camera", "camera_1,camera_3"), ("--camera", "camera_1", "--camera", "camera_3")):
         text = humansim("camera", "show", tmp_path / "scene.yaml", *words).stdout
         assert re.findall(r"^camera_\d$", text, re.MULTILINE) == ["camera_1", "camera_3"]
+
+
+def test_each_command_and_group_is_below_one_heading_of_the_help() -> None:
+    listed = [name for names in HEADINGS.values() for name in names]
+    known = {name.split()[0] for name in COMMANDS}
+    assert sorted(listed) == sorted(known) and GROUPS.keys() <= known
+    text = humansim("--help").stdout
+    places = [text.index(f"\n{heading}:\n") for heading in HEADINGS]
+    assert places == sorted(places)
+    for name in listed:
+        assert re.search(rf"^  {name} +[A-Z]", text, re.MULTILINE), name

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RosError
+from humansim_ros.messages.camera_truth import BOX_POINT, JOINT_POINT, VISIBLE_VERTEX
+from humansim_ros.messages.points import point_cloud
 from humansim_ros.scene import Scene
 from humansim_ros.truth.camera_truth import BodyBox, JointView
 
@@ -294,3 +298,22 @@ def test_markers_are_few_enough_for_a_viewer_and_lie_on_the_body(scene: Scene) -
     assert np.abs(skin.min(0) - state.vertices.min(0)).max() < 0.05
     assert np.abs(skin.max(0) - state.vertices.max(0)).max() < 0.05
     assert len(by_kind["skeleton"].points) == 2 * 22
+
+
+@pytest.mark.parametrize(
+    "dtype", [JOINT_POINT, BOX_POINT, VISIBLE_VERTEX], ids=["joints", "boxes", "vertices"]
+)
+def test_the_documented_lines_decode_a_point_cloud_without_sensor_msgs_py(dtype: np.dtype[Any]) -> None:
+    text = (ROOT / "docs" / "topics.md").read_text()
+    (code,) = (
+        block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "def points" in block
+    )
+    space: dict[str, Any] = {}
+    exec(code, space)
+    sent = np.zeros(3, dtype)
+    for number, name in enumerate(dtype.names or ()):
+        sent[name] = np.arange(3) + 7 * number
+    found = space["points"](point_cloud(sent, messages.header(5, "left")))
+    assert found.dtype.names == dtype.names and len(found) == 3
+    for name in dtype.names or ():
+        np.testing.assert_array_equal(found[name], sent[name])

@@ -70,6 +70,8 @@ _MAX_OTHER = 256 << 10
 #: Most bytes of all messages that are kept, most messages of a topic, and nanoseconds by which stamps go back
 #: when a new run begins.
 _MAX_KEPT, _MAX_MESSAGES, _NEW_RUN = 512 << 20, 90, 10**9
+#: Most stamps whose arrivals are held.
+_MAX_ARRIVALS = 4 * _MAX_MESSAGES
 #: Most topics whose problems are told.
 _MAX_PROBLEMS = 5
 _MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -153,6 +155,34 @@ class RosViewSource(TopicSource):
     @property
     def messages(self) -> Sequence[str]:
         return [*self._state(), *self._shown.messages]
+
+    @property
+    def timing(self) -> str:
+        """Age of the frame that is shown, images per second, and cameras with lost images.
+
+        The age is the time since the first message of the frame arrived. An image is lost if images with
+        stamps before and after it have arrived.
+        """
+        if self._last is None:
+            return ""
+        now, arrivals = time.monotonic(), self._receiver.arrivals.copy()
+        arrived = arrivals.get(self._last[0].stamp)
+        found = [] if arrived is None else [f"{now - arrived:.2f} s old"]
+        clock = self._receiver.store.stamps(self._clock())
+        for name, camera in self._topics.cameras.items():
+            stamps = max(
+                (self._receiver.store.stamps([topic]) for topic in camera.images.values()),
+                key=len,
+                default=[],
+            )
+            times = [arrivals[stamp] for stamp in stamps if stamp in arrivals]
+            if len(times) < 2:
+                continue
+            rate = (len(times) - 1) / max(times[-1] - times[0], 1e-3)
+            expected = sum(stamps[0] <= stamp <= stamps[-1] for stamp in clock)
+            lost = max(expected - len(stamps), 0)
+            found.append(f"{name} {rate:.1f} Hz" + f", {lost} of {expected} lost" * bool(lost))
+        return "; ".join(found)
 
     def _state(self) -> Iterator[str]:
         """What the graph lacks now."""
@@ -302,6 +332,7 @@ class _Receiver:
         store: Messages that have arrived.
         topics: Topics that there are.
         changes: Number of messages that have changed people, cameras or objects.
+        arrivals: Monotonic time at which the first message of each stamp arrived, of the newest frames.
     """
 
     def __init__(self, estimate: str | None, namespace: str, reading: LiveOptions) -> None:
@@ -313,6 +344,7 @@ class _Receiver:
         )
         self.topics = SeenTopics()
         self.changes = 0
+        self.arrivals: dict[int, float] = {}
         self._problems: dict[str, str] = {}
         self._first_of: set[str] = set()
         self._transforms: deque[bytes] = deque(maxlen=_MAX_TRANSFORMS)
@@ -482,6 +514,9 @@ class _Receiver:
             self.store.keep(topic, stamp, data, time.monotonic())
         else:
             self.store.add(topic, stamp, data, time.monotonic())
+            self.arrivals.setdefault(stamp, time.monotonic())
+            while len(self.arrivals) > _MAX_ARRIVALS:
+                del self.arrivals[next(iter(self.arrivals))]
         self._note_first(topic, again=not stamped)
 
     def _note_first(self, topic: str, again: bool = False) -> None:

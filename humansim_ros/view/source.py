@@ -113,6 +113,11 @@ class ViewSource(ABC):
         """Channels that can be shown."""
 
     @property
+    def timing(self) -> str:
+        """How late the frames of a running graph are shown, and what is lost; empty for recordings."""
+        return ""
+
+    @property
     @abstractmethod
     def messages(self) -> Sequence[str]:
         """What the user should know, such as "the bag has no images"."""

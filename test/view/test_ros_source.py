@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import re
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -126,6 +128,27 @@ def test_a_frame_of_the_graph_is_that_of_the_simulation(shown: Any) -> None:
     later, _ = shown_frame(shown, (), lambda later: later.stamp > frame.stamp)
     assert later.index > frame.index and not any(later.images.values())
     assert source.period == 50_000_000
+
+
+def test_age_rate_and_lost_images_are_told(shown: Any) -> None:
+    source = shown.source
+    shown_frame(shown, ("rgb",), lambda frame: [len(each) for each in frame.images.values()] == [1, 1])
+
+    def step() -> None:
+        shown.graph.play(1)
+        source.frame(0, ["fixed", "bent"], ["rgb"])
+
+    pattern = r"(\d\.\d\d) s old; bent \d+\.\d Hz; fixed \d+\.\d Hz"
+    assert wait_until(lambda: re.fullmatch(pattern, source.timing), step=step), source.timing
+    store = source._receiver.store
+    topic = source.topics.cameras["bent"].images["rgb"]
+    assert wait_until(lambda: len(store.stamps([topic])) > 3, step=step)
+    # one that arrived is taken away: it is as one that never came
+    store._remove(topic, store.stamps([topic])[-2])
+    age, rates = source.timing.split(" s old; ", 1)
+    assert re.fullmatch(r"bent \d+\.\d Hz, 1 of \d+ lost; fixed \d+\.\d Hz", rates), source.timing
+    time.sleep(0.3)
+    assert float(source.timing.split(" s")[0]) >= float(age) + 0.29
 
 
 def test_an_estimate_is_beside_the_truth_of_its_frame(shown: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from humansim_ros.camera import Camera
 from humansim_ros.rotations import matrix_to_quaternion
-from humansim_ros.view.panels.page import SPEEDS, Page
+from humansim_ros.view.panels.page import SPEEDS, Page, plain_markdown
 from humansim_ros.view.server import PREFIX
 from humansim_ros.view.source import ViewFrame, jpeg_of
 from humansim_ros.view.stage import Options, person_color
@@ -232,6 +232,8 @@ class TimelinePanel:
         if frame.image_index is not None and frame.image_index != index:
             late = f", images of frame {frame.image_index}"
         text = f"{frame.scene_time * 1e-9:.3f} s, stamp {frame.stamp} ns{late}"
+        if timing := self._app.source.timing:
+            text += f"\n\n{plain_markdown(timing)}"
         if text != self._shown and (not player.playing or index % 5 == 0):
             self._text.content = text
             self._shown = text

@@ -19,7 +19,7 @@ BENCHMARKS = {
     "core": ("--rounds", "2"),
     "fit": ("--seeds", "1", "--frames", "4"),
     "lenses": ("--rounds", "2"),
-    "live": ("--seconds", "1", "--cases", "all channels", "--processes", "1"),
+    "live": ("--seconds", "1", "--cases", "rgb + info + depth + part", "--processes", "1"),
     "lockstep": ("--frames", "10", "--sleep", "0.01"),
     "look": ("--rounds", "2"),
     "many": ("--frames", "2"),
@@ -38,7 +38,7 @@ BENCHMARKS = {
 TOOLS = {
     "chaos": ("--kills", "1", "--stops", "0", "--processes", "1"),
     "kill_nodes": ("--kills", "1", "--processes", "1"),
-    "soak": ("--minutes", "0.1", "--warm-up", "0.05"),
+    "soak": ("--minutes", "1", "--warm-up", "1"),
     "assets/make_motions": ("wave", "--folder", "OUT"),
     "assets/make_walk": ("--output", "OUT/walk.bvh"),
     "figures/body_sheet": ("OUT/sheet.jpg", "child"),
@@ -103,7 +103,7 @@ def test_a_short_run_ends_well(program: str, tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / program), *(each.replace("OUT", str(tmp_path)) for each in options)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=5 * PATIENCE)
     last = (done.stderr.strip().splitlines() or [""])[-1]
-    if "No module named" in last and "humansim" not in last:
+    if ("No module named" in last and "humansim" not in last) or "pip install" in last:
         pytest.skip(last)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert done.stdout or any(tmp_path.iterdir())

@@ -7,12 +7,11 @@ from __future__ import annotations
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from waiting import PATIENCE, wait_until
+from waiting import PATIENCE, children, wait_until
 
 from humansim_ros.ros.transport import claim_domain, domain_environment
 
@@ -106,15 +105,7 @@ class Client:
 def node_pids(run: int) -> list[int]:
     """Processes of the nodes of a ``humansim run``: children of the process that starts them."""
 
-    def children(parent: int) -> dict[int, bytes]:
-        found = {}
-        for entry in Path("/proc").glob("[0-9]*"):
-            with suppress(OSError):
-                if int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1]) == parent:
-                    found[int(entry.name)] = (entry / "cmdline").read_bytes()
-        return found
-
-    starters = [pid for pid, line in children(run).items() if b"node_starter" in line]
+    starters = [pid for pid, line in children(run).items() if "node_starter" in line]
     return [pid for starter in starters for pid in children(starter)]
 
 

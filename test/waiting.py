@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from humansim_ros.testing import support as waiting
@@ -21,6 +23,16 @@ def wait_until(
 ) -> bool:
     """Call ``step`` until ``condition`` is true; False if it is not after ``limit`` seconds."""
     return waiting.wait_until(condition, limit, step)
+
+
+def children(parent: int) -> dict[int, str]:
+    """Child processes of a process, with their command lines."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1]) == parent:
+                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
 
 
 def end_process(process: subprocess.Popen[Any]) -> None:

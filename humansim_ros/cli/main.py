@@ -14,7 +14,14 @@ import typer
 from typer.core import TyperGroup
 
 from humansim_ros.cli.options import join_numbers, new_names
-from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text, print_warning
+from humansim_ros.cli.output import (
+    flush_errors,
+    flush_output,
+    give_up_output,
+    print_error,
+    print_text,
+    print_warning,
+)
 from humansim_ros.errors import HumansimError, printable, show_warnings
 
 #: Module and function of each command, in the order of the help.
@@ -201,4 +208,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
         print_error(f"error: {_unexpected(error)}")
         return 1
+    finally:
+        flush_errors()
     return result if isinstance(result, int) else 0  # typer.Exit returns its code here

@@ -107,6 +107,15 @@ def give_up_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def flush_errors() -> None:
+    """Write the rest of standard error, or drop it: Python would end with exit code 120 otherwise."""
+    try:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+
 def print_error(text: str) -> None:
     """Print to standard error, if it can be written to; with the traceback if HUMANSIM_TRACEBACK is set."""
     with suppress(OSError):

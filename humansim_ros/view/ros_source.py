@@ -170,18 +170,17 @@ class RosViewSource(TopicSource):
         found = [] if arrived is None else [f"{now - arrived:.2f} s old"]
         clock = self._receiver.store.stamps(self._clock())
         for name, camera in self._topics.cameras.items():
-            stamps = max(
-                (self._receiver.store.stamps([topic]) for topic in camera.images.values()),
-                key=len,
-                default=[],
-            )
-            times = [arrivals[stamp] for stamp in stamps if stamp in arrivals]
+            received = [self._receiver.store.stamps([topic]) for topic in camera.images.values()]
+            received = [stamps for stamps in received if len(stamps) > 1]
+            times = [arrivals[stamp] for stamp in max(received, key=len, default=[]) if stamp in arrivals]
             if len(times) < 2:
                 continue
             rate = (len(times) - 1) / max(times[-1] - times[0], 1e-3)
-            expected = sum(stamps[0] <= stamp <= stamps[-1] for stamp in clock)
-            lost = max(expected - len(stamps), 0)
-            found.append(f"{name} {rate:.1f} Hz" + f", {lost} of {expected} lost" * bool(lost))
+            lost = of = 0
+            for stamps in received:
+                expected = sum(stamps[0] <= stamp <= stamps[-1] for stamp in clock)
+                lost, of = max((lost, of), (expected - len(stamps), expected))
+            found.append(f"{name} {rate:.1f} Hz" + f", {lost} of {of} lost" * bool(lost))
         return "; ".join(found)
 
     def _state(self) -> Iterator[str]:

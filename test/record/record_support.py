@@ -11,6 +11,7 @@ from typing import Any
 
 from commands import humansim
 from conftest import ROOT
+from waiting import children
 
 #: A child, a moving box and two small cameras; one has noise, one a distorted lens.
 SCENE = """
@@ -66,10 +67,4 @@ def hashes(bag: Path) -> dict[str, str]:
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
     """Processes that a recording has started to encode frames."""
-    listed = subprocess.run(
-        ["pgrep", "-P", str(process.pid), "-f", "humansim_ros.jobs.workers"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return [int(line) for line in listed.stdout.split()]
+    return [pid for pid, line in children(process.pid).items() if "humansim_ros.jobs.workers" in line]

@@ -558,7 +558,8 @@ def test_only_the_motion_parameters_of_a_running_player_name_files(player: Playe
         for name, parameter in node._parameters.items():
             read_only = node.describe_parameter(name).read_only
             if parameter.type_ in texts and not read_only:
-                assert name.rpartition(".")[2] in ("motion", "loop", "start", "end", "mirror")
+                last = name.rpartition(".")[2]
+                assert last in ("motion", "loop", "start", "end", "mirror", "step_topic")
     assert "read-only" in player.set(motion_folders=["/"])
 
 

@@ -58,6 +58,8 @@
       if (event.key === "Escape" && help) toggleHelp();
       const chosen = keys[`${event.ctrlKey ? "Ctrl+" : ""}${event.key}`];
       if (!chosen) return;
+      const photographs = window.humansimPhotographs && window.humansimPhotographs.data;
+      if (photographs && ["undo", "redo"].includes(chosen[0])) return; // photographs.js takes them back
       event.preventDefault();
       event.stopPropagation();
       if (chosen[0] === "help") toggleHelp();

@@ -69,7 +69,7 @@ class TrackerProcess:
 
     def __init__(self, words: list[str], environment: Mapping[str, str], log: Path) -> None:
         self._log = log
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        _adopt_orphans(True)
         self._others = _children(os.getpid())
         with log.open("wb") as output:
             try:
@@ -82,6 +82,7 @@ class TrackerProcess:
                     start_new_session=True,
                 )
             except OSError as reason:
+                _adopt_orphans(False)
                 raise ChallengeError(
                     f"{printable(words[0], 100)} cannot be started: {reason.strerror or reason}",
                     key="--tracker",
@@ -136,6 +137,7 @@ class TrackerProcess:
                 break
         self._process.wait()
         self._kill_daemons()
+        _adopt_orphans(False)
         with suppress(OSError):
             if self.is_too_talkative:
                 os.truncate(self._log, _MAX_OUTPUT)
@@ -149,6 +151,11 @@ class TrackerProcess:
                     os.kill(process, signal.SIGKILL)
                     os.waitpid(process, os.WNOHANG)
             time.sleep(0.02)
+
+
+def _adopt_orphans(adopt: bool) -> None:
+    """Set whether descendants whose parent has ended become children of this process."""
+    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
 
 
 def _children(parent: int) -> set[int]:

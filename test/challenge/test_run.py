@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -231,6 +232,10 @@ def test_daemons_of_a_tracker_end_with_it_and_other_children_stay(tmp_path: Path
         assert not Path(f"/proc/{child}").exists()
         assert other.poll() is None
         other.kill()
+    # orphans of other programs go to init again, which waits for them
+    adopts = ctypes.c_int(-1)
+    assert ctypes.CDLL(None).prctl(37, ctypes.byref(adopts), 0, 0, 0) == 0  # PR_GET_CHILD_SUBREAPER
+    assert adopts.value == 0
 
 
 def test_the_output_of_a_tracker_is_cut(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_ctrl_c_finishes_the_bag_and_says_how_to_go_on(
 ) -> None:
     bag = tmp_path / "bag"
     process = start(scene, bag, *OPTIONS, "--jobs", 2, start_new_session=True)
-    assert wait_until(lambda: written(bag) > 200_000 or process.poll() is not None)
+    assert wait_until(lambda: written(bag) > 600_000 or process.poll() is not None)
     workers = workers_of(process)
     os.killpg(process.pid, signal.SIGINT)  # as the terminal does
     out, err = process.communicate(timeout=PATIENCE)

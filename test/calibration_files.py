@@ -288,7 +288,7 @@ def changed(document: Mapping[str, Any], path: str, value: Any) -> str:
     if value is None:
         del place[last]
     else:
-        place[last] = value
+        place[int(last) if isinstance(place, list) else last] = value
     return json.dumps(copy)
 
 

@@ -10,12 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from calibration_files import assert_refused, changed
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from wanted_cameras import CAMERAS, FLIP, SIZE, D, Wanted, assert_same, read
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.errors import CameraError, HumansimWarning
+from humansim_ros.errors import HumansimWarning
 
 W, H = SIZE
 EIGHT = (0.41, -0.22, 1e-3, -2e-4, 0.03, 0.71, -0.01, 0.02)
@@ -181,17 +182,14 @@ def test_cameras_of_blender_look_along_minus_z(tmp_path: Path, kind: str) -> Non
 # -- wrong files
 
 
-def changed(path: str, value: Any) -> str:
-    document = k4a(("color",))
-    place: Any = document["CalibrationInformation"]["Cameras"][0]
-    *keys, last = path.split(".")
-    for key in keys:
-        place = place[key]
-    place[last] = value
-    return json.dumps(document)
+RESOLUTION = {"resolution_x": W, "resolution_y": H}
+ONE, BY_ANGLE, TURNED = (
+    {**RESOLUTION, **blender(CAMERAS["cam0"], kind)} for kind in ("lens", "angle", "quaternion")
+)
 
 
-ONE = {"resolution_x": W, "resolution_y": H, **blender(CAMERAS["cam0"], "lens")}
+def changed_k4a(path: str, value: Any) -> str:
+    return changed(k4a(("color",)), f"CalibrationInformation.Cameras.0.{path}", value)
 
 
 @pytest.mark.parametrize(
@@ -201,20 +199,20 @@ ONE = {"resolution_x": W, "resolution_y": H, **blender(CAMERAS["cam0"], "lens")}
         (ZED.replace("fx=700.5\n", ""), ":1: LEFT_CAM_HD.fx: is missing"),
         (ZED.replace("Baseline", "Base"), "STEREO.Baseline: is missing"),
         (ZED.replace("CV_HD", "CV_VGA"), "STEREO.CV_HD: is missing"),
-        (changed("Intrinsics.ModelParameters", [1, 2]), "ModelParameters: needs 14 numbers, not 2"),
-        (changed("Intrinsics.ModelType", "Theta"), "'Theta' is not a supported lens"),
-        (changed("SensorWidth", 0), "SensorWidth: needs a whole number above zero"),
-        (changed("Rt.Rotation", [1, 2, 3]), "Rt.Rotation: needs 3 x 3 numbers, not 3"),
+        (changed_k4a("Intrinsics.ModelParameters", [1, 2]), "ModelParameters: needs 14 numbers, not 2"),
+        (changed_k4a("Intrinsics.ModelType", "Theta"), "'Theta' is not a supported lens"),
+        (changed_k4a("Intrinsics.ModelParameters.10", 0.1), "a centre of distortion beside the axis"),
+        (changed_k4a("SensorWidth", 0), "SensorWidth: needs a whole number above zero"),
+        (changed_k4a("Rt.Rotation", [1, 2, 3]), "Rt.Rotation: needs 3 x 3 numbers, not 3"),
         (json.dumps({**ONE, "resolution_x": None}), "resolution_x: is missing"),
         (json.dumps({**ONE, "lens": "long"}), "lens: 'long' is not a number"),
         (json.dumps({**ONE, "sensor_width": 0}), "sensor_width: needs a sensor above zero"),
         (json.dumps({**ONE, "pixel_aspect_y": -1}), "needs pixel aspects above zero"),
+        (json.dumps({**ONE, "pixel_aspect_x": 0}), "needs pixel aspects above zero"),
+        (json.dumps({**BY_ANGLE, "angle": 5e-324}), "angle: must be an angle between 0 and pi radians"),
+        (json.dumps({**TURNED, "rotation_quaternion": [1, 1, 0, 0]}), "rotation_quaternion: the quaternion"),
         (json.dumps({**ONE, "matrix_world": [[0] * 4] * 3 + [[0, 0, 0, 1]]}), "has an axis of length 0"),
     ],
 )
 def test_wrong_files_are_refused_with_their_key(tmp_path: Path, text: str, said: str) -> None:
-    path = tmp_path / "c"
-    path.write_text(text)
-    with pytest.raises(CameraError) as caught:
-        read_calibration(path)
-    assert str(caught.value).startswith(str(path)) and said in str(caught.value)
+    assert_refused(tmp_path, text, said)

@@ -28,6 +28,7 @@ from humansim_ros.camera.formats.base import (
     nested,
     number,
 )
+from humansim_ros.camera.formats.syntax import TOML_HEAD, ZED_SECTION
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -52,10 +53,7 @@ _Section = dict[str, tuple[int, str]]
 
 
 def _is_zed(file: CalibrationFile) -> bool:
-    return (
-        re.search(r"^\s*\[(?:LEFT|RIGHT)_CAM_", file.text[: 1 << 16], re.MULTILINE | re.IGNORECASE)
-        is not None
-    )
+    return ZED_SECTION.search(file.text, 0, TOML_HEAD) is not None
 
 
 def _zed_sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
@@ -97,12 +95,12 @@ def _read_zed(file: CalibrationFile) -> dict[str, RawCamera]:
     found = {name: _ZED_CAMERA.fullmatch(name) for name in sections}
     modes = list(dict.fromkeys(match[2] for match in found.values() if match))
     unknown = [mode for mode in modes if mode not in _ZED_SIZES]
-    fitting = [mode for mode in modes if file.given_size in (None, _ZED_SIZES.get(mode))]
-    fitting = [mode for mode in fitting if mode in _ZED_SIZES]
+    known = [mode for mode in modes if mode in _ZED_SIZES]
+    fitting = [mode for mode in known if file.given_size in (None, _ZED_SIZES[mode])]
     if unknown:
         warn_about(file.path, f"left out, because their image size is not known: {', '.join(unknown)}")
     if not fitting:
-        sizes = ", ".join("{}x{}".format(*_ZED_SIZES[mode]) for mode in modes if mode in _ZED_SIZES)
+        sizes = ", ".join("{}x{}".format(*_ZED_SIZES[mode]) for mode in known)
         raise CameraError(f"has no resolution of that size; there are {sizes}", path=file.path, key="size")
     cameras: dict[str, RawCamera] = {}
     for mode in fitting:
@@ -237,8 +235,11 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
         raise file.error(f"needs 14 numbers, not {len(values)}", *inner, "ModelParameters")
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = values[:14]
     model = str(file.need(*inner, "ModelType"))
-    if model != _BROWN or codx or cody:
+    if model != _BROWN:
         raise file.error(f"{model[:60]!r} is not a supported lens; known is {_BROWN}", *inner, "ModelType")
+    if codx or cody:
+        message = "a centre of distortion beside the axis (numbers 11 and 12) is not supported"
+        raise file.error(message, *inner, "ModelParameters")
     k = pinhole(
         fx * scale[0], fy * scale[1], cx * scale[0] - corner[0] - 0.5, cy * scale[1] - corner[1] - 0.5
     )
@@ -246,7 +247,6 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
     if file.get(*at, "Rt") is not None:
         rotation = file.numbers((3, 3), *at, "Rt", "Rotation")
         t = file.numbers((3,), *at, "Rt", "Translation")
-    where = file.location(*at, "Rt")
     return RawCamera(
         k,
         rotation,
@@ -254,12 +254,7 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
         size=size,
         distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
         model="rational_polynomial",
-        locations={
-            "": file.location(*at),
-            "K": file.location(*inner, "ModelParameters"),
-            "R": where,
-            "t": where,
-        },
+        locations=file.locations(at, K="Intrinsics", R="Rt", t="Rt"),
     )
 
 

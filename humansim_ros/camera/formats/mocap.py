@@ -178,9 +178,10 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
     for index, camera in enumerate(file.need(*_MOTIVE)):
         at: Keys = (*_MOTIVE, index)
         name = str(camera.get("Serial") or index)
-        standard = (*at, "IntrinsicStandardCameraModel", 0)
-        inner = standard if file.get(*standard) is not None else (*at, "Intrinsic", 0)
-        if inner is not standard:
+        standard = file.get(*at, "IntrinsicStandardCameraModel", 0) is not None
+        part = "IntrinsicStandardCameraModel" if standard else "Intrinsic"
+        inner: Keys = (*at, part, 0)
+        if not standard:
             unlike.append(name)
         fx, fy, cx, cy = (
             file.number(*inner, key)
@@ -200,14 +201,9 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
             size=file.size(
                 (*at, "Attributes", 0, "ImagerPixelWidth"), (*at, "Attributes", 0, "ImagerPixelHeight")
             ),
-            distortion=tuple(given) if inner is standard else (),
+            distortion=tuple(given) if standard else (),
             model="plumb_bob",
-            locations={
-                "": file.location(*at),
-                "K": file.location(*inner),
-                "R": file.location(*outer),
-                "t": file.location(*outer),
-            },
+            locations=file.locations(at, K=part, R="Extrinsic", t="Extrinsic"),
         )
         file.add(cameras, name, camera_, *at)
     if unlike:
@@ -317,8 +313,7 @@ def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
         for low, high in (("sensorMinU", "sensorMaxU"), ("sensorMinV", "sensorMaxV")):
             side = file.number(*inner, high) - file.number(*inner, low)
             sides.append(side + 1 if side % 2 else side)  # 1919 or 1920
-        location = file.location(*outer)
-        where = {"": file.location(*at), "K": file.location(*inner), "R": location, "t": location}
+        where = file.locations(at, K="intrinsic", R="transform", t="transform")
         size = _whole(file, np.array(sides), *inner, "sensorMaxU")
         name = str(file.get(*at, "serial") or len(cameras))
         camera = RawCamera(k, rotation, t, size=size, distortion=lens, model="plumb_bob", locations=where)

@@ -65,13 +65,7 @@ def _camera(file: CalibrationFile, at: tuple[Key, ...]) -> RawCamera:
         size=size,
         distortion=tuple(file.number(*inner, key, otherwise=0.0) for key in _LENS),
         model="plumb_bob",
-        locations={
-            "": file.location(*at),
-            "K": file.location(*inner),
-            "distortion": file.location(*inner),
-            "R": file.location(*outer),
-            "t": file.location(*outer),
-        },
+        locations=file.locations(at, K="intrinsic", distortion="intrinsic", R="transform", t="transform"),
     )
 
 

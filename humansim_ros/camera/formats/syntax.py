@@ -37,9 +37,9 @@ _NUMBERS = re.compile(r"([A-Za-z_][^\s:=]*\s*:\s+)?[+-]?[0-9.][^\s,]*([\s,]+[+-]
 #: Header of a table and assignment of a key in TOML, and characters in which they are searched.
 _TABLE = re.compile(r"^[ \t]*\[\[?[ \t]*([\w.\"'-]+)[ \t]*\]\]?[ \t]*(?:#.*)?$", re.MULTILINE)
 _ASSIGNMENT = re.compile(r"^[ \t]*([\w.\"'-]+)[ \t]*=[ \t]*\S", re.MULTILINE)
-_TOML_HEAD = 1 << 14
+TOML_HEAD = 1 << 14
 #: Section of a ZED camera, whose file resembles TOML.
-_ZED = re.compile(r"^\s*\[(?:LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
+ZED_SECTION = re.compile(r"^\s*\[(?:LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
 #: Most dots of a line of TOML: parsing dotted keys takes the square of their length.
 _MAX_DOTS = 128
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
@@ -112,9 +112,9 @@ def detect_syntax(path: str, text: str) -> str:
     head = first[0].strip()[:1] if first else ""
     if head == "<":
         return "xml"
-    if _ZED.search(text, 0, _TOML_HEAD):
+    if ZED_SECTION.search(text, 0, TOML_HEAD):
         return "text"
-    if head != "{" and _TABLE.search(text, 0, _TOML_HEAD) and _ASSIGNMENT.search(text, 0, _TOML_HEAD):
+    if head != "{" and _TABLE.search(text, 0, TOML_HEAD) and _ASSIGNMENT.search(text, 0, TOML_HEAD):
         return "toml"
     if head == "{":
         return "json" if text.lstrip("\ufeff \t\r\n{")[:1] in ('"', "") else "yaml"

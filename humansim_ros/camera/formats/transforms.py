@@ -36,7 +36,6 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_about
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
 #: Size of the images of the synthetic scenes of NeRF, whose files have no size.
@@ -236,9 +235,10 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     width, height = (round(side * percent) for side in sides)
     if min(width, height) < 1:
         raise file.error("needs resolution_x and resolution_y above zero", *at)
-    aspect = _blender_value(file, at, "pixel_aspect_y", 1.0) / _blender_value(file, at, "pixel_aspect_x", 1.0)
-    if aspect <= 0:
+    aspects = [_blender_value(file, at, f"pixel_aspect_{axis}", 1.0) for axis in "xy"]
+    if min(aspects) <= 0:
         raise file.error("needs pixel aspects above zero", *at)
+    aspect = aspects[1] / aspects[0]
     fit = str(file.get(*at, "sensor_fit") or "AUTO").upper()
     across = fit == "HORIZONTAL" or (fit == "AUTO" and width >= aspect * height)
     view = width if across else aspect * height
@@ -253,7 +253,7 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     else:
         key = "angle" if file.get(*at, "angle") is not None else "angle_x"
         angle = _blender_value(file, at, key)
-        if not 0 < angle < np.pi:
+        if not 1e-9 < angle < np.pi:
             raise file.error(f"must be an angle between 0 and pi radians, not {angle:g}", *at, key)
         focal = (width if key == "angle_x" else view) / 2 / float(np.tan(angle / 2))
     cx = width / 2 - _blender_value(file, at, "shift_x", 0.0) * view - 0.5
@@ -280,10 +280,7 @@ def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
     center = file.numbers((3,), *at, "location")
     if file.get(*at, "rotation_quaternion") is not None:
         w, x, y, z = file.numbers((4,), *at, "rotation_quaternion")
-        length = float(np.linalg.norm((w, x, y, z)))
-        if abs(length - 1) > 1e-2:
-            raise file.error("is not a quaternion of length 1", *at, "rotation_quaternion")
-        return quaternion_to_matrix(np.array([x, y, z, w]) / length), center
+        return file.unit_rotation(np.array([x, y, z, w]), *at, "rotation_quaternion"), center
     angles = file.numbers((3,), *at, "rotation_euler")
     return np.asarray(Rotation.from_euler("xyz", angles).as_matrix()), center
 

@@ -358,15 +358,20 @@ def test_commands_run_on_the_saved_scene_with_their_progress_and_can_be_stopped(
     assert running.state == "was stopped"
 
 
+def refusal_of(page: Page, line: str) -> str:
+    """Start a command line that the page does not take; returns what it says."""
+    assert page.app.commands is not None
+    page.app.commands.start(line)
+    assert page.app.commands.job is None
+    return page.told[-1]
+
+
 @pytest.mark.parametrize(
     "line", ["", "rm -rf /", "humansim", "humansim clear", "humansim run 'x", "humansim run a\0b"]
 )
 def test_only_commands_of_the_scene_are_started(line: str, unchanged_page: Page) -> None:
-    page = unchanged_page
-    assert page.app.commands is not None
-    page.app.commands.start(line)
-    assert page.app.commands.job is None
-    assert "humansim" in page.told[-1] or "cannot be read" in page.told[-1]
+    refusal = refusal_of(unchanged_page, line)
+    assert "humansim" in refusal or "cannot be read" in refusal
 
 
 @pytest.mark.parametrize(
@@ -381,11 +386,7 @@ def test_only_commands_of_the_scene_are_started(line: str, unchanged_page: Page)
     ],
 )
 def test_commands_name_files_below_the_folder_of_the_scene_only(line: str, unchanged_page: Page) -> None:
-    page = unchanged_page
-    assert page.app.commands is not None
-    page.app.commands.start(line)
-    assert page.app.commands.job is None
-    assert "below" in page.told[-1]
+    assert "below" in refusal_of(unchanged_page, line)
 
 
 def test_the_page_saves_and_names_files_below_the_folder_of_the_scene_only(unchanged_page: Page) -> None:
@@ -516,8 +517,4 @@ def test_results_of_commands_are_links_to_files_of_the_folder_only(page: Page) -
     ],
 )
 def test_no_option_that_starts_other_programs_is_taken(line: str, unchanged_page: Page) -> None:
-    page = unchanged_page
-    assert page.app.commands is not None
-    page.app.commands.start(line)
-    assert page.app.commands.job is None
-    assert "humansim" in page.told[-1]
+    assert "humansim" in refusal_of(unchanged_page, line)

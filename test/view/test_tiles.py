@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,15 @@ def test_the_bar_and_a_click_on_a_name_change_sizes(opened: tuple[Any, Any]) -> 
     until(lambda: boxes(page)[0][0] > 100)
 
 
+def downloaded(page: Any, button: str, folder: Path) -> Path:
+    """The file that the page gives when a button whose name begins with these words is pressed."""
+    with page.expect_download(timeout=30_000) as download:
+        page.get_by_role("button", name=re.compile(f"^{button}")).click()
+    path = folder / str(download.value.suggested_filename)
+    download.value.save_as(path)
+    return path
+
+
 @needs_browser
 @pytest.mark.nightly
 @pytest.mark.slow
@@ -165,17 +175,10 @@ def test_a_picture_is_what_the_page_shows(opened: tuple[Any, Any], tmp_path: Pat
     page, _ = opened
     page.set_viewport_size({"width": 1280, "height": 800})
     page.wait_for_timeout(1500)
-    with page.expect_download(timeout=30_000) as download:
-        page.get_by_role("button", name="Picture", exact=True).click()
-    assert (
-        download.value.suggested_filename.startswith("lab_")
-        and download.value.suggested_filename[-4:] == ".png"
-    )
-    download.value.save_as(tmp_path / "picture.png")
+    file = downloaded(page, "Picture", tmp_path)
+    assert file.name.startswith("lab_") and file.suffix == ".png"
     page.screenshot(path=str(tmp_path / "screen.png"))
-    picture, screen = (
-        cv2.imread(str(tmp_path / name)).astype(float) for name in ("picture.png", "screen.png")
-    )
+    picture, screen = (cv2.imread(str(path)).astype(float) for path in (file, tmp_path / "screen.png"))
     scene, area, _tiles = boxes(page)
     assert picture.shape[:2] == (800, 2 * round(scene[2] / 2))
     # without the buttons and messages over the scene
@@ -195,11 +198,8 @@ def test_a_video_shows_the_motion(opened: tuple[Any, Any], tmp_path: Path) -> No
     page.get_by_role("button", name="Play", exact=True).click()
     page.get_by_role("button", name="Record video").click()
     page.wait_for_timeout(6000)
-    with page.expect_download(timeout=30_000) as download:
-        page.get_by_role("button", name="Stop recording").click()
+    path = downloaded(page, "Stop recording", tmp_path)
     pause(page)
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
     assert path.suffix == ".webm"
     video = cv2.VideoCapture(str(path))
     frames = []

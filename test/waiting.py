@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from humansim_ros.jobs.workers import children_of
 from humansim_ros.testing import support as waiting
 from humansim_ros.testing.support import patience
 
@@ -28,11 +29,23 @@ def wait_until(
 def children(parent: int) -> dict[int, str]:
     """Child processes of a process, with their command lines."""
     found = {}
-    for entry in Path("/proc").glob("[0-9]*"):
+    for pid in children_of(parent):
         with suppress(OSError):
-            if int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1]) == parent:
-                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            found[pid] = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
     return found
+
+
+def existing(pids: Iterable[int]) -> list[int]:
+    """Processes that have not ended, or for which nobody has waited."""
+    return [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a process has ended, also if nobody has waited for it."""
+    try:
+        return ") Z " in Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return True
 
 
 def end_process(process: subprocess.Popen[Any]) -> None:

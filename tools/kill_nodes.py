@@ -38,6 +38,7 @@ from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64MultiArray, String
 
 from humansim_ros.io.assets import resource_path
+from humansim_ros.jobs.workers import children_of
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.ros.runtime import make_executor, prepare_transport
@@ -170,7 +171,7 @@ class Suite:
 
     def children(self) -> list[int]:
         """Process ids of the children of the run."""
-        return children_of(self.run.pid)
+        return descendants_of(self.run.pid)
 
     def pid(self, victim: Victim) -> int | None:
         """Process id of a victim; None if it does not run."""
@@ -248,18 +249,15 @@ class Suite:
         return True
 
 
-def children_of(run: int) -> list[int]:
+def descendants_of(run: int) -> list[int]:
     """Process ids of the children of a run, and of their children; none if it has ended."""
-    try:
-        pids = [int(pid) for pid in Path(f"/proc/{run}/task/{run}/children").read_text().split()]
-    except OSError:
-        return []
-    return pids + [pid for child in pids for pid in children_of(child)]
+    pids = sorted(children_of(run))
+    return pids + [pid for child in pids for pid in descendants_of(child)]
 
 
 def node_pid(run: int, name: str) -> int | None:
     """Process id of a node of a run; None if it does not run."""
-    for pid in children_of(run):
+    for pid in descendants_of(run):
         with suppress(OSError):
             folder = Path(f"/proc/{pid}")
             if (folder / "comm").read_text().strip() == name[:15]:  # Linux keeps 15 letters

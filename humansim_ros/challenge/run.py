@@ -23,7 +23,7 @@ from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.io.files import atomic_path
 from humansim_ros.jobs.frame_job import FrameProgress
-from humansim_ros.jobs.workers import WorkerDiedError, Workers
+from humansim_ros.jobs.workers import WorkerDiedError, Workers, children_of
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.ros.transport import claim_domain, domain_environment
 
@@ -70,7 +70,7 @@ class TrackerProcess:
     def __init__(self, words: list[str], environment: Mapping[str, str], log: Path) -> None:
         self._log = log
         _adopt_orphans(True)
-        self._others = _children(os.getpid())
+        self._others = children_of(os.getpid())
         with log.open("wb") as output:
             try:
                 self._process = subprocess.Popen(
@@ -145,7 +145,7 @@ class TrackerProcess:
     def _kill_daemons(self) -> None:
         """Kill processes that have left the group of the tracker, and their children."""
         end = time.monotonic() + _AFTER
-        while (left := _children(os.getpid()) - self._others) and time.monotonic() < end:
+        while (left := children_of(os.getpid()) - self._others) and time.monotonic() < end:
             for process in left:
                 with suppress(ProcessLookupError, PermissionError, ChildProcessError):
                     os.kill(process, signal.SIGKILL)
@@ -156,17 +156,6 @@ class TrackerProcess:
 def _adopt_orphans(adopt: bool) -> None:
     """Set whether descendants whose parent has ended become children of this process."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
-
-
-def _children(parent: int) -> set[int]:
-    """Ids of the children of a process, dead ones too."""
-    found = set[int]()
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, ValueError, IndexError):  # it has ended meanwhile
-            # the name in brackets may contain anything
-            if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
-                found.add(int(folder.name))
-    return found
 
 
 def _has_group(number: int) -> bool:

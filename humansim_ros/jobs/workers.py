@@ -44,6 +44,17 @@ _PROGRAM = "from humansim_ros.jobs.workers import main; main()"
 _ENDING = 2.0
 
 
+def children_of(parent: int) -> set[int]:
+    """Ids of the children of a process, dead ones too."""
+    found = set[int]()
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, ValueError, IndexError):  # it has ended meanwhile
+            # the name in brackets may contain anything
+            if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                found.add(int(folder.name))
+    return found
+
+
 class WorkerDiedError(HumansimError):
     """A worker process has died."""
 

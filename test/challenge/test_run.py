@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import ros_support  # noqa: F401  # a ROS domain of this process
 from challenge_support import SUITE, small_suite
-from waiting import wait_until
+from waiting import existing, has_ended, wait_until
 
 from humansim_ros.challenge import run
 from humansim_ros.challenge.case import MAX_MESSAGES, CaseOrder, _scores, measured
@@ -217,9 +217,7 @@ def test_children_of_a_tracker_end_with_it(tmp_path: Path) -> None:
     with TrackerProcess(words, {}, tmp_path / "log") as tracker:
         assert wait_until(lambda: tracker.output_tail)
         child = int(tracker.output_tail)
-    status = Path(f"/proc/{child}/stat")
-    # its parent is gone, so that it may stay as a zombie
-    assert wait_until(lambda: not status.exists() or ") Z " in status.read_text())
+    assert wait_until(lambda: has_ended(child))  # its parent is gone, so that it may stay as a zombie
 
 
 def test_daemons_of_a_tracker_end_with_it_and_other_children_stay(tmp_path: Path) -> None:
@@ -229,7 +227,7 @@ def test_daemons_of_a_tracker_end_with_it_and_other_children_stay(tmp_path: Path
         with TrackerProcess(words, {}, tmp_path / "log") as tracker:
             assert wait_until(lambda: tracker.output_tail)
             child = int(tracker.output_tail)
-        assert not Path(f"/proc/{child}").exists()
+        assert not existing([child])
         assert other.poll() is None
         other.kill()
     # orphans of other programs go to init again, which waits for them

@@ -11,6 +11,7 @@ from pathlib import Path
 import figures
 import numpy as np
 import pytest
+from waiting import has_ended
 
 from humansim_ros import read_motion
 from humansim_ros.errors import HumansimError, MeshError, MotionError
@@ -164,12 +165,7 @@ def test_a_converter_that_hangs_ends_with_its_children(
     install(code=f"import os, time\nos.fork()\n{child}")
     with pytest.raises(MeshError, match=r"more than 0\.5 s: simplify"):
         read_mesh(file)
-    assert not Path(f"/proc/{pid.read_text()}/root").exists() or ended(int(pid.read_text()))
-
-
-def ended(pid: int) -> bool:
-    """Whether a process is a zombie: nobody has waited for it."""
-    return "State:\tZ" in Path(f"/proc/{pid}/status").read_text()
+    assert has_ended(int(pid.read_text()))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 import yaml
 from record_support import SCENE, hashes, run, start, workers_of, write_scene
-from waiting import PATIENCE, wait_until
+from waiting import PATIENCE, existing, wait_until
 
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.errors import HumansimWarning
@@ -67,7 +67,7 @@ def test_a_killed_recording_is_readable_and_is_completed(
     workers = workers_of(process)
     process.kill()
     process.communicate(timeout=PATIENCE)
-    assert wait_until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+    assert wait_until(lambda: not existing(workers))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)  # the last file was not finished
         with BagReader(bag) as reader:
@@ -91,7 +91,7 @@ def test_ctrl_c_finishes_the_bag_and_says_how_to_go_on(
     assert process.returncode == 130
     assert "Traceback" not in err
     assert f"of {FRAMES} frames are in the bag; the same command with --resume continues" in out
-    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)
+    assert not existing(workers)
     assert messages_of(bag) > 0
     code, _, err = run(scene, bag, *OPTIONS, "--resume")
     assert code == 0, err
@@ -117,7 +117,7 @@ def test_the_death_of_a_worker_ends_the_recording_with_whole_frames(
     assert "Traceback" not in err
     assert "was killed by SIGKILL while it encoded frame" in err
     assert f"of {FRAMES} frames are in the bag; the same command with --resume continues" in err
-    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)
+    assert not existing(workers)
     assert messages_of(bag) > 0
     code, _, err = run(scene, bag, *OPTIONS, "--resume", "--jobs", 2)
     assert code == 0, err

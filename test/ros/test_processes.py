@@ -15,7 +15,7 @@ from commands import Done
 from commands import humansim as in_process
 from conftest import ROOT
 from ros_support import SMALL_SCENE, Client, node_pids, write_scene
-from waiting import PATIENCE, wait_until
+from waiting import PATIENCE, existing, wait_until
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
 HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
@@ -70,7 +70,7 @@ def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str
 
 
 def are_gone(pids: Iterable[int]) -> bool:
-    return wait_until(lambda: not [pid for pid in pids if Path(f"/proc/{pid}").exists()])
+    return wait_until(lambda: not existing(pids))
 
 
 @pytest.mark.parametrize("scene_text", [SMALL_SCENE])

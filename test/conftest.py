@@ -9,7 +9,7 @@ import re
 import signal
 import sys
 from collections import defaultdict
-from collections.abc import Collection, Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -82,11 +82,6 @@ def if_shared(*values: Any) -> list[Any]:
     rows = [each if isinstance(each, tuple) else (each,) for each in values]
     marked = [pytest.param(*row, marks=[needs_shared_data, *_nightly(row[0])]) for row in rows]
     return marked if SHARED_DATA.is_dir() else []
-
-
-def nightly_but(kept: Collection[Any], values: Iterable[Any]) -> list[Any]:
-    """Values as parameters of a test: ``kept`` in all tests, the others in the nightly tests."""
-    return [pytest.param(value, marks=[pytest.mark.nightly] * (value not in kept)) for value in values]
 
 
 def _nightly(name: Any) -> list[pytest.MarkDecorator]:

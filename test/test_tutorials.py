@@ -10,12 +10,11 @@ from types import ModuleType
 
 import cv2
 import pytest
-from conftest import ROOT, nightly_but
+from conftest import ROOT
 from test_documented_commands import TUTORIALS, run_as_printed
 from waiting import PATIENCE
 
 PAGES = [page for page in TUTORIALS if page.stem != "index"]
-SHORT = [page for page in PAGES if page.stem in ("test_my_tracker", "sensor_effect")]
 
 
 def tool() -> ModuleType:
@@ -31,10 +30,11 @@ def tool() -> ModuleType:
 TOOL = tool()
 
 
+@pytest.mark.daily("test_my_tracker", "sensor_effect")
 @pytest.mark.gl
 @pytest.mark.process
 @pytest.mark.slow
-@pytest.mark.parametrize("page", nightly_but(SHORT, PAGES), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_tutorial_runs_from_top_to_bottom(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
-from conftest import ROOT, nightly_but
+from conftest import ROOT
 
 from humansim_ros.body.skinning import skin
 from humansim_ros.humans.human import Human
@@ -78,9 +78,10 @@ def test_a_stretched_edge_is_found() -> None:
     assert found.stretch[0, worst] > 4
 
 
+@pytest.mark.daily("adult_woman-*")
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
-@pytest.mark.parametrize("name", nightly_but(("adult_woman",), PEOPLE))
+@pytest.mark.parametrize("name", PEOPLE)
 def test_sitting_down_does_not_tear_or_fold_the_mesh(name: str, method: str) -> None:
     human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
     motion = ROOT / "assets" / "motions" / "sit_stand.bvh"

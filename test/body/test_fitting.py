@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from conftest import ROOT, SHARED_DATA, if_shared, needs_shared_data, nightly_but
+from conftest import ROOT, SHARED_DATA, if_shared, needs_shared_data
 from mesh_files import MESHES, mesh_path
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -32,7 +32,6 @@ from humansim_ros.types import Array
 FIGURES = ("mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj", "human_male_T_uv_m.obj")
 OTHERS = ("RiggedFigure.gltf", "CesiumMan.glb")
 PEOPLE = tuple(sorted(path.stem for path in (ROOT / "assets" / "humans").glob("*.npz")))
-SOME_PEOPLE = nightly_but(("child",), PEOPLE)
 #: Our joint, the makers' joint, and how far ours may be from it, metres: by the surface, by the vertices.
 JOINTS = (
     ("sacroiliac", "Hips", 0.04, 0.005),
@@ -131,8 +130,9 @@ def doubt(name: str) -> float:
 # --- upright, whatever the file's axes
 
 
+@pytest.mark.daily("*.*", "child")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*if_shared(*FIGURES, *OTHERS), "own_female_A_dm.obj", *SOME_PEOPLE])
+@pytest.mark.parametrize("name", [*if_shared(*FIGURES, *OTHERS), "own_female_A_dm.obj", *PEOPLE])
 def test_a_person_is_oriented_from_all_24_directions_at_any_size_and_position(name: str) -> None:
     mesh = figure(name)
     for turn, size in zip(turns(), itertools.cycle((1e-3, 1.0, 25.4, 1e3)), strict=False):
@@ -140,8 +140,9 @@ def test_a_person_is_oriented_from_all_24_directions_at_any_size_and_position(na
         np.testing.assert_array_equal(body_from_file(moved) @ turn, np.eye(3))
 
 
+@pytest.mark.daily("*-child")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SOME_PEOPLE)
+@pytest.mark.parametrize("name", PEOPLE)
 @pytest.mark.parametrize("how", ["fitted", "general"])
 def test_mesh_and_skeleton_do_not_depend_on_the_files_axes_and_unit(name: str, how: Any) -> None:
     mesh = figure(name)
@@ -280,8 +281,9 @@ def test_a_known_body_is_recognised_with_eyes_and_faces_in_any_order(known_man: 
     assert known_joints(figure("adult_woman")) is None
 
 
+@pytest.mark.daily("child")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SOME_PEOPLE)
+@pytest.mark.parametrize("name", PEOPLE)
 def test_joints_of_built_in_humans_are_near_their_true_joints(name: str) -> None:
     human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
     mesh, skeleton = fit_skeleton(human.mesh, stature=float(np.ptp(human.mesh.vertices[:, 1])))
@@ -291,8 +293,9 @@ def test_joints_of_built_in_humans_are_near_their_true_joints(name: str) -> None
     assert away.max() < 0.07
 
 
+@pytest.mark.daily("*.*", "child")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*if_shared(*FIGURES), "own_female_A_dm.obj", *SOME_PEOPLE])
+@pytest.mark.parametrize("name", [*if_shared(*FIGURES), "own_female_A_dm.obj", *PEOPLE])
 def test_a_fitted_skeleton_is_connected_symmetric_and_inside_the_mesh(name: str) -> None:
     mesh, skeleton = fitted(name)
     for bone, parent in enumerate(skeleton.parents):
@@ -406,8 +409,9 @@ def test_meshes_without_a_person_in_a_t_or_a_pose_are_refused(kind: str, said: s
             fit_skeleton(mesh)
 
 
+@pytest.mark.daily("0", "1", "2", "3")
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", nightly_but(range(4), range(12)))
+@pytest.mark.parametrize("seed", range(12))
 @pytest.mark.filterwarnings("error::RuntimeWarning", "ignore::humansim_ros.errors.HumansimWarning")
 def test_damaged_meshes_are_fitted_and_rigged_or_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import ROOT, if_shared, nightly_but
+from conftest import ROOT, if_shared
 from mesh_files import mesh_path
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
@@ -183,8 +183,9 @@ def bones(skeleton: Skeleton, *joints: str) -> list[int]:
     return [b for b, name in enumerate(skeleton.names) if name.endswith(joints) and "_to_" not in name]
 
 
+@pytest.mark.daily("child", "slim_old_woman")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", nightly_but(("child", "slim_old_woman"), PEOPLE))
+@pytest.mark.parametrize("name", PEOPLE)
 def test_heat_gives_at_most_four_bones_that_sum_to_one(name: str) -> None:
     weights = heated(name)
     np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-12)
@@ -192,8 +193,9 @@ def test_heat_gives_at_most_four_bones_that_sum_to_one(name: str) -> None:
     assert np.diff(weights.indptr).max() <= 4
 
 
+@pytest.mark.daily("child", "slim_old_woman")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", nightly_but(("child", "slim_old_woman"), PEOPLE))
+@pytest.mark.parametrize("name", PEOPLE)
 def test_heat_does_not_leak(name: str) -> None:
     """Not from an arm to the trunk, between the legs, or from limbs to the head."""
     human, weights = person(name), heated(name).toarray()
@@ -216,8 +218,9 @@ def test_heat_does_not_leak(name: str) -> None:
     np.testing.assert_array_equal(weights[head][:, limbs], 0)
 
 
+@pytest.mark.daily("child", "slim_old_woman")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", nightly_but(("child", "slim_old_woman"), PEOPLE))
+@pytest.mark.parametrize("name", PEOPLE)
 def test_heat_is_nearer_to_the_artists_than_the_thesis(name: str) -> None:
     human = person(name)
     off = [

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import SHARED_DATA, if_shared, nightly_but
+from conftest import SHARED_DATA, if_shared
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
@@ -283,7 +283,8 @@ def tilts(skinned: SkinnedMesh) -> dict[str, Array]:
     return tilts
 
 
-@pytest.mark.parametrize("rest", nightly_but({"T", "bent"}, RESTS))
+@pytest.mark.daily("*-T", "*-bent")
+@pytest.mark.parametrize("rest", RESTS)
 @pytest.mark.parametrize("rig", RIGS)
 def test_chest_and_head_of_any_rig_look_forward_as_at_rest(rig: str, rest: str) -> None:
     for bone, degrees in tilts(figure(rig, rest)).items():

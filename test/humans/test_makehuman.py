@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import ROOT, nightly_but
+from conftest import ROOT
 from render_scenes import EVEN, renderer_or_skip
 
 from humansim_ros.camera import Camera
@@ -101,8 +101,9 @@ def test_each_loads_without_decoding_all_outfits(name: str) -> None:
     assert decoded == 1
 
 
+@pytest.mark.daily("child")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", nightly_but(("child",), PEOPLE))
+@pytest.mark.parametrize("name", PEOPLE)
 def test_the_clothes_of_each_have_trackable_corners_at_a_distance(name: str) -> None:
     """340 pixels tall, from the front and from behind."""
     human = person(name)

@@ -10,7 +10,7 @@ import figures
 import numpy as np
 import pytest
 import trimesh
-from conftest import ROOT, nightly_but
+from conftest import ROOT
 
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.human import Human
@@ -28,8 +28,9 @@ def man() -> Human:
     return load_human(ROOT / "assets" / "humans" / "adult_man.npz")
 
 
+@pytest.mark.daily("ply", "stl")
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", nightly_but(("ply", "stl"), ("ply", "stl", "off")))
+@pytest.mark.parametrize("suffix", ["ply", "stl", "off"])
 def test_a_body_of_another_format_is_rigged_like_an_obj(tmp_path: Path, man: Human, suffix: str) -> None:
     """In centimetres, with z up."""
     points = 100 * man.mesh.vertices[:, [2, 0, 1]]

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import nightly_but
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MeshError
@@ -236,8 +235,9 @@ HOSTILE = {
 }
 
 
+@pytest.mark.daily(*(HOSTILE.keys() - {"empty.dae"}))
 @pytest.mark.slow
-@pytest.mark.parametrize("name", nightly_but(HOSTILE.keys() - {"empty.dae"}, HOSTILE))
+@pytest.mark.parametrize("name", HOSTILE)
 def test_a_wrong_or_malicious_file_is_refused_with_the_reason(tmp_path: Path, name: str) -> None:
     content, message = HOSTILE[name]
     path = tmp_path / name

@@ -92,15 +92,12 @@ def test_frames_of_a_sequence_have_the_proportions_of_the_silhouettes(tmp_path: 
     "seed",
     [
         1,
-        pytest.param(2, marks=pytest.mark.nightly),
-        pytest.param(3, marks=pytest.mark.nightly),
+        2,
+        3,
         pytest.param(
             0,
-            marks=[
-                pytest.mark.nightly,
-                # one of two minima, by the rounding of the processor and the number of threads
-                pytest.mark.xfail(reason="the right arm stays twisted on some processors", strict=False),
-            ],
+            # one of two minima, by the rounding of the processor and the number of threads
+            marks=pytest.mark.xfail(reason="the right arm stays twisted on some processors", strict=False),
         ),
     ],
 )

@@ -204,8 +204,8 @@ def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scen
     "options",
     [
         {},
-        pytest.param({"compression": "zstd", "images": "jpeg", "depth": "png"}, marks=pytest.mark.nightly),
-        pytest.param({"storage": "sqlite3"}, marks=pytest.mark.nightly),
+        {"compression": "zstd", "images": "jpeg", "depth": "png"},
+        {"storage": "sqlite3"},
         {"max_duration": 0.1},
     ],
     ids=lambda options: "-".join(map(str, options.values())) or "raw",

@@ -8,15 +8,14 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from conftest import ROOT
 from ros_support import write_scene
-from waiting import PATIENCE, wait_until
+from waiting import PATIENCE, existing, wait_until
 
 from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.processes.node_processes import NodeProcess
@@ -107,12 +106,6 @@ def handles_hangup(pid: int | None) -> bool:
         return False
     caught = int(status.partition("SigCgt:")[2].split()[0], 16)
     return bool(caught >> (signal.SIGHUP - 1) & 1)
-
-
-def quick_and_nightly(quick: Sequence[Any], nightly: Sequence[Any]) -> list[Any]:
-    """Parameters of a test: a few for each run, and those of the nightly run."""
-    return [*quick, *(pytest.param(*each if isinstance(each, tuple) else (each,), marks=pytest.mark.nightly)
-                      for each in nightly)]  # fmt: skip
 
 
 # Restarts
@@ -213,7 +206,7 @@ def test_all_nodes_are_started_again_when_the_process_that_starts_them_is_killed
         nodes._starter.process.kill()
         while first.keys() & {name for name, pid in nodes.pids.items() if pid == first[name]}:
             assert nodes.wait(time.monotonic() + 0.5, respawn=True) is None
-        assert wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in first.values()))
+        assert wait_until(lambda: not existing(first.values()))
         assert nodes.dead() is None
 
 
@@ -310,8 +303,9 @@ def test_a_node_whose_parent_is_dead_already_ends(ros: None, tmp_path: Path) -> 
     assert result.returncode == 0
 
 
+@pytest.mark.daily("0.2")
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", quick_and_nightly([0.2], [0.05 * 1.5**k for k in range(10)]))
+@pytest.mark.parametrize("delay", [0.2, *(0.05 * 1.5**k for k in range(10))])
 def test_nothing_is_left_of_a_run_that_is_killed_while_it_starts(
     ros: None, processes: Processes, tmp_path: Path, output: Path, delay: float
 ) -> None:
@@ -326,7 +320,8 @@ def test_nothing_is_left_of_a_run_that_is_killed_while_it_starts(
 # Signals
 
 
-@pytest.mark.parametrize("name", quick_and_nightly(["INT"], ["TERM", "HUP", "QUIT"]))
+@pytest.mark.daily("INT")
+@pytest.mark.parametrize("name", ["INT", "TERM", "HUP", "QUIT"])
 def test_a_run_in_the_background_of_a_script_stops_in_order(
     ros: None, processes: Processes, tmp_path: Path, output: Path, name: str
 ) -> None:
@@ -341,12 +336,16 @@ def test_a_run_in_the_background_of_a_script_stops_in_order(
     assert processes.are_gone()
 
 
+@pytest.mark.daily("bench-SIGHUP", "run-SIGTERM")
 @pytest.mark.parametrize(
     ("command", "number"),
-    quick_and_nightly(
-        [("bench", signal.SIGHUP), ("run", signal.SIGTERM)],
-        [("bench", signal.SIGINT), ("demo", signal.SIGTERM)],
-    ),
+    [
+        ("bench", signal.SIGHUP),
+        ("run", signal.SIGTERM),
+        ("bench", signal.SIGINT),
+        ("demo", signal.SIGTERM),
+    ],
+    ids=lambda value: getattr(value, "name", value),
 )
 def test_a_command_that_has_not_finished_says_which_signal_stopped_it(
     ros: None, processes: Processes, tmp_path: Path, output: Path, command: str, number: signal.Signals
@@ -414,17 +413,10 @@ print(request.number)
     assert done.stdout == f"{signal.SIGTERM.value}\n"
 
 
+@pytest.mark.daily("camera-0.3", "recorder-1.0")
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.0])
 @pytest.mark.parametrize(
-    ("node", "delay"),
-    quick_and_nightly(
-        [("camera", 0.3), ("recorder", 1.0)],
-        [
-            (node, delay)
-            for node in ("motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator")
-            for delay in (0.0, 0.3, 1.0, 2.0)
-            if (node, delay) not in (("camera", 0.3), ("recorder", 1.0))
-        ],
-    ),
+    "node", ["motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"]
 )
 def test_ctrl_c_while_a_node_starts_is_quiet(
     ros: None, processes: Processes, tmp_path: Path, output: Path, node: str, delay: float

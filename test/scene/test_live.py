@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, SHARED_DATA, nightly_but
+from conftest import ROOT, SHARED_DATA
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 from stand_ins import motion_path
@@ -312,10 +312,10 @@ def test_messages_that_are_none_are_refused(actor: Actor) -> None:
     assert messages.read_joints(unknown).linear is None
 
 
+@pytest.mark.daily("walk")
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "stem",
-    nightly_but(["walk"], ["walk", "own_mixamo", *(["mixamo_freebvh"] if SHARED_DATA.is_dir() else [])]),
+    "stem", ["walk", "own_mixamo", *(["mixamo_freebvh"] if SHARED_DATA.is_dir() else [])]
 )
 def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Path, stem: str) -> None:
     """Bones are parallel to the links of the example's joints, upright, on the floor."""

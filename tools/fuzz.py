@@ -410,8 +410,12 @@ def calibrations() -> dict[str, bytes]:
             ideal = replace(first, model=model, distortion=() if model == "plumb_bob" else 4 * (0.0,))
             second = replace(ideal, t=first.t + 0.5, distortion=lens[:count])
             two = {"left": ideal, "right": second}
-            if form.name in ("zed", "k4a"):  # these describe the two cameras of one device
-                continue
+            if form.name == "zed":  # the left camera is the world
+                two = {
+                    name: replace(camera, R=np.eye(3), t=camera.t - first.t) for name, camera in two.items()
+                }
+            if form.name == "k4a":
+                two = dict(zip(("depth", "color"), two.values(), strict=True))
             target = Path(folder) / form.name
             for path in write_calibration(target, two if form.multiple else {"right": second}, form.name):
                 files[path.name if path.parent == target else form.name] = path.read_bytes()

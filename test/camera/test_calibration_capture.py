@@ -96,6 +96,34 @@ def test_metashape_calibrations_have_a_lens_and_no_pose(tmp_path: Path) -> None:
     assert camera.distortion == (-0.1, 0, 0.001, 0.002, 0)
 
 
+def metashape_calibration(kind: str, **values: float) -> str:
+    numbers = "".join(f"<{name}>{value!r}</{name}>" for name, value in {"f": 700.0, **values}.items())
+    size = f"<width>{W}</width><height>{H}</height>"
+    return f"<calibration><projection>{kind}</projection>{size}{numbers}</calibration>"
+
+
+def test_a_lens_of_metashape_that_no_model_has_is_fitted_over_the_image(tmp_path: Path) -> None:
+    k1, k2, k3, k4, p1, p2, p3, p4 = -0.21, 0.09, -0.02, 0.004, 1.5e-3, -8e-4, 0.3, -0.1
+    text = metashape_calibration("frame", k1=k1, k2=k2, k3=k3, k4=k4, p1=p1, p2=p2, p3=p3, p4=p4, b2=1.0)
+    with pytest.warns(HumansimWarning, match=r"lens with k4, p3 or p4 is written as \w+, which differs by"):
+        (camera,) = read(tmp_path, "left.xml", text).values()
+    x, y = np.random.default_rng(2).uniform([-0.4, -0.3], [0.4, 0.3], (200, 2)).T
+    r2 = x**2 + y**2
+    radial, more = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3 + k4 * r2**4, 1 + p3 * r2 + p4 * r2**2
+    u = x * radial + (p1 * (r2 + 2 * x**2) + 2 * p2 * x * y) * more
+    v = y * radial + (p2 * (r2 + 2 * y**2) + 2 * p1 * x * y) * more
+    expected = np.stack([W / 2 + 700 * u + v - 0.5, H / 2 + 700 * v - 0.5], axis=1)
+    found = camera.project(np.stack([x, y, np.ones_like(x)], axis=1))[0]
+    assert np.abs(found - expected).max() < 0.02
+
+
+def test_coefficients_of_a_lens_of_metashape_that_cannot_be_kept_are_told(tmp_path: Path) -> None:
+    with pytest.warns(HumansimWarning, match="p1 and p2 of the fisheye are left out: no lens model has them"):
+        read(tmp_path, "left.xml", metashape_calibration("fisheye", k1=0.01, p1=1e-3, p2=1e-3))
+    with pytest.raises(CameraError, match=r"left\.xml.*calibration: a lens with these coefficients folds"):
+        read(tmp_path, "left.xml", metashape_calibration("frame", k1=-90.0, k4=-900.0))
+
+
 def test_real_reference_poses_of_metashape_look_along_the_way(shared_data: Path) -> None:
     with pytest.warns(HumansimWarning, match="their reference poses"):
         cameras = read_calibration(shared_data / "calib" / "hwiyoung_metashape_cameras.xml")
@@ -367,6 +395,11 @@ XCP = vicon((0.0, 0.0, 0.0))
             "there are no intrinsics None",
         ),
         ("a.sfm", json.dumps({"views": [{"viewId": "1"}], "intrinsics": []}), "there are no intrinsics None"),
+        (
+            "a.json",
+            json.dumps({"sfm_data_version": "0.3", "views": [], "extrinsics": 0.5}),
+            "extrinsics: needs a list",
+        ),
     ],
 )
 def test_wrong_files_are_refused_with_their_place(tmp_path: Path, name: str, text: str, said: str) -> None:

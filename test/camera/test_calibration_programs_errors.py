@@ -123,6 +123,7 @@ NAN = float("nan")
             ":5: cam_0.distortions: rational_polynomial has 8",
         ),
         (toml('unit = "m"', "unit = 5"), ":10: metadata.unit: is '5': use m, cm, mm"),
+        (toml('unit = "m"', 'unit = ["m"]'), ":10: metadata.unit: is \"['m']\": use m, cm, mm"),
         (toml('name = "A"', 'name = "A'), ":2: not valid TOML"),
         (toml('name = "A"', 'name = "A"\nname = "B"'), ":3: not valid TOML: Cannot overwrite"),
         (

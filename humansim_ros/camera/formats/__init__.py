@@ -15,8 +15,8 @@ from humansim_ros.camera.formats.devices import K4A, ZED
 from humansim_ros.camera.formats.matrices import MATRICES, MATRICES_NPZ
 from humansim_ros.camera.formats.mocap import DLT, EGOEXO, MOTIVE, THEIA, VICON
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
-from humansim_ros.camera.formats.photogrammetry import BUNDLER, MESHROOM, METASHAPE, MVSNET, OPENMVG
-from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, PROJECTION
+from humansim_ros.camera.formats.photogrammetry import BUNDLER, MESHROOM, METASHAPE, OPENMVG
+from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, MVSNET, PROJECTION
 from humansim_ros.camera.formats.qualisys import QUALISYS
 from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
 from humansim_ros.camera.formats.ros import CAMERA_INFO, INI, KALIBR

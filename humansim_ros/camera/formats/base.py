@@ -21,7 +21,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.lens import MODELS
+from humansim_ros.camera.lens import MODELS, Lens, fit_lens
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.yaml import line_of
 from humansim_ros.rotations import quaternion_to_matrix
@@ -137,6 +137,13 @@ class CalibrationFile:
         if not isinstance(value, Mapping):
             raise self.error("needs keys and values", *keys)
         return value
+
+    def items(self, *keys: Key) -> list[Any]:
+        """Values of the list at a key path; none if it is absent."""
+        value = self.get(*keys)
+        if not isinstance(value, list | None):
+            raise self.error("needs a list", *keys)
+        return value or []
 
     def numbers(self, shape: tuple[int, ...], *keys: Key) -> Array:
         """Array of a shape from numbers in row order; the nesting of their lists does not matter."""
@@ -398,6 +405,23 @@ Keys = tuple[Key, ...]
 Predicate = Callable[[Any], bool]
 
 
+def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array, focal: float) -> Lens:
+    """Lens that stands for a model that cameras do not have; a warning tells the error.
+
+    Args:
+        file: File that is being read.
+        what: The lens, for the warning.
+        ideal: Points (N, 2) of the normalised image plane, over the image.
+        distorted: Their distorted places (N, 2).
+        focal: Focal length, pixels.
+    """
+    lens, error = fit_lens(ideal, distorted)
+    warn_about(
+        file.path, f"{what} is written as {lens.model}, which differs by {error * focal:.2g} pixels (RMS)"
+    )
+    return lens
+
+
 def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate) -> list[tuple[str, Keys]]:
     """Find the cameras of a document: their names and key paths, in the order of the file.
 
@@ -588,7 +612,7 @@ def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
     for table in _UNIT_TABLES:
         value = file.get(*table, _UNIT)
         if value is not None:
-            if value not in _UNITS:
+            if not isinstance(value, str) or value not in _UNITS:
                 raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *table, _UNIT)
             return _UNITS[value]
     positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])

@@ -31,10 +31,10 @@ from humansim_ros.camera.formats.base import (
     Keys,
     RawCamera,
     SourceLocation,
+    fitted_lens,
     number,
     row,
 )
-from humansim_ros.camera.lens import fit_lens
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
@@ -122,12 +122,9 @@ def _vicon_lens(
     factor = 1 + r2 * (radial[0] + r2 * (radial[1] + r2 * radial[2]))
     ideal = center + (pixels - center) * factor
     focal = k[[0, 1], [0, 1]]
-    lens, error = fit_lens((ideal - k[:2, 2]) / focal, (pixels - k[:2, 2]) / focal)
-    what = (
-        f"the lens of Vicon is written as {lens.model}, which differs by {error * focal[0]:.2g} pixels (RMS)"
-    )
-    name = file.get("Cameras", "Camera", frame[2], "DEVICEID")
-    warn_about(file.path, f"{name}: {what}")
+    what = f"{file.get('Cameras', 'Camera', frame[2], 'DEVICEID')}: the lens of Vicon"
+    places = (ideal - k[:2, 2]) / focal, (pixels - k[:2, 2]) / focal
+    lens = fitted_lens(file, what, *places, float(focal[0]))
     return lens.model, lens.coefficients
 
 

@@ -1,14 +1,13 @@
-"""Projects of photogrammetry programs: Metashape, OpenMVG, Meshroom, Bundler, MVSNet.
+"""Projects of photogrammetry programs: Metashape, OpenMVG, Meshroom, Bundler.
 
 - Metashape (document, calibration XML): u = w/2 + cx + x f + x B1 + y B2, v = h/2 + cy + y f; the centre of
   the first pixel is (0.5, 0.5); tangential coefficients are in the other order than in OpenCV; a camera has
-  its pose in the chunk, whose transform leads to the world (Metashape manual, appendix D).
+  its pose in the chunk, whose transform leads to the world (Metashape manual 1.5, appendices C and D).
 - OpenMVG: x = R (X - C). https://openmvg.readthedocs.io/en/latest/software/SfM/SfM_OutputFormat/
 - Meshroom (AliceVision): R in column order, x = R (X - C), focal length in mm, principal point from the image
   centre (from version 1.2.1). https://github.com/alicevision/AliceVision (sfmDataIO/jsonIO.cpp)
 - Bundler: x = R X + t, the camera looks along -z with y up, pixels from the image centre.
   https://www.cs.cornell.edu/~snavely/bundler/bundler-v0.4-manual.html
-- MVSNet (cam.txt): the matrix from the world to the camera and K. https://github.com/YoYo000/MVSNet
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from humansim_ros.camera.formats.base import (
     Keys,
     RawCamera,
     SourceLocation,
-    check_words,
+    fitted_lens,
     image_names,
     json_file,
     nested,
@@ -39,6 +38,7 @@ from humansim_ros.camera.formats.base import (
     row,
     without_suffix,
 )
+from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import read_text
 from humansim_ros.types import Array, ImageSize
@@ -49,6 +49,8 @@ _FLIP = np.diag([1.0, -1.0, -1.0])
 # -- Metashape
 
 _ROOTS = ("document", "chunk")
+#: Steps of the inversion of a lens.
+_INVERSION_STEPS = 200
 
 
 def _chunk(file: CalibrationFile) -> Keys | None:
@@ -69,8 +71,8 @@ def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
     if chunk is None:
         return {Path(file.path).stem: _metashape_lens(file, ("calibration",), None)}
     sensors = {}
-    for group, _ in enumerate(file.get(*chunk, "sensors") or ()):
-        for index, sensor in enumerate(file.get(*chunk, "sensors", group, "sensor") or ()):
+    for group, _ in enumerate(file.items(*chunk, "sensors")):
+        for index, sensor in enumerate(file.items(*chunk, "sensors", group, "sensor")):
             sensors[str(sensor.get("id"))] = (*chunk, "sensors", group, "sensor", index)
     components = _components(file, chunk)
     cameras: dict[str, RawCamera] = {}
@@ -114,7 +116,7 @@ def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
 
 def _metashape_cameras(file: CalibrationFile, chunk: Keys) -> list[Keys]:
     found: list[Keys] = []
-    for group, cameras in enumerate(file.get(*chunk, "cameras") or ()):
+    for group, cameras in enumerate(file.items(*chunk, "cameras")):
         at = (*chunk, "cameras", group)
         found += [(*at, "camera", index) for index, _ in enumerate(cameras.get("camera") or ())]
         for outer, inner in enumerate(cameras.get("group") or ()):
@@ -124,11 +126,11 @@ def _metashape_cameras(file: CalibrationFile, chunk: Keys) -> list[Keys]:
 
 def _sensor_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     """Lens of a sensor: the adjusted calibration, else the initial one, else focal length and pixel size."""
-    calibrations = file.get(*at, "calibration") or []
+    calibrations = file.items(*at, "calibration")
     order = sorted(range(len(calibrations)), key=lambda i: calibrations[i].get("class") != "adjusted")
     if order:
         return _metashape_lens(file, (*at, "calibration", order[0]), at)
-    values = {p.get("name"): p.get("value") for p in file.get(*at, "property") or ()}
+    values = {p.get("name"): p.get("value") for p in file.items(*at, "property")}
     try:
         focal = float(values["focal_length"]) / float(values["pixel_width"])
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
@@ -171,17 +173,44 @@ def _metashape_lens(file: CalibrationFile, at: Keys, sensor: Keys | None) -> Raw
         f = value["f"]
         k = pinhole(f + value["b1"], f, size[0] / 2 + value["cx"] - 0.5, size[1] / 2 + value["cy"] - 0.5)
         k[0, 1] = value["b2"]
-    unknown = [name for name in ("p3", "p4") if value[name]]
-    if kind == "fisheye":
-        unknown += [name for name in ("p1", "p2") if value[name]]
-        lens, model = tuple(value[name] for name in ("k1", "k2", "k3", "k4")), "equidistant"
-    else:
-        unknown += ["k4"] * bool(value["k4"])
-        lens, model = tuple(value[name] for name in ("k1", "k2", "p2", "p1", "k3")), "plumb_bob"
-    if unknown:
-        warn_about(file.path, f"{' and '.join(unknown)} of a {kind} lens are not supported, and left out")
     location = file.location(*at)
+    if kind == "fisheye":
+        lens, model = tuple(value[name] for name in ("k1", "k2", "k3", "k4")), "equidistant"
+        if unknown := [name for name in ("p1", "p2", "p3", "p4") if value[name]]:
+            text = f"{' and '.join(unknown)} of the fisheye are left out: no lens model has them"
+            warn_about(file.path, text)
+    else:
+        lens, model = tuple(value[name] for name in ("k1", "k2", "p2", "p1", "k3")), "plumb_bob"
+        if value["k4"] or ((value["p3"] or value["p4"]) and (value["p1"] or value["p2"])):
+            label = "calibration" if sensor is None else f"sensor {file.get(*sensor, 'label')}"
+            fitted = _fitted_frame(file, at, f"{label}: the lens with k4, p3 or p4", value, k, size)
+            lens, model = fitted.coefficients, fitted.model
     return RawCamera(k, size=size, distortion=lens, model=model, locations={"": location, "K": location})
+
+
+def _fitted_frame(
+    file: CalibrationFile, at: Keys, what: str, value: Mapping[str, float], k: Array, size: ImageSize
+) -> Lens:
+    """Lens that fits a frame camera with coefficients that no lens model has, over the image."""
+
+    def distort(points: Array) -> Array:
+        r2 = (points**2).sum(axis=1, keepdims=True)
+        radial = 1 + r2 * (value["k1"] + r2 * (value["k2"] + r2 * (value["k3"] + r2 * value["k4"])))
+        p = np.array([value["p1"], value["p2"]])
+        tangential = p * (r2 + 2 * points**2) + 2 * p[::-1] * points.prod(axis=1, keepdims=True)
+        return np.asarray(points * radial + tangential * (1 + r2 * (value["p3"] + r2 * value["p4"])))
+
+    columns, rows = np.meshgrid(np.linspace(0, size[0] - 1, 25), np.linspace(0, size[1] - 1, 19))
+    pixels = np.column_stack([columns.ravel(), rows.ravel(), np.ones(columns.size)])
+    places = (pixels @ np.linalg.inv(k).T)[:, :2]
+    ideal = places.copy()
+    with np.errstate(all="ignore"):  # the model may fold within the image
+        for _ in range(_INVERSION_STEPS):
+            ideal += places - distort(ideal)
+        known = np.abs(distort(ideal) - places).max(axis=1) < 1e-9
+    if known.mean() < 0.5:
+        raise file.error("a lens with these coefficients folds over itself in the image", *at)
+    return fitted_lens(file, what, ideal[known], places[known], float(k[0, 0]))
 
 
 def _similarity(file: CalibrationFile, at: Keys) -> tuple[Array, Array, float] | None:
@@ -208,7 +237,7 @@ def _components(file: CalibrationFile, chunk: Keys) -> dict[str, tuple[Array, Ar
     own = _similarity(file, (*chunk, "transform", 0))
     if own is not None:
         found[""] = own
-    for group, components in enumerate(file.get(*chunk, "components") or ()):
+    for group, components in enumerate(file.items(*chunk, "components")):
         for index, component in enumerate(components.get("component") or ()):
             inner = _similarity(file, (*chunk, "components", group, "component", index, "transform", 0))
             if inner is not None:
@@ -308,14 +337,14 @@ def _is_openmvg(file: CalibrationFile) -> bool:
 
 def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
     lenses, poses = {}, {}
-    for index, item in enumerate(file.get("intrinsics") or ()):
+    for index, item in enumerate(file.items("intrinsics")):
         lenses[str(_of(item, "key"))] = _openmvg_lens(
             file, ("intrinsics", index, "value", "ptr_wrapper", "data")
         )
-    for index, item in enumerate(file.get("extrinsics") or ()):
+    for index, item in enumerate(file.items("extrinsics")):
         poses[str(_of(item, "key"))] = ("extrinsics", index, "value")
     cameras: dict[str, RawCamera] = {}
-    for index, _ in enumerate(file.need("views")):
+    for index, _ in enumerate(file.items("views")):
         at: Keys = ("views", index, "value", "ptr_wrapper", "data")
         view = file.mapping(*at)
         lens = lenses.get(str(view.get("id_intrinsic")))
@@ -449,14 +478,14 @@ def _is_meshroom(file: CalibrationFile) -> bool:
 def _read_meshroom(file: CalibrationFile) -> dict[str, RawCamera]:
     lenses = {
         str(_of(item, "intrinsicId")): _meshroom_lens(file, ("intrinsics", index))
-        for index, item in enumerate(file.need("intrinsics"))
+        for index, item in enumerate(file.items("intrinsics"))
     }
     poses: dict[str, Keys] = {
         str(_of(item, "poseId")): ("poses", index, "pose", "transform")
-        for index, item in enumerate(file.get("poses") or ())
+        for index, item in enumerate(file.items("poses"))
     }
     cameras: dict[str, RawCamera] = {}
-    for index, _ in enumerate(file.need("views")):
+    for index, _ in enumerate(file.items("views")):
         at: Keys = ("views", index)
         view = file.mapping(*at)
         lens = lenses.get(str(view.get("intrinsicId")))
@@ -636,49 +665,4 @@ BUNDLER = CalibrationFormat(
     holds_size=False,
     holds_skew=False,
     lenses={"plumb_bob": 2},
-)
-
-
-# -- MVSNet
-
-
-def _is_mvsnet(file: CalibrationFile) -> bool:
-    return bool(file.head) and file.head[0].lower() == "extrinsic"
-
-
-def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
-    lines = list(islice(file.lines(), 12))
-    words = [text.split() for _, text in lines]
-    inner = next((i for i, w in enumerate(words) if w[0].lower() == "intrinsic"), None)
-    if inner != 5 or [len(w) for w in words[1:5]] != [4] * 4 or [len(w) for w in words[6:9]] != [3] * 3:
-        message = "needs 'extrinsic' with 4 x 4 numbers, then 'intrinsic' with 3 x 3 numbers"
-        raise CameraError(message, path=file.path, line=lines[-1][0])
-    pose = np.array([file.row(w, line) for w, (line, _) in zip(words[1:5], lines[1:5], strict=True)])
-    k = np.array([file.row(w, line) for w, (line, _) in zip(words[6:9], lines[6:9], strict=True)])
-    if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
-        message = "needs 0 0 0 1 as the last row of its 4 x 4 numbers"
-        raise CameraError(message, path=file.path, line=lines[4][0], key="extrinsic")
-    at = SourceLocation("extrinsic", lines[1][0])
-    where = {"K": SourceLocation("intrinsic", lines[6][0]), "R": at, "t": at}
-    name = Path(file.path).stem.removesuffix("_cam")
-    return {name: RawCamera(k, pose[:3, :3], pose[:3, 3], locations=where)}
-
-
-def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    check_words(cameras)
-    (camera,) = cameras.values()
-    lines = ["extrinsic", *(row(values) for values in camera.optical_from_world), "", "intrinsic"]
-    return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}
-
-
-MVSNET = CalibrationFormat(
-    "mvsnet",
-    "MVSNet cam.txt",
-    "_cam.txt",
-    "text",
-    _is_mvsnet,
-    _read_mvsnet,
-    _write_mvsnet,
-    multiple=False,
-    holds_size=False,
 )

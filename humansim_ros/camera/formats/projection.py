@@ -1,4 +1,4 @@
-"""Plain text of numbers: projection matrices, KRTD files, and par.txt of the Middlebury multi-view data.
+"""Plain text of numbers: projection matrices, KRTD, par.txt of the Middlebury multi-view data, MVSNet.
 
 - A projection matrix P (3x4), of any scale and sign, is three lines of four numbers or one line of twelve.
   Its name is before it ("P0: ...") or on a line above; a comment "# left 640x480" also gives the image size.
@@ -7,6 +7,7 @@
   zeros; a single 0 means no distortion.
 - par.txt: a count, then lines of an image name, K (9), R (9) and t (3); P = K [R | t].
   https://vision.middlebury.edu/mview/data/
+- cam.txt of MVSNet: the matrix from the world to the camera (4x4) and K. https://github.com/YoYo000/MVSNet
 """
 
 from __future__ import annotations
@@ -241,5 +242,50 @@ MIDDLEBURY = CalibrationFormat(
     _is_par,
     _read_middlebury,
     _write_middlebury,
+    holds_size=False,
+)
+
+
+# -- MVSNet
+
+
+def _is_mvsnet(file: CalibrationFile) -> bool:
+    return bool(file.head) and file.head[0].lower() == "extrinsic"
+
+
+def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = list(islice(file.lines(), 12))
+    words = [text.split() for _, text in lines]
+    inner = next((i for i, w in enumerate(words) if w[0].lower() == "intrinsic"), None)
+    if inner != 5 or [len(w) for w in words[1:5]] != [4] * 4 or [len(w) for w in words[6:9]] != [3] * 3:
+        message = "needs 'extrinsic' with 4 x 4 numbers, then 'intrinsic' with 3 x 3 numbers"
+        raise CameraError(message, path=file.path, line=lines[-1][0])
+    pose = np.array([file.row(w, line) for w, (line, _) in zip(words[1:5], lines[1:5], strict=True)])
+    k = np.array([file.row(w, line) for w, (line, _) in zip(words[6:9], lines[6:9], strict=True)])
+    if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        message = "needs 0 0 0 1 as the last row of its 4 x 4 numbers"
+        raise CameraError(message, path=file.path, line=lines[4][0], key="extrinsic")
+    at = SourceLocation("extrinsic", lines[1][0])
+    where = {"K": SourceLocation("intrinsic", lines[6][0]), "R": at, "t": at}
+    name = Path(file.path).stem.removesuffix("_cam")
+    return {name: RawCamera(k, pose[:3, :3], pose[:3, 3], locations=where)}
+
+
+def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
+    check_words(cameras)
+    (camera,) = cameras.values()
+    lines = ["extrinsic", *(row(values) for values in camera.optical_from_world), "", "intrinsic"]
+    return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}
+
+
+MVSNET = CalibrationFormat(
+    "mvsnet",
+    "MVSNet cam.txt",
+    "_cam.txt",
+    "text",
+    _is_mvsnet,
+    _read_mvsnet,
+    _write_mvsnet,
+    multiple=False,
     holds_size=False,
 )

@@ -39,7 +39,7 @@ def _is_qualisys(file: CalibrationFile) -> bool:
 def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for group, _ in enumerate(file.need("calibration", "cameras")):
-        for index, _ in enumerate(file.get("calibration", "cameras", group, "camera") or ()):
+        for index, _ in enumerate(file.items("calibration", "cameras", group, "camera")):
             at: tuple[Key, ...] = ("calibration", "cameras", group, "camera", index)
             name = str(file.get(*at, "serial") or "").strip() or str(len(cameras))
             file.add(cameras, name, _camera(file, at), *at)

@@ -191,6 +191,16 @@ def from_y_axis(direction: Array) -> Array:
     return np.where(opposite, np.array([1.0, 0.0, 0.0, 0.0]), out / np.where(opposite, 1.0, length))
 
 
+def shortest_rotations(starts: Array, ends: Array) -> Array:
+    """Shortest rotations (..., 3, 3) from unit vectors (..., 3) to others (..., 3) that are not opposite."""
+    axes = np.cross(starts, ends)
+    skew = np.zeros((*axes.shape, 3))
+    skew[..., [2, 0, 1], [1, 2, 0]] = axes
+    skew[..., [1, 2, 0], [2, 0, 1]] = -axes
+    factors = 1 / np.maximum(1 + (starts * ends).sum(axis=-1), 1e-9)
+    return np.asarray(np.eye(3) + skew + skew @ skew * factors[..., None, None])
+
+
 def transform(rotation: NDArray[Any], translation: NDArray[Any]) -> Array:
     """Homogeneous matrices (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
     rotation, translation = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
@@ -259,6 +269,11 @@ def rotate(matrices: NDArray[Any], vectors: NDArray[Any]) -> Array:
 def unit_vectors(vectors: NDArray[Any]) -> Array:
     """Vectors (..., 3) divided by their length; a zero vector stays zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+
+
+def perpendicular(vectors: Array, directions: Array) -> Array:
+    """Vectors (..., 3) without their part along unit vectors (..., 3)."""
+    return np.asarray(vectors - (vectors * directions).sum(axis=-1, keepdims=True) * directions)
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

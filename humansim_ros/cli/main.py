@@ -97,17 +97,17 @@ class _Headed(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands of each heading with their short help."""
-        indent = max(map(len, self.commands), default=0) + 6
+        # as wide as the longest name, so that all headings have the same columns
+        width = max(map(len, self.commands), default=0)
         for heading, names in HEADINGS.items():
-            known = [name for name in names if name in self.commands]
-            texts = [self.commands[name].get_short_help_str(formatter.width - indent) for name in known]
-            if known:
+            rows = [
+                (name.ljust(width), self.commands[name].get_short_help_str(formatter.width - width - 6))
+                for name in names
+                if name in self.commands
+            ]
+            if rows:
                 with formatter.section(heading):
-                    # as wide as the longest name, so that all headings have the same columns
-                    width = max(map(len, self.commands))
-                    formatter.write_dl(
-                        [(name.ljust(width), text) for name, text in zip(known, texts, strict=True)]
-                    )
+                    formatter.write_dl(rows)
 
 
 def load_command(name: str) -> Callable[..., None]:

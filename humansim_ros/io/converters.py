@@ -246,8 +246,8 @@ def _cached_file(path: Path, content: bytes, converter: _Converter) -> Path | No
     digest.update(repr((converter, _BLENDER)).encode())
     parent = path.resolve().parent
     names = chain(parent.glob("*"), parent.glob("*/*"))
-    with suppress(OSError):
-        for image in sorted(name for name in islice(names, _MOST_NAMES) if name.suffix.lower() in _IMAGES):
+    for image in sorted(name for name in islice(names, _MOST_NAMES) if name.suffix.lower() in _IMAGES):
+        with suppress(OSError):  # such as a link to nothing
             state = image.stat()
             digest.update(repr((str(image), state.st_size, state.st_mtime_ns)).encode())
     return folder / "converted" / f"{digest.hexdigest()[:40]}.glb"

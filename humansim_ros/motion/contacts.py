@@ -17,7 +17,14 @@ from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
 from humansim_ros.motion.world_motion import WorldMotion
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, rotate, unit_vectors
+from humansim_ros.rotations import (
+    matrix_to_quaternion,
+    perpendicular,
+    quaternion_to_matrix,
+    rotate,
+    shortest_rotations,
+    unit_vectors,
+)
 from humansim_ros.types import Array
 
 #: Largest share of its length to which a leg is straightened, unless it was straighter before.
@@ -42,10 +49,10 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
     reach = np.linalg.norm(ankle - hip, axis=-1)
     longest = np.maximum(reach, STRAIGHTEST * (thigh + shin))
     distance = np.clip(np.linalg.norm(goal - hip, axis=-1), 1.001 * np.abs(thigh - shin) + 1e-9, longest)
-    bend = _perpendicular(knee - hip, before)
+    bend = perpendicular(knee - hip, before)
     straight = np.linalg.norm(bend, axis=-1, keepdims=True) < 1e-9
-    bend = unit_vectors(np.where(straight, _perpendicular(np.array([1.0, 0.1, 0.0]), before), bend))
-    new_bend = rotate(_shortest_rotations(before, after), bend)
+    bend = unit_vectors(np.where(straight, perpendicular(np.array([1.0, 0.1, 0.0]), before), bend))
+    new_bend = rotate(shortest_rotations(before, after), bend)
     along = (thigh**2 - shin**2 + distance**2) / (2 * distance)
     across = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
     new_knee = hip + along[:, None] * after + across[:, None] * new_bend
@@ -66,20 +73,6 @@ def correction_share(hip: Array, knee: Array, ankle: Array) -> Array:
     share = (np.linalg.norm(ankle - hip, axis=-1) / leg - _FOLDED) / _FOLDED
     share = np.clip(share, 0.0, 1.0)[:, None]
     return np.asarray(share * share * (3 - 2 * share))
-
-
-def _perpendicular(vectors: Array, direction: Array) -> Array:
-    """Component of vectors (N, 3) perpendicular to unit vectors (N, 3)."""
-    return np.asarray(vectors - (vectors * direction).sum(-1, keepdims=True) * direction)
-
-
-def _shortest_rotations(a: Array, b: Array) -> Array:
-    """Shortest rotations (N, 3, 3) from unit vectors a to b (N, 3) that are not opposite."""
-    v, c = np.cross(a, b), (a * b).sum(-1)
-    skew = np.zeros((len(a), 3, 3))
-    skew[:, [2, 0, 1], [1, 2, 0]] = v
-    skew[:, [1, 2, 0], [2, 0, 1]] = -v
-    return np.asarray(np.eye(3) + skew + skew @ skew / np.maximum(1 + c, 1e-9)[:, None, None])
 
 
 def _bone_frame(along: Array, normal: Array) -> Array:

@@ -326,13 +326,13 @@ class ConeCoordinates(JointCoordinates):
     def split(self, relative: Array) -> Array:
         azimuth, distance = self._polar(relative @ self.middle)
         # from azimuth and distance, not from the direction itself, so that compose() is the exact inverse
-        swing = shortest_rotations(self.middle, self._direction(azimuth, distance))
+        swing = _rotations_from_axis(self.middle, self._direction(azimuth, distance))
         u, v = self.azimuth_axes
         across = np.swapaxes(swing, -1, -2) @ relative @ u
         return np.stack([distance, azimuth, np.degrees(np.arctan2(across @ v, across @ u))], axis=-1)
 
     def compose(self, values: Array, offset: Array) -> Array:
-        swing = shortest_rotations(self.middle, self._direction(values[:, 1], values[:, 0]))
+        swing = _rotations_from_axis(self.middle, self._direction(values[:, 1], values[:, 0]))
         axis = np.asarray(np.cross(*self.azimuth_axes), dtype=float)
         return np.asarray(swing @ _about_axis(axis, np.radians(values[:, 2] - offset)))
 
@@ -367,7 +367,7 @@ class ConeCoordinates(JointCoordinates):
         yield from self.pair_against_limits(self.range.twist, twist)
 
 
-def shortest_rotations(start: Array, ends: Array) -> Array:
+def _rotations_from_axis(start: Array, ends: Array) -> Array:
     """Shortest rotations (..., 3, 3) of a unit vector (3,) along an axis onto others (..., 3)."""
     second = np.roll(start, 1)
     axes = np.stack([second, start, np.cross(second, start)], axis=-1)
@@ -542,7 +542,7 @@ class JointLimits:
         if along is None:
             return np.eye(3)
         rest = self.skeleton.rest[self.skeleton.bone(bone), :3, 1]
-        return shortest_rotations(direction_vector(along, side_of(bone)), rest)
+        return _rotations_from_axis(direction_vector(along, side_of(bone)), rest)
 
 
 def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton | None = None) -> JointLimits:

@@ -20,7 +20,7 @@ from humansim_ros.io.marker_files import MarkerFile, label_parts, read_c3d_point
 from humansim_ros.motion.joint_matching import loose_keys, loose_table_key
 from humansim_ros.motion.joint_tables import right_name
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
-from humansim_ros.rotations import rotate, unit_vectors
+from humansim_ros.rotations import perpendicular, rotate, shortest_rotations, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Largest file, and most labels and points of a file.
@@ -270,11 +270,6 @@ def _middle(points: Points, part: str) -> Array:
     return (points[f"Left{part}"] + points[f"Right{part}"]) / 2
 
 
-def _across(vectors: Array, directions: Array) -> Array:
-    """Vectors (F, 3) without their part along unit directions (F, 3)."""
-    return vectors - (vectors * directions).sum(-1, keepdims=True) * directions
-
-
 def _known_joints(points: Points) -> dict[str, Array]:
     """Joints of a file of joints; hips, neck and head from their neighbours where they lack."""
     joints = {name: place for name, place in points.items() if name in _ALL_JOINTS}
@@ -293,7 +288,7 @@ def _joint_centres(points: Points) -> dict[str, Array]:
     front = _middle(points, "ASIS")
     back = points["Sacrum"] if "Sacrum" in points else _middle(points, "PSIS")
     left = unit_vectors(points["LeftASIS"] - points["RightASIS"])
-    forward = unit_vectors(_across(front - back, left))
+    forward = unit_vectors(perpendicular(front - back, left))
     up = np.cross(forward, left)
     width = float(np.median(np.linalg.norm(points["LeftASIS"] - points["RightASIS"], axis=1)))
     depth = float(np.median(np.linalg.norm(front - back, axis=1)))
@@ -327,7 +322,9 @@ def _joint_centres(points: Points) -> dict[str, Array]:
         if wrist is not None and at("ElbowMedial") is None:
             elbow = _hinge(lateral, shoulder, wrist, sign)
         else:
-            inwards = sign * unit_vectors(_across(points["RightAcromion"] - points["LeftAcromion"], trunk))
+            inwards = sign * unit_vectors(
+                perpendicular(points["RightAcromion"] - points["LeftAcromion"], trunk)
+            )
             elbow = _centre(lateral, at("ElbowMedial"), shoulder, inwards, _ELBOW)
         joints[f"{side}Elbow"] = elbow
         if wrist is not None:
@@ -347,7 +344,7 @@ def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, 
     if medial is not None:
         return (lateral + medial) / 2
     limb = unit_vectors(lateral - above)
-    return np.asarray(lateral + distance * unit_vectors(_across(inwards, limb)))
+    return np.asarray(lateral + distance * unit_vectors(perpendicular(inwards, limb)))
 
 
 def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
@@ -356,8 +353,8 @@ def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
     ``sign``: 1 for the left elbow, -1 for the right one.
     """
     way = unit_vectors(wrist - shoulder)
-    along = ((lateral - shoulder) * way).sum(-1, keepdims=True) * way
-    aside = lateral - shoulder - along
+    aside = perpendicular(lateral - shoulder, way)
+    along = lateral - shoulder - aside
     size = np.linalg.norm(aside, axis=-1, keepdims=True)
     sine = np.clip(_ELBOW / np.maximum(size, 1e-9), 0, 1)
     cosine = np.sqrt(1 - sine**2)
@@ -375,7 +372,7 @@ _ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in _SIDES}
 def _motion(path: Path, joints: dict[str, Array], frame_time: float) -> Motion:
     """Motion of joints (F, 3) with the rest pose of :data:`_TREE`."""
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
-    names, parents, offsets, turns = [], [], [], []
+    names, parents, offsets = [], [], []
     trunk = joints["Neck"] - joints["Hips"]
     own = {
         "Hips": _axes(joints["LeftHip"] - joints["RightHip"], trunk),
@@ -400,7 +397,6 @@ def _motion(path: Path, joints: dict[str, Array], frame_time: float) -> Motion:
             parents.append(names.index(parent) if parent else -1)
             offsets.append(way)
             done[name] = own[name] if name in own else done[parent]
-            turns.append(name)
     # a limb turns with its link: the shortest rotation from its parent
     for name in names:
         below = [n for n in names if parents[names.index(n)] == names.index(name)]
@@ -411,7 +407,7 @@ def _motion(path: Path, joints: dict[str, Array], frame_time: float) -> Motion:
         if below:
             rest = rotate(done[parent], np.broadcast_to(offsets[names.index(below[0])], (len(trunk), 3)))
             link = joints[below[0]] - joints[name]
-            done[name] = _shortest(rest, link) @ done[parent]
+            done[name] = shortest_rotations(unit_vectors(rest), unit_vectors(link)) @ done[parent]
     rotations, positions = [], {}
     for number, name in enumerate(names):
         parent_number = parents[number]
@@ -440,14 +436,3 @@ def _axes(left: Array, up: Array) -> Array:
     x = unit_vectors(left)
     z = unit_vectors(np.cross(x, up))
     return np.stack([x, np.cross(z, x), z], axis=-1)
-
-
-def _shortest(start: Array, end: Array) -> Array:
-    """Shortest rotations (F, 3, 3) from directions (F, 3) to others."""
-    a, b = unit_vectors(start), unit_vectors(end)
-    axis, cosine = np.cross(a, b), (a * b).sum(-1)
-    skew = np.zeros((len(a), 3, 3))
-    skew[:, [2, 0, 1], [1, 2, 0]] = axis
-    skew[:, [1, 2, 0], [2, 0, 1]] = -axis
-    factor = 1 / np.maximum(1 + cosine, 1e-6)
-    return np.asarray(np.eye(3) + skew + factor[:, None, None] * (skew @ skew))

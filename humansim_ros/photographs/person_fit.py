@@ -49,7 +49,7 @@ class Proportions:
         girths: Factor across each bone, by name of the bone; 1 if absent.
         shape: Betas of the human, if it is an SMPL model.
         offsets: Metres that the surface of the human is moved out at the controls of :class:`SurfaceOffsets`,
-            before it takes the factors: clothes, hair, and what factors cannot be. None if empty.
+            before it takes the factors: clothes, hair, and what factors cannot do. Empty: no offsets.
     """
 
     stature: float = 1.0

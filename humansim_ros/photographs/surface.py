@@ -384,9 +384,9 @@ def _border_distance(depth: Float32Array) -> Float32Array:
 
 
 def step_distance(depth: Float32Array) -> Float32Array:
-    """Distance (H, W) in pixels of what is behind another part of the person from that part; great elsewhere.
+    """Distance (H, W) in pixels of each pixel from a part of the person that is in front of it.
 
-    A pixel is behind if another one within reach is nearer to the camera by a jump.
+    The distance is 1e6 where nothing is in front: where no pixel nearby is nearer to the camera by a jump.
     """
     seen = np.isfinite(depth)
     far = np.where(seen, depth, 1e6).astype(np.float32)
@@ -399,7 +399,7 @@ def step_distance(depth: Float32Array) -> Float32Array:
     )
     # the depth behind the nearest step tells on which side of it a pixel is
     at = np.zeros(int(labels.max()) + 1, np.float32)
-    at[labels[steps]] = (far - (far - nearest) / 2)[steps]
+    at[labels[steps]] = ((far + nearest) / 2)[steps]
     return np.where(far >= at[labels], distance, 1e6).astype(np.float32)
 
 

@@ -478,7 +478,7 @@ def check_space(folder: Path, frame_size: float, frames: int) -> None:
         frames: Number of frames to come.
 
     Raises:
-        BagError: They do not fit, also if they are much smaller than the first ones.
+        BagError: They need more than 1.5 times the free space.
     """
     needed, free = int(frame_size * frames), shutil.disk_usage(folder).free
     text = (

@@ -114,7 +114,7 @@ class GraphWatch:
 
 
 def publishers_of(node: Any, topic: str) -> dict[bytes, Endpoint]:
-    """Publishers of a topic by their ids, without publishers of ``node`` itself, which looks."""
+    """Publishers of a topic by their ids, as ``node`` knows them, without its own."""
     own = (node.get_name(), node.get_namespace())
     return {
         bytes(each.endpoint_gid): Endpoint(

@@ -401,7 +401,7 @@ def free_view(
     """
     offsets = cameras - target
     others = offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-9)
-    best, found = (-1.0, -np.inf, 0.0), target + np.array([3.0, 0.0, 0.0])
+    best, found = (-1.0, -np.inf, 0.0), np.array([target[0] + 3.0, target[1], height])
     for angle in np.radians(np.arange(0, 360, 15)):
         across = np.array([np.cos(angle), np.sin(angle)])
         for distance in np.arange(2.0, 12.1, 0.5):

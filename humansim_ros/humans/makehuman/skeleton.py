@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices
+from humansim_ros.rotations import shortest_rotations, unit_vectors
 from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4
@@ -158,30 +159,21 @@ def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach:
     return limit_weights(weights)
 
 
-def shortest_rotation(start: Array, end: Array) -> Array:
-    """Matrix (3, 3) of the smallest rotation from direction ``start`` to direction ``end``."""
-    start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
-    axis = np.cross(start, end)
-    sine = np.linalg.norm(axis)
-    if sine < 1e-12:
-        return np.eye(3)
-    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, start @ end)).as_matrix()
-
-
 def t_pose(bones: Bones) -> tuple[Array, Bones]:
     """Transforms (B, 4, 4) of the bones from MakeHuman's A pose to the T pose, and the bones in the T pose.
 
     Arms and hands are along x with palms down, legs closer together with level feet.
     """
     direction = bones.tails - bones.heads
+    along = unit_vectors(direction)
     turn = np.tile(np.eye(3), (len(bones.names), 1, 1))  # world rotation of each bone
     for side, out in (("l", 1.0), ("r", -1.0)):
         shoulder, elbow, wrist = (bones.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
-        arm = shortest_rotation(direction[shoulder], np.array([out, 0, 0]))
-        straight = shortest_rotation(direction[elbow], direction[shoulder])
+        arm = shortest_rotations(along[shoulder], np.array([out, 0, 0]))
+        straight = shortest_rotations(along[elbow], along[shoulder])
         turn[shoulder] = arm
         turn[elbow] = arm @ straight
-        turn[wrist] = shortest_rotation(turn[elbow] @ direction[wrist], np.array([out, 0, 0])) @ turn[elbow]
+        turn[wrist] = shortest_rotations(turn[elbow] @ along[wrist], np.array([out, 0, 0])) @ turn[elbow]
         hip, knee = bones.index(f"{side}_hip"), bones.index(f"{side}_knee")
         leg = bones.tails[knee] - bones.heads[hip]
         inwards = Rotation.from_euler("z", -out * 0.6 * np.arctan2(abs(leg[0]), -leg[1])).as_matrix()

@@ -196,7 +196,7 @@ class CommandsPanel:
 
 #: Commands that the page starts.
 COMMANDS = ("run", "record", "export", "evaluate")
-#: Other commands that it starts, with their options: of none of them a value is a command.
+#: Other commands that the page starts, and the options that it allows: none of them starts a program.
 _OPTIONS: dict[str, tuple[str, ...]] = {
     "check": ("--quick", "--frames"),
     "snapshot": ("-o", "--output", "--time", "--frame"),

@@ -193,9 +193,13 @@ class CalibrationFile:
             raise self.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
         return matrix
 
-    def locations(self, at: Sequence[Key], **parts: str) -> dict[str, SourceLocation]:
-        """Locations of a camera and of its parts. ``parts``: their keys below the key path of the camera."""
-        return {"": self.location(*at), **{part: self.location(*at, key) for part, key in parts.items()}}
+    def locations(self, at: Sequence[Key], **parts: str | Sequence[Key]) -> dict[str, SourceLocation]:
+        """Locations of a camera and of its parts.
+
+        ``parts``: their keys or key paths below the key path of the camera.
+        """
+        paths = {part: (key,) if isinstance(key, str) else key for part, key in parts.items()}
+        return {"": self.location(*at), **{part: self.location(*at, *keys) for part, keys in paths.items()}}
 
     def size(self, width: Sequence[Key], height: Sequence[Key]) -> ImageSize:
         """Image size from the key paths of its width and height."""

@@ -254,7 +254,7 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
         size=size,
         distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
         model="rational_polynomial",
-        locations=file.locations(at, K="Intrinsics", R="Rt", t="Rt"),
+        locations=file.locations(at, K=("Intrinsics", "ModelParameters"), R="Rt", t="Rt"),
     )
 
 

@@ -200,7 +200,7 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
             ),
             distortion=tuple(given) if standard else (),
             model="plumb_bob",
-            locations=file.locations(at, K=part, R="Extrinsic", t="Extrinsic"),
+            locations=file.locations(at, K=inner[-2:], R=outer[-2:], t=outer[-2:]),
         )
         file.add(cameras, name, camera_, *at)
     if unlike:
@@ -310,7 +310,7 @@ def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
         for low, high in (("sensorMinU", "sensorMaxU"), ("sensorMinV", "sensorMaxV")):
             side = file.number(*inner, high) - file.number(*inner, low)
             sides.append(side + 1 if side % 2 else side)  # 1919 or 1920
-        where = file.locations(at, K="intrinsic", R="transform", t="transform")
+        where = file.locations(at, K=inner[-2:], R=outer[-2:], t=outer[-2:])
         size = _whole(file, np.array(sides), *inner, "sensorMaxU")
         name = str(file.get(*at, "serial") or len(cameras))
         camera = RawCamera(k, rotation, t, size=size, distortion=lens, model="plumb_bob", locations=where)

@@ -65,7 +65,7 @@ def _camera(file: CalibrationFile, at: tuple[Key, ...]) -> RawCamera:
         size=size,
         distortion=tuple(file.number(*inner, key, otherwise=0.0) for key in _LENS),
         model="plumb_bob",
-        locations=file.locations(at, K="intrinsic", distortion="intrinsic", R="transform", t="transform"),
+        locations=file.locations(at, K=inner[-2:], distortion=inner[-2:], R=outer[-2:], t=outer[-2:]),
     )
 
 

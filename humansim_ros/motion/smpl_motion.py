@@ -33,13 +33,15 @@ _PARTS = (
 )
 _PLACES = ("trans", "transl", "smpl_trans")
 _RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
-_KNOWN = (*_POSES, *(name for names in _PARTS for name in names), *_PLACES, *_RATES)
+_KNOWN = (*_POSES, *(name for names in _PARTS for name in names), *_PLACES, *_RATES, "betas")
 #: Frames per second of a file that does not state them.
 _RATE = 30.0
 #: Most rotations of a file, and largest number.
 _MAX_ROTATIONS, _LARGEST = 20_000_000, 1e4
 #: Most frames that are repaired, as a share of all.
 _MOST_WRONG = 0.01
+#: Betas that a warning shows: the first ones matter most.
+_SHOWN_BETAS = 10
 
 #: Parent and place of each joint of SMPL from its parent at rest, metres: a mean person of 1.7 m in a T pose,
 #: y up, facing +z, +x to the left. Round numbers, not those of a model.
@@ -87,14 +89,15 @@ def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
     """Read poses of SMPL (24 joints), SMPL+H (52) or SMPL-X (55): rotation vectors, in metres.
 
     ``poses`` (F, 3 J), or their parts such as ``root_orient``, ``pose_body`` and ``pose_hand``; ``trans``
-    (F, 3); ``mocap_frame_rate``. The model's shape (``betas``) and ``gender`` are not used. Single frames
-    that are not finite are filled from their neighbours, with a warning.
+    (F, 3); ``mocap_frame_rate``. The shape of the person (``betas``) is not used, which a warning says, nor
+    is ``gender``. Single frames that are not finite are filled from their neighbours, with a warning.
 
     Raises:
         MotionError: The file has no poses, or arrays of the wrong size; with file and array.
     """
     arrays = read_npz(path, MotionError, "SMPL motion", _KNOWN)
     poses = _poses(Path(path), arrays)
+    _warn_of_shape(path, arrays.get("betas"))
     names = SMPL_MODELS[len(poses[0])]
     frames = len(poses)
     places = next((arrays[name] for name in _PLACES if name in arrays), None)
@@ -120,6 +123,14 @@ def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
         path=os.fspath(path),
         unit=1.0,
     )
+
+
+def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any] | None) -> None:
+    if betas is None or betas.dtype.kind not in "fiu" or not np.any(betas):
+        return
+    numbers = ", ".join(f"{value:.3g}" for value in betas.ravel()[:_SHOWN_BETAS])
+    text = "the shape of this person is not used: the motion moves any body. A human of an SMPL model gets it"
+    warn_about(path, f"betas: {text} with betas: [{numbers}] in its description (docs/humans.md)")
 
 
 def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:

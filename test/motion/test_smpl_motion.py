@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,18 @@ def test_what_is_missing_is_assumed_with_a_warning(tmp_path: Path) -> None:
     texts = " ".join(str(warning.message) for warning in caught)
     assert "no 'trans': the person stays in place" in texts and "30 frames per second" in texts
     assert motion.frame_time == pytest.approx(1 / 30)
+
+
+def test_a_shape_that_is_not_used_is_told_with_its_numbers(tmp_path: Path) -> None:
+    betas = np.array([1.25, -0.5, *[0.0] * 14])
+    with pytest.warns(
+        HumansimWarning, match=r"walk_poses\.npz: betas: .*not used.* betas: \[1\.25, -0\.5, 0, "
+    ):
+        shaped = read_motion(amass(tmp_path, betas=betas))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mean = read_motion(amass(tmp_path))
+    np.testing.assert_array_equal(shaped.world_positions(), mean.world_positions())
 
 
 def test_single_frames_that_are_not_finite_are_filled(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def read_mesh_or_figure(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
 
 
 def read_mesh_z_up(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file as one mesh, with z up and the normals of a glTF file.
+    """Read a mesh file as one mesh, with z up and the normals of a glTF or OBJ file.
 
     It is in metres, if the file states its unit. Raises MeshError.
     """
@@ -90,14 +90,14 @@ def _read(
 ) -> tuple[Mesh, str, float]:
     """Mesh, up axis and metres per unit of a file with its format and content.
 
-    ``shaded``: with the normals of a glTF file.
+    ``shaded``: with the normals of a glTF or OBJ file.
     """
     if kind == "gltf":
         from humansim_ros.mesh.gltf_mesh import read_gltf_scene  # slow to import
 
         return read_gltf_scene(path, data, shaded=shaded), "y", 1.0
     if kind == "obj":
-        return read_obj(path, data), "z", 1.0
+        return read_obj(path, data, shaded=shaded), "z", 1.0
     foreign = read_foreign(path, kind, data)
     return foreign.mesh, foreign.up, foreign.unit
 

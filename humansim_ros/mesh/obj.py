@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,9 @@ from humansim_ros.errors import MeshError, located, warn_about
 from humansim_ros.io.files import decode_text, exists, read_bytes, read_text, resolve_inside, size_text
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.mesh.mesh import MAX_BYTES, FaceIndices, Material, Mesh, height_to_normal_map, without_maps
+from humansim_ros.mesh.normals import shading_weights
 from humansim_ros.mesh.texels import PLAIN, atlas_mesh, plain_tile
+from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Image
 
 #: Keyword -> line number and words after it, of one material. The last statement of a keyword counts.
@@ -207,25 +209,34 @@ _GREY = (0.6, 0.6, 0.6)
 _MAX_OBJ_BYTES = 1 << 28
 #: Most corners of a polygon: it becomes a fan of triangles, which only fits a convex one.
 _MAX_CORNERS = 50_000
+#: Longest normal; longer ones are not known.
+_LARGEST_NORMAL = 1e30
 
 
-def read_obj(path: str | os.PathLike[str], data: bytes) -> Mesh:
+def read_obj(path: str | os.PathLike[str], data: bytes, *, shaded: bool = False) -> Mesh:
     """Read a Wavefront OBJ file as one mesh with the colours and textures of its materials in one texture.
 
-    ``data``: content of the file. Units and axes stay as in the file. Without a material file the mesh has no
-    colours. Raises MeshError with file and line.
+    Units and axes stay as in the file. Without a material file the mesh has no colours.
+
+    Args:
+        path: Path of the file.
+        data: Content of the file.
+        shaded: With the normals of the file: corners with different ones get vertices of their own.
+
+    Raises:
+        MeshError: The file is wrong; with file and line.
     """
     with located(path=path):
-        return _one_mesh(_parse(path, data))
+        return _one_mesh(_parse(path, data, shaded))
 
 
 def read_obj_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
-    """Read a Wavefront OBJ file as one mesh for each material. Textures may repeat.
+    """Read a Wavefront OBJ file as one mesh for each material, with normals. Textures may repeat.
 
     ``data``: content of the file. Raises MeshError with file and line.
     """
     with located(path=path):
-        return _by_material(_parse(path, data))
+        return _by_material(_parse(path, data, shaded=True))
 
 
 def material_files(path: str | os.PathLike[str]) -> list[Path]:
@@ -248,7 +259,11 @@ def _references(path: Path, keyword: str) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Obj:
-    """Content of a file. ``face_materials``: name of the material of each face."""
+    """Content of a file.
+
+    ``face_materials``: name of the material of each face. ``normals``: (V, 3) unit normals, zero where
+    unknown; None without any.
+    """
 
     points: Array
     faces: FaceIndices
@@ -257,6 +272,7 @@ class _Obj:
     face_materials: list[str]
     libraries: list[str]
     path: str
+    normals: Array | None = None
 
 
 def _by_material(obj: _Obj) -> list[Mesh]:
@@ -280,23 +296,55 @@ def _by_material(obj: _Obj) -> list[Mesh]:
         vertices = obj.points[used[first:]]
         if textured:
             uv, uv_faces = obj.uv, obj.uv_faces[chosen]
-            meshes.append(Mesh(vertices, faces, uv, uv_faces, texture=texture, material=finishes.get(name)))
-            continue
-        color = texture.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
-        material = without_maps(finishes.get(name), obj.path, name)
-        meshes.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), material=material))
+            mesh = Mesh(vertices, faces, uv, uv_faces, texture=texture, material=finishes.get(name))
+        else:
+            color = texture.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
+            material = without_maps(finishes.get(name), obj.path, name)
+            mesh = Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), material=material)
+        meshes.append(mesh if obj.normals is None else _with_normals(mesh, obj.normals[used[first:]]))
     return meshes
 
 
 def _one_mesh(obj: _Obj) -> Mesh:
-    colored = _colored(obj)
-    if colored is not None:
-        return colored
-    has_uv = obj.uv is not None and bool((obj.uv_faces[:, :3] >= 0).all())
-    return Mesh(obj.points, obj.faces, obj.uv if has_uv else None, obj.uv_faces if has_uv else None)
+    mesh = _colored(obj)
+    if mesh is None:
+        has_uv = obj.uv is not None and bool((obj.uv_faces[:, :3] >= 0).all())
+        mesh = Mesh(obj.points, obj.faces, obj.uv if has_uv else None, obj.uv_faces if has_uv else None)
+    return mesh if obj.normals is None else _with_normals(mesh, obj.normals)
 
 
-def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
+def _with_normals(mesh: Mesh, normals: Array) -> Mesh:
+    return replace(mesh, shading=shading_weights(mesh.vertices, mesh.triangles, normals))
+
+
+def _split_by_normals(obj: _Obj, corners: FaceIndices, directions: Array) -> _Obj:
+    """Give corners of faces with different normals vertices of their own.
+
+    ``corners``: (F, 4) indices into ``directions`` (N, 3), -1 where a corner has no normal.
+    """
+    # programs repeat equal normals
+    known, number = np.unique(unit_vectors(directions).round(4), axis=0, return_inverse=True)
+    number = np.where(directions.any(axis=1), number.reshape(-1) + 1, 0)
+    known, number = np.vstack([np.zeros((1, 3)), known]), np.append(number, 0)
+    keys = np.where(obj.faces < 0, -1, obj.faces.astype(np.int64) * len(known) + number[corners])
+    used, places = np.unique(keys, return_inverse=True)
+    first = int(used[0] < 0)  # -1, the padding of triangles
+    vertices, chosen = np.divmod(used[first:], len(known))
+    faces = (places.reshape(-1, 4) - first).astype(np.int32)
+    return replace(obj, points=obj.points[vertices], faces=faces, normals=known[chosen])
+
+
+def _directions(rows: list[list[str]], path: str) -> Array | None:
+    """Normals (N, 3) of ``vn`` lines, zero where they are not finite; None if they cannot be read."""
+    try:
+        found = np.array(rows, dtype=float).reshape(-1, 3)
+    except ValueError:
+        warn_about(path, "its normals ('vn' lines) are not three numbers each: its surface is drawn smooth")
+        return None
+    return np.where(np.abs(found).max(axis=1, keepdims=True) < _LARGEST_NORMAL, found, 0.0)
+
+
+def _parse(file: str | os.PathLike[str], data: bytes, shaded: bool) -> _Obj:
     if len(data) > _MAX_OBJ_BYTES:
         size, limit = size_text(len(data)), size_text(_MAX_OBJ_BYTES)
         message = f"an OBJ file of {size} is too large; at most {limit} are read: convert it to glTF"
@@ -306,9 +354,10 @@ def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
     uv: list[list[str]] = []
     vertex_lines: list[int] = []
     uv_lines: list[int] = []
+    normals: list[list[str]] = []
     faces: list[list[str]] = []
     face_lines: list[int] = []
-    counts: list[tuple[int, int]] = []
+    counts: list[tuple[int, int, int]] = []
     libraries: list[str] = []
     materials: list[str] = []
     material = ""
@@ -329,37 +378,51 @@ def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
         elif keyword == "vt":
             uv.append(words[1:3])
             uv_lines.append(number)
+        elif keyword == "vn" and shaded:
+            normals.append(words[1:4])
         elif keyword == "f":
             faces.append(words[1:])
             face_lines.append(number)
             materials.append(material)
-            counts.append((len(vertices), len(uv)))
+            counts.append((len(vertices), len(uv), len(normals)))
     if not vertices:
         raise MeshError("no vertices ('v' lines): not a Wavefront OBJ mesh, or an empty one", path=path)
     if not faces:
         raise MeshError("no faces ('f' lines): point clouds cannot be skinned or rendered", path=path)
     points = numbers(vertices, vertex_lines, 3, "v", path)
     texture = numbers(uv, uv_lines, 2, "vt", path) if uv else None
-    corners, texture_corners, face_materials = [], [], []
-    for words, number, (n_vertices, n_uv), name in zip(faces, face_lines, counts, materials, strict=True):
+    directions = _directions(normals, path) if normals else None
+    corners, texture_corners, normal_corners, face_materials = [], [], [], []
+    for words, number, (n_vertices, n_uv, n_normals), name in zip(
+        faces, face_lines, counts, materials, strict=True
+    ):
         if len(words) < 3:
             raise MeshError(f"a face needs at least 3 corners, this has {len(words)}", path=path, line=number)
-        corner, texture_corner = [], []
+        corner, texture_corner, normal_corner = [], [], []
         for word in words:
             first, _, rest = word.partition("/")
             corner.append(_index(first, n_vertices, len(points), "vertex", path, number))
-            second = rest.partition("/")[0]
+            second, _, third = rest.partition("/")
             if second:
                 total = 0 if texture is None else len(texture)
                 texture_corner.append(_index(second, n_uv, total, "texture coordinate", path, number))
+            if directions is not None:
+                total = len(directions)
+                own = _index(third, n_normals, total, "normal", path, number) if third else -1
+                normal_corner.append(own)
         with_uv = len(texture_corner) == len(corner)
         for piece in _quads(len(corner)):
             corners.append([corner[i] if i >= 0 else -1 for i in piece])
             texture_corners.append([texture_corner[i] if i >= 0 and with_uv else -1 for i in piece])
+            if directions is not None:
+                normal_corners.append([normal_corner[i] if i >= 0 else -1 for i in piece])
             face_materials.append(name)
     corner_array = np.array(corners, dtype=np.int32)
     texture_array = np.array(texture_corners, dtype=np.int32)
-    return _Obj(points, corner_array, texture, texture_array, face_materials, libraries, path)
+    obj = _Obj(points, corner_array, texture, texture_array, face_materials, libraries, path)
+    if directions is None:
+        return obj
+    return _split_by_normals(obj, np.array(normal_corners, dtype=np.int32), directions)
 
 
 def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, Statements]]:

@@ -1,4 +1,4 @@
-"""Normals of glTF files shade objects and scenes; triangles without normals are flat [glTF 2.0]."""
+"""Normals of glTF and OBJ files shade objects and scenes; glTF without normals is flat [glTF 2.0]."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.mesh.load import read_materials_z_up, read_mesh, read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.mesh.normals import shading_weights
@@ -181,3 +181,72 @@ def test_wrong_normals_are_refused(tmp_path: Path, normals: Array, message: str)
     with pytest.raises(MeshError, match=message) as caught:
         read_mesh_z_up(path)
     assert caught.value.path == str(path)
+
+
+# -- OBJ
+
+SIDES = np.array([np.cross(*(CORNERS[q[[1, 2]]] - CORNERS[q[0]])) for q in QUADS])
+SIDES /= np.linalg.norm(SIDES, axis=1, keepdims=True)
+
+
+def obj(path: Path, lines: list[str], points: Array = CORNERS) -> Path:
+    """An OBJ file with these points and other lines."""
+    text = [f"v {x} {y} {z}" for x, y, z in points]
+    path.write_text("\n".join([*text, *lines]) + "\n")
+    return path
+
+
+def rows(normals: Array) -> list[str]:
+    return [f"vn {x} {y} {z}" for x, y, z in normals]
+
+
+@pytest.mark.parametrize("corner", ["{v}//{n}", "{v}/1/{n}", "{v}//-{m}"])
+def test_the_sides_of_a_box_with_normals_in_an_obj_file_are_flat(tmp_path: Path, corner: str) -> None:
+    faces = [
+        "f " + " ".join(corner.format(v=v + 1, n=n + 1, m=6 - n) for v in quad)
+        for n, quad in enumerate(QUADS)
+    ]
+    path = obj(tmp_path / "box.obj", ["vt 0 0", *rows(3 * SIDES), *faces])
+    for mesh in (read_mesh_z_up(path), *read_materials_z_up(path)):
+        wanted = np.repeat(face_normals(mesh)[:, None], 3, axis=1)
+        assert len(mesh.triangles) == 12 and degrees(drawn_normals(mesh), wanted).max() < 0.1
+    round_one = read_mesh(path)  # people have normals of their own
+    assert len(round_one.vertices) == 8 and round_one.shading is None
+
+
+def test_equal_normals_of_an_obj_file_keep_a_surface_smooth_and_its_vertices(tmp_path: Path) -> None:
+    """A program that writes a normal for each corner of a ball."""
+    points = Rotation.random(80, random_state=1).apply([0.0, 0.0, 1.0])
+    triangles = ConvexHull(points).simplices
+    inwards = np.linalg.det(points[triangles]) < 0
+    triangles[inwards] = triangles[inwards][:, ::-1]
+    normals = points[triangles.ravel()]
+    faces = [
+        f"f {a + 1}//{3 * n + 1} {b + 1}//{3 * n + 2} {c + 1}//{3 * n + 3}"
+        for n, (a, b, c) in enumerate(triangles)
+    ]
+    mesh = read_mesh_z_up(obj(tmp_path / "ball.obj", [*rows(normals), *faces], points))
+    assert len(mesh.vertices) == len(points)
+    assert degrees(drawn_normals(mesh), mesh.vertices[mesh.triangles]).max() < 3
+
+
+def test_corners_without_a_normal_and_unusable_normals_are_smooth(tmp_path: Path) -> None:
+    quads = ["f " + " ".join(str(v + 1) for v in quad) for quad in QUADS]
+    plain = drawn_normals(read_mesh_z_up(obj(tmp_path / "plain.obj", quads)))
+    some = drawn_normals(read_mesh_z_up(obj(tmp_path / "some.obj", ["vn 0 0 1", *quads])))
+    np.testing.assert_allclose(some, plain, atol=1e-6)
+    last = "f 2//1 6//1 8//1 4//1"
+    with pytest.warns(
+        HumansimWarning, match=r"bad\.obj: its normals \('vn' lines\) are not three numbers each"
+    ):
+        bad = read_mesh_z_up(obj(tmp_path / "bad.obj", ["vn 0 0 x", *quads[:-1], last]))
+    np.testing.assert_allclose(drawn_normals(bad), plain, atol=1e-6)
+    nan = read_mesh_z_up(obj(tmp_path / "nan.obj", ["vn nan 0 1", *quads[:-1], last]))
+    np.testing.assert_allclose(drawn_normals(nan), plain, atol=1e-6)
+
+
+def test_a_normal_that_does_not_exist_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = obj(tmp_path / "box.obj", ["vn 0 0 1", "f 1//1 2//2 3//1"])
+    with pytest.raises(MeshError, match="normal 2 does not exist: the file has 1") as caught:
+        read_mesh_z_up(path)
+    assert (caught.value.path, caught.value.line) == (str(path), 10)

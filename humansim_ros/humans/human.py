@@ -29,6 +29,8 @@ DEFAULT_OUTFIT = "default"
 #: Skinning method.
 Skinning = Literal["linear", "dual_quaternion"]
 _OUTFIT_PREFIX = "texture_"
+#: Arrays of a file with the weights of triangles in vertex normals: sparse rows (CSR).
+_SHADING = ("shading_values", "shading_triangles", "shading_starts")
 
 
 @dataclass(frozen=True, repr=False)
@@ -162,10 +164,27 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
         arrays["colors"] = mesh.colors
     if mesh.skin is not None:
         arrays["skin"] = mesh.skin
+    if mesh.shading is not None:
+        parts = (mesh.shading.data, mesh.shading.indices, mesh.shading.indptr)
+        arrays |= dict(zip(_SHADING, parts, strict=True))
     arrays |= {key: np.array(text) for key, text in {"name": human.name, **human.notes}.items()}
     if human.skinning != "linear":
         arrays["skinning"] = np.array(human.skinning)
     write_npz(path, arrays)
+
+
+def _shading(arrays: dict[str, NDArray[Any]], mesh: Mesh) -> csr_matrix | None:
+    """Weights (V, N) of triangles in vertex normals; None if a file has none."""
+    if _SHADING[0] not in arrays:
+        return None
+    with np.errstate(over="ignore"):
+        values = _numbers(arrays, _SHADING[0]).astype(np.float32)
+    shape = (len(mesh.vertices), len(mesh.triangles))
+    found = csr_matrix((values, *(_indices(arrays, name) for name in _SHADING[1:])), shape=shape)
+    found.check_format(full_check=True)
+    if not (np.isfinite(values) & (values >= 0)).all():
+        raise MeshError("needs finite weights of at least 0", key=_SHADING[0])
+    return found
 
 
 def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
@@ -180,6 +199,7 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         colors=arrays.get("colors"),
         skin=_skin(arrays),
     )
+    mesh = replace(mesh, shading=_shading(arrays, mesh))
     skeleton = Skeleton(
         names=tuple(str(n) for n in arrays["bone_names"]),
         parents=_indices(arrays, "bone_parents").astype(np.intp),

@@ -156,7 +156,8 @@ class _Piece:
 def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
     """Read a glTF file as a skinned mesh at bind time, or as a mesh if nothing in it is skinned.
 
-    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
+    ``data``: content of the file. A skinned mesh has the normals of the file. Raises MeshError if the file is
+    wrong or has no triangles.
     """
     gltf = Gltf.parse(path, data)
     skeleton = GltfSkeleton.of(gltf)
@@ -167,7 +168,7 @@ def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
     weights = vstack([piece.weights for piece in pieces], format="csr")
     return SkinnedMesh(
         gltf.path.stem,
-        mesh,
+        replace(mesh, shading=_shading(pieces)),
         skeleton.names,
         skeleton.parents,
         skeleton.bind[:, :3, 3],

@@ -149,6 +149,15 @@ def test_a_missing_array_is_named(tmp_path: Path, arrays: dict[str, Any], key: s
     assert (caught.value.path, caught.value.key) == (str(path), key)
 
 
+def shading(count: int, triangle: int = 0, value: float = 1.0) -> dict[str, Any]:
+    """Weights of one triangle in the normals of some vertices."""
+    return {
+        "shading_values": np.full(count, value, np.float32),
+        "shading_triangles": np.full(count, triangle, np.int32),
+        "shading_starts": np.arange(count + 1, dtype=np.int32),
+    }
+
+
 def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
     nan = arrays["vertices"].copy()
     nan[7] = np.nan
@@ -184,6 +193,10 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "an empty texture": {"texture_red": np.zeros(0, np.uint8)},
         "an outfit without a look": {"outfits": np.array(["red", "none"])},
         "an outfit of floats": {"texture_red": np.zeros((len(nan), 3))},
+        "normals of triangles that are not there": shading(len(nan), triangle=10**6),
+        "normals of other vertices": shading(len(nan) + 1),
+        "normals of weights below zero": shading(len(nan), value=-1.0),
+        "normals of weights that are not finite": shading(len(nan), value=np.nan),
         "skinning of no known way": {"skinning": np.array("magic")},
         "names of no axis": {"bone_names": np.array(5)},
     }

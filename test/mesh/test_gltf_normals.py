@@ -13,6 +13,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MeshError
+from humansim_ros.humans.human import write_human
+from humansim_ros.humans.loading import load_human, make_human
 from humansim_ros.mesh.load import read_materials_z_up, read_mesh, read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.mesh.normals import shading_weights
@@ -181,6 +183,38 @@ def test_wrong_normals_are_refused(tmp_path: Path, normals: Array, message: str)
     with pytest.raises(MeshError, match=message) as caught:
         read_mesh_z_up(path)
     assert caught.value.path == str(path)
+
+
+# -- skinned figures
+
+
+def of_two_sides(points: Array) -> Array:
+    """Normals (V, 3) of boxes of eight corners: along one axis, inwards, as their triangles are."""
+    corners = points.reshape(-1, 4, 2, 3)
+    along = corners[:, :, 1] - corners[:, :, 0]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    return np.stack([along, -along], axis=2).reshape(-1, 3)
+
+
+def test_skinned_figures_keep_their_normals_also_as_a_human_in_a_file(tmp_path: Path) -> None:
+    document, binary = figures.gltf()
+    points, _, _ = figures.boxes()
+    normals = of_two_sides(points)
+    data = normals.astype("<f4").tobytes()
+    document["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+    last = len(document["bufferViews"]) - 1
+    document["accessors"].append(
+        {"bufferView": last, "componentType": 5126, "count": len(points), "type": "VEC3"}
+    )
+    document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = len(document["accessors"]) - 1
+    document["buffers"][0]["byteLength"] = len(binary) + len(data)
+    (tmp_path / "figure.glb").write_bytes(figures.glb(document, binary + data))
+    human = make_human(tmp_path / "figure.glb")
+    expected = of_two_sides(human.mesh.vertices)[human.mesh.triangles]
+    assert degrees(drawn_normals(human.mesh), expected).max() < 2
+    write_human(tmp_path / "figure.npz", human)
+    again = load_human(tmp_path / "figure.npz")
+    np.testing.assert_allclose(drawn_normals(again.mesh), drawn_normals(human.mesh), atol=1e-5)
 
 
 # -- OBJ

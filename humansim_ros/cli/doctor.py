@@ -19,6 +19,8 @@ import typer
 
 from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import print_text, to_json
+from humansim_ros.errors import HumansimError
+from humansim_ros.io.converters import FBX_VARIABLE, find_converter
 from humansim_ros.ros.transport import free_memory
 
 #: Result of a check: usable, usable with a drawback, or not usable.
@@ -276,6 +278,19 @@ def check_extras() -> Diagnosis:
     return Diagnosis("extras", "ok", f"not installed: {', '.join(missing)}", fix)
 
 
+def check_fbx() -> Diagnosis:
+    """The program that converts FBX files."""
+    try:
+        found = find_converter(Path("PERSON.fbx"), HumansimError)
+    except HumansimError as error:
+        if os.environ.get(FBX_VARIABLE):
+            return Diagnosis("FBX", "warning", error.message, f"unset {FBX_VARIABLE}")
+        fix = f"install Blender; or pip install bpy, with {FBX_VARIABLE}=PYTHON in another environment"
+        return Diagnosis("FBX", "ok", "no converter: FBX files are not read", fix)
+    kind = {"python": "bpy of", "blender": "Blender:", "FBX2glTF": "FBX2glTF:"}[found.kind]
+    return Diagnosis("FBX", "ok", f"read with {kind} {found.program}")
+
+
 def check_machine(folder: Path | None = None) -> Diagnosis:
     """Cores, memory and disk. ``folder``: its disk is checked; the current folder if None."""
     name = "machine"
@@ -302,6 +317,7 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
     check_shared_memory,
     check_exchange,
     check_ffmpeg,
+    check_fbx,
     check_extras,
 )
 

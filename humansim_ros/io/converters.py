@@ -138,7 +138,7 @@ def converted_fbx(
         content = read_bytes(path, error, "FBX", _MAX_FBX) if data is None else data
         if not is_fbx(content):
             raise error("not an FBX file: its first bytes are not an FBX header")
-        converter = _find_converter(Path(path), error)
+        converter = find_converter(Path(path), error)
         cache = _cached_file(Path(path), content, converter)
         if cache is not None and cache.is_file():
             with suppress(OSError):
@@ -178,7 +178,8 @@ class _Converter:
         return [self.program, "--binary", "--input", source, "--output", target]
 
 
-def _find_converter(path: Path, error: type[HumansimError]) -> _Converter:
+def find_converter(path: Path, error: type[HumansimError]) -> _Converter:
+    """Program that converts FBX files. Raises ``error`` without one, with the line that converts ``path``."""
     named = os.environ.get(FBX_VARIABLE)
     if named:
         program = shutil.which(expand_user(named))

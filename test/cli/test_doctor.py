@@ -19,6 +19,7 @@ from waiting import PATIENCE
 
 from humansim_ros.cli import doctor as checks
 from humansim_ros.cli.doctor import Diagnosis
+from humansim_ros.io import converters
 
 
 def command(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -110,6 +111,22 @@ def extras_of_setup() -> dict[str, list[str]]:
     tree = ast.parse((ROOT / "setup.py").read_text())
     tables = (node for node in tree.body if isinstance(node, ast.Assign))
     return next(ast.literal_eval(node.value) for node in tables if ast.unparse(node.targets[0]) == "EXTRAS")
+
+
+def test_the_converter_of_fbx_files_is_named_or_how_to_get_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(converters.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.delenv("HUMANSIM_FBX", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    none = checks.check_fbx()
+    assert none.state == "ok" and "not read" in none.text and "install Blender" in none.fix
+    (tmp_path / "blender").write_text("#!/bin/sh\n")
+    (tmp_path / "blender").chmod(0o755)
+    assert checks.check_fbx() == Diagnosis("FBX", "ok", f"read with Blender: {tmp_path / 'blender'}")
+    monkeypatch.setenv("HUMANSIM_FBX", "/no/such/python")
+    wrong = checks.check_fbx()
+    assert (wrong.state, wrong.fix) == ("warning", "unset HUMANSIM_FBX") and "is not a program" in wrong.text
 
 
 def test_the_extras_are_those_of_the_package() -> None:

@@ -2,220 +2,41 @@
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import ROOT
-from ros_support import Client, write_scene
-from scipy.spatial.transform import Rotation
+from ros_support import write_scene
+from simulation_driver import (  # noqa: F401  # fixtures
+    ALREADY,
+    FAILED,
+    OK,
+    PAUSED,
+    PLAYING,
+    STOPPED,
+    UNSUPPORTED,
+    Driver,
+    Tool,
+    driver_fixture,
+    paused_fixture,
+    running_fixture,
+    scene_fixture,
+    yaw,
+)
 from waiting import PATIENCE
 
 from humansim_ros import messages
-from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.processes.node_processes import QUIT
-from humansim_ros.ros.qos import DATA, DONE, LATCHED
-from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("interfaces")
-
-SCENE = """\
-rate: 20
-room: null
-humans:
-  walker: {motion: {file: walk, position: [0.0, -1], yaw_deg: 30, loop: continue}}
-  carried: {motion: {file: walk}, keyframes: moves.xml}
-  other: {motion: {file: live}}
-objects:
-  box: {size: [0.1, 0.4, 1.8], position: [0, 0, 0.9], keyframes: moves.xml}
-  post: {mesh: cylinder, position: [-1, 1, 0.5]}
-cameras:
-  left: {size: [160, 120], position: [5, 0, 1.5], look_at: [0, 0, 1]}
-  dolly: {size: [160, 120], fov_deg: 60, trajectory: {file: dolly.txt}}
-"""
-MOVES = """\
-<animation startframe="0" endframe="1000" rate="10">
-  <object name="carried">
-    <frame number="0"><position x="0" y="0" z="0"/></frame>
-    <frame number="1000"><position x="19" y="0" z="0"/></frame>
-  </object>
-  <object name="box">
-    <frame number="0"><position x="2" y="-1" z="0"/></frame>
-    <frame number="1000"><position x="2" y="99" z="0"/><rotation x="0" y="0" z="100"/></frame>
-  </object>
-</animation>
-"""
-DOLLY = "".join(f"{t} {t} 0 1.5 0.5 0.5 0.5 0.5\n" for t in range(100))
-
-
-class Tool:
-    """A client of the standard services, and the stamps and scene times of all frames."""
-
-    def __init__(self) -> None:
-        from sensor_msgs.msg import TimeReference
-
-        self.client = Client("driver", make_executor())
-        self.node = self.client.node
-        self.frames: list[tuple[int, int]] = []
-        self.node.create_subscription(TimeReference, "scene_time", self._on_frame, 500)
-        self._clients: dict[str, Any] = {}
-
-    def _on_frame(self, message: Any) -> None:
-        self.frames.append((messages.to_nanoseconds(message.header.stamp), messages.read_scene_time(message)))
-
-    def spin_until(self, done: Callable[[], object]) -> None:
-        assert self.client.spin_until(done)
-
-    def begin(self, service: str, **fields: Any) -> Any:
-        """Send a request; returns the future of the answer."""
-        import simulation_interfaces.srv as services
-
-        kind = getattr(services, service)
-        name = "".join(f"_{c.lower()}" if c.isupper() else c for c in service).lstrip("_")
-        if service not in self._clients:
-            self._clients[service] = self.node.create_client(kind, f"/motion_player/{name}")
-            self.spin_until(self._clients[service].service_is_ready)
-        return self._clients[service].call_async(kind.Request(**fields))
-
-    def call(self, service: str, **fields: Any) -> Any:
-        future = self.begin(service, **fields)
-        self.spin_until(future.done)
-        return future.result()
-
-    def code(self, service: str, **fields: Any) -> tuple[int, str]:
-        """Code and message of the result of a request."""
-        result = self.call(service, **fields).result
-        return result.result, result.error_message
-
-    def set_state(self, name: str) -> tuple[int, str]:
-        from simulation_interfaces.msg import SimulationState
-
-        return self.code(
-            "SetSimulationState", state=SimulationState(state=getattr(SimulationState, f"STATE_{name}"))
-        )
-
-    def state(self) -> int:
-        return int(self.call("GetSimulationState").state.state)
-
-    def pose(self, entity: str) -> tuple[np.ndarray, np.ndarray, Any]:
-        """Position, quaternion and twist of an entity."""
-        answer = self.call("GetEntityState", entity=entity)
-        assert answer.result.result == OK, answer.result
-        p, q = answer.state.pose.position, answer.state.pose.orientation
-        return np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), answer.state.twist
-
-    def place(
-        self, entity: str, position: Any, rotation: Any = (0, 0, 0, 1), **changes: Any
-    ) -> tuple[int, str]:
-        return self.code("SetEntityState", entity=entity, state=entity_state(position, rotation, **changes))
-
-    def entities(self, **filters: Any) -> list[str]:
-        from simulation_interfaces.msg import EntityFilters
-
-        answer = self.call("GetEntities", filters=EntityFilters(**filters))
-        assert answer.result.result == OK, answer.result
-        return list(answer.entities)
-
-    def close(self) -> None:
-        """Leave the graph: nodes of an executor that is not shut down stay in it, and so would ``/clock``."""
-        self.client.executor.remove_node(self.node)
-        self.client.executor.shutdown()
-        self.client.close()
-
-
-class Driver(Tool):
-    """A player and a client, which stands in for the cameras and reports their frames."""
-
-    def __init__(self, scene: Path, mode: str) -> None:
-        from rclpy.parameter import Parameter
-        from std_msgs.msg import Header
-
-        super().__init__()
-        given = [Parameter("scene", value=str(scene)), Parameter("mode", value=mode)]
-        self.mode = mode
-        self.player = MotionPlayerNode(parameter_overrides=given)
-        self.client.executor.add_node(self.player)
-        self.answers = True
-        self._report = self.node.create_publisher(Header, "frame_done", DONE)
-
-    def _on_frame(self, message: Any) -> None:
-        super()._on_frame(message)
-        if self.answers:
-            self.report()
-
-    def report(self) -> None:
-        """Say that the cameras have finished the newest frame."""
-        self._report.publish(messages.header(self.frames[-1][0], "left, dolly"))
-
-    def close(self) -> None:
-        self.player.close()
-        self.client.executor.remove_node(self.player)
-        self.player.destroy_node()
-        super().close()
-
-
-#: Codes of the standard.
-UNSUPPORTED, OK, NOT_FOUND, INCORRECT_STATE, FAILED, ALREADY = 0, 1, 2, 3, 4, 101
-STOPPED, PLAYING, PAUSED = 0, 1, 2
-
-
-def entity_state(position: Any, rotation: Any = (0, 0, 0, 1), frame: str = "map", speed: float = 0.0) -> Any:
-    from simulation_interfaces.msg import EntityState
-
-    state = EntityState()
-    state.header.frame_id = frame
-    p, q = state.pose.position, state.pose.orientation
-    p.x, p.y, p.z = map(float, position)
-    q.x, q.y, q.z, q.w = map(float, rotation)
-    state.twist.linear.x = speed
-    return state
-
-
-def yaw(degrees: float) -> Any:
-    return Rotation.from_euler("z", degrees, degrees=True).as_quat()
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("services")
-    (folder / "moves.xml").write_text(MOVES)
-    (folder / "dolly.txt").write_text(DOLLY)
-    return write_scene(folder, SCENE)
-
-
-@pytest.fixture(scope="module", params=["realtime", "lockstep"])
-def running(ros: None, interfaces: Path, scene: Path, request: pytest.FixtureRequest) -> Iterator[Driver]:
-    """A player for the tests of a mode; tests with a player of their own come before all that use it."""
-    driver = Driver(scene, request.param)
-    driver.spin_until(lambda: driver.frames)
-    yield driver
-    driver.close()
-
-
-@pytest.fixture
-def driver(running: Driver) -> Driver:
-    """The player at its start, with all entities at their places, playing."""
-    running.answers = True
-    running.report()
-    assert running.code("ResetSimulation") == (OK, "")
-    assert running.set_state("PLAYING")[0] in (OK, ALREADY)
-    running.frames.clear()
-    running.client.received.clear()
-    running.spin_until(lambda: running.frames)
-    return running
-
-
-@pytest.fixture
-def paused(driver: Driver) -> Driver:
-    assert driver.set_state("PAUSED") == (OK, "")
-    return driver
 
 
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
@@ -466,221 +287,6 @@ def test_a_goal_without_pause_or_steps_is_aborted(driver: Driver, goals: Goals) 
     driver.set_state("PAUSED")
     assert goals.result(goals.send(0))[:2] == (GoalStatus.STATUS_ABORTED, FAILED)
     assert goals.result(goals.send(1))[0] == GoalStatus.STATUS_SUCCEEDED
-
-
-EVERYTHING = [
-    "humans/walker",
-    "humans/carried",
-    "humans/other",
-    "objects/box",
-    "objects/post",
-    "left",
-    "dolly",
-]
-
-
-def test_entities_are_found_by_name_category_and_tag(driver: Driver) -> None:
-    from simulation_interfaces.msg import EntityCategory, TagsFilter
-
-    assert driver.entities() == EVERYTHING
-    assert driver.entities(filter="^humans/[[:alpha:]]+er$") == ["humans/walker", "humans/other"]
-    assert driver.entities(filter="o[sx]") == ["objects/box", "objects/post"]
-    human, static = EntityCategory(category=2), EntityCategory(category=5)
-    assert driver.entities(categories=[human, static], filter="o") == ["humans/other", "objects/post"]
-    tags = ["camera", "static"]
-    assert driver.entities(tags=TagsFilter(tags=tags)) == ["objects/post", "left", "dolly"]
-    assert driver.entities(tags=TagsFilter(tags=tags, filter_mode=1)) == ["left"]
-    assert driver.entities(tags=TagsFilter(tags=["no such tag"])) == []
-
-
-def test_entities_have_their_standard_categories(driver: Driver) -> None:
-    categories = {"humans/walker": 2, "objects/box": 4, "objects/post": 5, "left": 0}
-    for entity, category in categories.items():
-        info = driver.call("GetEntityInfo", entity=entity).info
-        assert info.category.category == category and info.description
-    assert list(info.tags) == ["camera", "static"]
-
-
-@pytest.mark.parametrize("pattern", ["(", "a" * 10**6, "[[:foo:]]", "x{9999}", "(" * 200])
-def test_a_pattern_that_is_none_is_refused(driver: Driver, pattern: str) -> None:
-    from simulation_interfaces.msg import EntityFilters
-
-    for service in ("GetEntities", "GetEntitiesStates"):
-        code, text = driver.code(service, filters=EntityFilters(filter=pattern))
-        assert code == FAILED and "pattern" in text and len(text) < 500
-
-
-def test_filters_that_are_not_supported_say_so(driver: Driver) -> None:
-    from simulation_interfaces.msg import Bounds, EntityCategory, EntityFilters
-
-    assert driver.code("GetEntities", filters=EntityFilters(bounds=Bounds(type=3)))[0] == UNSUPPORTED
-    many = [EntityCategory(category=2)] * 2000
-    assert driver.code("GetEntities", filters=EntityFilters(categories=many))[0] == FAILED
-
-
-def test_states_are_those_of_the_frame(paused: Driver, scene: Path) -> None:
-    driver = paused
-    driver.code("StepSimulation", steps=5)
-    truth = Scene.load(scene)
-    seconds = driver.player.playback_clock.elapsed * 1e-9
-    poses = truth.actors["walker"].joint_poses(seconds)
-    hips = poses.names.index("Hips")
-    position, rotation, twist = driver.pose("humans/walker")
-    np.testing.assert_allclose(position[:2], poses.positions[0, hips, :2], atol=1e-9)
-    assert position[2] == 0 and not rotation[:2].any()
-    facing = Rotation.from_quat(poses.rotations[0, hips]).as_matrix()[:, 0]
-    np.testing.assert_allclose(
-        Rotation.from_quat(rotation).as_matrix()[:2, 0], facing[:2] / np.linalg.norm(facing[:2]), atol=1e-9
-    )
-    moving = driver.mode == "lockstep"  # velocities are those of the messages: 0 during a pause in real time
-    speed = np.array([twist.linear.x, twist.linear.y])
-    np.testing.assert_allclose(speed, moving * poses.linear[0, hips, :2], atol=1e-9)
-    early, late = (truth.actors["walker"].joint_poses(seconds + step) for step in (-1e-4, 1e-4))
-    yaws = []
-    for each in (early, late):
-        x, y, _ = Rotation.from_quat(each.rotations[0, hips]).as_matrix()[:, 0]
-        yaws.append(math.atan2(y, x))
-    assert twist.angular.z == pytest.approx(moving * (yaws[1] - yaws[0]) / 2e-4, abs=0.05)
-    box = truth.objects["box"].at(seconds)
-    position, rotation, twist = driver.pose("objects/box")
-    np.testing.assert_allclose([*position, *rotation], [*box.position, *box.rotation], atol=1e-9)
-    assert twist.linear.y == pytest.approx(moving * box.velocity.linear[1])
-    for name in ("left", "dolly"):
-        camera = truth.scene_cameras[name].pose(seconds)
-        position, rotation, _ = driver.pose(name)
-        np.testing.assert_allclose(Rotation.from_quat(rotation).as_matrix(), camera.R.T, atol=1e-9)
-        np.testing.assert_allclose(position, -camera.R.T @ camera.t, atol=1e-9)
-    answer = driver.call("GetEntitiesStates")
-    assert list(answer.entities) == [name for name in EVERYTHING if name != "humans/other"]
-    assert len(answer.states) == len(answer.entities)
-    code, text = driver.code("GetEntityState", entity="humans/other")
-    assert code == FAILED and "another node" in text
-
-
-@pytest.mark.parametrize(("position", "degrees"), [((1.5, -2.5, 0), 0), ((-3, 0.25, 0), 170)])
-def test_a_human_is_put_somewhere_else_and_walks_on(paused: Driver, position: Any, degrees: float) -> None:
-    driver = paused
-    driver.code("StepSimulation", steps=3)
-    before, facing, _ = driver.pose("humans/walker")
-    assert driver.place("humans/walker", position, yaw(degrees)) == (OK, "")
-    now, rotation, _ = driver.pose("humans/walker")
-    np.testing.assert_allclose(now, position, atol=1e-9)
-    np.testing.assert_allclose(abs(rotation @ yaw(degrees)), 1, atol=1e-9)
-    turn = Rotation.from_quat(rotation) * Rotation.from_quat(facing).inv()
-    elapsed = driver.player.playback_clock.elapsed
-    driver.code("StepSimulation", steps=10)
-    old = Scene.load(driver.player.scene.path).actors["walker"].joint_poses(elapsed * 1e-9 + 0.5)
-    hips = old.positions[0, old.names.index("Hips")] * (1, 1, 0)
-    expected = now + turn.apply(hips - before)
-    np.testing.assert_allclose(driver.pose("humans/walker")[0], expected, atol=1e-6)
-
-
-def test_an_object_is_put_somewhere_else_and_its_keyframes_go_on(paused: Driver) -> None:
-    driver = paused
-    driver.client.subscribe(marker_type(), ["/objects/box/marker"])
-    assert driver.place("objects/box", (1, 2, 3), yaw(90)) == (OK, "")
-    position, rotation, _ = driver.pose("objects/box")
-    np.testing.assert_allclose([*position, *rotation], [1, 2, 3, *yaw(90)], atol=1e-9)
-    driver.client.spin_until_matched(driver.player)
-    driver.code("StepSimulation", steps=4)
-    driver.spin_until(
-        lambda: driver.player.playback_clock.last in driver.client.received["/objects/box/marker"]
-    )
-    shown = messages.read_object(
-        driver.client.received["/objects/box/marker"][driver.player.playback_clock.last]
-    )
-    position, rotation, _ = driver.pose("objects/box")
-    np.testing.assert_allclose([*shown.position, *shown.rotation], [*position, *rotation], atol=1e-9)
-    assert np.linalg.norm(position - [1, 2, 3]) == pytest.approx(0.2, rel=0.05)  # 1 m/s
-    assert driver.code("ResetSimulation", scope=2) == (OK, "")  # the state, not the time
-    seconds = driver.player.playback.elapsed * 1e-9
-    position, _, _ = driver.pose("objects/box")
-    np.testing.assert_allclose(position, driver.player.scene.objects["box"].at(seconds).position, atol=1e-9)
-    assert seconds > 0
-
-
-def marker_type() -> Any:
-    from visualization_msgs.msg import Marker
-
-    return Marker
-
-
-def test_a_static_camera_is_moved_from_the_next_frame_on(paused: Driver) -> None:
-    from geometry_msgs.msg import PoseStamped
-
-    driver = paused
-    driver.client.subscribe(PoseStamped, ["/left/pose"], DATA)
-    driver.client.spin_until_matched(driver.player)
-    driver.spin_until(lambda: driver.player.playback_clock.last)
-    rotation = Rotation.from_euler("xyz", (10, 20, 30), degrees=True).as_quat()
-    for position in ((1, 2, 3), (4, 5, 6)):
-        last = driver.player.playback_clock.last
-        assert driver.place("left", position, rotation) == (OK, "")
-        now, turned, twist = driver.pose("left")
-        np.testing.assert_allclose([*now, *turned], [*position, *rotation], atol=1e-9)
-        assert twist.linear.x == 0
-        poses = driver.client.received["/left/pose"]
-        driver.spin_until(lambda poses=poses, last=last: max(poses, default=0) > last)
-        pose = messages.read_pose(poses[max(poses)])
-        np.testing.assert_allclose(-pose.R.T @ pose.t, position, atol=1e-9)
-    held = sorted(poses)[-2]  # no way between the places is shown
-    np.testing.assert_allclose(poses[held].pose.position.x, 1, atol=1e-9)
-    assert max(poses) - held == 1
-    driver.spin_until(lambda: not driver.player._simulation._echoes["left"])
-    assert driver.pose("left")[0] == pytest.approx([4, 5, 6])
-    assert driver.code("ResetSimulation") == (OK, "")
-    assert driver.pose("left")[0] == pytest.approx([5, 0, 1.5])
-
-
-BAD_POSES = {
-    "nan": ((math.nan, 0, 0), (0, 0, 0, 1), "finite"),
-    "infinite": ((0, math.inf, 0), (0, 0, 0, 1), "finite"),
-    "far": ((0, 1e9, 0), (0, 0, 0, 1), "1000 km"),
-    "quaternion of zeros": ((0, 0, 0), (0, 0, 0, 0), "length 1"),
-    "long quaternion": ((0, 0, 0), (0, 0, 0, 2), "length 1"),
-    "nan quaternion": ((0, 0, 0), (0, 0, 0, math.nan), "finite"),
-}
-
-
-@pytest.mark.parametrize("entity", ["humans/walker", "objects/box", "left"])
-def test_poses_that_are_none_are_refused(paused: Driver, entity: str) -> None:
-    before = paused.pose(entity)[0]
-    for position, rotation, reason in BAD_POSES.values():
-        code, text = paused.place(entity, position, rotation)
-        assert code == FAILED and reason in text
-    for changes, reason in (({"frame": "odom"}, "must be in map"), ({"speed": 1.0}, "twist must be zero")):
-        code, text = paused.place(entity, (0, 0, 0), **changes)
-        assert code == FAILED and reason in text
-    np.testing.assert_array_equal(paused.pose(entity)[0], before)
-
-
-@pytest.mark.parametrize(
-    ("entity", "position", "rotation", "reason"),
-    [
-        ("humans/walker", (0, 0, 0.5), (0, 0, 0, 1), "stands on the floor"),
-        ("humans/walker", (0, 0, 0), (1, 0, 0, 0), "stands on the floor"),
-        ("humans/carried", (0, 0, 0), (0, 0, 0, 1), "keyframes"),
-        ("humans/other", (0, 0, 0), (0, 0, 0, 1), "another node"),
-        ("objects/post", (0, 0, 0), (0, 0, 0, 1), "static"),
-        ("dolly", (0, 0, 0), (0, 0, 0, 1), "trajectory"),
-    ],
-)
-def test_entities_that_cannot_be_moved_say_why(
-    driver: Driver, entity: str, position: Any, rotation: Any, reason: str
-) -> None:
-    code, text = driver.place(entity, position, rotation)
-    assert code == FAILED and reason in text
-
-
-@pytest.mark.parametrize("name", ["", "walker", "x" * 10**6, "humans/walker\n"])
-def test_unknown_entities_are_not_found(driver: Driver, name: str) -> None:
-    for service, fields in (
-        ("GetEntityState", {}),
-        ("GetEntityInfo", {}),
-        ("SetEntityState", {"state": entity_state((0, 0, 0))}),
-    ):
-        code, text = driver.code(service, entity=name, **fields)
-        assert code == NOT_FOUND and len(text) < 200
 
 
 def test_time_and_state_are_reset(paused: Driver) -> None:

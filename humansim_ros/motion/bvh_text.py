@@ -475,11 +475,6 @@ class _Layout:
         self._in_row = 0  # values so far in the current row
         self._n_values = 0  # values on all lines before the current one
 
-    @property
-    def is_at_line_start(self) -> bool:
-        """Whether the current line has no values so far."""
-        return self._on_line == 0
-
     def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
         """Add values, the number of them before each line end, and the number of the first line."""
         if len(ends) == 0:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from humansim_ros.errors import HumansimError
@@ -130,9 +129,3 @@ class FileChoice:
     def _used(self, event: Any) -> None:
         if event.client_id is not None:
             self._app.post(lambda: self._chosen(self.value))
-
-
-def relative_name(folder: Path, path: Path) -> str:
-    """Name of a file from the folder of the scene; its whole path if it is elsewhere."""
-    resolved = path.resolve()
-    return str(resolved.relative_to(folder)) if resolved.is_relative_to(folder) else str(resolved)

@@ -59,7 +59,7 @@ def evaluate(
         scale: Metres of a unit of the estimate.
         axes: Axes of the estimate, such as ``y-up``; None: the axes of ``map``.
         offset: Seconds by which the stamps of the estimate are late, or ``"auto"`` to measure them.
-        gate: Greatest mean joint distance of a person who is found, metres; None: 0.5.
+        gate: Largest mean joint distance at which a person counts as found, metres; None: 0.5.
         min_score: Detections in images with a lower score count for average precision only.
 
     Raises:

@@ -47,8 +47,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="YAML file: name of a joint in the truth by name in the estimate; or a list, for points "
-            "without names.",
+            help="YAML file with the name in the truth of each joint of the estimate; for points "
+            "without names, a list.",
         ),
     ] = None,
     scale: ScaleOption = 1.0,
@@ -64,7 +64,7 @@ def evaluate(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Greatest mean joint distance of a person who is found, metres; 0.5 if absent.",
+            help="Largest mean joint distance at which a person counts as found, metres; 0.5 if absent.",
             min=0.001,
             max=1000,
         ),

@@ -320,7 +320,8 @@ def fit(
 def texture(
     views: ViewsArgument,
     fit_file: Annotated[
-        Path, typer.Option("--fit", metavar="FILE", help="Fit of these views, of `humansim human fit`.")
+        Path,
+        typer.Option("--fit", metavar="FILE", help="Fit of these views, as `humansim human fit` writes it."),
     ],
     output: OutputHumanOption,
     method: Annotated[

@@ -70,7 +70,7 @@ GROUPS = {
 }
 #: Headings of the help, with their commands and groups.
 HEADINGS = {
-    "Run and look": ("run", "demo", "view", "snapshot"),
+    "Run and view": ("run", "demo", "view", "snapshot"),
     "Scenes and this machine": ("check", "schema", "doctor", "bench"),
     "Data sets and bags": ("record", "play", "export"),
     "Trackers": ("evaluate", "challenge"),

@@ -147,7 +147,10 @@ TopicsOption = Annotated[
     list_option("--topics", "TOPIC", "Topics, or patterns such as '/left/*'."),
 ]
 NetworkOption = Annotated[
-    bool, typer.Option("--network", help="Let other hosts find the nodes, hear them and steer them.")
+    bool,
+    typer.Option(
+        "--network", help="Let other hosts find the nodes, receive their messages and control them."
+    ),
 ]
 ResumeOption = Annotated[
     bool,
@@ -186,7 +189,7 @@ KeypointsOption = Annotated[
     typer.Option(
         "--keypoints",
         metavar="SET",
-        help="Keypoint set of the estimate, such as coco17; as its names say if absent.",
+        help="Keypoint set of the estimate, such as coco17; by the names of its joints if absent.",
     ),
 ]
 ScaleOption = Annotated[
@@ -200,7 +203,7 @@ AxesOption = Annotated[
     typer.Option(
         "--axes",
         metavar="AXES",
-        help="Axes of the estimate: z-up, y-up, y-down, or the axes that are x, y, z of map, such as x,-z,y.",
+        help="Axes of the estimate: z-up, y-up, y-down, or its axes along x, y and z of map, such as x,-z,y.",
     ),
 ]
 
@@ -220,7 +223,7 @@ UnitOption = Annotated[
     typer.Option(
         "--unit",
         metavar="METRES",
-        help="Metres per unit of the file; its format or content says it if absent.",
+        help="Metres per unit of the file; by the format or content if absent.",
     ),
 ]
 UpOption = Annotated[
@@ -228,7 +231,7 @@ UpOption = Annotated[
     typer.Option(
         "--up",
         metavar="AXIS",
-        help="Axis of the file that points up, such as y or -z; its format or content says it if absent.",
+        help="Axis of the file that points up, such as y or -z; by the format or content if absent.",
     ),
 ]
 CameraOption = Annotated[

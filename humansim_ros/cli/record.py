@@ -79,7 +79,7 @@ def record(
     labels: Annotated[
         _Lossless,
         typer.Option(
-            help="Instance, part and other channels of 8 and 16 bits: raw, or PNG, exact (…/compressed)."
+            help="Instance, part and other channels of 8 and 16 bits: raw, or lossless PNG (…/compressed)."
         ),
     ] = _Lossless.raw,
     max_bag_size: Annotated[

@@ -328,7 +328,7 @@ def bench(
     jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how many cameras at how many frames per second this machine holds.
+    """Measure how many cameras this machine can run, and at how many frames per second.
 
     Runs the nodes of `humansim run` as fast as they can, with one subscriber to all images.
     """

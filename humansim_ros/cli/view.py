@@ -40,7 +40,7 @@ def view(
     ] = False,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
     ros: Annotated[
-        bool, typer.Option("--ros", help="Show the ROS graph that runs, whoever publishes.")
+        bool, typer.Option("--ros", help="Show the running ROS graph; any program may publish.")
     ] = False,
     namespace: Annotated[
         str, typer.Option(help="With --ros: show only topics below this namespace.", metavar="NAME")
@@ -54,7 +54,7 @@ def view(
         list_option(
             "--body",
             "BODY",
-            "Names or files of bodies that people of the graph or bag have.",
+            "Bodies of the people of the graph or bag: names or files.",
             built_in_humans,
         ),
     ] = None,

@@ -37,7 +37,7 @@ class LiveOptions:
         table: Name of a joint in the truth by name in the estimate.
         scale: Metres of a unit of the estimate.
         axes: Axes of the estimate, as of ``axes_matrix``.
-        gate: Greatest mean joint distance of a person who is found, metres.
+        gate: Largest mean joint distance at which a person counts as found, metres.
     """
 
     keypoints: KeypointSet | None = None
@@ -56,7 +56,7 @@ class LiveOptions:
             names: YAML file, as of ``read_names``.
             scale: Metres of a unit of the estimate.
             axes: Axes of the estimate.
-            gate: Greatest mean joint distance of a person who is found, metres.
+            gate: Largest mean joint distance at which a person counts as found, metres.
 
         Raises:
             HumansimError: There is no such set or file, or the axes are none.

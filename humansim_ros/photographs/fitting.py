@@ -118,7 +118,7 @@ def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> l
         names = [f"{name} ({value:.2f})" for name, value in factors.items() if abs(np.log(value)) > limit]
         if names:
             found.append(
-                f"the {kind} of {some_of(names, 4)} is at the limit of people, relative to {photos.human}: "
+                f"the {kind} of {some_of(names, 4)} is at the limit for people, relative to {photos.human}: "
                 "check points, masks and calibration, or start from a human that is more alike "
                 "(key human of the views file)"
             )

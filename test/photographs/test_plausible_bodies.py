@@ -86,4 +86,4 @@ def test_a_stature_that_no_point_shows_and_an_implausible_body_are_told(tmp_path
     assert not any("is a guess" in text for text in find_doubts(fit, photos))  # masks show it
     squat = replace(fit, proportions=replace(fit.proportions, girths={"l_hip": 1.9}))
     (told,) = find_doubts(squat, photos)
-    assert told.startswith("the girth of l_hip (1.90) is at the limit of people") and "check points" in told
+    assert told.startswith("the girth of l_hip (1.90) is at the limit for people") and "check points" in told

@@ -210,7 +210,9 @@ def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
         raise CameraError("no camera has a mode of this size", path=file.path, key="size")
     if skipped:
         width, height = file.given_size or (0, 0)
-        warn_about(file.path, f"left out, because {width}x{height} is no mode of it: {', '.join(skipped)}")
+        warn_about(
+            file.path, f"left out, because they have no mode of {width}x{height}: {', '.join(skipped)}"
+        )
     return cameras
 
 

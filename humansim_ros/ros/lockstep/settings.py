@@ -45,8 +45,8 @@ SETTINGS = {
     "wait_for": Setting(
         f"Nodes that frames in lockstep wait for besides the cameras, and topics as {TOPIC_PREFIX}/NAME"
     ),
-    "timeout": Setting("Seconds after which a frame in lockstep waits no longer", 0.1, 1e6),
-    "on_timeout": Setting("Then stop, or continue without the nodes that are late"),
+    "timeout": Setting("Longest time that a frame in lockstep waits, seconds", 0.1, 1e6),
+    "on_timeout": Setting("After the timeout: stop, or continue without the nodes that are late"),
     "pace": Setting("Most frames per second in lockstep", 0.01, 1000.0),
 }
 

@@ -61,7 +61,7 @@ class EvaluatorNode(SuiteNode):
         names = self.text_parameter("names", "", "YAML file: names of joints, as humansim evaluate --names")
         scale = self.number_parameter("scale", 1.0, 1e-9, 1e9, "Metres of a unit of the estimate")
         axes = self.text_parameter("axes", "", "Axes of the estimate, such as y-up; empty: the axes of map")
-        description = "Greatest mean joint distance of a person who is found, metres"
+        description = "Largest mean joint distance at which a person counts as found, metres"
         gate = self.number_parameter("gate", DEFAULT_GATE, 0.001, 1000.0, description)
         self._window = self.number_parameter("window", 5.0, 0.1, 3600.0, "Seconds of the sliding window")
         output = self.text_parameter("output", "", "JSON file for the result at the end; empty: none")

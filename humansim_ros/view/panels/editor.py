@@ -241,7 +241,7 @@ class EditorPanel:
                 action()
 
         with modal:
-            gui.add_markdown(f"**{plain_markdown(key)}**: {plain_markdown(message)}\n\nSave it nevertheless?")
+            gui.add_markdown(f"**{plain_markdown(key)}**: {plain_markdown(message)}\n\nSave it anyway?")
             self._on(gui.add_button(_SAVE_WRONG, color="red"), "on_click", lambda: answer(yes))
             self._on(gui.add_button("Do not save"), "on_click", lambda: answer(None))
 

@@ -57,8 +57,10 @@ _ACCELERATION, _TURN, _SWING = 3.0, 8.0, 30.0
 _STEPS, _LIMIT_ROUNDS = 40, 4
 #: Longest step of a number of a pose, metres or radians: a wild step ends in another minimum.
 _LONGEST_STEP = 0.5
-#: Factors of the standard deviations of accelerations in the first solutions of a sequence.
-_SLACKS = (30.0, 5.0)
+#: Factors of the standard deviations of accelerations in the first solutions of a sequence; others follow if
+#: these end in a wrong minimum: at a cost above this multiple of the cost of the frames at the start.
+_SLACKS = ((30.0, 5.0), (300.0, 100.0, 30.0, 10.0, 3.0), ())
+_WRONG = 5.0
 #: Limbs whose joint is a hinge, with the limb above; turns of that limb that are tried; and the angle beyond
 #: limits, radians, that a turn has to save.
 _HINGES = tuple(
@@ -169,12 +171,27 @@ def fit_poses(
         sights: Points of each frame.
         settings: Settings of the fit.
     """
+    if settings.period <= 0:
+        return _fitted(model, states, sights, settings)
+    problem, solutions = _Problem(model, sights, settings), []
+    for slacks in _SLACKS:
+        solutions.append(_fitted(model, states, sights, settings, slacks))
+        if problem.cost(solutions[-1]) < _WRONG * problem.cost_of_frames(states):
+            break
+    return min(solutions, key=problem.cost)
+
+
+def _fitted(
+    model: PoseModel,
+    states: Sequence[BodyState],
+    sights: Sequence[Sight],
+    settings: Settings,
+    slacks: Sequence[float] = (),
+) -> list[BodyState]:
     problem, found = _Problem(model, sights, settings), list(states)
-    if settings.period > 0:  # equal poses of neighbours may start with unequal twists: align these gently
-        for slack in _SLACKS:
-            problem.slack = slack
-            found = problem.solve(found, 1e-3)
-        problem.slack = 1.0
+    for problem.slack in slacks:  # equal poses of neighbours may have unequal twists: align these gently
+        found = problem.solve(found, 1e-3)
+    problem.slack = 1.0
     found = problem.solve(found)
     for _ in range(_LIMIT_ROUNDS if settings.limited and model.limits is not None else 0):
         if not problem.hold_limits(found):
@@ -235,13 +252,13 @@ class _Problem:
     def solve(self, states: list[BodyState], tolerance: float | None = None) -> list[BodyState]:
         """Levenberg-Marquardt from the states; ``tolerance``: the tolerance of the settings if None."""
         tolerance = self.settings.tolerance if tolerance is None else tolerance
-        cost, damping = self._cost(states), 1e-3
+        cost, damping = self.cost(states), 1e-3
         for _ in range(self.settings.steps):
             equations = self._equations(states)
             for _ in range(8):
                 step = equations.solve(damping)
                 tried = self._moved(states, step)
-                new = self._cost(tried)
+                new = self.cost(tried)
                 if new < cost:
                     break
                 damping = max(damping * 8, 1e-6)
@@ -287,7 +304,13 @@ class _Problem:
                 parts.append(by_place @ slopes[row])
         return np.concatenate(parts) if parts else np.zeros((0, 2, slopes.shape[-1]))
 
-    def _cost(self, states: Sequence[BodyState]) -> float:
+    def cost(self, states: Sequence[BodyState]) -> float:
+        """Cost of some states."""
+        smoothness = (self._accelerations(states) ** 2).sum() if self._smooth(states) else 0.0
+        return self.cost_of_frames(states) + float(smoothness)
+
+    def cost_of_frames(self, states: Sequence[BodyState]) -> float:
+        """Cost of some states without their accelerations."""
         cost = 0.0
         for number, (state, sight) in enumerate(zip(states, self.sights, strict=True)):
             residuals, weights = self._points(sight, self.model.keypoints(state))
@@ -302,8 +325,6 @@ class _Problem:
         shape = states[0].shape
         cost += float(((shape / self._shape_spreads) ** 2).sum())
         cost += float(((self._beyond_limits(shape) / _BEYOND_SHAPE) ** 2).sum())
-        if self._smooth(states):
-            cost += float((self._accelerations(states) ** 2).sum())
         return cost
 
     def _beyond_limits(self, shape: Array) -> Array:

@@ -11,14 +11,12 @@ lists of cameras and names of lens models.
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
-from humansim_ros.camera.formats.devices import K4A, ZED
+from humansim_ros.camera.formats.devices import K4A, OPEN3D, REALSENSE, ZED
 from humansim_ros.camera.formats.matrices import MATRICES, MATRICES_NPZ
-from humansim_ros.camera.formats.mocap import DLT, EGOEXO, MOTIVE, THEIA, VICON
+from humansim_ros.camera.formats.mocap import DLT, EGOEXO, MOTIVE, QUALISYS, THEIA, VICON
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
 from humansim_ros.camera.formats.photogrammetry import BUNDLER, MESHROOM, METASHAPE, OPENMVG
 from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, MVSNET, PROJECTION
-from humansim_ros.camera.formats.qualisys import QUALISYS
-from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
 from humansim_ros.camera.formats.ros import CAMERA_INFO, INI, KALIBR
 from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.transforms import BLENDER, TRANSFORMS

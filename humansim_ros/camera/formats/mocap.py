@@ -1,4 +1,4 @@
-"""Motion capture: Vicon .xcp, OptiTrack Motive .mcal, Theia3D, DLT coefficients, Ego-Exo4D csv.
+"""Motion capture: Vicon .xcp, OptiTrack Motive .mcal, Theia3D, Qualisys, DLT coefficients, Ego-Exo4D csv.
 
 - Vicon: millimetres, z up; ORIENTATION (x y z w) rotates the world to the camera (z forward, y down) and
   POSITION is its centre; VICON_RADIAL2 maps pixels r from a centre to ideal ones,
@@ -7,6 +7,11 @@
   IntrinsicStandardCameraModel is the lens of OpenCV. https://docs.optitrack.com/motive/calibration
 - Theia3D: millimetres, z up; x = R X + t in pixels.
   https://docs.theiamarkerless.com/theia3d-documentation/data-formats/calibration-files
+- Qualisys (.qca.txt): millimetres, z up. The rows of r11 … r33 are the axes of the camera in the world: x
+  right, y up, z backward; x, y, z is its centre. Focal lengths and principal points are in 1/64 pixel of the
+  sensor; a pixel of the video is a pixel of the sensor minus the corner of fov_video. Poses and K are as in
+  Pose2Sim's conversion. The distortion coefficients are as in OpenCV, without a unit; Pose2Sim divides them
+  by 64 as well, which leaves almost no distortion. https://github.com/perfanalytics/pose2sim
 - DLT: u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), v with L5 ... L8; a column for each camera.
   http://www.kwon3d.com/theory/dlt/dlt.html
 - Ego-Exo4D: metres, z up; the pose of the camera in the world, KANNALABRANDTK3 is cv2.fisheye.
@@ -239,7 +244,8 @@ def _write_motive(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
 
 
 def _attributes(values: Mapping[str, float]) -> str:
-    return " ".join(f'{key}="{number(value)}"' for key, value in values.items())
+    texts = {key: str(value) if isinstance(value, int) else number(value) for key, value in values.items()}
+    return " ".join(f'{key}="{text}"' for key, text in texts.items())
 
 
 MOTIVE = CalibrationFormat(
@@ -353,6 +359,107 @@ THEIA = CalibrationFormat(
     _is_theia,
     _read_theia,
     _write_theia,
+    unit=0.001,
+    lenses={"plumb_bob": 5},
+)
+
+
+# -- Qualisys
+
+#: Parts of a pixel in which focal lengths and principal points are given.
+_SUBPIXELS = 64.0
+#: Coefficients in the order of ROS, with the spelling of the files.
+_QTM_LENS = (
+    *("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2"),
+    "radialDistortion3",
+)
+#: Windows of the video in the sensor, in order of precedence.
+_WINDOWS = ("fov_video", "fov_video_max", "fov_marker", "fov_marker_max")
+
+
+def _is_qualisys(file: CalibrationFile) -> bool:
+    return isinstance(file.get("calibration", "cameras"), list)
+
+
+def _read_qualisys(file: CalibrationFile) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for group, _ in enumerate(file.need("calibration", "cameras")):
+        for index, _ in enumerate(file.items("calibration", "cameras", group, "camera")):
+            at: Keys = ("calibration", "cameras", group, "camera", index)
+            name = str(file.get(*at, "serial") or "").strip() or str(len(cameras))
+            file.add(cameras, name, _qualisys_camera(file, at), *at)
+    return cameras
+
+
+def _qualisys_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
+    corner, size = _window(file, at)
+    fu, fv, cu, cv = (
+        file.number(*inner, key) / _SUBPIXELS
+        for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
+    )
+    skew = file.number(*inner, "skew", otherwise=0.0) / _SUBPIXELS
+    rotation, center = None, np.zeros(3)
+    if file.get(*outer) is not None:
+        rotation = _FLIP @ np.reshape([file.number(*outer, key) for key in _R], (3, 3))
+        center = np.array([file.number(*outer, key) for key in "xyz"])
+    return RawCamera(
+        np.array([[fu, skew, cu - corner[0]], [0, fv, cv - corner[1]], [0, 0, 1]]),
+        rotation,
+        center=center,
+        size=size,
+        distortion=tuple(file.number(*inner, key, otherwise=0.0) for key in _QTM_LENS),
+        model="plumb_bob",
+        locations=file.locations(at, K=inner[-2:], distortion=inner[-2:], R=outer[-2:], t=outer[-2:]),
+    )
+
+
+def _window(file: CalibrationFile, at: Keys) -> tuple[Array, ImageSize | None]:
+    """First pixel (2,) of the video in the sensor, and its size."""
+    for name in _WINDOWS:
+        window = (*at, name, 0)
+        if file.get(*window) is None:
+            continue
+        left, top, right, bottom = (file.number(*window, k) for k in ("left", "top", "right", "bottom"))
+        width, height = right - left + 1, bottom - top + 1
+        if min(width, height) < 1 or width != int(width) or height != int(height):
+            raise file.error("needs whole numbers, with right and bottom beyond left and top", *window)
+        return np.array([left, top]), (int(width), int(height))
+    return np.zeros(2), None
+
+
+def _write_qualisys(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<calibration type="regular">', "  <cameras>"]
+    for name, camera in cameras.items():
+        _check_name(name)
+        width, height = camera.size
+        k = camera.K * _SUBPIXELS
+        window = {"left": 0, "top": 0, "right": width - 1, "bottom": height - 1}
+        pose = dict(zip(_R, (_FLIP @ camera.R).ravel(), strict=True))
+        intrinsic = {
+            "focalLengthU": k[0, 0],
+            "focalLengthV": k[1, 1],
+            "centerPointU": k[0, 2],
+            "centerPointV": k[1, 2],
+            "skew": k[0, 1],
+            **dict(zip(_QTM_LENS, camera.distortion, strict=False)),
+        }
+        lines.append(f'    <camera active="1" serial={quoteattr(name)} model="none" viewrotation="0">')
+        lines.append(f"      <fov_video {_attributes(window)}/>")
+        center = dict(zip("xyz", camera.center, strict=True))
+        lines.append(f"      <transform {_attributes(center | pose)}/>")
+        lines += [f"      <intrinsic {_attributes(intrinsic)}/>", "    </camera>"]
+    return {"": "\n".join([*lines, "  </cameras>", "</calibration>"]) + "\n"}
+
+
+QUALISYS = CalibrationFormat(
+    "qualisys",
+    "Qualisys .qca.txt",
+    ".qca.txt",
+    "xml",
+    _is_qualisys,
+    _read_qualisys,
+    _write_qualisys,
     unit=0.001,
     lenses={"plumb_bob": 5},
 )

@@ -41,7 +41,17 @@ def _checked_size(data: bytes, noun: str) -> int:
         raise MeshError(f"the {noun} is not a PNG or JPEG image")
     if not 0 < size[0] * size[1] <= MAX_PIXELS:
         raise MeshError(f"a {noun} of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
+    if data[:4] == b"\x89PNG" and not _has_whole_chunks(data):
+        raise MeshError(f"the {noun} cannot be decoded: the image is damaged")
     return size[0] * size[1]
+
+
+def _has_whole_chunks(data: bytes) -> bool:
+    """Whether a PNG file has the bytes that its chunks declare; OpenCV takes memory for what they declare."""
+    start = 8
+    while start < len(data) and data[start + 4 : start + 8] != b"IEND":
+        start += 12 + int.from_bytes(data[start : start + 4], "big")
+    return start <= len(data)
 
 
 class DecodedImages:

@@ -13,7 +13,7 @@ import pytest
 
 from humansim_ros.errors import MeshError
 from humansim_ros.io import images
-from humansim_ros.io.images import DecodedImages
+from humansim_ros.io.images import DecodedImages, decode_image
 from humansim_ros.mesh import obj
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.load import read_materials_z_up, read_mesh
@@ -121,3 +121,16 @@ def test_a_gltf_file_of_too_many_nodes_is_refused_before_it_is_checked(tmp_path:
     with pytest.raises(MeshError, match="50001 nodes; at most 50000 are read") as caught:
         Gltf.parse(tmp_path / "a.gltf", text.encode())
     assert caught.value.key == "nodes"
+
+
+@pytest.mark.parametrize("length", [0x7FFFFFF0, 5000])
+def test_a_png_whose_chunks_declare_more_than_the_file_has_is_not_decoded(
+    length: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """OpenCV takes memory for all that a chunk declares."""
+    whole = cv2.imencode(".png", np.full((8, 8, 3), 200, np.uint8))[1].tobytes()
+    assert decode_image(whole + b"more").shape == (8, 8, 3)
+    place = whole.index(b"IDAT") - 4
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+    with pytest.raises(MeshError, match="the texture cannot be decoded: the image is damaged"):
+        decode_image(whole[:place] + length.to_bytes(4, "big") + whole[place + 4 :])

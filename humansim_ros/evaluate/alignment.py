@@ -101,7 +101,8 @@ def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
     if not len(paired):
         raise EvaluationError(
             "no frame of the estimate is within half a period "
-            f"({seconds(period // 2)}) of a frame of the truth: check the stamps, or give --offset",
+            f"({seconds(period // 2)}) of a frame of the truth: check the stamps, or give --offset to "
+            "humansim evaluate",
             path=estimate.source,
         )
     chosen = order[first]
@@ -130,7 +131,7 @@ def _check_overlap(truth: PoseSequence, estimate: PoseSequence) -> None:
     raise EvaluationError(
         f"truth and estimate do not overlap in time: the truth has {seconds(int(truth.times[0]))} to "
         f"{seconds(int(truth.times[-1]))}, the estimate {seconds(first)} to {seconds(last)}.{clock} "
-        f"If both begin at the same moment, give --offset {late * 1e-9:.9g}",
+        f"If both begin at the same moment, give --offset {late * 1e-9:.9g} to humansim evaluate",
         path=estimate.source,
     )
 

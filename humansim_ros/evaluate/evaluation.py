@@ -237,12 +237,7 @@ def evaluate_poses(
     Raises:
         EvaluationError: They have no joint or no time in common, or differ in unit or axes.
     """
-    common = pair_joints(truth.names, estimate.names, names)
-    joints = tuple(truth.names[t] for t, _ in common)
-    truth = truth.with_joints([t for t, _ in common], joints)
-    estimate = estimate.with_joints([e for _, e in common], joints)
-    if not any(estimate.people):
-        raise EvaluationError("none of the common joints has a finite position", path=estimate.source)
+    truth, estimate = _with_common_joints(truth, estimate, names)
     estimate = estimate.delayed(-round((offset or 0.0) * 1e9))
     pairs = pair_frames(truth, estimate)
     check_unit(truth, estimate, pairs)
@@ -256,6 +251,66 @@ def evaluate_poses(
     elif measured is not None:
         measured += applied
     return _Comparison(truth, estimate, pairs, gate).evaluation(TimeOffset(measured, applied))
+
+
+def _with_common_joints(
+    truth: PoseSequence, estimate: PoseSequence, names: Mapping[str, str] | None
+) -> tuple[PoseSequence, PoseSequence]:
+    """Both with the joints that both have, under the names of the truth."""
+    common = pair_joints(truth.names, estimate.names, names)
+    joints = tuple(truth.names[t] for t, _ in common)
+    truth = truth.with_joints([t for t, _ in common], joints)
+    estimate = estimate.with_joints([e for _, e in common], joints)
+    if not any(estimate.people):
+        raise EvaluationError("none of the common joints has a finite position", path=estimate.source)
+    return truth, estimate
+
+
+@dataclass(frozen=True)
+class PersonErrors:
+    """Errors of the people who are found, frame by frame.
+
+    Attributes:
+        frames: For each compared frame: mean error of the joints by person of the truth, metres.
+        strangers: Names of people of the estimate who match nobody in any frame.
+        false: Number of people of the estimate who match nobody, in all frames.
+    """
+
+    frames: Sequence[Mapping[str, float]]
+    strangers: Sequence[str]
+    false: int
+
+
+def person_errors(
+    truth: PoseSequence,
+    estimate: PoseSequence,
+    pairs: FramePairs,
+    names: Mapping[str, str] | None = None,
+    gate: float = DEFAULT_GATE,
+) -> PersonErrors:
+    """Match people as :func:`evaluate_poses` does, and compute their errors only.
+
+    Args:
+        truth: The true poses.
+        estimate: The poses to judge, in ``map``, metres.
+        pairs: The frames to compare.
+        names: Name of a joint in the truth by name in the estimate; found by their names if None.
+        gate: Greatest mean joint distance of a person who counts as found, metres.
+
+    Raises:
+        EvaluationError: They have no joint in common, or differ in unit or axes.
+    """
+    truth, estimate = _with_common_joints(truth, estimate, names)
+    check_unit(truth, estimate, pairs)
+    check_axes(truth, estimate, pairs, gate)
+    found = _Comparison(truth, estimate, pairs, gate)
+    frames: list[dict[str, float]] = [{} for _ in pairs.truth]
+    means = np.nanmean(found.errors, axis=1) if len(found.errors) else ()
+    for frame, person, error in zip(found.matches.frame.tolist(), found.matches.person, means, strict=True):
+        frames[frame][person] = float(error)
+    known = {name for people in estimate.people for name in people}
+    strangers = known - set(found.matches.estimate_person) if estimate.has_identities else set()
+    return PersonErrors(frames, sorted(strangers), found.false)
 
 
 class _Comparison:

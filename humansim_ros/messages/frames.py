@@ -26,7 +26,7 @@ _OLDEST = 10**9
 _SILENT = 1.0
 
 
-def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool) -> int | None:
+def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: int = _OLDEST) -> int | None:
     """Find the message that belongs to a frame: its number, or None if there is none.
 
     The message of the stamp of the frame; else the nearest one within half a period; else the last one before
@@ -37,6 +37,7 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool) -> int |
         stamp: Stamp of the frame.
         half: Half a period of the frames, nanoseconds.
         lasts: A message holds until the next one, however long that takes.
+        oldest: Nanoseconds after which a message before the frame is old.
     """
     after = bisect_right(stamps, stamp)
     before = after - 1
@@ -46,7 +47,7 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool) -> int |
     nearest = min(near, key=lambda number: abs(stamps[number] - stamp), default=None)
     if nearest is not None and abs(stamps[nearest] - stamp) <= half:
         return nearest
-    return before if before >= 0 and stamp - stamps[before] <= _OLDEST else None
+    return before if before >= 0 and stamp - stamps[before] <= oldest else None
 
 
 class Frames(Generic[Content]):
@@ -260,19 +261,20 @@ class Frames(Generic[Content]):
                     return stamp
             return stamps[-1] if stamps else None
 
-    def near(self, stamp: int, topics: Iterable[str], half: int) -> dict[str, Content]:
+    def near(self, stamp: int, topics: Iterable[str], half: int, oldest: int = _OLDEST) -> dict[str, Content]:
         """Return the messages that belong to a frame by topic, as :func:`place_at` finds them.
 
         Args:
             stamp: Stamp of the frame.
             topics: Topics that are wanted.
             half: Half a period of the frames, nanoseconds.
+            oldest: Nanoseconds after which a message before the frame is old.
         """
         with self._lock:
             found = {}
             for topic in topics:
                 stamps = self._stamps.get(topic, [])
-                place = place_at(stamps, stamp, half, topic in self._lasting)
+                place = place_at(stamps, stamp, half, topic in self._lasting, oldest)
                 if place is not None:
                     found[topic] = self._content(topic, stamps[place])
             return found

@@ -296,7 +296,7 @@ class ViewApp:
             PhotographsPanel(self, self.source) if isinstance(self.source, PhotoSource) else ImagesPanel(self)
         )
         self._messages = self.gui.add_markdown("", visible=False, order=-1)
-        self._tell(self.source.messages)
+        self._tell([*self.source.messages, *self._tracks.notes])
         self._built_of = self._content()
         if self.editor is not None:
             self.editor.stage_made()
@@ -350,7 +350,7 @@ class ViewApp:
             self._remove_panels()
             self._build()
         self._frame = frame
-        self._tell(self.source.messages)
+        self._tell([*self.source.messages, *self._tracks.notes])
         self._stage.show(frame)
         self._timeline.update(frame)
         self._tracks.update(frame)

@@ -6,20 +6,26 @@ import os
 import warnings
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humansim_ros import messages
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.evaluate.live import LiveOptions
+from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
+from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.humans import Human
 from humansim_ros.messages.frames import Frames
+from humansim_ros.messages.people import PoseFrame
 from humansim_ros.messages.types import begins_with_stamp, readable_type
 from humansim_ros.types import Indices
 from humansim_ros.view.picking import PIXEL_CHANNELS
-from humansim_ros.view.seen_topics import seen_topics
+from humansim_ros.view.seen_topics import SeenTopics, Transforms, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
@@ -28,11 +34,24 @@ from humansim_ros.view.topic_frames import (
     TopicFrames,
     TopicSource,
 )
+from humansim_ros.view.tracks import (
+    MOST_MOTION,
+    ErrorPlan,
+    ErrorTrack,
+    Tracker,
+    TrackOutline,
+    TrackSample,
+    coarse_to_fine,
+    seen_shares,
+    spans_of,
+)
 
 #: Nanoseconds between log times of messages that are read together.
 _TOGETHER = 250_000_000
-#: Bytes of messages that are kept.
-_MAX_KEPT = 256 << 20
+#: Bytes of messages that are kept, by the page and by the reader of tracks.
+_MAX_KEPT, _MAX_TRACKS = 256 << 20, 64 << 20
+#: Most and fewest frames whose visibility is read, and most values of them all.
+_MOST_VIEWS, _FEWEST_VIEWS, _MOST_VALUES = 600, 30, 20_000
 
 
 class BagViewSource(TopicSource):
@@ -61,7 +80,7 @@ class BagViewSource(TopicSource):
         humans: Sequence[Human] = (),
         image_width: int = IMAGE_WIDTH,
     ) -> None:
-        self.path = Path(path)
+        self.path, self._options = Path(path), options or LiveOptions()
         super().__init__(TopicFrames(humans, options, image_width))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", HumansimWarning)
@@ -71,18 +90,15 @@ class BagViewSource(TopicSource):
             names = self._reader.topics
             counts = self._reader.info.counts
             types = {topic.name: topic.type for n, topic in enumerate(names) if counts.get(n)}
-            self._topics = seen_topics(types, estimate, (options or LiveOptions()).keypoints)
+            self._topics = seen_topics(types, estimate, self._options.keypoints)
             if estimate is not None and not self._topics.estimate:
                 raise HumansimError(f"the bag has no topic {estimate} with poses", path=path)
-            self._number = [topic.name for topic in names]
-            #: Messages that were read last, by topic and log time.
-            self._kept: OrderedDict[tuple[str, int], bytes] = OrderedDict()
-            self._size = 0
+            self._messages = _Messages(self._reader, _MAX_KEPT)
             #: Log times of the messages.
             self._logs = self._survey()
             self._stamps = self._frame_stamps()
             self._last = 0
-            self._shown.see(self._topics, self._read(self._logs.first()))
+            self._shown.see(self._topics, self._messages.read(self._logs.first()))
             for name in self._shown.skinless:
                 self._shown.add_skin(name, self._samples(name))
             self._note_missing()
@@ -131,6 +147,60 @@ class BagViewSource(TopicSource):
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         return self._shown.describe(self._frame(self._last, [camera], PIXEL_CHANNELS), camera, x, y)
 
+    def tracks(self) -> BagTracks | None:
+        if self.frames < 2:
+            return None
+        topics, stamps, half = self._topics.light, self._stamps, self.period // 2
+        logs, plan = self._logs, self._plan
+        people = [of_person["joints"] for of_person in topics.people.values()]
+        present = {topic: has_message(stamps, self._stamps_of(topic), half) for topic in people}
+        wanted = set(topics.topics) - set(topics.estimate)
+        compared = [] if plan is None else plan.frames.tolist()
+        read = {*coarse_to_fine(self.frames, MOST_MOTION), *compared}
+        read |= set(coarse_to_fine(self.frames, _most_views(topics)))
+        estimate = list(self._topics.estimate)
+        estimates: list[Mapping[str, int]] = []
+        if plan is not None and plan.estimate is None:
+            estimates = [
+                logs.near(stamp, estimate, 0, 0) if stamp >= 0 else {} for stamp in plan.own.tolist()
+            ]
+        first = logs.first()
+        return BagTracks(
+            path=self.path,
+            topics=topics,
+            stamps=stamps,
+            period=self.period,
+            spans={
+                name: spans_of(present[of_person["joints"]].tolist())
+                for name, of_person in topics.people.items()
+            },
+            drops={name: lost for name in topics.cameras if (lost := self._lost(name, half))},
+            first={topic: first[topic] for topic in wanted if topic in first},
+            places={index: logs.near(int(stamps[index]), wanted, half, 0) for index in sorted(read)},
+            transforms=self._shown.transforms,
+            options=self._options,
+            plan=plan,
+            estimates=estimates,
+        )
+
+    @cached_property
+    def _plan(self) -> ErrorPlan | None:
+        """Frames in which the estimate is compared; None without one."""
+        own = self._logs.stamps(list(self._topics.estimate))
+        if not self._topics.estimate:
+            return None
+        return ErrorPlan.of(self._stamps, np.array(own, np.int64), self._options)
+
+    def _lost(self, camera: str, half: int) -> list[int]:
+        """Frames that lack an image of a camera, of any of its channels."""
+        found: set[int] = set()
+        for topic in self._topics.cameras[camera].images.values():
+            found |= set(lost_frames(has_message(self._stamps, self._stamps_of(topic), half)))
+        return sorted(found)
+
+    def _stamps_of(self, topic: str) -> NDArray[np.int64]:
+        return np.array(self._logs.stamps([topic]), np.int64)
+
     def close(self) -> None:
         self._reader.close()
 
@@ -142,7 +212,7 @@ class BagViewSource(TopicSource):
         lasting = self._topics.lasting
         stamped = {name: _has_stamp(self._topics.types[name]) for name in self._topics.topics}
         for message in self._reader.messages(self._topics.topics):
-            name = self._number[message.topic]
+            name = self._messages.names[message.topic]
             if name in self._topics.transforms:
                 try:
                     self._shown.transforms.add(bytes(message.data))
@@ -179,7 +249,7 @@ class BagViewSource(TopicSource):
                 left_out -= {camera.joints}
         shown = [topic for topic in topics.topics if topic not in left_out]
         logs = self._logs.near(stamp, shown, self.period // 2)
-        return TopicFrame(index, stamp, int(self._stamps[0]), self._read(logs))
+        return TopicFrame(index, stamp, int(self._stamps[0]), self._messages.read(logs))
 
     def _samples(self, name: str) -> list[tuple[bytes, bytes]]:
         """Joints and vertices of a person in some frames."""
@@ -189,21 +259,36 @@ class BagViewSource(TopicSource):
         found = []
         places = np.unique(np.linspace(0, len(common) - 1, SAMPLES).astype(int)) if common else ()
         for place in places:
-            data = self._read(self._logs.near(common[place], pair, 0))
+            data = self._messages.read(self._logs.near(common[place], pair, 0))
             if data.keys() == set(pair):
                 found.append((data[pair[0]], data[pair[1]]))
         return found
 
-    def _read(self, places: Mapping[str, int]) -> dict[str, bytes]:
+
+class _Messages:
+    """Messages of a bag by topic and log time; some of those that were read last are kept.
+
+    Attributes:
+        names: Names of the topics, by their number in the bag.
+        size: Bytes of the messages that are kept.
+    """
+
+    def __init__(self, reader: BagReader, most: int) -> None:
+        self.names = [topic.name for topic in reader.topics]
+        self._reader, self._most = reader, most
+        self.kept: OrderedDict[tuple[str, int], bytes] = OrderedDict()
+        self.size = 0
+
+    def read(self, places: Mapping[str, int]) -> dict[str, bytes]:
         """Messages by topic, from their log times; damaged ones are left out."""
         found: dict[str, bytes] = {}
         lacking: list[tuple[int, str]] = []
         for topic, log in places.items():
-            content = self._kept.get((topic, log))
+            content = self.kept.get((topic, log))
             if content is None:
                 lacking.append((log, topic))
             else:
-                self._kept.move_to_end((topic, log))
+                self.kept.move_to_end((topic, log))
                 found[topic] = content
         lacking.sort()
         groups: list[list[tuple[int, str]]] = []
@@ -215,17 +300,17 @@ class BagViewSource(TopicSource):
         for group in groups:
             wanted = {topic: log for log, topic in group}
             for message in self._reader.messages(list(wanted), start=group[0][0], end=group[-1][0] + 1):
-                topic = self._number[message.topic]
+                topic = self.names[message.topic]
                 if message.stamp == wanted[topic] and topic not in found:
                     found[topic] = bytes(message.data)
                     self._keep((topic, message.stamp), found[topic])
         return found
 
     def _keep(self, key: tuple[str, int], content: bytes) -> None:
-        self._kept[key] = content
-        self._size += len(content)
-        while self._size > _MAX_KEPT and len(self._kept) > 1:
-            self._size -= len(self._kept.popitem(last=False)[1])
+        self.kept[key] = content
+        self.size += len(content)
+        while self.size > self._most and len(self.kept) > 1:
+            self.size -= len(self.kept.popitem(last=False)[1])
 
 
 def _has_stamp(kind: str) -> bool:
@@ -233,3 +318,149 @@ def _has_stamp(kind: str) -> bool:
         return begins_with_stamp(readable_type(kind))
     except HumansimError:  # a type that is not installed and that rosbags does not know
         return False
+
+
+# --- tracks
+
+
+@dataclass(frozen=True)
+class BagTracks:
+    """Tracks of a bag, as a job.
+
+    Attributes:
+        path: The bag.
+        topics: Topics that are read: no images, meshes and vertices.
+        stamps: (F,) int64 stamps of the frames, nanoseconds.
+        period: Nanoseconds between frames.
+        spans: First and last frames in which a person is there, by person.
+        drops: Frames whose image is lost, by camera; absent without.
+        first: Log times of the first messages by topic.
+        places: Log times of the messages by topic, of the frames that are read.
+        transforms: Transforms of tf.
+        options: How an estimate is compared.
+        plan: Frames in which an estimate is compared; None without one.
+        estimates: Log times of the messages of the estimate by topic, for each of these frames.
+    """
+
+    path: Path
+    topics: SeenTopics
+    stamps: NDArray[np.int64]
+    period: int
+    spans: Mapping[str, Sequence[tuple[int, int]]]
+    drops: Mapping[str, Sequence[int]]
+    first: Mapping[str, int]
+    places: Mapping[int, Mapping[str, int]]
+    transforms: Transforms
+    options: LiveOptions
+    plan: ErrorPlan | None = None
+    estimates: Sequence[Mapping[str, int]] = ()
+
+    def start(self) -> Tracker:
+        """Begin, in the process that reads."""
+        return Tracker(_BagTracks(self))
+
+
+class _BagTracks:
+    def __init__(self, job: BagTracks) -> None:
+        self._job = job
+        self._shown = TopicFrames((), job.options)
+        self._shown.transforms = job.transforms
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HumansimWarning)  # the page has told it
+            self._reader = BagReader(job.path)
+        self._messages = _Messages(self._reader, _MAX_TRACKS)
+        self._shown.see(job.topics, self._read(job.first))
+
+    def outline(self) -> TrackOutline:
+        job, people, cameras = self._job, self._shown.people, self._job.topics.cameras
+        return TrackOutline(
+            frames=len(job.stamps),
+            period=job.period,
+            cameras=tuple(cameras),
+            joints={name: human.skeleton.joint_names for name, human in people.items()},
+            spans=job.spans,
+            drops=job.drops,
+            projected=[name for name, camera in cameras.items() if not camera.joints],
+            has_views=bool(cameras and people),
+            most_views=_most_views(job.topics),
+            has_errors=job.plan is not None,
+        )
+
+    def motion(self, index: int) -> TrackSample:
+        joints = self._shown.frame(self._frame(index)).joints
+        return TrackSample({name: each[:, :3, 3].astype(np.float32) for name, each in joints.items()})
+
+    def views(self, index: int) -> TrackSample:
+        seen: dict[str, dict[str, tuple[float, float]]] = {}
+        for person, camera, states in self._shown.visibility(self._frame(index)):
+            seen.setdefault(person, {})[camera] = seen_shares(states)
+        return TrackSample(seen=seen)
+
+    def errors(self) -> ErrorTrack:
+        plan = self._job.plan
+        if plan is None or plan.problem:
+            return ErrorTrack(note="" if plan is None else plan.problem)
+        truth = SequenceBuilder(str(self._job.path))
+        for index in plan.frames.tolist():
+            stamp = int(self._job.stamps[index])
+            truth.add_frame(stamp)
+            for name, (names, positions) in self._shown.truth(self._frame(index).data).items():
+                truth.add(stamp, name, tuple(names), positions)
+        return plan.compare(truth.build(), plan.estimate or self._estimate(plan))
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def _estimate(self, plan: ErrorPlan) -> PoseSequence:
+        """The estimate of topics in the compared frames."""
+        stream = EstimateStream("the estimate")
+        for stamp, places in zip(plan.own.tolist(), self._job.estimates, strict=True):
+            for topic, people in self._shown.estimated(self._read(places)):
+                stream.add(PoseFrame(stamp, "", people), topic, stamp)
+        return stream.sequence()
+
+    def _frame(self, index: int) -> TopicFrame:
+        job = self._job
+        return TopicFrame(index, int(job.stamps[index]), int(job.stamps[0]), self._read(job.places[index]))
+
+    def _read(self, places: Mapping[str, int]) -> dict[str, bytes]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HumansimWarning)
+            return self._messages.read(places)
+
+
+def _most_views(topics: SeenTopics) -> int:
+    """Most frames whose visibility is read."""
+    values = max(1, len(topics.people) * len(topics.cameras))
+    return min(_MOST_VIEWS, max(_FEWEST_VIEWS, _MOST_VALUES // values))
+
+
+def has_message(stamps: NDArray[np.int64], own: NDArray[np.int64], half: int) -> NDArray[np.bool_]:
+    """Whether frames have a message (F,): one within half a period.
+
+    Args:
+        stamps: (F,) stamps of the frames, nanoseconds.
+        own: (N,) increasing stamps of the messages.
+        half: Half a period of the frames, nanoseconds.
+    """
+    if not len(own):
+        return np.zeros(len(stamps), bool)
+    after = np.searchsorted(own, stamps)
+    before, after = own[np.maximum(after - 1, 0)], own[np.minimum(after, len(own) - 1)]
+    return np.asarray(np.minimum(abs(stamps - before), abs(after - stamps)) <= half)
+
+
+def lost_frames(present: NDArray[np.bool_]) -> list[int]:
+    """Frames whose image is lost: between two images that are farther apart than most.
+
+    ``present``: (F,) whether a frame has an image.
+    """
+    having = np.flatnonzero(present)
+    steps = np.diff(having)
+    if not len(steps):
+        return []
+    step = max(1, round(float(np.median(steps))))
+    found: list[int] = []
+    for place in np.flatnonzero(steps > step).tolist():
+        found += range(int(having[place]) + step, int(having[place + 1]) - step + 1, step)
+    return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right, insort
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,21 @@ class SeenTopics:
         for camera in self.cameras.values():
             found |= {*camera.images.values(), camera.joints}
         return found
+
+    @property
+    def light(self) -> SeenTopics:
+        """Small topics: poses of people and cameras, joints in images, and the estimate."""
+        people = {
+            name: {kind: topic for kind, topic in topics.items() if kind in ("joints", "points")}
+            for name, topics in self.people.items()
+        }
+        cameras = {
+            name: replace(
+                camera, images={}, legends={k: v for k, v in camera.legends.items() if k == "joints"}
+            )
+            for name, camera in self.cameras.items()
+        }
+        return SeenTopics(cameras=cameras, people=people, estimate=self.estimate, types=self.types)
 
     @property
     def lasting(self) -> set[str]:

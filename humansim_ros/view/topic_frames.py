@@ -341,22 +341,43 @@ class TopicFrames:
     def _estimate(
         self, data: Mapping[str, bytes], poses: Mapping[str, JointPoses | None]
     ) -> tuple[dict[str, Array], dict[str, float]]:
-        people: list[Pose] = []
-        for topic, person in self.topics.estimate.items():
-            if topic in data:
-                people += self._guarded(topic, partial(self._people, topic, person, data[topic])) or []
-        truth: dict[str, TruePoints] = {}
-        for name, topics in self.topics.people.items():
-            points = poses.get(name)
-            if "points" in topics:
-                points = self._read(topics["points"], data, MultiDOFJointState, messages.read_joints)
-            if points is not None:
-                truth[name] = points.names, points.positions[0]
+        people = [pose for _, found in self.estimated(data) for pose in found]
         nothing: tuple[dict[str, Array], dict[str, float]] = ({}, {})
         if not people:
             return nothing
         topic = next(iter(self.topics.estimate))
+        truth = self.truth(data, poses)
         return self._guarded(topic, lambda: beside_truth(people, truth, self._options)) or nothing
+
+    def estimated(self, data: Mapping[str, bytes]) -> list[tuple[str, list[Pose]]]:
+        """People of the estimate in a frame, in ``map`` and metres, by topic."""
+        return [
+            (topic, self._guarded(topic, partial(self._people, topic, person, data[topic])) or [])
+            for topic, person in self.topics.estimate.items()
+            if topic in data
+        ]
+
+    def truth(
+        self, data: Mapping[str, bytes], poses: Mapping[str, JointPoses | None] | None = None
+    ) -> dict[str, TruePoints]:
+        """Joints, or keypoints, that an estimate is compared with, by person.
+
+        Args:
+            data: Serialised message by topic.
+            poses: Joints by person; None: they are read.
+        """
+        truth: dict[str, TruePoints] = {}
+        for name, topics in self.topics.people.items():
+            topic = topics.get("points", topics["joints"])
+            known = poses is not None and "points" not in topics
+            points = (
+                poses.get(name)
+                if known and poses is not None
+                else self._read(topic, data, MultiDOFJointState, messages.read_joints)
+            )
+            if points is not None:
+                truth[name] = points.names, points.positions[0]
+        return truth
 
     def _people(self, topic: str, person: str | None, data: bytes) -> list[Pose]:
         """People of a message of the estimate."""
@@ -407,6 +428,20 @@ class TopicFrames:
             parents = [above.get(joint) for joint in seen.names]
             picture = draw_joints(picture, seen.pixels, seen.visible, seen.names, parents)
         return picture
+
+    def visibility(self, messages_of: TopicFrame) -> Iterator[tuple[str, str, NDArray[np.uint8]]]:
+        """Person, camera and states (J,) of the joints, as :mod:`humansim_ros.truth` has them.
+
+        Joints of cameras without a topic of joints are projected: none of them is occluded.
+        """
+        found = self.frame(messages_of)
+        for name, camera in found.cameras.items():
+            topic = self.topics.cameras[name].joints
+            if topic and topic not in messages_of.data:
+                continue
+            for seen in self._joints_in_image(name, camera, messages_of.data, found.joints):
+                within = (seen.pixels >= -0.5) & (seen.pixels < np.array(camera.size) - 0.5)
+                yield seen.person, name, np.where(within.all(axis=1), seen.visible, OUTSIDE).astype(np.uint8)
 
     def _joints_in_image(
         self, name: str, camera: Camera, data: Mapping[str, bytes], joints: Mapping[str, Array]

@@ -1,7 +1,8 @@
 """Tracks of the timeline of a page: keyframes, drops, joints, visibility and errors over all frames.
 
 They are read frame by frame in a process of their own with a lower priority than images: neither images nor
-poses of the page wait for them. ``humansim_ros.truth`` decides what is visible, at the full size of cameras.
+poses of the page wait for them. ``humansim_ros.truth`` decides what is visible, at the full size of cameras;
+``humansim_ros.evaluate`` decides which people of an estimate are matched, and what their errors are.
 """
 
 from __future__ import annotations
@@ -9,13 +10,18 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import EvaluationError, HumansimError, printable, some_of
+from humansim_ros.evaluate.alignment import FramePairs, pair_frames
+from humansim_ros.evaluate.evaluation import PersonErrors, person_errors
+from humansim_ros.evaluate.live import LiveOptions
+from humansim_ros.evaluate.pose_sequence import PoseSequence
+from humansim_ros.evaluate.truth import FIRST_STAMP, truth_at
 from humansim_ros.jobs.frame_job import Costs, FrameJob, FrameResult
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.motion.keyframes import KeyframeTrack
@@ -23,10 +29,12 @@ from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Simulation
 from humansim_ros.truth import OCCLUDED, VISIBLE
-from humansim_ros.types import Float32Array
+from humansim_ros.types import Float32Array, Indices
 
-#: Most frames whose joints are read, and most whose images are looked at.
-_MOST_MOTION, _MOST_VIEWS = 600, 120
+#: Most frames whose joints are read, or whose estimate is compared, and most whose images are looked at.
+MOST_MOTION, _MOST_VIEWS = 600, 120
+#: Most marks of a track: more than a page has columns of pixels.
+_MOST_MARKS = 2000
 #: Frames of a request for joints.
 _CHUNK = 30
 #: Added to the niceness of the page: images have 5, and go first.
@@ -50,7 +58,9 @@ class TrackOutline:
         spans: First and last frames in which a person is there, by person.
         keys: Frames of keyframes by person or object; absent without keyframes.
         drops: Frames whose image is lost, by camera; absent without.
+        projected: Cameras that do not say what is occluded: their joints are projected.
         has_views: Visibility can be read.
+        most_views: Most frames whose visibility is read.
         has_errors: There is an estimate.
     """
 
@@ -61,7 +71,9 @@ class TrackOutline:
     spans: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict)
     keys: Mapping[str, Sequence[int]] = field(default_factory=dict)
     drops: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    projected: Sequence[str] = ()
     has_views: bool = True
+    most_views: int = _MOST_VIEWS
     has_errors: bool = False
 
 
@@ -73,12 +85,26 @@ class TrackSample:
         joints: Positions (J, 3) in ``map`` by person, metres, in the order of :attr:`TrackOutline.joints`.
         seen: Shares of the joints that are visible and that are occluded, by person and camera; the others
             are outside the image.
-        errors: Mean distance of an estimate from the truth by person, millimetres.
     """
 
     joints: Mapping[str, Float32Array] = field(default_factory=dict)
     seen: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
-    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ErrorTrack:
+    """Errors of an estimate.
+
+    Attributes:
+        frames: Numbers of the compared frames.
+        errors: For each, mean distance of the joints of an estimate from the truth by person, millimetres;
+            people who are not found have none.
+        note: What the user should know about the estimate; empty for nothing.
+    """
+
+    frames: Sequence[int] = ()
+    errors: Sequence[Mapping[str, float]] = ()
+    note: str = ""
 
 
 class TrackWorker(Protocol):
@@ -91,7 +117,10 @@ class TrackWorker(Protocol):
         """Joints of a frame."""
 
     def views(self, index: int) -> TrackSample:
-        """Visibility and errors of a frame."""
+        """Visibility of a frame."""
+
+    def errors(self) -> ErrorTrack:
+        """Errors of the estimate. Raises EvaluationError if it cannot be compared."""
 
     def close(self) -> None:
         """Free what it has opened."""
@@ -113,6 +142,94 @@ def coarse_to_fine(frames: int, most: int) -> list[int]:
     return [chosen[place] for place in order]
 
 
+# --- errors of an estimate
+
+
+@dataclass(frozen=True)
+class ErrorPlan:
+    """Frames of a page in which an estimate is compared: a frame with an estimate, or a gap between them.
+
+    Attributes:
+        frames: (N,) their numbers, increasing; at most :data:`MOST_MOTION`.
+        own: (N,) int64 stamps of the estimate, nanoseconds; -1 where it has none.
+        last: Number of the last frame of the page.
+        options: How the estimate is compared.
+        estimate: Its poses in these frames; None: they are read.
+        problem: Why it cannot be compared; empty if it can.
+    """
+
+    frames: Indices
+    own: NDArray[np.int64]
+    last: int
+    options: LiveOptions
+    estimate: PoseSequence | None = None
+    problem: str = ""
+
+    @classmethod
+    def of(
+        cls, stamps: NDArray[np.int64], estimate: PoseSequence | NDArray[np.int64], options: LiveOptions
+    ) -> ErrorPlan:
+        """Pair frames as ``humansim evaluate`` does, and choose some at even distances.
+
+        Args:
+            stamps: (F,) increasing stamps of the frames of the page, nanoseconds.
+            estimate: The estimate; or its increasing stamps, if its poses are read later.
+            options: How it is compared.
+        """
+        given = estimate if isinstance(estimate, PoseSequence) else None
+        own = estimate.times if isinstance(estimate, PoseSequence) else estimate
+        last = len(stamps) - 1
+        none = np.zeros(0, np.intp)
+        if not len(own):
+            return cls(none, none.astype(np.int64), last, options, problem="the estimate has no poses")
+        try:
+            pairs = pair_frames(PoseSequence((), stamps, ()), PoseSequence((), own, ()))
+        except EvaluationError as error:
+            return cls(none, none.astype(np.int64), last, options, problem=error.message)
+        chosen = np.sort(coarse_to_fine(len(pairs.truth), MOST_MOTION))
+        rows = pairs.estimate[chosen]
+        if given is not None:
+            kept = rows[rows >= 0].tolist()
+            people = [given.people[row] for row in kept]
+            given = replace(given, times=own[kept], people=people, scores=None, arrivals=None)
+        return cls(pairs.truth[chosen], np.where(rows < 0, -1, own[rows]), last, options, given)
+
+    def compare(self, truth: PoseSequence, estimate: PoseSequence) -> ErrorTrack:
+        """Compare an estimate with the truth in these frames.
+
+        Args:
+            truth: Poses of the N frames.
+            estimate: Its poses at their stamps ``own``, as far as there are any.
+
+        Raises:
+            EvaluationError: They have no joint in common, or differ in unit or axes.
+        """
+        rows = np.searchsorted(estimate.times, self.own)
+        rows = np.where(rows < len(estimate.times), rows, 0)
+        rows = np.where(estimate.times[rows] == self.own, rows, -1)
+        options = self.options
+        pairs = FramePairs(np.arange(len(self.frames)), rows, 0)
+        found = person_errors(truth, estimate, pairs, options.table, options.gate)
+        frames = dict(zip(self.frames.tolist(), found.frames, strict=True))
+        # before the first and after the last compared frame, nothing is known
+        around: dict[int, dict[str, float]] = {int(self.frames[0]) - 1: {}, int(self.frames[-1]) + 1: {}}
+        frames |= {index: none for index, none in around.items() if 0 <= index <= self.last}
+        errors = {k: {name: 1000.0 * error for name, error in frames[k].items()} for k in sorted(frames)}
+        return ErrorTrack(list(errors), list(errors.values()), _note(found, options.gate))
+
+
+def _note(found: PersonErrors, gate: float) -> str:
+    """What the user should know about people of an estimate."""
+    if not any(found.frames):
+        return f"no person of the estimate is within {gate:g} m of the truth; are both in map?"
+    if found.strangers:
+        names = some_of([printable(name, 60) for name in found.strangers], 5)
+        return f"people of the estimate who are within {gate:g} m of nobody of the truth: {names}"
+    if found.false:
+        return f"people of the estimate are {found.false} times within {gate:g} m of nobody of the truth"
+    return ""
+
+
 # --- a scene
 
 
@@ -124,11 +241,13 @@ class SceneTracks:
         scene: The scene.
         frames: Number of frames of the page.
         cameras: Names of the cameras of the page.
+        plan: Frames in which an estimate is compared; None without one.
     """
 
     scene: Scene
     frames: int
     cameras: Sequence[str]
+    plan: ErrorPlan | None = None
 
     def start(self) -> Tracker:
         """Begin, in the process that reads."""
@@ -166,6 +285,7 @@ class _SceneTracks:
             },
             drops={name: frames for name, frames in lost.items() if frames},
             has_views=bool(job.cameras and scene.actors),
+            has_errors=job.plan is not None,
         )
 
     def motion(self, index: int) -> TrackSample:
@@ -183,6 +303,14 @@ class _SceneTracks:
             for person, joints in truth.joints.items():
                 seen.setdefault(person, {})[camera] = seen_shares(joints.visible)
         return TrackSample(seen=seen)
+
+    def errors(self) -> ErrorTrack:
+        plan = self._job.plan
+        if plan is None or plan.estimate is None or plan.problem:
+            return ErrorTrack(note="" if plan is None else plan.problem)
+        times = np.array([self._scene.frame_time(index) for index in plan.frames.tolist()], np.int64)
+        truth = truth_at(self._scene, times, FIRST_STAMP + times, plan.options.keypoints)
+        return plan.compare(truth, plan.estimate)
 
     def close(self) -> None:
         if self._simulation is not None:
@@ -205,7 +333,9 @@ def key_frames(track: KeyframeTrack, rate: float, frames: int) -> list[int]:
 
 @dataclass(frozen=True)
 class _Asked:
-    """A request: ``outline``, ``motion`` or ``views`` of some frames, for the source of a number."""
+    """A request: ``outline`` or ``errors``, or ``motion`` or ``views`` of some frames, for the source of a
+    number.
+    """
 
     source: int
     kind: str
@@ -223,6 +353,11 @@ class Tracker:
         """Answer a request."""
         if asked.kind == "outline":
             return FrameResult(self._worker.outline())
+        if asked.kind == "errors":
+            try:
+                return FrameResult(self._worker.errors())
+            except EvaluationError as error:  # the other tracks are shown all the same
+                return FrameResult(ErrorTrack(note=error.message))
         read = self._worker.motion if asked.kind == "motion" else self._worker.views
         return FrameResult({index: read(index) for index in asked.frames})
 
@@ -241,10 +376,9 @@ class Tracks:
         self.outline = outline
         self._motion: dict[int, TrackSample] = {}
         self._views: dict[int, TrackSample] = {}
-        self.motion_plan = coarse_to_fine(outline.frames, _MOST_MOTION)
-        self.views_plan = coarse_to_fine(outline.frames, _MOST_VIEWS)
-        if not (outline.has_views or outline.has_errors):
-            self.views_plan = []
+        self.errors = ErrorTrack()
+        self.motion_plan = coarse_to_fine(outline.frames, MOST_MOTION) if outline.joints else []
+        self.views_plan = coarse_to_fine(outline.frames, outline.most_views) if outline.has_views else []
 
     def take(self, kind: str, samples: Mapping[int, TrackSample]) -> None:
         """Add values of frames."""
@@ -258,8 +392,9 @@ class Tracks:
     def table(self) -> dict[str, Any]:
         """Everything but joints, for the script of the page (``page/timeline.js``).
 
-        ``visible`` and ``occluded`` are percent by person and camera, ``errors`` millimetres by person. All
-        are lists with a value for each frame of ``sampled``, None where there is none.
+        ``visible`` and ``occluded`` are percent by person and camera, lists with a value for each frame of
+        ``sampled``; ``errors`` are millimetres by person for its own ``frames``; None where there is none.
+        Tracks of long recordings are thinned out, and ``dropped`` has the numbers of all lost images.
         """
         outline, sampled = self.outline, sorted(self._views)
         samples = [self._views[index] for index in sampled]
@@ -270,24 +405,33 @@ class Tracks:
 
         people = list(outline.joints)
         seen = people if outline.has_views else []
+        spans = {name: _joined(outline.spans.get(name, ()), outline.frames) for name in people}
         return {
             "frames": outline.frames,
             "period": outline.period * 1e-9,
             "cameras": list(outline.cameras),
-            "people": [{"name": name, "spans": list(outline.spans.get(name, ()))} for name in people],
+            "projected": list(outline.projected),
+            "people": [{"name": name, "spans": spans[name]} for name in people],
             "joints": {name: list(joints) for name, joints in outline.joints.items()},
             "keys": {name: list(keys) for name, keys in outline.keys.items()},
-            "drops": {name: list(frames) for name, frames in outline.drops.items()},
+            "drops": {name: _thinned(frames, outline.frames) for name, frames in outline.drops.items()},
+            "dropped": {name: len(frames) for name, frames in outline.drops.items()},
             "sampled": sampled,
             "planned": len(self.views_plan),
+            "curves": len(self.motion_plan),
             "visible": {name: {c: shares(name, c, 0) for c in outline.cameras} for name in seen},
             "occluded": {name: {c: shares(name, c, 1) for c in outline.cameras} for name in seen},
             "errors": {
-                name: [
-                    None if (error := each.errors.get(name)) is None else round(error, 1) for each in samples
-                ]
-                for name in (people if outline.has_errors else ())
+                "frames": list(self.errors.frames),
+                "values": {
+                    name: [
+                        None if (error := each.get(name)) is None else round(error, 1)
+                        for each in self.errors.errors
+                    ]
+                    for name in (people if outline.has_errors else ())
+                },
             },
+            "problem": self.errors.note,
         }
 
     def curve(self, person: str, joint: str) -> dict[str, Any] | None:
@@ -303,6 +447,27 @@ class Tracks:
             for place, axis in enumerate(("x", "y", "z"))
         }
         return {"person": person, "joint": joint, "frames": frames, "lines": lines}
+
+
+def _thinned(frames: Sequence[int], count: int) -> list[int]:
+    """Some of the frames of a recording that has ``count``: all, or one in each of many equal parts."""
+    if len(frames) <= _MOST_MARKS:
+        return list(frames)
+    _, first = np.unique(np.asarray(frames) * _MOST_MARKS // count, return_index=True)
+    return np.asarray(frames)[first].tolist()
+
+
+def _joined(spans: Sequence[tuple[int, int]], count: int) -> list[tuple[int, int]]:
+    """Spans of a recording that has ``count`` frames; across gaps that nobody can see, if there are many."""
+    if len(spans) <= _MOST_MARKS:
+        return list(spans)
+    found = [spans[0]]
+    for first, end in spans[1:]:
+        if first - found[-1][1] <= count // _MOST_MARKS:
+            found[-1] = found[-1][0], end
+        else:
+            found.append((first, end))
+    return found
 
 
 class TrackReader:
@@ -396,11 +561,15 @@ class TrackReader:
         published = time.monotonic()
         motion, views = tracks.motion_plan, tracks.views_plan
         chunks = [("motion", tuple(motion[i : i + _CHUNK])) for i in range(0, len(motion), _CHUNK)]
-        for kind, frames in [*chunks, *(("views", (index,)) for index in views)]:
+        errors: list[tuple[str, tuple[int, ...]]] = [("errors", ())] if outline.has_errors else []
+        for kind, frames in [*chunks, *errors, *(("views", (index,)) for index in views)]:
             samples = self._answer(workers, _Asked(number, kind, frames))
             if samples is None:
                 return
-            tracks.take(kind, samples)
+            if kind == "errors":
+                tracks.errors = samples
+            else:
+                tracks.take(kind, samples)
             if time.monotonic() - published > _PUBLISH:
                 self._publish(number, tracks)
                 published = time.monotonic()

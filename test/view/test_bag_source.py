@@ -161,7 +161,7 @@ def test_the_cache_of_messages_is_bounded(bag: Path, monkeypatch: pytest.MonkeyP
     for index in (*range(FRAMES), 0):
         frame = source.frame(index, ["fixed", "moving"], ["rgb", "depth"])
         assert set(frame.images["moving"]) == {"rgb", "depth"}
-        assert source._size == sum(map(len, source._kept.values())) <= 100_000
+        assert source._messages.size == sum(map(len, source._messages.kept.values())) <= 100_000
     source.close()
 
 

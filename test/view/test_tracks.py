@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
+from humansim_ros.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.bags.topics import BagTopic, Qos
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.evaluate.evaluation import evaluate_poses
+from humansim_ros.evaluate.readers.estimates import read_estimates
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
+from humansim_ros.evaluate.truth import bag_truth
 from humansim_ros.motion.keyframes import KeyframeTimeline, KeyframeTrack
-from humansim_ros.view.tracks import SceneTracks, TrackReader, Tracks, coarse_to_fine, key_frames, spans_of
+from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
+from humansim_ros.view.bag_source import BagViewSource, has_message, lost_frames
+from humansim_ros.view.tracks import (
+    SceneTracks,
+    Tracker,
+    TrackOutline,
+    TrackReader,
+    Tracks,
+    _Asked,
+    coarse_to_fine,
+    key_frames,
+    spans_of,
+)
 
 SCENE = """\
 rate: 10
@@ -119,3 +144,189 @@ def test_the_tracks_of_another_source_replace_those_that_are_being_read(scene: S
     assert ours == sorted(ours) and not any(each.is_whole for number, each in found if number == first)
     assert sorted(found[-1][1].table()["sampled"]) == list(range(5))
     assert list(found[-1][1].table()["visible"]["anna"]) == ["left"]
+
+
+# --- bags
+
+
+def tracker_of(source: BagViewSource) -> Tracker:
+    job = source.tracks()
+    assert job is not None
+    return pickle.loads(pickle.dumps(job)).start()
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
+    folder = tmp_path_factory.mktemp("bags") / "walk"
+    patterns = ["*/image_raw", "*/camera_info", "*/extrinsics", "*/joints", "*/legend"]
+    record(SceneRecording(scene, RecordingPlan.of(scene, 20, patterns)), folder)
+    return folder
+
+
+def with_estimate(
+    folder: Path,
+    bag: Path,
+    shifts: Mapping[str, tuple[str, float]],
+    late: int = 0,
+    left_out: Sequence[int] = (),
+) -> Path:
+    """A copy of the joints of a bag with an estimate: name of its people, whom they are, metres above."""
+    from geometry_msgs.msg import Transform, Vector3
+    from rclpy.serialization import deserialize_message, serialize_message
+    from sensor_msgs.msg import MultiDOFJointState
+
+    from humansim_ros.messages import header
+
+    kind = "sensor_msgs/msg/MultiDOFJointState"
+    with BagReader(bag) as reader:
+        topics = [each for each in reader.topics if each.type == kind]
+        found = [
+            (reader.topics[each.topic].name, each.stamp, bytes(each.data))
+            for each in reader.messages([topic.name for topic in topics])
+        ]
+    names = [*(topic.name for topic in topics), "/tracker/poses"]
+    messages = [BagMessage(names.index(name), log, data) for name, log, data in found]
+    truth: dict[int, dict[str, Any]] = {}
+    for name, log, data in found:
+        truth.setdefault(log, {})[name.split("/")[2]] = deserialize_message(data, MultiDOFJointState)
+    for number, (log, people) in enumerate(sorted(truth.items())):
+        if number in left_out:
+            continue
+        stamp = people["anna"].header.stamp
+        message = MultiDOFJointState(header=header(stamp.sec * 10**9 + stamp.nanosec + late, "map"))
+        for person, (name, shift) in shifts.items():
+            for joint, place in zip(people[name].joint_names, people[name].transforms, strict=True):
+                point = place.translation
+                message.joint_names.append(f"{person}/{joint}")
+                above = Vector3(x=point.x, y=point.y, z=point.z + shift)
+                message.transforms.append(Transform(translation=above))
+        messages.append(BagMessage(len(topics), log + 1000, serialize_message(message)))
+    listed = [*topics, BagTopic("/tracker/poses", kind, (Qos(),))]
+    with BagWriter(folder, listed) as writer:
+        writer.append(encode_chunk(sorted(messages, key=lambda each: each.stamp), "none"))
+    return folder
+
+
+def test_tracks_of_a_bag_are_the_tracks_of_its_scene(scene: Scene, bag: Path) -> None:
+    source = BagViewSource(bag)
+    tracker, of_scene = tracker_of(source), SceneTracks(scene, 20, ("left", "away")).start()
+    outline, expected = tracker._worker.outline(), of_scene._worker.outline()
+    try:
+        assert outline.frames == 20 and outline.period == 100_000_000
+        assert outline.cameras == ("left", "away") or set(outline.cameras) == {"left", "away"}
+        assert outline.spans == expected.spans and not outline.projected
+        lost = expected.drops["left"]
+        having = sorted(set(range(20)) - set(lost))
+        assert outline.drops == {"left": [each for each in lost if having[0] < each < having[-1]]}
+        index = having[3]
+        sample, moved = tracker._worker.views(index), tracker._worker.motion(index)
+        truth, true_moved = of_scene._worker.views(index), of_scene._worker.motion(index)
+        assert sample.seen == truth.seen
+        for person, names in expected.joints.items():
+            order = [list(outline.joints[person]).index(name) for name in names]
+            assert np.abs(moved.joints[person][order] - true_moved.joints[person]).max() < 1e-5
+    finally:
+        tracker.close()
+        of_scene.close()
+        source.close()
+
+
+def test_without_joints_in_images_the_joints_are_projected(tmp_path: Path, bag: Path) -> None:
+    with BagReader(bag) as reader:
+        topics = [each for each in reader.topics if each.name not in ("/left/joints", "/away/joints")]
+        found = [
+            BagMessage(
+                [topic.name for topic in topics].index(reader.topics[each.topic].name), each.stamp, each.data
+            )
+            for each in reader.messages([topic.name for topic in topics])
+        ]
+        with BagWriter(tmp_path / "bag", topics) as writer:
+            writer.append(encode_chunk(found, "none"))
+    source = BagViewSource(tmp_path / "bag")
+    tracker = tracker_of(source)
+    assert set(tracker._worker.outline().projected) == {"left", "away"}
+    seen = tracker._worker.views(4).seen["anna"]
+    assert seen["left"][0] > 0.9 and seen["left"][1] == 0 and seen["away"] == (0.0, 0.0)
+    tracker.close()
+    source.close()
+
+
+def test_errors_of_an_estimate_are_those_of_evaluate(tmp_path: Path, bag: Path) -> None:
+    shifts = {"p7": ("anna", 0.02), "p8": ("ben", 0.05), "ghost": ("anna", 9.0)}
+    path = with_estimate(tmp_path / "bag", bag, shifts, left_out=(0, 1, 8, 19))
+    source = BagViewSource(path, estimate="/tracker/poses")
+    tracker = tracker_of(source)
+    found = tracker.work(_Asked(1, "errors")).value
+    tracks = Tracks(tracker._worker.outline())
+    tracks.errors = found
+    tracker.close()
+    source.close()
+    table = tracks.table()["errors"]
+    assert table["frames"] == list(range(1, 20))
+    for name, error in (("anna", 20.0), ("ben", 50.0)):
+        assert table["values"][name] == [
+            None if index in (1, 8, 19) else pytest.approx(error, abs=0.1) for index in range(1, 20)
+        ]
+    judge = evaluate_poses(bag_truth(path), read_estimates([f"{path}:/tracker/poses"], ReadOptions()))
+    assert judge.people.found == 2 * 16 and judge.position.mpjpe == pytest.approx(0.035, abs=1e-6)
+    assert "ghost" in found.note and "p7" not in found.note
+
+
+@pytest.mark.parametrize(
+    ("shifts", "late", "words"),
+    [
+        ({"p7": ("anna", 0.02)}, 10**12, "do not overlap in time"),
+        ({"p7": ("anna", 9.0)}, 0, "no person of the estimate is within 0.5 m"),
+    ],
+)
+def test_an_estimate_that_fits_nothing_is_told_and_the_other_tracks_are_read(
+    shifts: dict[str, tuple[str, float]], late: int, words: str, tmp_path: Path, bag: Path
+) -> None:
+    source = BagViewSource(with_estimate(tmp_path / "bag", bag, shifts, late), estimate="/tracker/poses")
+    tracker = tracker_of(source)
+    found = tracker.work(_Asked(1, "errors")).value
+    assert words in found.note and not any(found.errors)
+    assert tracker._worker.motion(3).joints.keys() == {"anna", "ben"}
+    tracker.close()
+    source.close()
+
+
+def test_a_bag_whose_end_is_broken_has_the_tracks_of_its_beginning(tmp_path: Path, bag: Path) -> None:
+    whole = next(bag.glob("*.mcap")).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    source = BagViewSource(tmp_path / "cut.mcap")
+    assert any("was not finished, or was cut" in text for text in source.messages)
+    tracker = tracker_of(source)
+    outline = tracker._worker.outline()
+    assert 1 < outline.frames < 20 and outline.spans["anna"] == [(0, outline.frames - 1)]
+    assert tracker._worker.motion(outline.frames - 1).joints.keys() == {"anna", "ben"}
+    tracker.close()
+    source.close()
+
+
+def test_lost_frames_are_the_gaps_between_images() -> None:
+    def lost(frames: Sequence[int], count: int = 12) -> list[int]:
+        return lost_frames(np.isin(np.arange(count), frames))
+
+    assert lost([2, 3, 4, 6, 7, 10]) == [5, 8, 9]
+    assert lost([0, 2, 4, 8, 10]) == [6]  # every second frame has an image
+    assert lost([5]) == [] and lost([]) == []
+    stamps = np.array([0, 10, 20, 30])
+    assert has_message(stamps, np.array([1, 14, 33]), 5).tolist() == [True, True, False, True]
+    assert not has_message(stamps, np.array([], np.int64), 5).any()
+
+
+def test_tracks_of_an_hour_are_thinned_out_and_say_so() -> None:
+    count = 108_000
+    lost = list(range(1, count, 2))
+    there = [(first, first) for first in range(0, count, 2)]
+    tracks = Tracks(
+        TrackOutline(
+            count, 33_333_333, ("a",), {"x": ("hip",)}, {"x": there}, drops={"a": lost}, most_views=60
+        )
+    )
+    table = tracks.table()
+    assert len(table["drops"]["a"]) <= 2000 and table["dropped"] == {"a": len(lost)}
+    assert set(table["drops"]["a"]) <= set(lost) and max(np.diff(table["drops"]["a"])) <= 2 * count / 2000
+    assert len(table["people"][0]["spans"]) <= 2000
+    assert table["curves"] == 600 and table["planned"] == 60 and len(json.dumps(table)) < 50_000

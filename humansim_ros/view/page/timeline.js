@@ -175,7 +175,7 @@
     const curves = [NONE];
     if (people.length) curves.push("joint position");
     if (Object.keys(table.visible || {}).length) curves.push("visibility");
-    if (Object.keys(table.errors || {}).length) curves.push("estimate error");
+    if (Object.keys((table.errors || {}).values || {}).length) curves.push("estimate error");
     if (!curves.includes(chosen.curve)) chosen.curve = NONE;
     if (!people.includes(chosen.person)) chosen.person = people[0] || "";
     const joints = (table.joints || {})[chosen.person] || [];
@@ -184,7 +184,7 @@
     fill(made.person, people, chosen.person);
     fill(made.joint, joints, chosen.joint);
     made.curve.hidden = curves.length < 2;
-    made.person.hidden = chosen.curve === NONE || people.length < 2;
+    made.person.hidden = chosen.curve === NONE || people.length < 2 || (chosen.curve === "estimate error" && people.length <= LINES.length);
     made.joint.hidden = chosen.curve !== "joint position";
   }
 
@@ -210,7 +210,10 @@
         add(name, table.sampled, values);
     } else if (chosen.curve === "estimate error") {
       unit = "mm";
-      add("error", table.sampled, (table.errors || {})[chosen.person] || []);
+      const { frames, values } = table.errors;
+      const people = Object.keys(values);
+      for (const name of people)
+        if (people.length <= LINES.length || name === chosen.person) add(name, frames, values[name]);
     } else if (chosen.curve === "joint position") {
       unit = "m";
       const given = table.curve;
@@ -257,7 +260,7 @@
     for (const [name, frames] of Object.entries(keys))
       if (!people.has(name)) add("object", name, { keys: frames });
     for (const [name, frames] of Object.entries(table.drops || {}))
-      add("drops", `drops ${name}`, { drops: frames });
+      add("drops", `drops ${name}`, { drops: frames, dropped: table.dropped[name] });
     return top + 2;
   }
 
@@ -270,10 +273,10 @@
   function described(row) {
     if (row.kind === "camera") {
       const seen = mean(table.visible[row.person.name][row.camera]);
-      return `${row.person.name} in ${row.camera}: ${seen === null ? "not known yet" : `${seen} % of the joints visible, mean`}`;
+      return `${row.person.name} in ${row.camera}: ${seen === null ? "not known yet" : `${seen} % of the joints ${(table.projected || []).includes(row.camera) ? "in the image" : "visible"}, mean`}`;
     }
-    if (row.kind === "drops") return `${row.label}: ${row.drops.length} of ${table.frames} frames`;
-    if (row.kind === "curve") return `Curve: ${text([chosen.curve, chosen.person, chosen.curve === "joint position" && chosen.joint])}`;
+    if (row.kind === "drops") return `${row.label}: ${row.dropped} of ${table.frames} frames`;
+    if (row.kind === "curve") return `Curve: ${text([chosen.curve, !made.person.hidden && chosen.person, chosen.curve === "joint position" && chosen.joint])}`;
     return text([row.label, row.keys.length && `${row.keys.length} keyframes`]);
   }
 
@@ -450,6 +453,8 @@
     let words = table.problem || "";
     if (!words && table.planned && table.sampled.length < table.planned)
       words = `visibility: ${table.sampled.length} of ${table.planned} frames`;
+    else if (!words && table.frames > table.curves)
+      words = text([`of ${table.frames} frames, curves show ${table.curves}`, table.planned && `visibility ${table.planned}`]);
     if (made.status.textContent !== words) made.status.textContent = words;
     made.status.title = words;
   }

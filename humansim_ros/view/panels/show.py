@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -179,6 +180,8 @@ def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]
 
 #: Fewest frames that need a timeline, and digits of a number of a frame that a page sends.
 _FEWEST, _DIGITS = 2, 12
+#: Seconds that tracks wait for images, which may never come.
+_PATIENCE = 20.0
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
 
@@ -275,21 +278,28 @@ class TimelinePanel:
 
 
 class TracksPanel:
-    """The timeline that the script ``page/timeline.js`` draws: tracks and curves of the source."""
+    """The timeline that the script ``page/timeline.js`` draws: tracks and curves of the source.
+
+    Attributes:
+        notes: What the user should know about the tracks.
+    """
 
     def __init__(self, app: Page) -> None:
         self._app = app
+        self.notes: list[str] = []
         self._reader = TrackReader(lambda *found: app.post(lambda: self._take(*found)))
         self._tracks: Tracks | None = None
         self._curve: tuple[str, str] = ("", "")
         self._source = self._version = 0
+        self._patient_until = 0.0
         app.server.on_request("seek", self._sought)
         app.server.on_request("curve", self._chosen)
 
     def show(self) -> None:
         """Show the timeline of another source of the page."""
-        self._tracks = None
+        self._tracks, self.notes = None, []
         self._source = self._reader.show(self._app.source.tracks())
+        self._patient_until = time.monotonic() + _PATIENCE
         frames = self._app.player.frames
         if frames is None or frames < _FEWEST:
             self._publish(None)
@@ -299,7 +309,8 @@ class TracksPanel:
     def update(self, frame: ViewFrame) -> None:
         """Let tracks be read once the page has its images."""
         app = self._app
-        if frame.image_index is not None or not (app.shown_cameras and app.shown_channels):
+        has_images = frame.image_index is not None or time.monotonic() > self._patient_until
+        if has_images or not (app.shown_cameras and app.shown_channels):
             self._reader.begin()
 
     def close(self) -> None:
@@ -315,6 +326,9 @@ class TracksPanel:
             return
         self._tracks = found
         self._publish(self._table(found))
+        if found.errors.note:
+            self.notes = [f"Estimate: {found.errors.note}."]
+            self._app.refresh()
 
     def _table(self, tracks: Tracks) -> dict[str, Any]:
         numbers = {name: number for number, name in enumerate(self._app.source.people)}

@@ -175,6 +175,7 @@ def test_yaml_blocks_with_keys_of_scenes_are_valid(page: Path) -> None:
             check_config(data if {"cameras", "rig"} & set(data) else {**data, "cameras": camera})
 
 
+@pytest.mark.daily("README", "first_ten_minutes", "testing")
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.parametrize(

@@ -614,6 +614,7 @@ def test_wheel_has_every_file_at_its_path(wheel: Path) -> None:
         assert entries[f"{data}lib/humansim_ros/{name}"].external_attr >> 16 & 0o111
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_pip_install_works(wheel: Path, tmp_path: Path) -> None:
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]

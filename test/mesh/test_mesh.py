@@ -256,7 +256,7 @@ def turned(vertices: Array, turns: str) -> Array:
     return vertices
 
 
-@pytest.mark.daily("*-own_female_A_dm.obj")
+@pytest.mark.daily("y up, facing +z-own_female_A_dm.obj", "z up, facing +x-own_female_A_dm.obj")
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
 @pytest.mark.parametrize("turns", TURNS)

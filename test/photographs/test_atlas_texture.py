@@ -54,12 +54,13 @@ def man() -> Human:
     return load_human("adult_man")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "cameras"),
     [
         ("adult_man", 4),
-        pytest.param("adult_woman", 8, marks=pytest.mark.nightly),
-        pytest.param("child", "shelf", marks=pytest.mark.nightly),
+        ("adult_woman", 8),
+        ("child", "shelf"),
     ],
     ids=str,
 )

@@ -63,6 +63,7 @@ def test_joints_of_another_person_are_found_from_noisy_points(
     )
 
 
+@pytest.mark.nightly
 def test_silhouettes_bring_joints_and_outlines_closer(tmp_path: Path) -> None:
     """No point of coco17 shows feet, hands and the shape of the trunk: masks do."""
     studio = make_studio(tmp_path, "child", "wave", "shelf", begin=20, noise=2.0, outliers=0.1, images=False)

@@ -206,6 +206,7 @@ EVEN = Lighting(
 )
 
 
+@pytest.mark.daily("soft-*")
 @pytest.mark.slow
 @pytest.mark.parametrize("backdrop", [False, True])
 @pytest.mark.parametrize("shadows", ["none", "soft"])

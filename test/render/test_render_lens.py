@@ -104,6 +104,7 @@ def test_a_body_before_large_walls_is_what_rays_hit(scene: Scene, name: str) -> 
     renderer.close()
 
 
+@pytest.mark.daily("rational-*", "fisheye-5000.0")
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [1.0, 5000.0])
 @pytest.mark.parametrize("name", LENSES)
@@ -142,7 +143,7 @@ def blending_error(camera: Camera, factor: int = 8) -> float:
     return float(np.abs(coarse - coverage)[edge].mean())
 
 
-@pytest.mark.daily("fisheye")
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_outlines_are_blended_where_the_lens_bends_them(name: str) -> None:

@@ -791,6 +791,7 @@ RIG = {
 }  # fmt: skip
 
 
+@pytest.mark.nightly
 def test_the_cameras_of_a_rig_run_as_nodes(ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import CameraInfo
 

@@ -174,6 +174,7 @@ def test_every_timer_is_on_the_steady_clock_or_on_simulated_time(
         assert len(followers) == (len(kinds) - steady if simulated else 0), each.get_name()
 
 
+@pytest.mark.daily("-20.0")
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [-20.0, 3600.0, -0.5])
 def test_all_outputs_go_on_when_the_system_clock_is_set(

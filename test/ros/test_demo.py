@@ -61,8 +61,9 @@ def test_a_short_recording_lasts_until_a_frame_is_whole(monkeypatch: pytest.Monk
         demo._contact_sheet(None, recorder)  # type: ignore[arg-type]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["live", pytest.param("empty", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("name", ["live", "empty"])
 def test_the_demo_draws_any_scene(tmp_path: Path, name: str) -> None:
     scene = tmp_path / f"{name}.yaml"
     scene.write_text({"live": LIVE, "empty": EMPTY}[name])

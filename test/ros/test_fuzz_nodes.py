@@ -84,6 +84,7 @@ class Careless:
         player.publish(message)
 
 
+@pytest.mark.daily("fail*")
 @pytest.mark.parametrize(
     ("fault", "what"),
     [("fail", "ZeroDivisionError"), ("stall", "took 1"), ("pass_on", "not finite: /moving/pose")],

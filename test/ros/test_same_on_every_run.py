@@ -81,6 +81,7 @@ KEYFRAMES = """
 """
 
 
+@pytest.mark.daily("*pin_feet*")
 @pytest.mark.parametrize(
     "human",
     [
@@ -305,6 +306,7 @@ def assert_same(run: field_hashes.Hashes, expected: field_hashes.Hashes, frames:
             assert len(times.keys() & shown) >= frames - 1, topic
 
 
+@pytest.mark.nightly
 def test_simulations_are_the_same(everything: Path, expected: field_hashes.Hashes) -> None:
     assert simulated(everything) == expected
     assert len(common_times(expected)) == FRAMES

@@ -269,6 +269,7 @@ def test_copies_have_no_threads_of_the_process_that_starts_them(ros: None, tmp_p
         assert node.wait(PATIENCE) == 2
 
 
+@pytest.mark.nightly
 def test_a_process_that_loads_a_scene_before_the_transport_is_chosen_starts_its_nodes(
     ros: None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

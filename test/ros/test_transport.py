@@ -260,6 +260,7 @@ def run(tmp_path: Path) -> Iterator[Mapping[str, subprocess.Popen[str]]]:
         process.wait(PATIENCE)
 
 
+@pytest.mark.nightly
 def test_a_run_is_found_on_this_machine_and_reached_from_no_other(
     run: Mapping[str, subprocess.Popen[str]], tmp_path: Path
 ) -> None:

@@ -34,9 +34,9 @@ MOST = 10
 #: Standard deviation of a vertex about its place in the model, metres; and number of independent vertices.
 _NOISE, _INDEPENDENT = 0.01, 200
 #: Offsets of the surface are alike within this share of the height, and this difference of unit normals.
-_REACH, _TURN = 0.03, 1.0
+_REACH, _TURN = 0.02, 1.0
 #: Most controls of the offsets of a surface, and vertices that are computed at once.
-MOST_CONTROLS, _CHUNK = 600, 20_000
+MOST_CONTROLS, _CHUNK = 1000, 20_000
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ from humansim_ros.render.gl import make_renderer
 from humansim_ros.render.renderer import Body
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Number of points along the outlines of a mask.
-_COUNT = 160
+#: Number of points along the outlines of a mask that move pose and factors, and that move the surface.
+_COUNT, _SURFACE_COUNT = 160, 600
 #: Area in pixels of a part or a hole of a mask that is too small to count.
 _SPECK = 30
 #: Standard deviation in pixels of the smoothing of distances before their slopes are computed.
@@ -52,7 +52,7 @@ _FARTHEST = 0.5
 #: Pixels around two masks, so that slopes at their outlines are known.
 _MARGIN = 8
 #: Rounds of rendering and least squares before the surface moves, and with it.
-_ROUNDS, _SURFACE_ROUNDS = 4, 3
+_ROUNDS, _SURFACE_ROUNDS = 4, 5
 #: Least squares ends after this number of steps in each round: the outline moves with the body.
 _STEPS = 4
 #: Standard deviation of outlines, as a share of the side of a square of the area of the person: bodies and
@@ -86,13 +86,12 @@ class MaskOutline:
         down, right = np.gradient(smooth)
         return np.stack([right, down], axis=-1).astype(np.float32)
 
-    @cached_property
-    def pixels(self) -> NDArray[np.intp]:
-        """(N, 2) x, y of pixels of the mask along its outlines, but not along the border of the image."""
+    def pixels(self, count: int = _COUNT) -> NDArray[np.intp]:
+        """(N, 2) x, y of about ``count`` pixels along the outlines, none at the border of the image."""
         height, width = self.mask.shape
         found, _ = cv2.findContours(self.mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         large = [each[:, 0] for each in found if cv2.contourArea(each) >= _SPECK]
-        step = max(sum(map(len, large)) // _COUNT, 1)
+        step = max(sum(map(len, large)) // count, 1)
         kept = [each[::step] for each in large]
         pixels = np.concatenate(kept) if kept else np.zeros((0, 2), np.intp)
         x, y = pixels.T
@@ -118,7 +117,12 @@ class Edges:
 
 
 def find_edges(
-    given: MaskOutline, camera: Camera, vertices: Float32Array, mesh: Mesh, face: NDArray[np.int32]
+    given: MaskOutline,
+    camera: Camera,
+    vertices: Float32Array,
+    mesh: Mesh,
+    face: NDArray[np.int32],
+    count: int = _COUNT,
 ) -> Edges:
     """Pairs of points of the outline of a rendered body and of the given outline.
 
@@ -131,10 +135,11 @@ def find_edges(
         vertices: Vertices (V, 3) of the body in ``map``.
         mesh: Mesh of the body.
         face: 1 + number of the triangle at each pixel of the rendered body, (H, W).
+        count: Number of points along each of the two.
     """
     corner, cut = _cut_around(given.mask, face)
     rendered = MaskOutline(cut > 0)
-    own, other, size = rendered.pixels + corner, given.pixels, float(np.sqrt(given.mask.sum()))
+    own, other, size = rendered.pixels(count) + corner, given.pixels(count), float(np.sqrt(given.mask.sum()))
     if not len(own) or not len(other):
         return Edges(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros(0), size)
     nearest, there = _nearest(own, other), _at(other - corner)
@@ -217,7 +222,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     sights = [_sight(fit, photos, model, number) for number in chosen]
     topology, renderer = human.mesh, make_renderer()
 
-    def edges(number: int, state: BodyState) -> dict[int, Edges]:
+    def edges(number: int, state: BodyState, count: int = _COUNT) -> dict[int, Edges]:
         """Edges of a frame by the number of the view."""
         vertices = _posed(human, model, state)
         # one topology in all rounds: a renderer prepares it once
@@ -226,13 +231,15 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
         for view, outline in outlines[number].items():
             camera = photos.frames[number][view].camera
             face = renderer.render([surface], camera, ["face"]).face
-            found[view] = find_edges(outline, camera, vertices, topology, face)
+            found[view] = find_edges(outline, camera, vertices, topology, face, count)
         return found
 
     try:
         for step in range(_ROUNDS + _SURFACE_ROUNDS):
             if step >= _ROUNDS:
-                found = [edges(number, state) for number, state in zip(chosen, states, strict=True)]
+                found = [
+                    edges(number, state, _SURFACE_COUNT) for number, state in zip(chosen, states, strict=True)
+                ]
                 base = replace(model.base, offsets=_fit_offsets(fit.human, model, photos, states, found))
                 human = shaped_human(fit.human, base)
                 model = PoseModel(human, model.keypoint_set, base)

@@ -114,8 +114,11 @@ def test_left_and_right_have_the_same_girths(fine: PersonFit) -> None:
 
 
 @pytest.mark.slow
-def test_masks_of_the_body_itself_bring_back_its_girths(tmp_path: Path) -> None:
+def test_masks_of_the_body_itself_bring_back_its_girths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A man with thick legs and a thin waist, in the pose of the truth."""
+    monkeypatch.setattr("humansim_ros.photographs.silhouettes._SURFACE_ROUNDS", 0)
     studio = make_studio(tmp_path, human="adult_man", cameras=4, images=False)
     photos = read_views(studio.path)
     fit = fit_person(photos, silhouettes=False)
@@ -161,8 +164,9 @@ def with_mask(photos: PhotoSet, view: int, mask: NDArray[np.bool_], folder: Path
 
 @pytest.mark.slow
 def test_an_empty_silhouette_is_named_and_the_others_are_used(
-    rough: PersonFit, photos: PhotoSet, tmp_path: Path
+    rough: PersonFit, photos: PhotoSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("humansim_ros.photographs.silhouettes._SURFACE_ROUNDS", 0)
     empty = with_mask(photos, 2, np.zeros(photos.cameras[2].size[::-1], bool), tmp_path)
     with pytest.warns(HumansimWarning, match=rf"other\.png.*empty.*view {photos.names[2]}, frame 0"):
         fine = fit_silhouettes(rough, empty)
@@ -252,15 +256,15 @@ def test_distances_of_an_outline_are_those_of_a_disc() -> None:
     np.testing.assert_allclose(outline.distances[near], (radius - 30)[near], atol=0.8)
     away = np.stack([x - 70.3, y - 55.8], axis=-1)[near] / radius[near, None]
     assert ((outline.slopes[near] * away).sum(axis=1) > 0.9).all()
-    assert len(outline.pixels) >= 100
-    np.testing.assert_allclose(np.hypot(*(outline.pixels - (70.3, 55.8)).T), 29.5, atol=0.8)
+    assert len(outline.pixels()) >= 100
+    np.testing.assert_allclose(np.hypot(*(outline.pixels() - (70.3, 55.8)).T), 29.5, atol=0.8)
 
 
 def test_the_border_of_the_image_is_no_outline() -> None:
     mask = np.zeros((60, 80), bool)
     mask[20:, 30:50] = True
     outline = MaskOutline(mask)
-    assert outline.pixels[:, 1].max() < 58
+    assert outline.pixels()[:, 1].max() < 58
     assert outline.distances[59, 40] < -9  # to the sides, not to the border
 
 

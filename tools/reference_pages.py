@@ -377,14 +377,20 @@ def _option(name: str, kind: Any, info: ParameterInfo) -> str:
     names = sorted(given or [long], key=len)
     words = {int: "INTEGER", float: "NUMBER", Path: "PATH"}
     scalars = [part for part in _scalars(kind) if part is not type(None)]
-    value = info.metavar or " ".join(words.get(part, "TEXT") for part in scalars)
+    value = info.metavar or " ".join(_choices(part) or words.get(part, "TEXT") for part in scalars)
     return f"{', '.join(f'`{each}`' for each in names)} {value}"
+
+
+def _choices(kind: Any) -> str:
+    """Words of a choice, such as ``png|jpg``; empty for another type."""
+    words = get_args(kind) if get_origin(kind) is Literal else getattr(kind, "__members__", {}).values()
+    return "|".join(str(getattr(word, "value", word)) for word in words)
 
 
 def _scalars(kind: Any) -> list[Any]:
     """Types of the single values in an annotation."""
     if get_origin(kind) is Literal:
-        return [str]
+        return [kind]
     inner = [part for part in get_args(kind) if part is not Ellipsis]
     return [scalar for part in inner for scalar in _scalars(part)] if inner else [kind]
 

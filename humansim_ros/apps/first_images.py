@@ -86,7 +86,8 @@ class FirstImages:
             return [f"ros2 topic hz {topic}", *view]
         if checkout is not None and self.humans and len(self.cameras) > 1 and not self.namespace:
             return [f"python {checkout / 'examples' / 'tracker.py'} {self.humans[0]}"]
-        return ['python my_tracker.py      # with the subscriber of README.md, section "Use it"']
+        section = "1. Give your tracker cameras"
+        return [f'python my_tracker.py      # with the subscriber of README.md, section "{section}"']
 
     def wait(self) -> None:
         """Subscribe to all cameras until each has delivered an image, and print progress and report."""

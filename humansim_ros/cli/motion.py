@@ -65,6 +65,7 @@ class ViewpointChoice(Enum):
 MotionArgument = Annotated[
     str,
     typer.Argument(
+        metavar="MOTION",
         help=f"Motion file ({MOTION_TITLES}), or a built-in motion (`humansim motion list`).",
         autocompletion=completed_motions,
     ),

@@ -22,6 +22,11 @@ from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 _MILLIMETRES = 1000.0
+#: Most names in one parameter of a C3D file, whose dimensions are bytes.
+_C3D_LABELS = 255
+#: Most bytes of names and descriptions: all parameters have 255 blocks of 512 bytes, and the package c3d
+#: counts each parameter twice.
+_C3D_NAME_BYTES = 60_000
 
 
 @dataclass(frozen=True)
@@ -104,19 +109,34 @@ def _trc_lines(name: str, paths: MarkerPaths) -> Iterator[str]:
 def c3d_bytes(paths: MarkerPaths) -> bytes:
     """Content of a C3D file (32 bit floats): millimetres, the axes of ``map`` (z up).
 
-    A missing point has the residual -1. Frames count as in the scene, from 1. Needs the package c3d.
+    A missing point has the residual -1. Frames count as in the scene, from 1. Names after the 255th are in
+    ``POINT:LABELS2``, ``LABELS3`` and so on. Needs the package c3d.
 
     Raises:
-        ExportError: A name is too long, or not in ASCII.
+        ExportError: A name is too long or not in ASCII, or there are more names than the file can hold.
     """
     if bad := [name for name in paths.names if not name.strip() or not name.isascii() or len(name) > 127]:
         raise ExportError(
             f"a C3D file cannot have a point named {bad[0]!r}: use at most 127 ASCII characters"
         )
+    # all names of a parameter have the same length
+    parts = [paths.names[first : first + _C3D_LABELS] for first in range(0, len(paths.names), _C3D_LABELS)]
+    widths = [max(map(len, part)) for part in parts]
+    size = sum(len(part) * (width + 1) for part, width in zip(parts, widths, strict=True))
+    if size > _C3D_NAME_BYTES:
+        raise ExportError(
+            f"a C3D file cannot hold the names of {len(paths.names)} points, {size} bytes with padding, "
+            f"at most {_C3D_NAME_BYTES}: use fewer points, or shorter names"
+        )
     import c3d  # of an extra
 
     writer = c3d.Writer(point_rate=paths.rate, point_units="mm")
-    writer.set_point_labels(paths.names)
+    for number, (part, width) in enumerate(zip(parts, widths, strict=True), 1):
+        suffix = "" if number == 1 else str(number)
+        labels = "".join(name.ljust(width) for name in part)
+        writer.point_group.add_str(f"LABELS{suffix}", "Point labels.", labels, width, len(part))
+        blank = " " * len(part)
+        writer.point_group.add_str(f"DESCRIPTIONS{suffix}", "Point descriptions.", blank, 1, len(part))
     writer.set_screen_axis("+X", "+Z")
     writer.set_start_frame(paths.first_frame + 1)
     # x, y, z, residual, cameras

@@ -60,6 +60,7 @@ def scalar(kind: Any) -> Any:
 
 
 def options() -> list[Option]:
+    """All options. An argument is one without a name: its kind is its metavariable."""
     found = []
     for command in COMMANDS:
         function = load_command(command)
@@ -67,6 +68,8 @@ def options() -> list[Option]:
         for parameter in inspect.signature(function).parameters.values():
             annotated, info = get_args(hints[parameter.name])
             if isinstance(info, typer.models.ArgumentInfo):
+                kind = (info.metavar or parameter.name.upper()).strip("[]")
+                found.append(Option(command, (), kind, scalar(annotated) is not annotated, info.help or ""))
                 continue
             given = [str(name) for name in (info.default, *(info.param_decls or ())) if str(name)[:1] == "-"]
             names = tuple(given or ["--" + parameter.name.replace("_", "-")])
@@ -87,7 +90,8 @@ def options() -> list[Option]:
     return found
 
 
-OPTIONS = options()
+ALL = options()
+OPTIONS, ARGUMENTS = [each for each in ALL if each.names], [each for each in ALL if not each.names]
 LONG = [(option, name) for option in OPTIONS for name in option.names if name.startswith("--")]
 
 
@@ -96,6 +100,39 @@ def test_every_option_has_a_help_and_a_known_kind_of_value() -> None:
     for option in OPTIONS:
         assert option.help.endswith((".", ")")), option
         assert option.kind in KINDS | {"flag", "[HZ]"} or "|" in option.kind, option
+
+
+#: Kinds of arguments, and the beginning of their help in every command; FILE is a calibration.
+ARGUMENT_KINDS = {
+    "BAG": "Folder of a bag",
+    "CONFIG": "Description (.yaml)",
+    "EXTRINSICS": "File with the extrinsics",
+    "FILE": "Calibration file",
+    "FILES": "Calibration files",
+    "HUMAN": "Built-in human",
+    "IMAGES": "Images of the camera",
+    "MESH": "Mesh in T or A pose",
+    "MOTION": "Motion file",
+    "PATH": "Scene, bag, motion, human, calibration or views file",
+    "SCENE": "Scene file",
+    "VIEWS": "Views file",
+}
+
+
+def test_an_argument_has_one_meaning_in_all_commands() -> None:
+    assert {each.kind for each in ARGUMENTS} == ARGUMENT_KINDS.keys()
+    for argument in ARGUMENTS:
+        assert argument.help.startswith(ARGUMENT_KINDS[argument.kind]), argument
+        assert argument.help.endswith((".", "…")), argument
+
+
+def test_the_reference_shows_the_words_of_each_choice() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "commands.md").read_text()
+    choices = [option for option in OPTIONS if "|" in option.kind]
+    assert len(choices) > 10
+    for option in choices:
+        names = ", ".join(f"`{name}`" for name in sorted(option.names, key=len))
+        assert f"| {names} {option.kind.replace('|', chr(92) + '|')} |" in page, option
 
 
 def test_a_word_has_one_kind_of_value_in_all_commands() -> None:

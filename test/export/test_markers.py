@@ -9,6 +9,7 @@ import pytest
 
 from humansim_ros.errors import ExportError
 from humansim_ros.export.positions import MarkerPaths, c3d_bytes, trc_text
+from humansim_ros.io.marker_files import read_c3d_points
 
 NAMES = ("nose", "left_wrist", "right_wrist")
 
@@ -52,6 +53,37 @@ def test_ezc3d_reads_millimetres_with_z_up_and_missing_points(tmp_path: Path) ->
     np.testing.assert_allclose(metres, written.positions, atol=1e-6)
     residuals = read["data"]["meta_points"]["residuals"][0].T
     np.testing.assert_array_equal(residuals < 0, written.missing)
+
+
+def many(count: int, length: int = 10) -> MarkerPaths:
+    """Points with names of a length, each at a place of its own."""
+    names = tuple(f"{point:05d}".ljust(length, "x") for point in range(count))
+    return MarkerPaths(names, np.arange(3.0 * count).reshape(1, count, 3) / 1000, 30.0)
+
+
+@pytest.mark.parametrize(("count", "length"), [(255, 10), (256, 10), (460, 127), (1000, 9)])
+def test_a_c3d_file_has_more_than_255_points(tmp_path: Path, count: int, length: int) -> None:
+    """Names continue in POINT:LABELS2 and so on, 255 in each, as ezc3d and Vicon read them."""
+    ezc3d = pytest.importorskip("ezc3d")
+    written = many(count, length)
+    (tmp_path / "many.c3d").write_bytes(c3d_bytes(written))
+    read = ezc3d.c3d(str(tmp_path / "many.c3d"))
+    point = read["parameters"]["POINT"]
+    parts = [f"LABELS{number}" for number in ("", *range(2, 9)) if f"LABELS{number}" in point]
+    assert [len(point[part]["value"]) for part in parts[:-1]] == [255] * (len(parts) - 1)
+    assert [name for part in parts for name in point[part]["value"]] == list(written.names)
+    assert point["USED"]["value"][0] == count
+    metres = read["data"]["points"][:3].transpose(2, 1, 0) / 1000
+    np.testing.assert_allclose(metres, written.positions, atol=1e-6)
+    own = read_c3d_points(tmp_path / "many.c3d", ExportError, 1 << 24)
+    assert own.labels == written.names
+    np.testing.assert_allclose(own.points, written.positions, atol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "length"), [(480, 127), (70_000, 5)])
+def test_more_names_than_a_c3d_file_can_hold_are_refused(count: int, length: int) -> None:
+    with pytest.raises(ExportError, match=f"cannot hold the names of {count} points"):
+        c3d_bytes(many(count, length))
 
 
 def test_names_that_a_file_cannot_hold_are_refused() -> None:

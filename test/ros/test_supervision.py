@@ -189,7 +189,7 @@ def test_a_node_is_started_again_with_the_scene_and_the_motion_that_were_read_at
     os.kill(processes.node("skinner_anna"), signal.SIGKILL)
     os.kill(processes.node("motion_player"), signal.SIGKILL)
     assert wait_until(lambda: output.read_text().count("[skinner_anna]: skinning anna") == 2)
-    assert wait_until(lambda: output.read_text().count("[motion_player]: playing 1 motions") == 2)
+    assert wait_until(lambda: output.read_text().count("[motion_player]: playing 1 motion at") == 2)
     run.send_signal(signal.SIGINT)
     assert run.wait(PATIENCE) == 0
     assert processes.are_gone()
@@ -449,13 +449,14 @@ def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> 
 @pytest.mark.parametrize(
     "name", ["motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"]
 )
+@pytest.mark.parametrize("before", [[], ["--ros-args", "-p", "x:=1"]])
 def test_a_node_says_what_it_does(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    before: list[str], name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from humansim_ros.ros.nodes import __main__ as nodes
 
     monkeypatch.setattr(nodes, "end_process_on_stop", lambda _: None)
-    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    monkeypatch.setattr(sys, "argv", [name, *before, "--help"])
     assert nodes.run(name) == 0
     said = capsys.readouterr().out
     assert said.startswith(f"usage: ros2 run humansim_ros {name} [--ros-args") and len(said) > 200

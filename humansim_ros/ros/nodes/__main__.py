@@ -10,7 +10,6 @@ import sys
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from itertools import takewhile
 from pathlib import Path
 
 from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_with_parent
@@ -30,8 +29,7 @@ def help_text(name: str) -> str:
 def run(name: str) -> int:
     """Run the node of module ``name``; returns its exit code, which is 0 after a stop signal."""
     end_process_on_stop(0)
-    own = takewhile(lambda word: word != "--ros-args", sys.argv[1:])
-    if not {"-h", "--help"}.isdisjoint(own):
+    if not {"-h", "--help"}.isdisjoint(sys.argv[1:]):
         print(help_text(name))
         return 0
     return int(import_module(f"humansim_ros.ros.nodes.{name}").main())

@@ -110,7 +110,9 @@ class MotionPlayerNode(FramePlayer):
         self.stamped_steps = StampedSteps(self)
         self._simulation = serve_simulation(self)
         place = self.scene.path or "a scene in memory"
-        self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {place}")
+        count = len(self._motions)
+        motions = "1 motion" if count == 1 else f"{count} motions"
+        self.get_logger().info(f"playing {motions} at {rate:g} Hz from {place}")
 
     # --- frames
 

@@ -12,8 +12,8 @@ def main() -> int:
     end_process_on_stop()
     from humansim_ros.cli.main import main
 
-    StopRequest()
-    return main()
+    stop = StopRequest()
+    return main(stopped=lambda: stop.number)
 
 
 if __name__ == "__main__":

@@ -171,13 +171,15 @@ def _unexpected(error: Exception) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, stopped: Callable[[], int | None] = lambda: None) -> int:
     """Run a command and return its exit code: 2 for errors of the package, 1 for others.
 
     An error is one line on standard error; HUMANSIM_TRACEBACK=1 shows where it came from. A stop signal ends
     a command in order with exit code 128 + its number, and a run of all nodes with 0.
 
-    ``arguments``: words after ``humansim``; the words of this process if None.
+    Args:
+        arguments: Words after ``humansim``; the words of this process if None.
+        stopped: The number of the stop signal that has arrived, if one has.
     """
     show_warnings()
     given = sys.argv[1:] if arguments is None else arguments
@@ -201,6 +203,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_error(f"error: out of memory{f' ({error})' if str(error) else ''}")
         return 1
     except Exception as error:
+        if (
+            number := stopped()
+        ) is not None:  # a library has made another exception of Stopped, as pydantic does
+            return 128 + number
         if hasattr(error, "format_message") and hasattr(
             error, "exit_code"
         ):  # an error of the command-line parser

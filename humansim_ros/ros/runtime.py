@@ -194,6 +194,9 @@ def run_node(make: Callable[[], Any]) -> int:
         return 2 if node is None else 1
     except Stopped:
         pass
+    except Exception:
+        if stop.number is None:  # else a library has made another exception of Stopped, as pydantic does
+            raise
     finally:
         stop.raises = False
         # Fast DDS sometimes spins for ever while its participant is destroyed: then this ends the process

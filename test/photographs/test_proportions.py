@@ -13,6 +13,7 @@ from humansim_ros.errors import MeshError, PhotographError
 from humansim_ros.humans import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.person_fit import (
+    MOST_CONTROLS,
     PersonFit,
     Proportions,
     shaped_human,
@@ -93,7 +94,7 @@ def some_fit(man: Human, frames: int = 2) -> PersonFit:
     swapped[-1, 1] = True
     return PersonFit(
         "adult_man",
-        Proportions(1.05, {"l_hip": 1.1}, {"vl5": 0.9}, offsets=(-0.00345, *[0.0] * 599)),
+        Proportions(1.05, {"l_hip": 1.1}, {"vl5": 0.9}, offsets=(-0.00345, *[0.0] * (MOST_CONTROLS - 1))),
         man.skeleton.names,
         transform(rotation_vector_to_matrix(rng.normal(size=(frames, 3))), rng.normal(size=(frames, 3))),
         matrix_to_quaternion(rotation_vector_to_matrix(vectors)),

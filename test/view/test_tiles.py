@@ -117,7 +117,7 @@ def test_images_never_cover_the_scene_or_each_other(opened: tuple[Any, Any], siz
 def test_the_bar_and_a_click_on_a_name_change_sizes(opened: tuple[Any, Any]) -> None:
     page, app = opened
     page.set_viewport_size({"width": 1280, "height": 800})
-    until(lambda: boxes(page)[1][3] == 800)
+    until(lambda: boxes(page)[1][3] == boxes(page)[0][3] > 600)
     scene, area, _tiles = boxes(page)
     bar = page.get_by_role("separator", name="Size of the images")
     box = bar.bounding_box()
@@ -180,9 +180,9 @@ def test_a_picture_is_what_the_page_shows(opened: tuple[Any, Any], tmp_path: Pat
     page.screenshot(path=str(tmp_path / "screen.png"))
     picture, screen = (cv2.imread(str(path)).astype(float) for path in (file, tmp_path / "screen.png"))
     scene, area, _tiles = boxes(page)
-    assert picture.shape[:2] == (800, 2 * round(scene[2] / 2))
+    assert picture.shape[:2] == (2 * round(scene[3] / 2), 2 * round(scene[2] / 2))
     # without the buttons and messages over the scene
-    beside = screen[:, : int(area[2])], picture[:, : int(area[2])]
+    beside = screen[:700, : int(area[2])], picture[:700, : int(area[2])]
     within = screen[250:700, int(scene[0]) : int(scene[2])], picture[250:700, int(scene[0]) : int(scene[2])]
     for shown, saved in (beside, within):
         assert shown.std() > 5  # there is something
@@ -206,7 +206,7 @@ def test_a_video_shows_the_motion(opened: tuple[Any, Any], tmp_path: Path) -> No
     while (read := video.read())[0]:
         frames.append(read[1].astype(float))
     scene, area, _tiles = boxes(page)
-    assert len(frames) >= 2 and frames[0].shape[:2] == (800, 2 * round(scene[2] / 2))
+    assert len(frames) >= 2 and frames[0].shape[:2] == (2 * round(scene[3] / 2), 2 * round(scene[2] / 2))
     start, end = (int(area[2]) + 20, int(scene[2]))
     assert np.abs(frames[-1][:, start:end] - frames[0][:, start:end]).max() > 60  # the person has moved
     page.get_by_role("button", name="Record video").wait_for()

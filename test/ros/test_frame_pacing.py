@@ -26,7 +26,7 @@ from humansim_ros.messages import header
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.player.realtime import FramePacing
+from humansim_ros.ros.player.realtime import FramePacing, pace_reason
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import make_executor
 
@@ -83,6 +83,20 @@ def play(seconds: float, **costs: Callable[[int], float]) -> dict[str, Simulated
                 camera.queue.append(number)
         number += 1
     return cameras
+
+
+@pytest.mark.parametrize(
+    ("causes", "load", "sentence"),
+    [
+        ({"/left": 3, "/front": 9}, 1.2, "the motion player waits for /front, /left; "),
+        ({"/a": 1, "/b": 1, "/c": 1, "/d": 1}, 2.0, "the motion player waits for /a, /b, /c and 1 more; "),
+        ({"": 4}, 9.6, "the motion player is late, 10 processes share 2 processors; "),
+        ({"": 1, "/a": 2}, 0.1, "the motion player waits for /a, the motion player is late; "),
+    ],
+)
+def test_the_log_says_who_sets_the_pace(causes: dict[str, int], load: float, sentence: str) -> None:
+    text = pace_reason(causes, load, 2)
+    assert text == sentence + "lower rate or image sizes, or play in lockstep, which drops nothing"
 
 
 def test_cameras_that_keep_up_get_every_frame() -> None:

@@ -80,12 +80,18 @@ def test_a_click_through_a_camera_is_in_the_pixel_that_it_shows(
     page.wait_for_function(script, arg=[camera, kind.startswith("its")])
     page.get_by_role("tab", name="Numbers").click()
     wanted = "optical frame" if kind.startswith("its") else "vertex"
+    before = page.locator("table").all_inner_texts()
     rows_of = page.locator("tr").filter(has_text=camera)
     for _ in range(_ATTEMPTS):  # on a busy machine the view moves late, and a click hits nothing
         page.wait_for_timeout(1500)
         page.mouse.click(*place_of(page, (x, y), size))
         if wait_until(
-            lambda: page.locator("table").get_by_text(wanted).count() > 0 and rows_of.count() > 0, 15
+            lambda: (
+                page.locator("table").all_inner_texts() != before
+                and page.locator("table").get_by_text(wanted).count() > 0
+                and rows_of.count() > 0
+            ),
+            15,
         ):
             break
     table = page.inner_text("table")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from std_msgs.msg import Header
@@ -29,6 +30,26 @@ _FORGET_AFTER = 10.0
 #: Seconds after which a paused pose is sent again: later images push earlier ones out of the queue to a slow
 #: subscriber.
 _REPEAT_AFTER = 0.5
+#: Seconds that the reason of drops looks back.
+_REASON_OVER = 1.0
+
+
+def pace_reason(causes: Mapping[str, int], load: float, cores: int) -> str:
+    """Text that says who sets the pace of a run that drops frames, and what helps.
+
+    Args:
+        causes: Dropped frames by the camera that was late; by the empty name if the player was late itself.
+        load: Mean number of processes that want to run, of this machine.
+        cores: Number of processors.
+    """
+    cameras = sorted(name for name in causes if name)
+    named = ", ".join(cameras[:3]) + (f" and {len(cameras) - 3} more" if len(cameras) > 3 else "")
+    reasons = [f"the motion player waits for {named}"] * bool(cameras) + ["the motion player is late"] * (
+        "" in causes
+    )
+    if load > cores:
+        reasons.append(f"{load:.0f} processes share {cores} processor{'s' * (cores > 1)}")
+    return ", ".join(reasons) + "; lower rate or image sizes, or play in lockstep, which drops nothing"
 
 
 class FramePacing:
@@ -136,6 +157,8 @@ class RealtimePlaying(Playing):
         self._pacing = FramePacing()
         #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
         self._waiting: deque[tuple[Tick, ScenePoses, Callable[[], object] | None]] = deque()
+        #: Monotonic seconds and causes of the last drops, as :func:`pace_reason` takes them.
+        self._drops: deque[tuple[float, str, int]] = deque(maxlen=_MAX_SENT)
         player.create_subscription(Header, FRAME_DONE, self._on_frame_done, REPORTS)
         events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
         player.create_subscription(Header, CAMERA_ALIVE, lambda _: None, ALIVE, event_callbacks=events)
@@ -194,8 +217,7 @@ class RealtimePlaying(Playing):
             return
         late = self._pacing.late_cameras(tick.stamp, self.clock.period, time.monotonic())
         if late:
-            self.player.count("drops", 1 + tick.dropped)
-            self.player.drop_reason = f"waiting for {', '.join(late)}"
+            self._count_drops(1 + tick.dropped, late)
             return
         self.send_tick(tick)
 
@@ -247,8 +269,20 @@ class RealtimePlaying(Playing):
     def _send(self, tick: Tick, scene_poses: ScenePoses) -> None:
         self._pacing.add_sent(tick.stamp, time.monotonic())
         self.player.send_frame(tick, scene_poses)
-        self.player.count("drops", tick.dropped)
+        if tick.dropped:
+            self._count_drops(tick.dropped, [""])
         self.player.report_lateness(tick.stamp - self._lead)
+
+    def _count_drops(self, number: int, causes: Sequence[str]) -> None:
+        """Count dropped frames. ``causes``: late cameras, or the empty name for the player itself."""
+        now = time.monotonic()
+        self.player.count("drops", number)
+        self._drops.extend((now, cause, number) for cause in causes)
+        recent: Counter[str] = Counter()
+        for at, cause, count in self._drops:
+            if now - at <= _REASON_OVER:
+                recent[cause] += count
+        self.player.drop_reason = pace_reason(recent, os.getloadavg()[0], os.cpu_count() or 1)
 
     def _send_at_once(self, tick: Tick, done: Callable[[], object] | None = None) -> None:
         """Publish a frame between two calls of the timer; timer and clock go on from here.

@@ -69,7 +69,7 @@ _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
 _LOCK = threading.Lock()
 #: Scripts of every page, in this order, before viser's own.
-SCRIPTS = ("page.js", "tiles.js", "recording.js", "through.js", "keys.js", "timeline.js")
+SCRIPTS = ("page.js", "tiles.js", "recording.js", "through.js", "measure.js", "keys.js", "timeline.js")
 
 
 class PageServer:

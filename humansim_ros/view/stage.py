@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -201,6 +202,8 @@ class Stage:
             if texture is not None:
                 files[f"{person}.jpg"] = "image/jpeg", texture
             table[key] = {
+                "name": name,
+                "joints": body.human.skeleton.joint_names,
                 "vertices": len(body.vertices),
                 "surface": f"{PREFIX}{_PEOPLE}{person}.surface",
                 "texture": None if texture is None else f"{PREFIX}{_PEOPLE}{person}.jpg",
@@ -216,10 +219,15 @@ class Stage:
             if handle.visible != (joints is not None):
                 handle.visible = joints is not None
             if joints is not None:
-                people.append(
-                    (keyed_color(body.color, self._numbers[name]), joints[: len(body.human.skeleton)])
-                )
-        self._server.stream(pose_message(frame.index, people), "poses")
+                count = len(body.human.skeleton)
+                color = keyed_color(body.color, self._numbers[name])
+                people.append((color, joints[:count], joints[count:, :3, 3]))
+        cameras = {
+            name: camera.center
+            for name, camera in frame.cameras.items()
+            if name in self._frusta and self._frusta[name][0].visible
+        }
+        self._server.stream(pose_message(frame.index, people, cameras), "poses")
 
     # --- objects and room --------------------------------------------------------------------------------
 
@@ -407,14 +415,25 @@ class Stage:
         )
 
 
-def pose_message(index: int, people: Sequence[tuple[Color, Array]]) -> bytes:
-    """Message of a frame for the page's script (page/page.js): bones (B, 4, 4) in ``map`` by colour."""
+def pose_message(
+    index: int, people: Sequence[tuple[Color, Array, Array]], cameras: Mapping[str, Array]
+) -> bytes:
+    """Message of a frame for the page's script (page/page.js), all in ``map``, metres.
+
+    Args:
+        index: Number of the frame.
+        people: Colour, bones (B, 4, 4) and end points (E, 3) of each person.
+        cameras: Centers (3,) of the cameras that are drawn, by name.
+    """
     parts = [np.array([index, len(people)], np.uint32).tobytes()]
-    for (red, green, blue), bones in people:
-        parts.append(np.array([red << 16 | green << 8 | blue, len(bones)], np.uint32).tobytes())
+    for (red, green, blue), bones, ends in people:
+        key = red << 16 | green << 8 | blue
+        parts.append(np.array([key, len(bones), len(ends)], np.uint32).tobytes())
         quaternions = matrix_to_quaternion(np.ascontiguousarray(bones[:, :3, :3]))
         parts.append(np.concatenate([quaternions, bones[:, :3, 3]], axis=1).astype(np.float32).tobytes())
-    return b"".join(parts)
+        parts.append(np.asarray(ends, np.float32).tobytes())
+    centers = {name: np.round(center, 6).tolist() for name, center in cameras.items()}
+    return b"".join([*parts, json.dumps(centers).encode()])
 
 
 def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array]:

@@ -154,6 +154,16 @@ def three_vertices(page: Any, key: str, numbers: list[int]) -> Any:
     )
 
 
+def place_of(page: Any, pixel: tuple[float, float], size: tuple[int, int]) -> tuple[float, float]:
+    """Point of the page at which a pixel is drawn: the image is as large as the canvas lets it be."""
+    box = page.locator("canvas").first.bounding_box()
+    scale = min(box["width"] / size[0], box["height"] / size[1])
+    return tuple(
+        box[start] + box[length] / 2 + scale * (pixel[axis] + 0.5 - size[axis] / 2)
+        for axis, (start, length) in enumerate((("x", "width"), ("y", "height")))
+    )
+
+
 def until(condition: Any) -> None:
     """Wait for a condition, and assert it."""
     assert wait_until(condition)

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, needs_browser, opened_page, pause, running_app, scrub, until
+from pages import browser, needs_browser, opened_page, pause, place_of, running_app, scrub, until
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
@@ -41,16 +41,6 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]
         pause(page)
         scrub(page, SHOWN)
         yield page, app
-
-
-def place_of(page: Any, pixel: tuple[float, float], size: tuple[int, int]) -> tuple[float, float]:
-    """Point of the page at which a pixel is drawn: the image is as large as the canvas lets it be."""
-    box = page.locator("canvas").first.bounding_box()
-    scale = min(box["width"] / size[0], box["height"] / size[1])
-    return tuple(
-        box[start] + box[length] / 2 + scale * (pixel[axis] + 0.5 - size[axis] / 2)
-        for axis, (start, length) in enumerate((("x", "width"), ("y", "height")))
-    )
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -27,12 +29,15 @@ def test_four_bones_pose_the_skin_of_the_page_as_all_bones_do() -> None:
     assert np.median(distances) < 1e-4 and distances.max() < 5e-3
 
 
-def test_a_message_has_the_colour_and_the_bones_of_each_person() -> None:
+def test_a_message_has_bones_and_end_points_of_each_person_and_the_cameras() -> None:
     bones = np.tile(np.eye(4), (2, 1, 1))
     bones[:, :3, 3] = [[1, 2, 3], [4, 5, 6]]
-    data = pose_message(7, [((1, 2, 3), bones)])
-    assert np.frombuffer(data[:16], np.uint32).tolist() == [7, 1, 0x010203, 2]
-    assert np.frombuffer(data[16:], np.float32).reshape(2, 7).tolist() == [
+    ends, centers = np.array([[7, 8, 9]]), {"left": np.array([0.5, -2.0, 1.25])}
+    data = pose_message(7, [((1, 2, 3), bones, ends)], centers)
+    assert np.frombuffer(data[:20], np.uint32).tolist() == [7, 1, 0x010203, 2, 1]
+    assert np.frombuffer(data[76:88], np.float32).tolist() == [7, 8, 9]
+    assert json.loads(data[88:]) == {"left": [0.5, -2.0, 1.25]}
+    assert np.frombuffer(data[20:76], np.float32).reshape(2, 7).tolist() == [
         [0, 0, 0, 1, 1, 2, 3],
         [0, 0, 0, 1, 4, 5, 6],
     ]

@@ -10,6 +10,7 @@
     End: ["last", ""],
     "Ctrl+z": ["undo", "Ctrl-Z, Ctrl-Y: undo or redo an edit"],
     "Ctrl+y": ["redo", ""],
+    Escape: ["escape", "Esc: end the measure tool, then clear the measures"],
     "?": ["help", "?: this list"],
   };
   const STYLE = {
@@ -55,14 +56,14 @@
     "keydown",
     (event) => {
       if (event.altKey || event.metaKey || isBusy(event.target)) return;
-      if (event.key === "Escape" && help) toggleHelp();
       const chosen = keys[`${event.ctrlKey ? "Ctrl+" : ""}${event.key}`];
       if (!chosen) return;
       const photographs = window.humansimPhotographs && window.humansimPhotographs.data;
       if (photographs && ["undo", "redo"].includes(chosen[0])) return; // photographs.js takes them back
       event.preventDefault();
       event.stopPropagation();
-      if (chosen[0] === "help") toggleHelp();
+      if (chosen[0] === "help" || (chosen[0] === "escape" && help)) toggleHelp();
+      else if (chosen[0] === "escape") page.dispatchEvent(new Event("escape"));
       else fetch(`/humansim/key?action=${chosen[0]}`).catch(() => {});
     },
     true,

@@ -17,7 +17,7 @@
   let version = "";
   const surfaces = new Map();
   const textures = new Map();
-  const state = Object.assign(new EventTarget(), { textured: 0, people: 0, frame: null, page: null, scenes });
+  const state = Object.assign(new EventTarget(), { textured: 0, people: 0, frame: null, page: null, cameras: {}, scenes });
   window.humansim = state;
   state.tableOf = (key) => people[key];
 
@@ -133,8 +133,9 @@
   loadPeople();
 
   // --- poses -----------------------------------------------------------------------------------------------
-  // One message per frame: index, number of people; per person: key, number of bones, then for each bone the
-  // quaternion x y z w and the position. It replaces two messages of viser for each bone.
+  // One message per frame: index, number of people; per person: key, numbers of bones and of end points, then for
+  // each bone the quaternion x y z w and the position, and the positions of the end points; then the centers of the
+  // cameras by name, as JSON. It replaces two messages of viser for each bone.
   let meshes = new Map();
   let poses = new Map();
 
@@ -144,20 +145,47 @@
     let at = 8;
     for (let person = view.getUint32(4, true); person > 0; person -= 1) {
       const key = view.getUint32(at, true).toString(16).padStart(6, "0");
-      const bones = view.getUint32(at + 4, true);
-      read.set(key, new Float32Array(data, at + 8, 7 * bones));
-      at += 8 + 28 * bones;
+      const [bones, ends] = [view.getUint32(at + 4, true), view.getUint32(at + 8, true)];
+      const values = new Float32Array(data, at + 12, 7 * bones);
+      read.set(key, { values, ends: new Float32Array(data, at + 12 + 28 * bones, 3 * ends), reach: reachOf(values) });
+      at += 12 + 28 * bones + 12 * ends;
     }
     poses = read;
+    state.cameras = JSON.parse(new TextDecoder().decode(new Uint8Array(data, at)));
     state.frame = view.getUint32(0, true);
     state.received = (state.received || 0) + 1;
   }
 
+  // Middle (3,) of the bones, and the largest distance of a bone from it.
+  function reachOf(values) {
+    const [middle, count] = [[0, 0, 0], values.length / 7];
+    for (let i = 0; i < values.length; i += 7)
+      for (let axis = 0; axis < 3; axis += 1) middle[axis] += values[i + 4 + axis] / count;
+    let radius = 0;
+    for (let i = 0; i < values.length; i += 7)
+      radius = Math.max(radius, Math.hypot(...middle.map((value, axis) => values[i + 4 + axis] - value)));
+    return { middle, radius };
+  }
+
+  // Keys of the people of the frame, and a joint (3,) of one in map: bones first, then end points; null without it.
+  state.posed = () => poses.keys();
+  state.jointOf = (key, number) => {
+    const pose = poses.get(key);
+    const bones = pose ? pose.values.length / 7 : 0;
+    if (!pose || number >= bones + pose.ends.length / 3) return null;
+    const [from, at] = number < bones ? [pose.values, 7 * number + 4] : [pose.ends, 3 * (number - bones)];
+    return [...from.subarray(at, at + 3)];
+  };
+
   function pose() {
-    for (const [key, values] of poses)
+    for (const [key, { values, reach }] of poses)
       for (const mesh of meshes.get(key) || []) {
         // always, as viser puts the bones of a new mesh at rest at a time of its own
         if (mesh.skeleton.bones.length !== values.length / 7) continue;
+        // three.js tries a ray on a skinned mesh only in this sphere, and keeps the first it finds
+        if (!mesh.boundingSphere) mesh.boundingSphere = mesh.geometry.boundingSphere.clone();
+        mesh.boundingSphere.center.set(...reach.middle);
+        mesh.boundingSphere.radius = reach.radius + mesh.geometry.boundingSphere.radius / 2;
         mesh.skeleton.bones.forEach((bone, number) => {
           const i = 7 * number;
           bone.quaternion.set(values[i], values[i + 1], values[i + 2], values[i + 3]);

@@ -107,7 +107,7 @@
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
   }
 
-  function beforeRender(_, __, camera) {
+  function beforeRender(_, scene, camera) {
     if (!camera.isPerspectiveCamera) return;
     if (!camera.humansimOwn) {
       camera.humansimOwn = camera.updateProjectionMatrix;
@@ -118,6 +118,7 @@
     }
     camera.updateProjectionMatrix();
     page.camera = camera;
+    page.scene = scene;
   }
   setInterval(() => {
     for (const scene of page.scenes) scene.onBeforeRender = beforeRender;

@@ -247,9 +247,11 @@ class Workers:
             WorkerDiedError: A process has died.
         """
         for worker, frame, slot, answer in self._received(timeout):
-            yield frame, answer
-            if isinstance(answer, FrameResult):
-                worker.release(slot)
+            try:
+                yield frame, answer
+            finally:  # also if the loop of the caller ends here
+                if isinstance(answer, FrameResult):
+                    worker.release(slot)
 
     def _received(
         self, timeout: float | None = None

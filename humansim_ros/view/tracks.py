@@ -7,6 +7,7 @@ poses of the page wait for them. ``humansim_ros.truth`` decides what is visible,
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,6 +32,7 @@ from humansim_ros.scene.simulation import Simulation
 from humansim_ros.truth import OCCLUDED, VISIBLE
 from humansim_ros.types import Float32Array, Indices
 
+_LOG = logging.getLogger(__name__)
 #: Most frames whose joints are read, or whose estimate is compared, and most whose images are looked at.
 MOST_MOTION, _MOST_VIEWS = 600, 120
 #: Most marks of a track: more than a page has columns of pixels.
@@ -528,11 +530,14 @@ class TrackReader:
                 else:
                     workers.use(job)
                 self._read(workers, read)
-            except HumansimError as error:
-                if isinstance(error, WorkerDiedError) and workers is not None:
+            except Exception as error:
+                is_known = isinstance(error, HumansimError)
+                if not is_known:
+                    _LOG.exception("the tracks of the timeline could not be read")
+                if workers is not None and (isinstance(error, WorkerDiedError) or not is_known):
                     workers.close()
                     workers = None
-                self._publish(read, str(error))
+                self._publish(read, str(error) if is_known else f"they could not be read: {error!r}")
         if workers is not None:
             workers.close()
 

@@ -146,6 +146,32 @@ def test_the_tracks_of_another_source_replace_those_that_are_being_read(scene: S
     assert list(found[-1][1].table()["visible"]["anna"]) == ["left"]
 
 
+def test_an_unexpected_error_is_told_and_the_next_tracks_are_read(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[tuple[int, Any]] = []
+    take, broken = Tracks.take, [True]
+
+    def taken(self: Tracks, kind: str, samples: Any) -> None:
+        if broken.pop():
+            raise KeyError("left")
+        broken.append(False)
+        take(self, kind, samples)
+
+    monkeypatch.setattr(Tracks, "take", taken)
+    reader = TrackReader(lambda number, tracks: found.append((number, tracks)))
+    try:
+        first = reader.show(SceneTracks(scene, 5, ("left",)))
+        reader.begin()
+        assert wait_until(lambda: found and found[-1] == (first, "they could not be read: KeyError('left')"))
+        broken.append(False)
+        second = reader.show(SceneTracks(scene, 5, ("left",)))
+        reader.begin()
+        assert wait_until(lambda: found[-1][0] == second and found[-1][1].is_whole)
+    finally:
+        reader.close()
+
+
 # --- bags
 
 

@@ -25,7 +25,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import BagError, ExportError, HumansimError, printable, some_of, warn_about
 from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.export.source import versions
-from humansim_ros.export.writer import MAX_LICENSE, ExportCamera, ExportScene
+from humansim_ros.export.writer import ExportCamera, ExportScene
 from humansim_ros.io.files import parse_json
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.messages.cdr import deserialised
@@ -44,6 +44,7 @@ from humansim_ros.messages.types import (
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.scene import CameraPose, Frame
+from humansim_ros.scene.config import MAX_LICENSE
 from humansim_ros.truth import BodyBox, CameraTruth, KeypointView
 from humansim_ros.types import Array
 
@@ -183,7 +184,7 @@ class _Survey:
         cameras = self._camera_names()
         needed = self._needed(cameras)
         frames = self._frames(needed.topics or [f"/{cameras[0]}/camera_info"])
-        labels, objects, licenses = self._labels(cameras)
+        labels, objects, licenses, license = self._labels(cameras)
         parts = self._parts(cameras)
         steps = np.diff([place.stamp for place in frames])
         scene = ExportScene(
@@ -194,6 +195,7 @@ class _Survey:
             objects=objects,
             parts={name: parts for name in labels if name not in objects},
             licenses=licenses,
+            license=license,
         )
         path, custom = self._reader.path, self._reader.info.custom
         return BagSource(
@@ -282,9 +284,9 @@ class _Survey:
     def _first(self, topic: str, kind: type[Any]) -> Any:
         return next(self._messages(topic, kind))
 
-    def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str], dict[str, str]]:
-        """Instance labels by name, kinds of objects, and licences of people, by the legend of a camera; else
-        people by topics.
+    def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str], dict[str, str], str]:
+        """Instance labels by name, kinds of objects, licences of people, and the licence of data sets, by the
+        legend of a camera; else people by topics.
         """
         for camera in cameras:
             topic = f"/{camera}/joints/legend"
@@ -295,8 +297,9 @@ class _Survey:
                 stated = legend.get("license")
                 known = stated.items() if isinstance(stated, dict) else ()
                 licenses = {str(name): str(text)[:MAX_LICENSE] for name, text in known if name in labels}
-                return labels, {str(name): str(name) for name in objects.values()}, licenses
-        return {name: number for number, name in enumerate(self._people(), 1)}, {}, {}
+                stated = printable(str(legend.get("data_license", "")), MAX_LICENSE)
+                return labels, {str(name): str(name) for name in objects.values()}, licenses, stated
+        return {name: number for number, name in enumerate(self._people(), 1)}, {}, {}, ""
 
     def _parts(self, cameras: Sequence[str]) -> tuple[str, ...]:
         """Names of the values of body parts from 1, the same for all people."""

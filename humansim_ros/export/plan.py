@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros import __version__
-from humansim_ros.errors import MAX_FRAMES, ExportError, printable
+from humansim_ros.errors import MAX_FRAMES, ExportError
 from humansim_ros.export.source import ExportSource
-from humansim_ros.export.writer import MAX_LICENSE, SHARD_SIZE
+from humansim_ros.export.writer import SHARD_SIZE
 from humansim_ros.io.files import ANY_SIZE, read_json
+from humansim_ros.scene.config import checked_license
 
 #: File of an export with its plan; when the export is complete, also with all files and their hashes.
 INDEX = "index.json"
@@ -64,16 +65,18 @@ class ExportPlan:
             frames: Numbers of the frames, without steps; all of a bag if None.
             image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
             shard_size: Size of shards of samples, bytes.
-            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text.
+            license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text; the one that
+                the scene states if empty.
 
         Raises:
             ExportError: There are no such frames, or the licence is no line of text.
             RenderError: OpenGL is missing.
         """
         frames = _checked_frames(frames, source.count)
-        if len(license) > MAX_LICENSE or license != printable(license, MAX_LICENSE):
-            text = f"a licence is one line of at most {MAX_LICENSE} characters, such as CC-BY-4.0"
-            raise ExportError(text, key="--license")
+        try:
+            license = checked_license(license) or source.scene.license
+        except ValueError as error:
+            raise ExportError(str(error), key="--license") from None
         return cls(
             scene=source.hash,
             first=frames.start,
@@ -83,7 +86,7 @@ class ExportPlan:
             keypoints=source.keypoints,
             shard_size=shard_size,
             device=source.device(),
-            license=license.strip(),
+            license=license,
         )
 
     @property

@@ -33,8 +33,6 @@ LICENSES = {
     "MIT": "https://opensource.org/license/mit",
     "Apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
 }
-#: Most characters of a licence.
-MAX_LICENSE = 200
 #: Beginning of the address of the text of a licence.
 _ADDRESS = re.compile("https?://")
 
@@ -162,6 +160,7 @@ class ExportScene:
         parts: Names of the values of body parts, from 1, by person.
         humans: Bodies without pose by name; a bag has none.
         licenses: Licence of the body of each person whose licence is known, by name.
+        license: Licence of data sets of the scene; empty if the scene states none.
     """
 
     title: str
@@ -172,6 +171,7 @@ class ExportScene:
     parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     humans: Mapping[str, Human] = field(default_factory=dict)
     licenses: Mapping[str, str] = field(default_factory=dict)
+    license: str = ""
 
     @classmethod
     def of(cls, scene: Scene) -> ExportScene:
@@ -188,6 +188,7 @@ class ExportScene:
             parts={name: actor.human.skeleton.names for name, actor in scene.actors.items()},
             humans={name: actor.human for name, actor in scene.actors.items()},
             licenses={name: text for name, actor in scene.actors.items() if (text := actor.human.license)},
+            license=scene.config.license or "",
         )
 
     @property

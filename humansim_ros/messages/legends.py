@@ -49,6 +49,7 @@ def joints_legend(
     humans: Mapping[str, tuple[int, Sequence[str]]],
     objects: Mapping[str, int] = MappingProxyType({}),
     licenses: Mapping[str, str] = MappingProxyType({}),
+    data_license: str = "",
 ) -> String:
     """Build ``<camera>/joints/legend``: names of the values of the fields ``human``, ``joint``, ``visible``
     and ``occluder``. The names of ``by`` are in ``human`` and ``object``.
@@ -57,10 +58,13 @@ def joints_legend(
         humans: Instance label and joint names by human.
         objects: Instance label by object.
         licenses: Licence of the body by human, where it is known.
+        data_license: Licence of data sets of the scene, if it states one.
     """
     named: dict[str, Any] = {"joint": {name: list(joints) for name, (_, joints) in humans.items()}}
     if licenses:
         named["license"] = dict(licenses)
+    if data_license:
+        named["data_license"] = data_license
     return _view_legend({name: label for name, (label, _) in humans.items()}, objects, named)
 
 

@@ -555,7 +555,9 @@ class CameraTopics:
         if actors:
             legends["part"] = lambda: messages.part_legend(actors[0].human.skeleton)
         licenses = {actor.name: text for actor in actors if (text := actor.human.license)}
-        legends["joints"] = lambda: messages.joints_legend(joints, scene.object_labels, licenses)
+        legends["joints"] = lambda: messages.joints_legend(
+            joints, scene.object_labels, licenses, scene.config.license or ""
+        )
         exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
         legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
 

@@ -7,9 +7,9 @@ import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from humansim_ros.errors import MAX_FRAMES, SceneError
+from humansim_ros.errors import MAX_FRAMES, SceneError, printable
 from humansim_ros.io.motion_formats import MOTION_TITLES
 from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection
 from humansim_ros.io.schema_errors import Expected, validated
@@ -26,6 +26,8 @@ SCHEMA_ID = "https://humansim-ros.invalid/scene.schema.json"
 _SECOND = 1_000_000_000
 #: Motion of a human that another node moves, such as live motion capture; it stands at rest until then.
 LIVE = "live"
+#: Most characters of a licence.
+MAX_LICENSE = 200
 
 
 _Radiance = Annotated[float, Field(ge=0, le=1e4)]
@@ -403,6 +405,15 @@ class TimeConfig(Section):
     )
 
 
+def checked_license(text: str | None) -> str | None:
+    """A licence without spaces around it. Raises ValueError if it is no line of text, or too long."""
+    if text is None:
+        return None
+    if len(text) > MAX_LICENSE or text != printable(text, MAX_LICENSE):
+        raise ValueError(f"a licence is one line of at most {MAX_LICENSE} characters, such as CC-BY-4.0")
+    return text.strip()
+
+
 class SceneConfig(Section):
     """Content of a scene file."""
 
@@ -410,6 +421,7 @@ class SceneConfig(Section):
         "rate": "fps framerate frame_rate hz frequency",
         "humans": "people persons actors human",
         "variety": "random crowd",
+        "license": "licence",
     }
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
@@ -426,6 +438,11 @@ class SceneConfig(Section):
     light: LightConfig = Field(default=LightConfig.model_construct(), description="light and shadows")
     randomise: RandomiseConfig | None = Field(default=None, description="random looks")
     time: TimeConfig = Field(default=TimeConfig.model_construct(), description="real time, or lockstep")
+    license: str | None = Field(
+        default=None, description="licence of data sets of the scene, such as CC-BY-4.0"
+    )
+
+    _license_is_a_line = field_validator("license")(checked_license)
 
     @model_validator(mode="after")
     def _has_cameras_and_labels(self) -> SceneConfig:

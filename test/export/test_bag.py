@@ -226,6 +226,19 @@ def test_the_index_of_a_bag_has_the_licences_of_its_people(exports: tuple[Path, 
     assert here["licenses"] == there["licenses"] == dict.fromkeys(here["humans"], "CC0-1.0")
 
 
+def test_the_licence_of_a_scene_is_that_of_its_data_sets(tmp_path: Path) -> None:
+    scene = Scene.from_dict({**yaml.safe_load(SCENE), "license": " CC-BY-4.0 "})
+    rows = chosen_formats(["coco"])
+    bag = recorded(tmp_path / "bag", scene, recorded_patterns(rows, "coco17"))
+    export(bag_job(tmp_path / "of_bag", bag, "coco"))
+    export(job(tmp_path / "of_scene", "coco", scene, frames=f"0:{FRAMES}"))
+    for name in ("of_bag", "of_scene"):
+        assert index_of(tmp_path / name)["license"] == "CC-BY-4.0"
+        coco = json.loads((tmp_path / name / "coco/person_keypoints.json").read_text())
+        assert coco["licenses"][0]["name"] == "CC-BY-4.0"
+    assert job(tmp_path / "other", "coco", scene, license="MIT").plan.license == "MIT"
+
+
 def test_jpeg_images_are_those_of_the_bag(tmp_path: Path, exports: tuple[Path, Path]) -> None:
     other = recorded(
         tmp_path / "bag", small_scene(), ["*/image_raw", "*/camera_info", "*/extrinsics"], images="jpeg"

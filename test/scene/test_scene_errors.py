@@ -288,6 +288,15 @@ def test_a_value_of_the_wrong_type_is_named(tmp_path: Path, key: str) -> None:
     assert error.key is not None and f"{error.key}.".startswith(f"{key}.")
 
 
+@pytest.mark.parametrize("text", ['"two\\nlines"', '"\\u202eMIT"', "x" * 201])
+def test_a_licence_that_is_no_line_is_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scene.yaml"
+    line = write(path, changed("license", "MARKED"), text)
+    error = error_of(path)
+    assert (error.path, error.line, error.key) == (str(path), line, "license")
+    assert "a licence is one line of at most 200 characters" in error.message
+
+
 @pytest.mark.parametrize(("key", "value"), list(out_of_range()))
 def test_a_value_out_of_range_is_named(tmp_path: Path, key: str, value: str) -> None:
     path = tmp_path / "scene.yaml"

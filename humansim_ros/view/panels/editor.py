@@ -33,7 +33,7 @@ from humansim_ros.view.server import check_value, inside
 #: What can be selected besides people, objects, cameras and the rig: sections of the file.
 _SECTIONS = ("scene", "room", "light", "world", "randomise", "variety", "time")
 #: Keys of the top of the file.
-_TOP = ("rate", "renderer")
+_TOP = ("rate", "renderer", "license")
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
 _UNDO, _REDO = "Undo", "Redo"

@@ -98,26 +98,27 @@ def test_a_killed_bag_is_read_and_finished(storage: Storage, tmp_path: Path) -> 
 def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(
     size: int, refused: bool, attempts: int, tmp_path: Path
 ) -> None:
-    dice, frames = random.Random(2), 60
-    whole = tmp_path / "whole" / "bag"
-    with BagWriter(whole, TOPICS, max_size=10 * size, custom={"plan": "p"}) as writer:
-        for frame in range(frames):
-            append_frame(writer, frame, size=size)
-    folder = tmp_path / "bag"
+    dice = random.Random(2)
+    folder, whole = tmp_path / "bag", tmp_path / "whole" / "bag"
     for _ in range(attempts):
         writing = WritingProcess(folder, size=size, max_size=10 * size, refused=refused)
         writing.wait_for_frame(dice.randrange(1, 40))
         time.sleep(dice.uniform(0, 0.02))  # the kill comes anywhere within the writing of a frame
         last = writing.end()
         with BagWriter.resume(folder, max_size=10 * size) as writer:
-            assert last < writer.groups <= frames and writer.custom == {"plan": "p"}
+            assert last < writer.groups and writer.custom == {"plan": "p"}
+            frames = max(60, writer.groups)  # more on a busy machine, where the kill is late
             for frame in range(writer.groups, frames):
+                append_frame(writer, frame, size=size)
+        with BagWriter(whole, TOPICS, max_size=10 * size, custom={"plan": "p"}) as writer:
+            for frame in range(frames):
                 append_frame(writer, frame, size=size)
         names = sorted(path.name for path in whole.iterdir())
         assert sorted(path.name for path in folder.iterdir()) == names
         for name in names:
             assert (folder / name).read_bytes() == (whole / name).read_bytes(), name
         shutil.rmtree(folder)
+        shutil.rmtree(whole)
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])

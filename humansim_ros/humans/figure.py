@@ -34,6 +34,10 @@ _UPRIGHT = {"vl5": (5.0, 7.0), "vt3": (7.5, 7.0)}
 #: The skin of the head's joint is the head, without hats, if it is this share of the height of all that the
 #: joint carries.
 _SKULL = 0.5
+#: Largest distance of a foot from the end of its shin, as a share of the length of the thigh.
+_FOOT_GAP = 0.25
+#: Bones at the ends of limbs. Without a joint of their own they begin where the bone before them ends.
+_ENDS = ("l_wrist", "r_wrist", "l_ankle", "r_ankle")
 
 
 def to_body_space(
@@ -59,6 +63,10 @@ def to_body_space(
     rest = _rest_motion(figure)
     try:
         match = match_motion(rest)
+        attached = _attach_feet(figure, match)
+        if attached is not None:
+            figure, rest = attached, _rest_motion(attached)
+            match = match_motion(rest)
         frame = detect_file_frame(rest, match, unit, up, facing)
     except MotionError as error:
         raise MeshError(f"the skeleton is not a person's: {error.message}") from None
@@ -87,6 +95,56 @@ def to_body_space(
         shape=(len(vertices), len(skeleton)),
     )
     return replace(figure.mesh, vertices=vertices), skeleton, limit_bones(weights)
+
+
+def _attach_feet(figure: SkinnedMesh, match: JointMatch) -> SkinnedMesh | None:
+    """Figure whose feet follow the shins, where inverse kinematics moves feet that are children of the root.
+
+    None if no foot is apart from its leg.
+    """
+    heaviest, parents = dominant_bones(figure.weights), np.array(figure.parents)
+    for side in ("Left", "Right"):
+        hip, knee = (match.roles[side + part] for part in ("Hip", "Knee"))
+        if f"{side}Ankle" in match.roles:
+            continue
+        below = np.flatnonzero(figure.parents == knee)
+        skin = figure.mesh.vertices[heaviest == knee]
+        if len(below) == 1:
+            end = figure.joints[below[0]]
+        elif len(skin):
+            end = skin[np.argmax(np.linalg.norm(skin - figure.joints[hip], axis=1))]
+        else:
+            continue
+        gaps = np.linalg.norm(figure.joints - end, axis=1)
+        apart = [joint for joint in np.unique(heaviest) if not _descends(joint, hip, figure.parents)]
+        foot = min(apart, key=lambda joint: gaps[joint], default=None)
+        thigh = float(np.linalg.norm(figure.joints[knee] - figure.joints[hip]))
+        if foot is not None and gaps[foot] < _FOOT_GAP * thigh and not _descends(knee, foot, figure.parents):
+            parents[foot] = knee
+    if (parents == figure.parents).all():
+        return None
+    order = sorted(range(len(parents)), key=lambda joint: _depth(joint, parents))  # parents come first
+    place = np.argsort(order)
+    return replace(
+        figure,
+        joint_names=tuple(figure.joint_names[joint] for joint in order),
+        parents=np.array([place[parents[j]] if parents[j] >= 0 else -1 for j in order], dtype=np.intp),
+        joints=figure.joints[order],
+        weights=csr_matrix(figure.weights[:, order]),
+    )
+
+
+def _descends(joint: int, ancestor: int, parents: NDArray[np.intp]) -> bool:
+    while joint >= 0 and joint != ancestor:
+        joint = int(parents[joint])
+    return joint == ancestor
+
+
+def _depth(joint: int, parents: NDArray[np.intp]) -> int:
+    depth = 0
+    while parents[joint] >= 0:
+        joint, depth = int(parents[joint]), depth + 1
+    return depth
 
 
 def _rest_motion(figure: SkinnedMesh) -> Motion:
@@ -199,6 +257,10 @@ def _tails(
     for number, name in enumerate(names):
         children = [i for i, parent in enumerate(parents) if parent == name]
         named = [i for i in children if names[i] in general.names]
+        if len(children) > len(named):  # a hand or a foot without a joint has no place of its own
+            named = [i for i in named if names[i] in joint_of or names[i] not in _ENDS]
+        if name in _ENDS and name not in joint_of and parents[number] is not None:
+            heads[number] = tails[names.index(str(parents[number]))]
         head = heads[number]
         if name == "vt3":
             goal = _top_of_head(figure, match, joint_of.get(name), joints, vertices, heaviest, head)
@@ -209,7 +271,8 @@ def _tails(
         elif len(named) == 1 or (named and len(children) == 1):
             goal = heads[named[0]]
         elif children:
-            goal = np.mean([heads[i] for i in named or children], axis=0)
+            others = [i for i in children if names[i] not in _ENDS or names[i] in joint_of]
+            goal = np.mean([heads[i] for i in named or others or children], axis=0)
         else:
             goal = head
         if np.linalg.norm(goal - head) < 1e-3:

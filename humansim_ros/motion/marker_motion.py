@@ -2,12 +2,14 @@
 
 Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or an elbow is midway between its
 markers, or half its width beside the lateral one. The shoulder is below the acromion. Limbs get the shortest
-rotation from their parent; their joints keep the places of the file.
+rotation from their parent; their joints keep the places of the file. Without markers of arms or trunk, these
+are held at rest.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +22,13 @@ from humansim_ros.io.marker_files import MarkerFile, label_parts, read_c3d_point
 from humansim_ros.motion.joint_matching import loose_keys, loose_table_key
 from humansim_ros.motion.joint_tables import right_name
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
-from humansim_ros.rotations import perpendicular, rotate, shortest_rotations, unit_vectors
+from humansim_ros.rotations import (
+    perpendicular,
+    rotate,
+    rotation_vector_to_matrix,
+    shortest_rotations,
+    unit_vectors,
+)
 from humansim_ros.types import Array, Indices
 
 #: Largest file, and most labels and points of a file.
@@ -45,24 +53,28 @@ _JOINTS = {
 }
 #: Names of markers, of the left side for both.
 _MARKERS = {
-    "LeftASIS": "LeftASI LeftASIS LeftIAS",
-    "LeftPSIS": "LeftPSI LeftPSIS LeftIPS",
-    "Sacrum": "SACR Sacral VSacral Sacrum MPSI",
-    "LeftKneeLateral": "LeftKNE LeftKneeLat LeftKneeLateral LeftKNEL LeftLKNE LeftFLE LeftLFC LeftKnee",
-    "LeftKneeMedial": "LeftKNM LeftKNEM LeftKneeMed LeftKneeMedial LeftMKNE LeftFME LeftMFC",
-    "LeftAnkleLateral": "LeftANK LeftAnkleLat LeftAnkleLateral LeftANKL LeftFAL LeftLMAL LeftAnkle",
-    "LeftAnkleMedial": "LeftANKM LeftAnkleMed LeftAnkleMedial LeftMED LeftTAM LeftMMAL LeftMMA",
-    "LeftHeel": "LeftHEE LeftHeel LeftFCC",
-    "LeftToe": "LeftTOE LeftToe LeftToeTip LeftFM2 LeftMT2",
-    "LeftAcromion": "LeftSHO LeftAcromion LeftAcromium LeftACR LeftSAE LeftShoulder",
-    "LeftElbowLateral": "LeftELB LeftElbowLat LeftElbowLateral LeftELBL LeftHLE LeftLELB LeftElbow",
-    "LeftElbowMedial": "LeftELBM LeftElbowMed LeftElbowMedial LeftHME LeftMELB LeftELM",
-    "LeftWristA": "LeftWRA LeftWristLat LeftRadius LeftRSP LeftWrist LeftWRI",
-    "LeftWristB": "LeftWRB LeftWristMed LeftUlna LeftUSP",
-    "LeftFingers": "LeftFIN LeftHand LeftHM2",
-    "C7": "C7 CV7 NeckBack",
-    "Clavicle": "CLAV SJN IJ SternumTop Sternum",
-    "LeftFrontHead": "LeftFHD LeftHeadFront",
+    "LeftASIS": "LeftASI LeftASIS LeftIAS LeftFWT LeftWaistFront",
+    "LeftPSIS": "LeftPSI LeftPSIS LeftIPS LeftBWT LeftWaistBack",
+    "Sacrum": "SACR Sacral VSacral Sacrum MPSI WaistBack",
+    "LeftKneeLateral": "LeftKNE LeftKneeLat LeftKneeLateral LeftKNEL LeftLKNE LeftFLE LeftLFC LeftKneeOut "
+    "LeftKnee LeftKnee1",
+    "LeftKneeMedial": "LeftKNM LeftKNEM LeftKneeMed LeftKneeMedial LeftMKNE LeftFME LeftMFC LeftKneeIn",
+    "LeftAnkleLateral": "LeftANK LeftAnkleLat LeftAnkleLateral LeftANKL LeftFAL LeftLMAL LeftAnkleOut "
+    "LeftMall LeftAnkle",
+    "LeftAnkleMedial": "LeftANKM LeftAnkleMed LeftAnkleMedial LeftMED LeftTAM LeftMMAL LeftMMA LeftAnkleIn",
+    "LeftHeel": "LeftHEE LeftHeel LeftHEL LeftFCC LeftCAL LeftHeelBack",
+    "LeftToe": "LeftTOE LeftToe LeftToeTip LeftFM2 LeftMT2 LeftForefoot2 LeftToeIn LeftMet",
+    "LeftAcromion": "LeftSHO LeftAcromion LeftAcromium LeftACR LeftSAE LeftShoulderTop LeftShould "
+    "LeftShoulder",
+    "LeftElbowLateral": "LeftELB LeftElbowLat LeftElbowLateral LeftELBL LeftHLE LeftLELB LeftLEL "
+    "LeftElbowOut LeftElbow",
+    "LeftElbowMedial": "LeftELBM LeftElbowMed LeftElbowMedial LeftHME LeftMELB LeftMEL LeftELM LeftElbowIn",
+    "LeftWristA": "LeftWRA LeftWristLat LeftRadius LeftFAradius LeftRSP LeftWristIn LeftWrist LeftWRI",
+    "LeftWristB": "LeftWRB LeftWristMed LeftUlna LeftFAulna LeftUSP LeftWristOut",
+    "LeftFingers": "LeftFIN LeftHand LeftHM2 LeftHand2 LeftHandOut",
+    "C7": "C7 CV7 NeckBack SpineTop BackTop",
+    "Clavicle": "CLAV SJN IJ SternumTop Sternum Chest",
+    "LeftFrontHead": "LeftFHD LeftHeadFront LeftHead",
     "LeftBackHead": "LeftBHD LeftHeadBack",
     "TopHead": "TopHead HeadTop TopOfHead",
     "FrontHead": "FrontHead HeadFront",
@@ -74,6 +86,23 @@ _NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
 #: Distance from a lateral marker to the centre of the joint, and from the acromion's to the shoulder's: half
 #: the width of an adult's joint and the radius of a marker, metres.
 _KNEE, _ANKLE, _ELBOW, _SHOULDER = 0.057, 0.042, 0.047, 0.05
+#: Words for joints of the legs that no marker beside a segment has.
+_LEGS = {
+    "LeftHip": "LeftHip LeftHJC LeftFEP",
+    "LeftKnee": "LeftKnee LeftKJC LeftFEO",
+    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO",
+}
+#: A side within a name: ``WaistLFront``.
+_INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
+#: Shares of the stature [Winter 2009]: leg from hip to ankle, neck above the hips, head above the neck, half
+#: the width of the shoulders, upper arm and forearm.
+_LEG, _TRUNK, _HEAD, _HALF_WIDTH, _UPPER_ARM, _FOREARM = 0.491, 0.30, 0.10, 0.11, 0.186, 0.146
+#: Arms that hang lean outwards by this angle.
+_HANGING = np.radians(10.0)
+#: Most degrees between the mean direction of legs and an axis of the file, which is up.
+_MOST_LEAN = 35.0
+#: Degrees by which the way from the neck to a point of the head leans forwards in a person who looks ahead.
+_HEAD_LEAN = {"Nose": 37.0, "Ear": 10.0}
 #: Least share of frames in which a point is seen to be used.
 _LEAST_SEEN = 0.5
 #: Hierarchy of the joints, and direction of each from its parent in the rest pose: y up, facing +z.
@@ -134,18 +163,33 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
             path=path,
         )
     points, frames = _filled(file, found, chosen)
-    joints = _joint_centres(points) if chosen.kind == "markers" else _known_joints(points)
-    return _motion(file, joints, _frame_time(file, found, frames))
+    pelvis = None
+    if chosen.kind == "markers":
+        joints, pelvis = _joint_centres(points)
+    else:
+        joints = _known_joints(points)
+    if chosen.held:
+        joints = _hold(file, joints, chosen.held)
+    return _motion(file, joints, pelvis, _frame_time(file, found, frames))
 
 
 @dataclass(frozen=True)
 class _Marks:
-    """Points of a person: labels, kind (``joints`` or ``markers``), landmark -> number, what is missing."""
+    """Points of a person.
+
+    Attributes:
+        labels: Labels of the file.
+        kind: ``joints`` or ``markers``.
+        numbers: Landmark -> number of its point.
+        missing: Landmarks that a person needs.
+        held: Parts without points, which are held at rest.
+    """
 
     labels: tuple[str, ...]
     kind: str
     numbers: Mapping[str, int]
     missing: tuple[str, ...]
+    held: tuple[str, ...] = ()
 
 
 def _people(labels: Sequence[str]) -> dict[str, _Marks]:
@@ -161,25 +205,42 @@ def _people(labels: Sequence[str]) -> dict[str, _Marks]:
 
 def _marks(labels: Sequence[str], numbers: Sequence[int]) -> _Marks:
     # a letter is a side only if the other side is there: so that one missing point is no reason, it is added
-    keys = loose_keys((*labels, *_other_sides(labels)))[: len(labels)]
+    spelt = [_INNER_SIDE.sub(r"\2\1", label) for label in labels]
+    keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
     by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal ones the first
     markers, joints = _named(_MARKERS, by_key), _named(_JOINTS, by_key)
+    held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
+    held_joints = _held(joints, ("Shoulder", "Elbow", "Ankle"))
+    if len(_named(_LEGS, by_key)) < 6:
+        held_joints = ()
 
-    def missing(found: Mapping[str, int], parts: Sequence[str]) -> list[str]:
+    def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
+        parts = parts[: len(parts) - len(held)]  # from below
         return [side + part for part in parts for side in _SIDES if side + part not in found]
 
-    lacking_markers = missing(markers, _NEEDED_MARKERS)
+    lacking_markers = missing(markers, _NEEDED_MARKERS, held_markers)
     if "Sacrum" not in markers and not {"LeftPSIS", "RightPSIS"} <= markers.keys():
         lacking_markers.append("Sacrum or both PSIS")
-    lacking_joints = missing(joints, _NEEDED)
+    lacking_joints = missing(joints, _NEEDED, held_joints)
     # joints that the file itself has computed come first; markers of the pelvis tell which kind it is
     has_pelvis = {"LeftASIS", "RightASIS"} <= markers.keys()
     centres = any(key.endswith("hjc") for key in by_key)
     if not lacking_joints and (centres or not has_pelvis):
-        return _Marks(tuple(labels), "joints", joints, ())
+        return _Marks(tuple(labels), "joints", joints, (), held_joints)
     if has_pelvis or len(lacking_markers) < len(lacking_joints):
-        return _Marks(tuple(labels), "markers", markers, tuple(lacking_markers))
-    return _Marks(tuple(labels), "joints", joints, tuple(lacking_joints))
+        return _Marks(tuple(labels), "markers", markers, tuple(lacking_markers), held_markers)
+    return _Marks(tuple(labels), "joints", joints, tuple(lacking_joints), held_joints)
+
+
+def _held(found: Mapping[str, int], parts: tuple[str, str, str]) -> tuple[str, ...]:
+    """Parts of the upper body that a file of legs has left out on both sides, from below.
+
+    ``parts``: names of shoulder, elbow and ankle.
+    """
+    shoulder, elbow, ankle = (sum(side + part in found for side in _SIDES) for part in parts)
+    if ankle < 2 or elbow or shoulder == 1:
+        return ()
+    return ("the arms",) if shoulder else ("trunk, head", "arms")
 
 
 def _other_sides(labels: Sequence[str]) -> list[str]:
@@ -211,6 +272,8 @@ def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Arra
     """Points (F, 3) of the landmarks without gaps, and the numbers (F) of their frames."""
     raw: dict[str, Array] = {}
     needed = _NEEDED_MARKERS if marks.kind == "markers" else _NEEDED
+    if marks.held:
+        needed = (*needed, "AnkleLateral", "Ankle")
     seldom = []
     for landmark, number in marks.numbers.items():
         points = file.points[:, number]
@@ -274,17 +337,66 @@ def _known_joints(points: Points) -> dict[str, Array]:
     """Joints of a file of joints; hips, neck and head from their neighbours where they lack."""
     joints = {name: place for name, place in points.items() if name in _ALL_JOINTS}
     joints.setdefault("Hips", _middle(points, "Hip"))
+    if not {"LeftShoulder", "RightShoulder"} <= joints.keys():
+        return joints
     joints.setdefault("Neck", _middle(points, "Shoulder"))
     if "Head" not in joints:
-        if {"LeftEar", "RightEar"} <= points.keys():
-            joints["Head"] = _middle(points, "Ear")
-        elif "Nose" in points:
-            joints["Head"] = points["Nose"]
+        kind = "Ear" if {"LeftEar", "RightEar"} <= points.keys() else "Nose" if "Nose" in points else None
+        if kind is not None:
+            place = _middle(points, kind) if kind == "Ear" else points[kind]
+            across = joints["LeftShoulder"] - joints["RightShoulder"]
+            joints["Head"] = joints["Neck"] + _raised(place - joints["Neck"], across, _HEAD_LEAN[kind])
     return joints
 
 
-def _joint_centres(points: Points) -> dict[str, Array]:
-    """Joints (F, 3) of markers on the skin."""
+def _raised(vectors: Array, left: Array, degrees: float) -> Array:
+    """Vectors (F, 3) that are turned backwards about the direction to the left (F, 3)."""
+    axes = unit_vectors(perpendicular(left, unit_vectors(vectors)))
+    return rotate(rotation_vector_to_matrix(-np.radians(degrees) * axes), vectors)
+
+
+def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[str, Array]:
+    """Joints with a trunk that stands upright over the hips and arms that hang down, as ``held`` says."""
+    links = [
+        float(np.median(np.linalg.norm(joints[side + above] - joints[side + below], axis=1)))
+        for side in _SIDES
+        for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
+    ]
+    stature, out = sum(links) / 2 / _LEG, dict(joints)
+    if len(held) > 1:
+        up = _up_of_legs(path, joints)
+        left = unit_vectors(perpendicular(joints["LeftHip"] - joints["RightHip"], up))
+        out["Neck"] = joints["Hips"] + _TRUNK * stature * up
+        out["Head"] = out["Neck"] + _HEAD * stature * up
+        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+            out[f"{side}Shoulder"] = out["Neck"] + sign * _HALF_WIDTH * stature * left
+    down = unit_vectors(out["Hips"] - out["Neck"])
+    across = unit_vectors(perpendicular(out["LeftShoulder"] - out["RightShoulder"], down))
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        arm = np.cos(_HANGING) * down + sign * np.sin(_HANGING) * across
+        out[f"{side}Elbow"] = out[f"{side}Shoulder"] + _UPPER_ARM * stature * arm
+        out[f"{side}Wrist"] = out[f"{side}Elbow"] + _FOREARM * stature * arm
+    warn_about(path, f"there are no points of {' and '.join(held)}: held at rest")
+    return out
+
+
+def _up_of_legs(path: Path, joints: Points) -> Array:
+    """Axis (3,) of the file along which people stand: along their legs."""
+    legs = (joints["Hips"] - _middle(joints, "Ankle")).mean(axis=0)
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(legs))] = np.sign(legs[np.argmax(np.abs(legs))])
+    lean = float(np.degrees(np.arccos(np.clip(axis @ legs / max(float(np.linalg.norm(legs)), 1e-9), -1, 1))))
+    if lean > _MOST_LEAN:
+        raise MotionError(
+            f"no points of the trunk, and the legs do not show where up is: they lean by {lean:.0f} degrees "
+            "from the nearest axis",
+            path=path,
+        )
+    return axis
+
+
+def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
+    """Joints (F, 3) of markers on the skin, and axes (F, 3, 3) of the pelvis: left, up, forward."""
     front = _middle(points, "ASIS")
     back = points["Sacrum"] if "Sacrum" in points else _middle(points, "PSIS")
     left = unit_vectors(points["LeftASIS"] - points["RightASIS"])
@@ -293,7 +405,8 @@ def _joint_centres(points: Points) -> dict[str, Array]:
     width = float(np.median(np.linalg.norm(points["LeftASIS"] - points["RightASIS"], axis=1)))
     depth = float(np.median(np.linalg.norm(front - back, axis=1)))
     centre = front + forward * (-0.24 * depth - 0.0099) + up * (-0.30 * width - 0.0109)
-    shoulders = _middle(points, "Acromion")
+    has_trunk = {"LeftAcromion", "RightAcromion"} <= points.keys()
+    shoulders = _middle(points, "Acromion") if has_trunk else centre + up
     trunk = unit_vectors(shoulders - centre)
     joints = {"Hips": centre}
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
@@ -313,9 +426,11 @@ def _joint_centres(points: Points) -> dict[str, Array]:
             joints[f"{side}Ankle"] = ankle
             if toe is not None:
                 joints[f"{side}Toe"] = toe
-        acromion = points[f"{side}Acromion"]
-        shoulder = joints[f"{side}Shoulder"] = acromion - _SHOULDER * trunk
-        lateral = points[f"{side}ElbowLateral"]
+        if not has_trunk:
+            continue
+        shoulder = joints[f"{side}Shoulder"] = points[f"{side}Acromion"] - _SHOULDER * trunk
+        if (lateral := at("ElbowLateral")) is None:
+            continue
         wrist, other = at("WristA"), at("WristB")
         if wrist is not None and other is not None:
             wrist = (wrist + other) / 2
@@ -331,12 +446,17 @@ def _joint_centres(points: Points) -> dict[str, Array]:
             joints[f"{side}Wrist"] = wrist
             if (fingers := at("Fingers")) is not None:
                 joints[f"{side}Fingers"] = fingers
+    axes = np.stack([left, up, forward], axis=-1)
+    if not has_trunk:
+        return joints, axes
     neck = [points[name] for name in ("C7", "Clavicle") if name in points]
     joints["Neck"] = np.mean(neck, axis=0) if len(neck) == 2 else shoulders
     head = [points[name] for name in _HEAD_MARKERS if name in points]
     if len(head) >= 2:
         joints["Head"] = np.mean(head, axis=0)
-    return joints
+    elif "TopHead" in points:
+        joints["Head"] = points["TopHead"]
+    return joints, axes
 
 
 def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, distance: float) -> Array:
@@ -369,8 +489,11 @@ _HEAD_MARKERS = (
 _ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in _SIDES}
 
 
-def _motion(path: Path, joints: dict[str, Array], frame_time: float) -> Motion:
-    """Motion of joints (F, 3) with the rest pose of :data:`_TREE`."""
+def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
+    """Motion of joints (F, 3) with the rest pose of :data:`_TREE`.
+
+    ``pelvis``: axes (F, 3, 3) of the pelvis by its markers: left, up, forward; None if it has none.
+    """
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
     names, parents, offsets = [], [], []
     trunk = joints["Neck"] - joints["Hips"]
@@ -378,6 +501,8 @@ def _motion(path: Path, joints: dict[str, Array], frame_time: float) -> Motion:
         "Hips": _axes(joints["LeftHip"] - joints["RightHip"], trunk),
         "Chest": _axes(joints["LeftShoulder"] - joints["RightShoulder"], trunk),
     }
+    if pelvis is not None:
+        own["Hips"] = pelvis @ _standing_tilt(joints, pelvis)
     if "Head" in joints:
         above = joints["Head"] - joints["Neck"]
         own["Neck"] = own["Head"] = _axes(joints["LeftShoulder"] - joints["RightShoulder"], above)
@@ -429,6 +554,19 @@ def _motion(path: Path, joints: dict[str, Array], frame_time: float) -> Motion:
         path=str(path),
         unit=1.0,
     )
+
+
+def _standing_tilt(joints: Points, pelvis: Array) -> Array:
+    """Rotation (3, 3) from the axes of the pelvis to the trunk of a person who stands.
+
+    It is the median over the quarter of the frames in which trunk and thighs are straightest.
+    """
+    trunk = unit_vectors(joints["Neck"] - joints["Hips"])
+    thighs = unit_vectors(_middle(joints, "Hip") - _middle(joints, "Knee"))
+    straight = (trunk * thighs).sum(axis=1)
+    local = rotate(np.swapaxes(pelvis, -1, -2), trunk)[straight >= np.quantile(straight, 0.75)]
+    angle = float(np.median(np.arctan2(local[:, 2], local[:, 1])))
+    return rotation_vector_to_matrix(np.array([angle, 0.0, 0.0]))
 
 
 def _axes(left: Array, up: Array) -> Array:

@@ -1,12 +1,14 @@
 """Poses of SMPL, SMPL+H and SMPL-X in NumPy archives, as of AMASS [Loper 2015, Mahmood 2019].
 
-A file has rotations, not the body: the joints have the places of a mean person (docs/motion.md).
+A file has rotations, not the body: the joints have the places of a mean person, whose size follows from the
+steps (docs/motion.md).
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,12 @@ _RATE = 30.0
 _MAX_ROTATIONS, _LARGEST = 20_000_000, 1e4
 #: Most frames that are repaired, as a share of all.
 _MOST_WRONG = 0.01
+#: Steps show the size of a person who walks this far (metres), faster than this (metres per second); the foot
+#: on the floor may slide by this share of the speed. Sizes are multiples of the mean person's.
+_LEAST_WAY, _LEAST_SPEED, _MOST_SLIDING = 1.0, 0.3, 0.25
+_SIZES = (0.6, 1.45)
+#: Stature of the mean person below, metres.
+_STATURE = 1.7
 #: Betas that a warning shows: the first ones matter most.
 _SHOWN_BETAS = 10
 
@@ -90,14 +98,14 @@ def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
 
     ``poses`` (F, 3 J), or their parts such as ``root_orient``, ``pose_body`` and ``pose_hand``; ``trans``
     (F, 3); ``mocap_frame_rate``. The shape of the person (``betas``) is not used, which a warning says, nor
-    is ``gender``. Single frames that are not finite are filled from their neighbours, with a warning.
+    is ``gender``; the stature follows from the steps of a person who walks. Single frames that are not finite
+    are filled from their neighbours, with a warning.
 
     Raises:
         MotionError: The file has no poses, or arrays of the wrong size; with file and array.
     """
     arrays = read_npz(path, MotionError, "SMPL motion", _KNOWN)
     poses = _poses(Path(path), arrays)
-    _warn_of_shape(path, arrays.get("betas"))
     names = SMPL_MODELS[len(poses[0])]
     frames = len(poses)
     places = next((arrays[name] for name in _PLACES if name in arrays), None)
@@ -113,7 +121,7 @@ def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
     number = {joint: place for place, joint in enumerate(order)}
     above = [number[parents[joint]] if parents[joint] >= 0 else -1 for joint in order]
     head = number[names.index("head")]
-    return motion_of_rotations(
+    motion = motion_of_rotations(
         [*(names[joint] for joint in order), "head_end"],
         np.array([*above, head], dtype=np.intp),
         np.array([*offsets[order], _HEAD_TOP]),
@@ -123,14 +131,48 @@ def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
         path=os.fspath(path),
         unit=1.0,
     )
+    betas = arrays.get("betas")
+    if betas is not None and (betas.dtype.kind not in "fiu" or not np.any(betas)):
+        return motion  # the mean person
+    size = _size_of_steps(motion)
+    if betas is not None:
+        _warn_of_shape(path, betas, size)
+    return motion if size is None else replace(motion, offsets=size * motion.offsets)
 
 
-def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any] | None) -> None:
-    if betas is None or betas.dtype.kind not in "fiu" or not np.any(betas):
-        return
+def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any], size: float | None) -> None:
     numbers = ", ".join(f"{value:.3g}" for value in betas.ravel()[:_SHOWN_BETAS])
-    text = "the shape of this person is not used: the motion moves any body. A human of an SMPL model gets it"
-    warn_about(path, f"betas: {text} with betas: [{numbers}] in its description (docs/humans.md)")
+    stature = (
+        f"a stature of {_STATURE:.2f} m is assumed"
+        if size is None
+        else f"the stature, {size * _STATURE:.2f} m, follows from the steps"
+    )
+    text = f"the shape of this person is not used, {stature}: the motion moves any body. A human of an SMPL"
+    warn_about(path, f"betas: {text} model gets it with betas: [{numbers}] in its description (docs/humans.md)")
+
+
+def _size_of_steps(motion: Motion) -> float | None:
+    """Size of the person, as a multiple of the mean one, with which the foot on the floor stays in place.
+
+    None if the person walks too little, or the feet slide.
+    """
+    places = motion.world_positions()
+    root = places[:, 0]
+    feet = places[:, [motion.joint("left_foot"), motion.joint("right_foot")]] - root[:, None]
+    forward = np.diff(root, axis=0) / motion.frame_time
+    back = np.diff(feet, axis=0) / motion.frame_time  # (F - 1, 2, 3)
+    speed = np.linalg.norm(forward, axis=1)
+    walks = speed > _LEAST_SPEED
+    if speed[walks].sum() * motion.frame_time < _LEAST_WAY:
+        return None
+    forward, back = forward[walks], back[walks]
+    size = 1.0
+    for _ in range(10):
+        slides = np.linalg.norm(forward[:, None] + size * back, axis=-1)
+        standing = back[np.arange(len(back)), slides.argmin(axis=1)]
+        size = float(-(forward * standing).sum() / max(float((standing**2).sum()), 1e-12))
+    sliding = float(np.median(slides.min(axis=1) / speed[walks]))
+    return size if sliding <= _MOST_SLIDING and _SIZES[0] <= size <= _SIZES[1] else None
 
 
 def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:

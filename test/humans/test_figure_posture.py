@@ -18,6 +18,7 @@ from humansim_ros.humans.figure import to_body_space
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import Mesh, SkinnedMesh, padded
 from humansim_ros.motion.info import to_world
+from humansim_ros.motion.joint_matching import match_names
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import WorldMotion
 
@@ -53,8 +54,8 @@ def limbs(names: Mapping[str, str], chest: str, hips: str, shoulder: float = 1.4
 
 
 def spelled(name: str, side: str) -> str:
-    """A name with a side: ``%s`` is l or r, ``%side`` left or right, ``%Side`` Left or Right."""
-    for mark, text in (("%Side", side.title()), ("%side", side), ("%s", side[0])):
+    """A name with a side: ``%s`` l or r, ``%S`` L or R, ``%side`` left or right, ``%Side`` Left or Right."""
+    for mark, text in (("%Side", side.title()), ("%side", side), ("%s", side[0]), ("%S", side[0].upper())):
         name = name.replace(mark, text)
     return name
 
@@ -190,6 +191,115 @@ RIGS: dict[str, Rig] = {
         **limbs(BIOVISION, "Chest", "Hips"),
     },
 }
+
+
+def family(trunk: str, names: str, *more: Rig, above: str = "", arms_at: str = "") -> Rig:
+    """Rig of a program: bones of trunk and head from below, and of the left limbs in the order of MIXAMO.
+
+    ``above``: roots over the hips. ``arms_at``: bone that has the arms; the chest if empty.
+    """
+    rig: Rig = {}
+    parent = ""
+    for name in above.split():
+        rig[name], parent = (parent, (0.0, 0.0, 0.0)), name
+    bones = trunk.split()
+    heights = [0.97, *np.linspace(1.08, 1.32, len(bones) - 3).tolist(), 1.48, 1.58]
+    for name, height in zip(bones, heights, strict=True):
+        rig[name], parent = (parent, (0.0, height, -0.035 if height == 1.48 else 0.0)), name
+    spelling = {role: name for role, name in zip(MIXAMO, names.split(), strict=True) if name != "-"}
+    rig |= limbs(spelling, arms_at or bones[-3], bones[0])
+    return {name: place for part in (rig, *more) for name, place in part.items()}
+
+
+#: Rigs whose names have tables of their own.
+FAMILIES = {
+    "unreal": family(
+        "pelvis spine_01 spine_02 spine_03 spine_04 spine_05 neck_01 head",
+        "clavicle_%s upperarm_%s lowerarm_%s hand_%s thigh_%s calf_%s foot_%s ball_%s",
+        {"upperarm_twist_01_l": ("upperarm_l", (0.3, 1.43, -0.03)), "ik_foot_l": ("root", (0.09, 0.09, 0))},
+        {"FACIAL_C_FacialRoot": ("head", (0, 1.6, 0.02)), "FACIAL_L_Eye": ("head", (0.03, 1.66, 0.08))},
+        above="root",
+    ),
+    "unity": family(
+        "J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Neck J_Bip_C_Head",
+        "J_Bip_%S_Shoulder J_Bip_%S_UpperArm J_Bip_%S_LowerArm J_Bip_%S_Hand "
+        "J_Bip_%S_UpperLeg J_Bip_%S_LowerLeg J_Bip_%S_Foot J_Bip_%S_ToeBase",
+        {
+            "J_Sec_Hair1_01": ("J_Bip_C_Head", (0, 1.7, -0.1)),
+            "J_Sec_Hair1_02": ("J_Sec_Hair1_01", (0, 1, -0.1)),
+        },
+        above="Root",
+    ),
+    "rigify": family(
+        "DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.006",
+        "DEF-shoulder.%S DEF-upper_arm.%S DEF-forearm.%S DEF-hand.%S "
+        "DEF-thigh.%S DEF-shin.%S DEF-foot.%S DEF-toe.%S",
+        {"DEF-breast.L": ("DEF-spine.003", (0.1, 1.3, 0.1)), "DEF-pelvis.L": ("DEF-spine", (0.05, 1.0, 0.1))},
+    ),
+    "daz": family(
+        "pelvis abdomenLower abdomenUpper chestLower chestUpper neckLower head",
+        "%sCollar %sShldrBend %sForearmBend %sHand %sThighBend %sShin %sFoot %sToe",
+        {"upperFaceRig": ("head", (0, 1.68, 0.05)), "lBrowInner": ("upperFaceRig", (0.01, 1.7, 0.09))},
+        above="Genesis8Male hip",
+    ),
+    "reallusion": family(
+        "CC_Base_Hip CC_Base_Waist CC_Base_Spine01 CC_Base_Spine02 CC_Base_NeckTwist01 CC_Base_Head",
+        "CC_Base_%S_Clavicle CC_Base_%S_Upperarm CC_Base_%S_Forearm CC_Base_%S_Hand "
+        "CC_Base_%S_Thigh CC_Base_%S_Calf CC_Base_%S_Foot CC_Base_%S_ToeBase",
+        {
+            "CC_Base_JawRoot": ("CC_Base_Head", (0, 1.61, 0.03)),
+            "CC_Base_L_Eye": ("CC_Base_Head", (0.03, 1.66, 0)),
+        },
+        above="RL_BoneRoot",
+    ),
+    "biped": family(
+        "Bip01_Pelvis Bip01_Spine Bip01_Spine1 Bip01_Spine2 Bip01_Neck Bip01_Head",
+        "Bip01_%S_Clavicle Bip01_%S_UpperArm Bip01_%S_Forearm Bip01_%S_Hand "
+        "Bip01_%S_Thigh Bip01_%S_Calf Bip01_%S_Foot Bip01_%S_Toe0",
+        {"Bip01_Ponytail1": ("Bip01_Head", (0, 1.7, -0.12))},
+        above="Bip01",
+        arms_at="Bip01_Neck",
+    ),
+    "advanced_skeleton": family(
+        "Root_M Spine1_M Chest_M Neck_M Head_M",
+        "Scapula_%S Shoulder_%S Elbow_%S Wrist_%S Hip_%S Knee_%S Ankle_%S Toes_%S",
+        {"HeadEnd_M": ("Head_M", (0, 1.8, 0)), "Eye_L": ("Head_M", (0.03, 1.66, 0.08))},
+    ),
+    "arkit": family(
+        "hips_joint spine_1_joint spine_2_joint spine_7_joint neck_1_joint head_joint",
+        "%side_shoulder_1_joint %side_arm_joint %side_forearm_joint %side_hand_joint "
+        "%side_upLeg_joint %side_leg_joint %side_foot_joint %side_toes_joint",
+        {"jaw_joint": ("head_joint", (0, 1.6, 0.05))},
+        above="root",
+    ),
+    "second_life": family(
+        "mPelvis mTorso mChest mNeck mHead",
+        "mCollar%Side mShoulder%Side mElbow%Side mWrist%Side mHip%Side mKnee%Side mAnkle%Side mFoot%Side",
+        {"mSkull": ("mHead", (0, 1.75, 0)), "mEyeLeft": ("mHead", (0.03, 1.66, 0.08))},
+    ),
+    "mmd": family(
+        "下半身 上半身 上半身2 首 頭",
+        "肩.%S 腕.%S ひじ.%S 手首.%S 足.%S ひざ.%S 足首.%S つま先.%S",
+        {"両目": ("頭", (0, 1.75, 0)), "足IK.L": ("センター", (0.09, 0.09, 0))},
+        above="センター",
+    ),
+    # feet are children of the root, moved by inverse kinematics
+    "quaternius": family(
+        "Hips Abdomen Torso Neck Head",
+        "Shoulder.%S UpperArm.%S LowerArm.%S Palm.%S UpperLeg.%S LowerLeg.%S - -",
+        *(
+            {
+                f"LowerLeg.{side}_end": (f"LowerLeg.{side}", (sign * 0.09, 0.09, -0.03)),
+                f"Foot.{side}": ("Bone", (sign * 0.09, 0.09, -0.03)),
+                f"Foot.{side}_end": (f"Foot.{side}", (sign * 0.09, 0.02, 0.1)),
+                f"PoleTarget.{side}": ("Bone", (sign * 0.09, 0.5, 0.6)),
+            }
+            for side, sign in (("L", 1), ("R", -1))
+        ),
+        above="Bone",
+    ),
+}
+RIGS |= FAMILIES
 # names that no table has: matched by the shape of the skeleton
 RIGS["numbers"] = {
     f"joint_{number}": (f"joint_{list(RIGS['eyes']).index(parent)}" if parent else "", at)
@@ -242,7 +352,8 @@ def figure(name: str, rest: str) -> SkinnedMesh:
 
 def head_of(names: tuple[str, ...]) -> int:
     """Joint of the head: `joint_5` where joints have numbers."""
-    return next(n for n, name in enumerate(names) if name.lower().endswith(("head", "joint_5")))
+    ends = ("head", "joint_5", "head_m", "head_joint", "spine.006", "頭")
+    return next(n for n, name in enumerate(names) if name.lower().endswith(ends))
 
 
 def turn_of(
@@ -289,6 +400,30 @@ def tilts(skinned: SkinnedMesh) -> dict[str, Array]:
 def test_chest_and_head_of_any_rig_look_forward_as_at_rest(rig: str, rest: str) -> None:
     for bone, degrees in tilts(figure(rig, rest)).items():
         assert np.abs(degrees).max() < MOST, bone
+
+
+@pytest.mark.parametrize("rig", FAMILIES)
+def test_rigs_of_programs_match_their_own_table(rig: str) -> None:
+    skinned = figure(rig, "T")
+    match = match_names(skinned.joint_names, parents=skinned.parents)
+    assert match.table == rig
+    leg = FAMILIES[rig]
+    below = {"LeftKnee": "LeftHip", "RightElbow": "RightShoulder"}
+    for lower, upper in below.items():
+        names = [skinned.joint_names[match.roles[role]] for role in (lower, upper)]
+        assert leg[names[0]][0] == names[1]
+
+
+def test_feet_that_are_children_of_the_root_follow_the_shins() -> None:
+    skinned = figure("quaternius", "T")
+    _, skeleton, weights = to_body_space(skinned)
+    poses = to_world(read_motion("walk")).sample(np.linspace(0.0, 1.0, 9))
+    posed = Retargeter.fit(to_world(read_motion("walk")), skeleton).pose(poses)
+    ankle, knee = (skeleton.bone(name) for name in ("l_ankle", "l_knee"))
+    shins = np.linalg.norm(posed[:, ankle, :3, 3] - posed[:, knee, :3, 3], axis=1)
+    assert np.ptp(posed[:, ankle, 0, 3]) > 0.3  # a step
+    np.testing.assert_allclose(shins, 0.41, atol=0.01)
+    assert weights[:, ankle].nnz > 0
 
 
 @pytest.mark.parametrize("name", if_shared("rpm_6505ad3b.glb", "CesiumMan.glb", "RiggedFigure.gltf"))

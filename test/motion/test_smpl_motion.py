@@ -150,6 +150,23 @@ def test_a_shape_that_is_not_used_is_told_with_its_numbers(tmp_path: Path) -> No
     np.testing.assert_array_equal(shaped.world_positions(), mean.world_positions())
 
 
+@pytest.mark.parametrize("size", [0.85, 1.0, 1.15])
+def test_the_stature_follows_from_the_steps(tmp_path: Path, size: float) -> None:
+    turns = walk(240, heading=30)
+    vectors = smpl_poses(stand_in(ROLES), turns, SMPL_MODELS[24])
+    still = read_motion(amass(tmp_path, poses=vectors, trans=np.zeros((240, 3)))).world_positions()
+    names = read_motion(tmp_path / "walk_poses.npz").joint_names
+    feet = size * still[:, [names.index("left_foot"), names.index("right_foot")]]
+    # the lower foot stays where it is: the root moves against it
+    lower = feet[:, :, 2].argmin(axis=1)[:-1]
+    steps = -np.diff(feet, axis=0)[np.arange(239), lower]
+    trans = np.concatenate([np.zeros((1, 3)), steps.cumsum(axis=0)])
+    with pytest.warns(HumansimWarning, match=r"the stature, \d\.\d\d m, follows from the steps"):
+        motion = read_motion(amass(tmp_path, poses=vectors, trans=trans, betas=np.ones(10)))
+    shin = np.linalg.norm(motion.offsets[motion.joint("left_ankle")])
+    assert shin == pytest.approx(size * np.linalg.norm([0.4, 0.03]), rel=0.01)
+
+
 def test_single_frames_that_are_not_finite_are_filled(tmp_path: Path) -> None:
     long = np.repeat(poses(), 20, axis=0)
     long[7, 3] = np.nan

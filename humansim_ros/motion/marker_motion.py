@@ -271,9 +271,9 @@ def _named(table: Mapping[str, str], by_key: Mapping[str, int]) -> dict[str, int
 def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Array], Indices]:
     """Points (F, 3) of the landmarks without gaps, and the numbers (F) of their frames."""
     raw: dict[str, Array] = {}
-    needed = _NEEDED_MARKERS if marks.kind == "markers" else _NEEDED
+    needed = {*(_NEEDED_MARKERS if marks.kind == "markers" else _NEEDED)}
     if marks.held:
-        needed = (*needed, "AnkleLateral", "Ankle")
+        needed |= {"AnkleLateral", "Ankle"}
     seldom = []
     for landmark, number in marks.numbers.items():
         points = file.points[:, number]

@@ -147,8 +147,9 @@ def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any], size: floa
         if size is None
         else f"the stature, {size * _STATURE:.2f} m, follows from the steps"
     )
-    text = f"the shape of this person is not used, {stature}: the motion moves any body. A human of an SMPL"
-    warn_about(path, f"betas: {text} model gets it with betas: [{numbers}] in its description (docs/humans.md)")
+    text = f"the shape of this person is not used, {stature}: the motion moves any body."
+    text += f" A human of an SMPL model gets it with betas: [{numbers}] in its description (docs/humans.md)"
+    warn_about(path, f"betas: {text}")
 
 
 def _size_of_steps(motion: Motion) -> float | None:

@@ -727,28 +727,35 @@ cameras:
 FRAMES = 60
 
 
-def recorder_pid(mark: str) -> int | None:
-    """Process id of the recorder whose environment has a variable."""
+def node_pid(name: str, mark: str) -> int | None:
+    """Process id of a node whose environment has a variable."""
     for entry in Path("/proc").iterdir():
         try:
-            if (entry / "comm").read_text().strip() == "recorder" and mark in (entry / "environ").read_text():
+            if (entry / "comm").read_text().strip() == name and mark in (entry / "environ").read_text():
                 return int(entry.name)
         except (OSError, ValueError, UnicodeDecodeError):
             continue
     return None
 
 
+def written(bag: Path) -> int:
+    """Bytes of the files of a bag."""
+    return sum(path.stat().st_size for path in bag.glob("*.mcap"))
+
+
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_a_run_in_lockstep_records_every_frame_although_the_recorder_is_killed(
-    ros: None, tmp_path: Path
+@pytest.mark.parametrize("victim", ["recorder", "right"])
+def test_a_run_in_lockstep_records_every_frame_although_a_node_is_killed_and_slow_to_start(
+    ros: None, tmp_path: Path, victim: str
 ) -> None:
+    """The new process is stopped for three time-outs, as if the machine were too busy to start it."""
     scene, bag, output = write_scene(tmp_path, SCENE), tmp_path / "bag", tmp_path / "output.txt"
-    mark = f"HUMANSIM_TEST_MARK={tmp_path}"
+    mark, timeout = f"HUMANSIM_TEST_MARK={tmp_path}", 1.0
     command = [sys.executable, "-m", "humansim_ros", "run", str(scene), "--lockstep", "--frames", str(FRAMES)]
     with output.open("wb") as file:
         run = subprocess.Popen(
-            [*command, "--record", str(bag)],
+            [*command, "--record", str(bag), "--jobs", "2", "--timeout", str(timeout), "--pace", "10"],
             cwd=ROOT,
             stdout=file,
             stderr=subprocess.STDOUT,
@@ -756,15 +763,22 @@ def test_a_run_in_lockstep_records_every_frame_although_the_recorder_is_killed(
         )
     try:
         for size in (200_000, 900_000):
-            assert wait_until(lambda size=size: sum(p.stat().st_size for p in bag.glob("*.mcap")) > size)
-            killed = recorder_pid(mark)
+            assert wait_until(lambda size=size: run.poll() is not None or written(bag) > size)
+            assert run.poll() is None, output.read_text()
+            killed = node_pid(victim, mark)
             assert killed is not None
             os.kill(killed, signal.SIGKILL)
-            assert wait_until(lambda killed=killed: recorder_pid(mark) not in (killed, None))
+            assert wait_until(lambda killed=killed: node_pid(victim, mark) not in (killed, None))
+            started = node_pid(victim, mark)
+            assert started is not None
+            os.kill(started, signal.SIGSTOP)
+            time.sleep(3 * timeout)
+            os.kill(started, signal.SIGCONT)
         assert run.wait(PATIENCE) == 0, output.read_text()
     finally:
         run.terminate()
         run.wait(PATIENCE)
+    assert output.read_text().count("started again") == 2
     found: dict[str, list[int]] = {}
     with Reader(bag) as reader:
         for connection, stamp, _ in reader.messages():

@@ -33,7 +33,7 @@ _REST = 0.7
 _AFTER_END = 0.3
 #: Seconds between two looks at the subscribers of images.
 _LOOK_EVERY = 0.5
-#: A part of this number of the frames of a case is for the tracker to warm up, and has no scores.
+#: Frames of a case in which the tracker warms up, which have no scores; of a short case, a third.
 _WARM_UP = 8
 
 
@@ -272,8 +272,8 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
         if not (np.abs(own - stamp) <= half).any():
             stream.add(PoseFrame(stamp, "map", ()), "", 0)
     estimate = stream.sequence()
-    # trackers load models and find each other in the first frames: a frame that is lost there is no fault
-    kept = stamps[len(stamps) // _WARM_UP :]
+    # trackers load models, find the topics and confirm people in the first frames: not in every run alike
+    kept = stamps[min(_WARM_UP, len(stamps) // 3) :]
     estimate = estimate.since(int(kept[0]) - half)
     points = (
         keypoint_set(order.options.keypoints) if order.options.keypoints else set_of_names(estimate.names)

@@ -191,7 +191,7 @@ def run_case(order: CaseOrder) -> dict[str, Any]:
         start = time.monotonic()
         most = MAX_MESSAGES + MAX_MESSAGES_PER_FRAME * order.frames
         end = order.frames / scene.config.rate
-        last, next_look, sees = float("inf"), 0.0, False
+        last, ended, next_look, sees = float("inf"), float("inf"), 0.0, False
         while time.monotonic() < last and collector.messages <= most:
             executor.spin_once(0.05)
             if not sees and time.monotonic() >= next_look:
@@ -202,7 +202,10 @@ def run_case(order: CaseOrder) -> dict[str, Any]:
                 first = min(collector.sent.values(), default=time.monotonic())
                 is_over = time.monotonic() > first + end + _REST
             else:
-                is_over = nodes.has_ended and time.monotonic() > collector.last + _REST
+                if nodes.has_ended:
+                    ended = min(ended, time.monotonic())
+                # the player may have read the last message before the collector does
+                is_over = time.monotonic() > max(ended, collector.last) + _REST
                 is_over |= nodes.has_ended and len(collector.stream) >= order.frames
             if is_over:
                 break

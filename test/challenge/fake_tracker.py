@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -28,6 +29,8 @@ def main() -> None:
 
     def answer(message: MultiDOFJointState) -> None:
         message.joint_names = [f"anna/{name}" for name in message.joint_names]
+        if fault == "is slow":
+            time.sleep(1.0)
         if fault != "is silent":
             poses.publish(message)
 

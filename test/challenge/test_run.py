@@ -120,6 +120,18 @@ def test_frames_that_a_tracker_leaves_out_at_the_end_are_missed(tmp_path: Path) 
     assert result["mpjpe"] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.process
+def test_the_last_frame_of_a_slow_tracker_counts(tmp_path: Path) -> None:
+    suite = small_suite(tmp_path)
+    chosen = replace(options(f"{FAKE} --fault 'is slow'"), timeout=20.0)
+    report = open_report(suite, chosen, tmp_path / "report", False)
+    run_challenge(replace(suite, cases=suite.cases[:1]), chosen, report, tmp_path / "report", lambda *_: None)
+    assert report.baseline is not None
+    assert report.baseline.estimates == report.baseline.frames == 4
+
+
 def test_the_first_frames_of_a_case_are_for_the_warm_up(tmp_path: Path) -> None:
     case = small_suite(tmp_path).cases[0]
     scene = Scene.from_config(case.scene)

@@ -23,7 +23,7 @@ from humansim_ros.errors import ChallengeError, HumansimError, printable
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.io.files import atomic_path
 from humansim_ros.jobs.frame_job import FrameProgress
-from humansim_ros.jobs.workers import WorkerDiedError, Workers, children_of
+from humansim_ros.jobs.workers import WorkerDiedError, WorkerProcess, Workers, children_of
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.ros.transport import claim_domain, domain_environment
 
@@ -282,7 +282,7 @@ class CaseProcess:
         self.close()
 
     @property
-    def processes(self) -> list[subprocess.Popen[bytes]]:
+    def processes(self) -> list[WorkerProcess]:
         """The process, if it runs."""
         return [] if self._workers is None else self._workers.processes
 

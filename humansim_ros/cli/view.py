@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -60,13 +61,12 @@ def view(
     ] = None,
 ) -> None:
     """Show a scene, bag, ROS graph, motion, human, calibration or photographs in the browser, in 3D."""
-    try:
-        from humansim_ros.view.app import ViewApp
-    except ImportError as error:
+    if find_spec("viser") is None:
         raise HumansimError(
-            f"humansim view needs the extra 'view' ({error.name} is missing): "
-            "pip install 'humansim_ros[view]'"
-        ) from None
+            "humansim view needs the extra 'view' (viser is missing): pip install 'humansim_ros[view]'"
+        )
+    import cv2
+
     from humansim_ros.evaluate.evaluation import DEFAULT_GATE
     from humansim_ros.evaluate.live import LiveOptions
     from humansim_ros.view.inputs import TopicOptions, new_scene, open_graph, open_source
@@ -84,7 +84,14 @@ def view(
     if new:
         opened = new_scene(what or Path.cwd())
     else:
+        cv2.setNumThreads(1)  # its threads would not be copied
         opened = open_graph(topics, namespace) if ros else open_source(what, topics)
+        source = opened.source
+        # before the imports of the page, so that the images are rendered meanwhile
+        source.prepare(tuple(source.cameras), source.channels[:1], alone=True)
+        cv2.setNumThreads(-1)
+    from humansim_ros.view.app import ViewApp
+
     app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem, opened.document)
     try:
         if port not in (0, app.server.port):

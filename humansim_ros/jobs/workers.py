@@ -14,14 +14,17 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import humansim_ros
 from humansim_ros.errors import HumansimError
@@ -42,6 +45,8 @@ _SLOTS = 2
 _PROGRAM = "from humansim_ros.jobs.workers import main; main()"
 #: Seconds in which a worker ends whose socket is closed.
 _ENDING = 2.0
+#: File descriptors of a copy are below, and seconds between looks for the end of a copy.
+_MOST_DESCRIPTORS, _LOOK_EVERY = 1 << 16, 0.02
 
 
 def children_of(parent: int) -> set[int]:
@@ -60,7 +65,7 @@ class WorkerDiedError(HumansimError):
 
 
 class _Load(NamedTuple):
-    """Request to start a job, which is pickled in a slot."""
+    """Request to start a job, which is pickled in a slot; of size 0: the job that a copied process has."""
 
     slot: int
     size: int
@@ -83,8 +88,77 @@ def _positions(sizes: Sequence[int]) -> list[int]:
     return places
 
 
+class CopiedProcess:
+    """Copy of this process that runs a function, with the methods of ``subprocess.Popen`` that are used.
+
+    Args:
+        function: What it runs; then it ends.
+        environment: Its environment variables.
+        descriptors: File descriptors that it keeps, beside the standard output and error.
+    """
+
+    def __init__(
+        self, function: Callable[[], None], environment: dict[str, str], descriptors: Sequence[int]
+    ) -> None:
+        self._code: int | None = None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # threads of BLAS: it takes care of copies
+            self.pid = os.fork()
+        if self.pid:
+            return
+        code = 1
+        try:
+            os.setsid()
+            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            # the sockets of other workers too, which end when their sockets are closed
+            kept = sorted({2, *descriptors})
+            for low, high in zip(kept, [*kept[1:], _MOST_DESCRIPTORS], strict=True):
+                os.closerange(low + 1, high)
+            os.environ |= environment
+            function()
+            code = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+
+    def poll(self) -> int | None:
+        """Exit code, or the negative number of the signal that ended it; None while it runs."""
+        if self._code is None:
+            try:
+                pid, status = os.waitpid(self.pid, os.WNOHANG)
+            except ChildProcessError:
+                pid, status = self.pid, 0
+            if pid:
+                self._code = os.waitstatus_to_exitcode(status)
+        return self._code
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end; returns the exit code. Raises ``subprocess.TimeoutExpired``."""
+        end = None if timeout is None else time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if end is not None and time.monotonic() > end:
+                raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
+            time.sleep(_LOOK_EVERY)
+        return code
+
+    def kill(self) -> None:
+        """Kill it, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+
+WorkerProcess: TypeAlias = subprocess.Popen[bytes] | CopiedProcess
+
+
 class _Worker:
     """One worker process, as the process sees it that has started it.
+
+    Args:
+        number: Its number.
+        environment: Its environment variables.
+        nice: Added to its niceness.
+        copied: The job of a copy of this process; None: a new process is started.
 
     Attributes:
         connection: Socket to the process.
@@ -93,8 +167,11 @@ class _Worker:
             start of a job.
     """
 
-    def __init__(self, number: int, environment: dict[str, str], nice: int) -> None:
+    def __init__(
+        self, number: int, environment: dict[str, str], nice: int, copied: FrameJob | None = None
+    ) -> None:
         self.number = number
+        self._is_copy = copied is not None
         self.connection, other = Pipe()
         self.job: bytes | None = None
         self.asked: deque[tuple[Any, int]] = deque()
@@ -102,25 +179,34 @@ class _Worker:
         self._memory: list[mmap.mmap | None] = [None] * _SLOTS
         self._free = deque(range(_SLOTS))
         descriptors = [other.fileno(), *self._slots]
+        self.process: WorkerProcess
         try:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, str(nice), *map(str, descriptors)],
-                pass_fds=descriptors,
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is for the process that started it
-                env=environment,
-            )
+            if copied is not None:
+                work = partial(_work, nice, descriptors, copied)
+                self.process = CopiedProcess(work, environment, descriptors)
+            else:
+                self.process = subprocess.Popen(
+                    [sys.executable, "-c", _PROGRAM, str(nice), *map(str, descriptors)],
+                    pass_fds=descriptors,
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,  # Ctrl-C is for the process that started it
+                    env=environment,
+                )
         finally:
             other.close()
 
     def load(self, job: bytes) -> None:
-        """Start a job; all slots must be free. It goes through memory: a socket would have to wait."""
+        """Start a job; all slots must be free. It goes through memory: a socket would have to wait.
+
+        A copy has its first job already.
+        """
         slot = self._free.popleft()
         position = 0
-        while position < len(job):
+        size = 0 if self._is_copy and self.job is None else len(job)
+        while position < size:
             position += os.pwrite(self._slots[slot], memoryview(job)[position:], position)
         self.job = job
-        self._send(None, slot, _Load(slot, len(job)))
+        self._send(None, slot, _Load(slot, size))
 
     def ask(self, frame: Any) -> None:
         """Ask for a frame; there must be a free slot."""
@@ -187,12 +273,14 @@ class Workers:
         job: The work.
         count: Number of processes.
         nice: Added to the niceness of this process.
+        copies: Processes are copies of this one: they have its modules and the job at once. It must have no
+            other threads of its own, and must not have used OpenGL or threads of OpenCV.
 
     Attributes:
         costs: Seconds of processor time of all workers by step.
     """
 
-    def __init__(self, job: FrameJob, count: int, nice: int = 0) -> None:
+    def __init__(self, job: FrameJob, count: int, nice: int = 0, copies: bool = False) -> None:
         self.costs: dict[str, float] = {}
         self._workers: list[_Worker] = []
         sources = [str(Path(humansim_ros.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -203,7 +291,7 @@ class Workers:
         }
         try:
             for number in range(count):
-                self._workers.append(_Worker(number, environment, nice))
+                self._workers.append(_Worker(number, environment, nice, job if copies else None))
             self.use(job)
             for worker in self._workers:
                 worker.load(self._job)
@@ -212,7 +300,7 @@ class Workers:
             raise
 
     @property
-    def processes(self) -> list[subprocess.Popen[bytes]]:
+    def processes(self) -> list[WorkerProcess]:
         """The processes."""
         return [worker.process for worker in self._workers]
 
@@ -228,15 +316,28 @@ class Workers:
                 raise answer
             worker.release(slot)
 
-    def ask(self, frame: Any) -> bool:
-        """Ask a process that has nothing to do for a frame; False if there is none."""
-        for worker in self._workers:
-            if not worker.asked:
-                if worker.job is not self._job:
-                    worker.load(self._job)
-                worker.ask(frame)
-                return True
-        return False
+    def idle(self) -> list[int]:
+        """Return the numbers of the processes that have nothing to do, or only to start the present job."""
+        return [
+            worker.number
+            for worker in self._workers
+            if not worker.asked
+            or (worker.job is self._job and [frame for frame, _ in worker.asked] == [None])
+        ]
+
+    def ask(self, frame: Any, number: int | None = None) -> bool:
+        """Ask a process that has nothing to do for a frame; False if there is none.
+
+        ``number``: of the process, one of :meth:`idle`; None: any.
+        """
+        idle = self.idle()
+        if not idle:
+            return False
+        worker = self._workers[idle[0] if number is None else number]
+        if worker.job is not self._job:
+            worker.load(self._job)
+        worker.ask(frame)
+        return True
 
     def arrived(self, timeout: float | None = None) -> Iterator[tuple[Any, FrameResult | HumansimError]]:
         """Frames that have arrived, with their results or what is wrong; None for the start of a job.
@@ -393,20 +494,26 @@ class _Slot:
 
 def main() -> None:
     """Do what the other process asks for until it closes the socket, or ends."""
+    nice, *descriptors = map(int, sys.argv[1:])
+    _work(nice, descriptors)
+
+
+def _work(nice: int, descriptors: Sequence[int], job: FrameJob | None = None) -> None:
+    """Do what the other process asks for. ``descriptors``: a socket and slots. ``job``: of a copy."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)  # the other process stops its workers
-    nice, socket, *slots = map(int, sys.argv[1:])
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a copy has the handler of the other process
     os.nice(nice)
     if threads := os.environ.get("OPENCV_FOR_THREADS_NUM"):
         import cv2
 
         cv2.setNumThreads(int(threads))
+    socket, *slots = descriptors
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        _serve(Connection(socket), [_Slot(slot) for slot in slots])
+        _serve(Connection(socket), [_Slot(slot) for slot in slots], job)
 
 
-def _serve(connection: Connection, slots: list[_Slot]) -> None:
-    job: FrameJob | None = None
+def _serve(connection: Connection, slots: list[_Slot], job: FrameJob | None) -> None:
     worker: FrameWorker | None = None
     try:
         while True:
@@ -416,7 +523,8 @@ def _serve(connection: Connection, slots: list[_Slot]) -> None:
                     if worker is not None:
                         worker.close()
                     worker = None
-                    job = pickle.loads(slots[request.slot].read(request.size))
+                    if request.size:
+                        job = pickle.loads(slots[request.slot].read(request.size))
                 if worker is None:
                     assert job is not None
                     worker = job.start()

@@ -84,6 +84,7 @@ class ViewApp:
         self.shown_cameras: tuple[str, ...] = tuple(source.cameras)
         self.shown_channels: tuple[str, ...] = source.channels[:1]
         self.through: str | None = None
+        self.enlarged: tuple[str, str] | None = None
         photographs = isinstance(source, PhotoSource)
         self.player = Player(source.frames, source.period, playing=not photographs)
         self.frames_shown = 0
@@ -130,6 +131,11 @@ class ViewApp:
             except HumansimError as error:
                 self.player.playing = False
                 self._say_broken(str(error))
+            except RuntimeError as error:
+                # viser wakes its connections from this thread while one is being opened or closed
+                if "mutated during iteration" not in str(error):
+                    raise
+                self.refresh()
             due = max(due + 1 / _RATE, time.monotonic())
             self._sleep(due)
 
@@ -329,7 +335,7 @@ class ViewApp:
         start.look_at = (0.0, 0.0, 0.8)
 
     def _show_next(self) -> None:
-        if not self.server.viser.get_clients():
+        if not self.server.has_pages:
             self.player.advance(time.monotonic())
             return
         index = self.player.advance(time.monotonic())
@@ -345,7 +351,8 @@ class ViewApp:
         dragged = time.monotonic() - self._scrubbed < _DRAG
         cameras = self.shown_cameras if self.through is None else (self.through,)
         channels = self.shown_channels or (self.source.channels[:1] if self.through else ())
-        frame = self.source.frame(index, cameras, channels, wait=still and not (pending or dragged))
+        full = cameras if len(cameras) == 1 else [name for name in cameras if self._is_large(name)]
+        frame = self.source.frame(index, cameras, channels, still and not (pending or dragged), full)
         if self._content() != self._built_of:  # people and cameras of a graph come and go
             self._remove_panels()
             self._build()
@@ -357,6 +364,9 @@ class ViewApp:
         self._images.update(frame)
         self._through.update(frame)
         self.frames_shown += 1
+
+    def _is_large(self, camera: str) -> bool:
+        return self.enlarged is not None and self.enlarged[0] == camera
 
     def _images_are_pending(self) -> bool:
         """Whether the first images of another source are on their way: nobody waits for them."""
@@ -384,7 +394,7 @@ class ViewApp:
 
     def _sleep(self, due: float) -> None:
         """Wait for the next frame, or for a wish while paused."""
-        if self.player.playing and self.server.viser.get_clients():
+        if self.player.playing and self.server.has_pages:
             time.sleep(max(0.0, due - time.monotonic()))
         else:
             self._wanted.wait(_IDLE)

@@ -138,11 +138,16 @@ class BagViewSource(TopicSource):
         return len(self._stamps)
 
     def frame(
-        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+        full: Collection[str] = (),
     ) -> ViewFrame:
         self._last = min(max(index, 0), self.frames - 1)
         found = self._frame(self._last, cameras, channels)
-        return self._shown.frame(found, cameras, channels)
+        return self._shown.frame(found, cameras, channels, full)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         return self._shown.describe(self._frame(self._last, [camera], PIXEL_CHANNELS), camera, x, y)

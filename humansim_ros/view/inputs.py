@@ -285,7 +285,12 @@ class EmptySource(ViewSource):
         self.title = title
 
     def frame(
-        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+        full: Collection[str] = (),
     ) -> ViewFrame:
         return ViewFrame(index=0, stamp=0, scene_time=0)
 

@@ -72,7 +72,12 @@ class PhotoSource(ViewSource):
         return list(self._problems.values())
 
     def frame(
-        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+        full: Collection[str] = (),
     ) -> ViewFrame:
         fit = self.document.state.fit
         joints = {}

@@ -205,7 +205,12 @@ class RosViewSource(TopicSource):
         yield from self._receiver.problems
 
     def frame(
-        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+        full: Collection[str] = (),
     ) -> ViewFrame:
         self._see()
         images = self._images(cameras, channels)
@@ -215,10 +220,10 @@ class RosViewSource(TopicSource):
         found = self._frame(images, self._pinned)
         if found is None:
             return ViewFrame(index=0, stamp=0, scene_time=0, cameras=dict(self._shown.cameras))
-        asked = tuple(cameras), tuple(channels)
+        asked = tuple(cameras), tuple(channels), frozenset(full)
         if self._last is not None and self._last[1] == asked and _is_same(self._last[0], found):
             return self._last[2]
-        frame = self._shown.frame(found, cameras, channels)
+        frame = self._shown.frame(found, cameras, channels, full)
         self._last = found, asked, frame
         return frame
 

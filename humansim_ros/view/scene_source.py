@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,7 @@ class SceneViewSource(ViewSource):
     title: str = ""
     messages: Sequence[str] = ()
     channels: tuple[str, ...] = _CHANNELS
+    renders = True
 
     def __init__(
         self,
@@ -98,7 +99,12 @@ class SceneViewSource(ViewSource):
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
     def frame(
-        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+        full: Collection[str] = (),
     ) -> ViewFrame:
         elapsed = self.scene.frame_time(index)
         poses = self._playback.show(elapsed)
@@ -108,7 +114,7 @@ class SceneViewSource(ViewSource):
             (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
             sizes[name] = float(size)
         self._shown = index
-        images = self._images(index, cameras, channels, wait)
+        images = self._images(index, cameras, channels, wait, full)
         return ViewFrame(
             index=index,
             stamp=1 + elapsed,
@@ -122,11 +128,14 @@ class SceneViewSource(ViewSource):
                 if name in self.cameras
             },
             images=images.images if images else {},
-            image_index=images.request.index if images else None,
+            image_index=images.request.index if images and images.is_whole else None,
         )
 
-    def prepare(self, cameras: Collection[str], channels: Collection[str]) -> None:
+    def prepare(self, cameras: Collection[str], channels: Collection[str], alone: bool = False) -> None:
         with suppress(HumansimError):  # the first frame tells it
+            if alone and self.cameras:
+                _ = self.scene.static_meshes, self.scene.joint_surfaces  # once for all
+                self.__dict__["_workers"] = ImageWorkers(self.scene, self._count, copies=True)
             self._images(0, cameras, channels, False)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
@@ -157,13 +166,19 @@ class SceneViewSource(ViewSource):
         return ImageWorkers(self.scene, self._count)
 
     def _images(
-        self, index: int, cameras: Collection[str], channels: Collection[str], wait: bool
+        self,
+        index: int,
+        cameras: Collection[str],
+        channels: Collection[str],
+        wait: bool,
+        full: Collection[str] = (),
     ) -> Images | None:
         known = tuple(name for name in self.scene.scene_cameras if name in cameras)
         shown = tuple(name for name in _CHANNELS if name in channels)
         if not known or not shown:
             return None
-        request = Request(index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
+        width = _PAGE_WIDTH // min(len(known), _BESIDE)
+        request = Request(index, known, shown, width, frozenset(known) & frozenset(full))
         return self._workers.exact(request) if wait else self._workers.latest(request)
 
 
@@ -188,49 +203,91 @@ class Request:
         cameras: Names of the cameras.
         channels: Names of the channels.
         width: Width to which wider images are scaled down, pixels.
+        full: Names of the cameras whose images keep their size.
     """
 
     index: int
     cameras: tuple[str, ...]
     channels: tuple[str, ...]
     width: int
+    full: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
 class Images:
-    """Images of a request by camera and channel."""
+    """Images of a request by camera and channel; the first ones of a scene may lack cameras."""
 
     request: Request
     images: dict[str, dict[str, Image]]
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the images of all cameras are there."""
+        return self.images.keys() >= set(self.request.cameras)
+
+
+@dataclass
+class _Frame:
+    """Images that are being rendered: cameras that no process was asked for, and images so far."""
+
+    request: Request
+    left: list[str]
+    images: dict[str, dict[str, Image]] = field(default_factory=dict)
+
+    @property
+    def so_far(self) -> Images:
+        """The images in the order of the cameras."""
+        found = {name: self.images[name] for name in self.request.cameras if name in self.images}
+        return Images(self.request, found)
+
 
 class ImageWorkers:
-    """Processes that render different frames of a scene at the same time.
+    """Processes that render cameras of a frame, and different frames, at the same time.
+
+    A process has the cached static image of the cameras that it has rendered; so it gets them again.
+
+    Args:
+        scene: The scene.
+        count: Number of processes; as many as the machine has cores, up to four, if None.
+        copies: They are copies of this process (see :class:`Workers`).
 
     Raises:
         HumansimError: The scene cannot be rendered, or a process died; from :meth:`latest` and :meth:`exact`.
     """
 
-    def __init__(self, scene: Scene, count: int | None = None) -> None:
-        self._workers = Workers(_PageImages(scene), count or min(_MOST, cores()), _NICE)
+    def __init__(self, scene: Scene, count: int | None = None, copies: bool = False) -> None:
+        self._count = count or min(_MOST, cores())
+        self._workers = Workers(_PageImages(scene), self._count, _NICE, copies)
         self._latest: Images | None = None
-        self._wanted: dict[int, Request] = {}
+        #: By number, in the order in which they were asked for.
+        self._frames: dict[int, _Frame] = {}
+        #: Cameras that each process has rendered.
+        self._rendered: list[set[str]] = [set() for _ in range(self._count)]
         self._first = self._asked = self._shown = 0
 
     def use(self, scene: Scene) -> None:
         """Render another scene from now on; processes are not started again."""
         self._workers.use(_PageImages(scene))
         self._latest, self._first = None, self._asked
+        self._frames.clear()
+        self._rendered = [set() for _ in range(self._count)]
 
     def latest(self, request: Request) -> Images | None:
         """The newest images that are ready; ask for the images of ``request`` if a process has time."""
         while self._collect(0):
             pass
         self._ask(request)
-        return self._latest
+        if self._latest is not None:
+            return self._latest
+        return next(
+            (Images(each.request, each.images) for each in self._frames.values() if each.images), None
+        )
 
     def exact(self, request: Request) -> Images:
-        """Images of ``request``; waits for them."""
+        """Images of ``request``; waits for them. Nobody waits for other frames any more."""
+        for number, frame in list(self._frames.items()):
+            if frame.left and frame.request != request:
+                del self._frames[number]
         while not self._has(request):
             self._ask(request)
             if not self._collect(_PATIENCE):
@@ -246,34 +303,57 @@ class ImageWorkers:
         return self._latest is not None and self._latest.request == request
 
     def _ask(self, request: Request) -> None:
-        """Ask a process that has nothing to do for images, unless they are there or on their way."""
-        if self._has(request) or request in self._wanted.values():
-            return
+        """Give processes that have nothing to do cameras of frames in progress, and of ``request``."""
         with self._death():
-            if self._workers.ask((self._asked + 1, request)):
-                self._asked += 1
-                self._wanted[self._asked] = request
+            for process in self._workers.idle():
+                found = next(((number, frame) for number, frame in self._frames.items() if frame.left), None)
+                if found is None:
+                    if self._has(request) or any(each.request == request for each in self._frames.values()):
+                        return
+                    self._asked += 1
+                    found = self._asked, _Frame(request, list(request.cameras))
+                    self._frames[self._asked] = found[1]
+                number, frame = found
+                cameras = self._share(process, frame)
+                self._workers.ask(_Part(number, frame.request, cameras), process)
+
+    def _share(self, process: int, frame: _Frame) -> tuple[str, ...]:
+        """Take cameras of a frame for a process: first its own, last those of other processes."""
+        own = self._rendered[process]
+        others = set().union(*self._rendered) - own
+        order = sorted(frame.left, key=lambda name: (name not in own, name in others))
+        taken = tuple(order[: -(-len(frame.request.cameras) // self._count)])
+        frame.left = [name for name in frame.left if name not in taken]
+        own.update(taken)
+        return taken
 
     def _collect(self, timeout: float) -> bool:
         """Take what has arrived; whether something has."""
         found = False
         with self._death():
-            for asked, result in self._workers.arrived(timeout):
+            for part, result in self._workers.arrived(timeout):
                 found = True
                 # None: the start of a job, which fails again with the first request
-                if asked is not None:
-                    number, request = asked
-                    self._take(number, request, result)
+                if part is not None:
+                    self._take(part, result)
         return found
 
-    def _take(self, number: int, request: Request, result: FrameResult | HumansimError) -> None:
-        del self._wanted[number]
-        if number <= self._first:  # of a scene that is not shown any more
+    def _take(self, part: _Part, result: FrameResult | HumansimError) -> None:
+        if part.number <= self._first:  # of a scene that is not shown any more
             return
+        frame = self._frames.get(part.number)
         if isinstance(result, HumansimError):
+            self._frames.pop(part.number, None)
             raise result
-        if number > self._shown:  # else images that were asked for later came before
-            self._shown, self._latest = number, Images(request, _images_of(result))
+        if frame is None:
+            return
+        frame.images |= _images_of(result)
+        images = frame.so_far
+        if not images.is_whole:
+            return
+        del self._frames[part.number]
+        if part.number > self._shown:  # else images that were asked for later came before
+            self._shown, self._latest = part.number, images
 
     @contextmanager
     def _death(self) -> Iterator[None]:
@@ -281,6 +361,15 @@ class ImageWorkers:
             yield
         except WorkerDiedError:
             raise HumansimError("a process that renders images died; open the scene again") from None
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Cameras of a request for one process. ``number``: of the request."""
+
+    number: int
+    request: Request
+    cameras: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -305,8 +394,8 @@ class _Painter:
     def close(self) -> None:
         self._renderer.close()
 
-    def work(self, asked: tuple[int, Request]) -> FrameResult:
-        _, request = asked
+    def work(self, part: _Part) -> FrameResult:
+        request = part.request
         wanted = set(request.channels)
         rendered = wanted - {JOINTS} | ({"rgb", *_JOINT_CHANNELS} if JOINTS in wanted else set())
         channels = tuple(sorted(rendered))
@@ -314,12 +403,13 @@ class _Painter:
         if simulation is None:
             simulation = Simulation(self._scene, channels=channels, renderer=self._renderer)
             self._simulations[channels] = simulation
-        frame = simulation.frame(request.index, cameras=request.cameras)
-        images = {
-            (camera, channel): fitted(picture(self._scene, frame, camera, channel), request.width, channel)
-            for camera in request.cameras
-            for channel in request.channels
-        }
+        frame = simulation.frame(request.index, cameras=part.cameras)
+        images: dict[tuple[str, str], Image] = {}
+        for camera in part.cameras:
+            width = None if camera in request.full else request.width
+            for channel in request.channels:
+                image = picture(self._scene, frame, camera, channel)
+                images[camera, channel] = fitted(image, width, channel)
         contents = [[np.ascontiguousarray(image).data] for image in images.values()]
         return FrameResult([(*key, image.shape) for key, image in images.items()], contents)
 

@@ -111,6 +111,11 @@ class PageServer:
         """Address for the browser."""
         return f"http://{HOST}:{self.port}"
 
+    @property
+    def has_pages(self) -> bool:
+        """Whether a browser shows the page."""
+        return bool(self._streams or self.viser.get_clients())
+
     def add_file(self, name: str, kind: str, data: bytes) -> None:
         """Serve ``data`` as ``/humansim/<name>``, with its MIME type."""
         self.files[PREFIX + name] = (kind, data)

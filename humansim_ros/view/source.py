@@ -38,7 +38,7 @@ class ViewFrame:
         cameras: Cameras at their poses.
         images: RGB images (H, W, 3) for people to look at, by camera and channel.
         image_index: Frame of the images: an earlier one if they are slower than the motion; None without
-            images.
+            images, or while the first ones lack cameras.
         estimate: Points (J, 3) of a tracker in ``map``, by person.
         estimate_errors: Distance of the estimate from the truth by person, millimetres.
     """
@@ -70,7 +70,13 @@ class PixelInfo:
 
 
 class ViewSource(ABC):
-    """Source of a page; all methods are called in one thread."""
+    """Source of a page; all methods are called in one thread.
+
+    Attributes:
+        renders: Whether it renders the images itself, so that they are there soon.
+    """
+
+    renders: bool = False
 
     @property
     @abstractmethod
@@ -124,7 +130,12 @@ class ViewSource(ABC):
 
     @abstractmethod
     def frame(
-        self, index: int, cameras: Collection[str] = (), channels: Collection[str] = (), wait: bool = False
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+        full: Collection[str] = (),
     ) -> ViewFrame:
         """A frame.
 
@@ -133,11 +144,18 @@ class ViewSource(ABC):
             cameras: Cameras whose images are wanted.
             channels: Channels that are wanted.
             wait: The images must belong to this frame; otherwise the latest images that are ready are given.
+            full: Cameras whose images keep their size; other images are small.
         """
 
-    def prepare(self, cameras: Collection[str], channels: Collection[str]) -> None:
-        """Begin with what takes time before somebody looks; parameters as of :meth:`frame`."""
-        del cameras, channels
+    def prepare(self, cameras: Collection[str], channels: Collection[str], alone: bool = False) -> None:
+        """Begin with what takes time before somebody looks.
+
+        Args:
+            cameras: Cameras whose images will be wanted.
+            channels: Channels that will be wanted.
+            alone: This process has no other threads yet, and no OpenGL: it can be copied.
+        """
+        del cameras, channels, alone
 
     @abstractmethod
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
@@ -152,9 +170,9 @@ class ViewSource(ABC):
         """Free processes, renderers and subscriptions."""
 
 
-def fitted(image: Image, width: int, channel: str) -> Image:
-    """Image of at most ``width`` pixels; labels are not mixed."""
-    if image.shape[1] <= width:
+def fitted(image: Image, width: int | None, channel: str) -> Image:
+    """Image of at most ``width`` pixels, or as it is if None; labels are not mixed."""
+    if width is None or image.shape[1] <= width:
         return image
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     method = cv2.INTER_AREA if channel in _SMOOTH else cv2.INTER_NEAREST

@@ -565,24 +565,47 @@ def keyed_color(color: Color, number: int) -> Color:
 _ROOM_TEXTURE = 512
 
 
+#: Standard deviation below which a texture is drawn as its mean colour, of 255.
+_PLAIN = 4.0
+
+
 def glb_of(meshes: Iterable[Mesh]) -> bytes:
-    """glTF file (GLB) of meshes with their textures or colours; meshes of one texture are joined."""
+    """glTF file (GLB) of meshes with their textures or colours.
+
+    Meshes of one texture are joined, and so are all without a texture, or with one that is nearly plain: each
+    mesh and texture costs a page time.
+    """
     groups: dict[int, list[Mesh]] = {}
-    single: list[Mesh] = []
+    plain: list[tuple[Mesh, NDArray[np.uint8]]] = []
     for mesh in meshes:
-        if mesh.texture is not None and mesh.uv is not None:
+        color = _plain_color(mesh)
+        if color is None:
             groups.setdefault(id(mesh.texture), []).append(mesh)
         else:
-            single.append(mesh)
+            plain.append((mesh, color))
     scene = trimesh.Scene()
     for group in groups.values():
         scene.add_geometry(_textured(group))
-    for mesh in single:
-        colors = np.full((len(mesh.vertices), 3), 170, np.uint8) if mesh.colors is None else mesh.colors
+    if plain:
+        firsts = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in plain[:-1])])
+        faces = [mesh.triangles + first for (mesh, _), first in zip(plain, firsts, strict=True)]
         scene.add_geometry(
-            trimesh.Trimesh(mesh.vertices, mesh.triangles, vertex_colors=colors, process=False)
+            trimesh.Trimesh(
+                np.concatenate([mesh.vertices for mesh, _ in plain]),
+                np.concatenate(faces),
+                vertex_colors=np.concatenate([np.broadcast_to(c, (len(m.vertices), 3)) for m, c in plain]),
+                process=False,
+            )
         )
     return bytes(scene.export(file_type="glb"))
+
+
+def _plain_color(mesh: Mesh) -> NDArray[np.uint8] | None:
+    """Colours (V, 3) or (3,) of a mesh that is drawn without a texture; None if it is drawn with one."""
+    if mesh.texture is None or mesh.uv is None:
+        return np.full(3, 170, np.uint8) if mesh.colors is None else np.asarray(mesh.colors, np.uint8)
+    mean, deviation = cv2.meanStdDev(mesh.texture)
+    return np.rint(mean[:3, 0]).astype(np.uint8) if deviation.max() < _PLAIN else None
 
 
 def _textured(meshes: list[Mesh]) -> trimesh.Trimesh:

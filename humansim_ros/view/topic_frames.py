@@ -281,7 +281,11 @@ class TopicFrames:
     # --- frames
 
     def frame(
-        self, messages_of: TopicFrame, cameras: Collection[str] = (), channels: Collection[str] = ()
+        self,
+        messages_of: TopicFrame,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        full: Collection[str] = (),
     ) -> ViewFrame:
         """A frame with what its messages say.
 
@@ -289,6 +293,7 @@ class TopicFrames:
             messages_of: The messages.
             cameras: Cameras whose images are wanted.
             channels: Channels that are wanted.
+            full: Cameras whose images keep their size.
         """
         data, stamp = messages_of.data, messages_of.stamp
         scene_time = stamp - messages_of.start
@@ -315,7 +320,7 @@ class TopicFrames:
         posed = {name: self._camera(name, data, stamp) for name in self.topics.cameras}
         estimate, errors = self._estimate(data, poses)
         images = {
-            name: self._images(name, camera, data, joints, channels)
+            name: self._images(name, camera, data, joints, channels, None if name in full else self._width)
             for name, camera in posed.items()
             if name in cameras and camera is not None
         }
@@ -394,8 +399,9 @@ class TopicFrames:
         data: Mapping[str, bytes],
         joints: Mapping[str, Array],
         channels: Collection[str],
+        width: int | None,
     ) -> dict[str, Picture]:
-        """Pictures of the channels of a camera that the frame has."""
+        """Pictures of the channels of a camera that the frame has. ``width``: most pixels; None: any."""
         topics, images = self.topics.cameras[name], {}
         for channel in channels:
             own = "rgb" if channel == JOINTS else channel
@@ -405,7 +411,7 @@ class TopicFrames:
                 if picture is not None and channel == JOINTS:
                     picture = self._with_joints(picture, name, camera, data, joints)
                 if picture is not None:
-                    images[channel] = fitted(picture, self._width, channel)
+                    images[channel] = fitted(picture, width, channel)
         return images
 
     def _pixels(self, topic: str, data: Mapping[str, bytes]) -> tuple[NDArray[Any], str] | None:

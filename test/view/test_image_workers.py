@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,6 +36,45 @@ def workers(scene: Scene) -> Iterator[ImageWorkers]:
     made = ImageWorkers(scene, 2)
     yield made
     made.close()
+
+
+#: Makes workers that are copies of its process, prints their ids and a rendered image, and waits.
+COPIES = """
+import sys, time
+from humansim_ros import Scene
+from humansim_ros.view.scene_source import ImageWorkers, Request
+workers = ImageWorkers(Scene.load(sys.argv[1]), 2, copies=True)
+image = workers.exact(Request(7, ("front", "side"), ("rgb",), 160)).images["side"]["rgb"]
+print(*(process.pid for process in workers._workers.processes), image.tobytes().hex(), flush=True)
+time.sleep(600)
+"""
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_copies_of_a_process_render_the_same_and_end_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        "room: null\nhumans: {anna: {body: child, motion: walk}}\ncameras:\n"
+        "  front: {position: [3, 0, 1.2], look_at: [0, 0, 0.6], size: [160, 120]}\n"
+        "  side: {position: [0, 3, 1.2], look_at: [0, 0, 0.6], size: [160, 120]}\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", COPIES, path], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        *pids, image = process.stdout.readline().split()
+    finally:
+        process.kill()  # they are not told
+        process.wait()
+    assert len(set(pids)) == 2
+    assert wait_until(lambda: not any(is_running(int(pid)) for pid in pids))
+    with Simulation(Scene.load(path), channels=("rgb",)) as simulation:
+        assert bytes.fromhex(image) == simulation.frame(7).views["side"].rgb.tobytes()
 
 
 def request(index: int, *channels: str) -> Request:

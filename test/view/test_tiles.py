@@ -14,9 +14,10 @@ import pytest
 
 pytest.importorskip("viser")
 
-from pages import browser, needs_browser, opened_page, pause, running_app, until
+from pages import browser, needs_browser, opened_page, pause, running_app, scrub, tiles_of, until
 from waiting import wait_until
 
+from humansim_ros import Scene, Simulation
 from humansim_ros.view.panels.images import images_message
 
 SCENE = """\
@@ -165,6 +166,37 @@ def test_the_bar_and_a_click_on_a_name_change_sizes(opened: tuple[Any, Any]) -> 
     until(lambda: boxes(page)[0][0] == 0)  # nothing is chosen: no area
     box.value = True
     until(lambda: boxes(page)[0][0] > 100)
+
+
+def natural_sizes(page: Any) -> dict[str, list[int]]:
+    """Width and height of the image files of the tiles, pixels."""
+    found: dict[str, list[int]] = page.evaluate(
+        """() => Object.fromEntries([...document.querySelectorAll("[data-humansim=tiles] figure")].map(
+            (figure) => {
+                const image = figure.querySelector("img");
+                return [figure.dataset.humansim, [image.naturalWidth, image.naturalHeight]];
+            }))"""
+    )
+    return found
+
+
+@needs_browser
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_large_tile_has_all_pixels_of_its_camera(opened: tuple[Any, Any]) -> None:
+    page, app = opened
+    scrub(page, 8)
+    until(lambda: natural_sizes(page)["wide rgb"] == [426, 142])  # a third of what all tiles have
+    wide = page.get_by_role("button", name="wide", exact=True)
+    wide.click()
+    until(lambda: natural_sizes(page)["wide rgb"] == [480, 160])
+    assert natural_sizes(page)["tall rgb"] == [200, 400]
+    with Simulation(Scene.load(app.source.scene.path), channels=("rgb",)) as simulation:
+        expected = simulation.frame(8).views["wide"].rgb.astype(float)
+    until(lambda: np.abs(tiles_of(page).get("wide rgb", 0) - expected).mean() < 2)  # JPEG
+    wide.click()
+    until(lambda: natural_sizes(page)["wide rgb"] == [426, 142])
 
 
 def downloaded(page: Any, button: str, folder: Path) -> Path:

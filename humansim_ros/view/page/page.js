@@ -11,6 +11,24 @@
     if (event.detail && event.detail.isScene) scenes.add(event.detail);
   });
 
+  // --- images first -----------------------------------------------------------------------------------------
+  // Viser's own script keeps slow machines busy for seconds: it begins once the first images are shown, or when none
+  // is expected or comes in time.
+  const MOST = 3000; // milliseconds
+  const held = [];
+  let begun = false;
+  const append = document.head.appendChild;
+  document.head.appendChild = function (node) {
+    if (begun || node.type !== "module") return append.call(this, node);
+    held.push(node);
+    return node;
+  };
+  function begin() {
+    begun = true;
+    for (const node of held.splice(0)) document.head.append(node);
+  }
+  setTimeout(begin, MOST);
+
   // --- textures ------------------------------------------------------------------------------------------
   // people.json: {key: {vertices, surface, texture}}. The key is the colour of the mesh, different for each.
   let people = {};
@@ -19,6 +37,8 @@
   const textures = new Map();
   const state = Object.assign(new EventTarget(), { textured: 0, people: 0, frame: null, page: null, cameras: {}, scenes });
   window.humansim = state;
+  state.addEventListener("shown", begin); // all images (tiles.js)
+  state.addEventListener("state", () => state.page.expected === 0 && begin());
   state.tableOf = (key) => people[key];
 
   async function loadPeople() {

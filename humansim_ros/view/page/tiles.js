@@ -1,6 +1,6 @@
 // The images of the cameras: tiles in an area of their own, left of the scene, or below it on a narrow page. They
 // never cover the scene; a bar between them changes the sizes. A click in an image shows the numbers of the pixel,
-// a click on its name (or two clicks in it) makes it large.
+// a click on its name (or two clicks in it) makes it large, in all tabs; the server then sends it in its full size.
 "use strict";
 (() => {
   const page = window.humansim;
@@ -12,6 +12,7 @@
   const SHARES = [0, 0.8]; // of the page, for the area
   let share = 0.4;
   let large = null; // "camera channel"
+  let told = null; // the same, as the server has told it last
   let area = null;
   let bar = null;
   let note = null;
@@ -132,6 +133,8 @@
 
   function toggle(key) {
     large = large === key ? null : key;
+    const { camera, channel } = tiles.get(large) || { camera: "", channel: "" };
+    fetch(`/humansim/enlarge?${new URLSearchParams({ camera, channel })}`).catch(() => {});
     place();
   }
 
@@ -165,7 +168,7 @@
     name.className = "humansim-label";
     name.title = "Make this image large, or show all";
     name.addEventListener("click", () => toggle(key));
-    const tile = { figure, image, name };
+    const tile = { figure, image, name, camera, channel };
     tiles.set(key, tile);
     return tile;
   }
@@ -200,6 +203,16 @@
     for (const [key, tile] of order) tiles.set(key, tile);
     if (changed || area.dataset.count !== String(keys.length)) place();
     area.dataset.count = String(keys.length);
+    if (page.page && table.length >= page.page.expected) awaitFirst();
+  }
+
+  // Tell, once, that the first images are on the screen.
+  let awaited = false;
+  async function awaitFirst() {
+    if (awaited) return;
+    awaited = true;
+    await Promise.allSettled([...tiles.values()].map((tile) => tile.image.decode()));
+    requestAnimationFrame(() => setTimeout(() => page.dispatchEvent(new Event("shown"))));
   }
 
   document.addEventListener("DOMContentLoaded", () => {
@@ -207,8 +220,10 @@
     let latest = null;
     page.addEventListener("state", () => {
       const shown = Boolean(page.page.tiles);
-      if (shown !== latest) place();
-      latest = shown;
+      const key = page.page.large ? page.page.large.join(" ") : null;
+      if (key !== told) large = key;
+      if (shown !== latest || key !== told) place();
+      [latest, told] = [shown, key];
     });
     page.addEventListener("images", (event) => show(event.data));
     place();

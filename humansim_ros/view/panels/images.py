@@ -43,13 +43,16 @@ class ImagesPanel:
         self._app = app
         self._version: object = None
         app.server.on_request("pick", self._picked)
+        app.server.on_request("enlarge", self._enlarged)
 
     def update(self, frame: ViewFrame) -> None:
         """Show the images of a frame."""
         app = self._app
         # the image of a camera that is looked through fills the page
         shown = bool(app.shown_cameras and app.shown_channels) and app.through is None
-        app.send_state(tiles=shown)
+        # images that come soon after the start: the page shows them first
+        soon = len(app.shown_cameras) * len(app.shown_channels) if app.source.renders and shown else 0
+        app.send_state(tiles=shown, large=app.enlarged, expected=soon)
         if not shown or frame.images is self._version:
             return
         self._version = frame.images
@@ -69,6 +72,16 @@ class ImagesPanel:
             return
         if 0 <= across < 1 and 0 <= down < 1:
             self._app.post(lambda: self._app.pick_pixel(camera, across, down))
+
+    def _enlarged(self, query: Mapping[str, str]) -> None:
+        """A tile was made large, or small again (without a camera), told by the script; in its thread."""
+        tile = query.get("camera", ""), query.get("channel", "")
+
+        def enlarge() -> None:
+            self._app.enlarged = tile if tile[0] in self._app.source.cameras else None
+            self._app.refresh()
+
+        self._app.post(enlarge)
 
 
 # --- numbers of a click

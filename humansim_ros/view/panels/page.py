@@ -80,6 +80,7 @@ class Page(Protocol):
         shown_cameras: Cameras whose images are shown.
         shown_channels: Channels that are shown.
         through: Camera that is looked through, whose image alone is shown; None: all are shown.
+        enlarged: Camera and channel of the tile that is large; its images keep their size. None: none is.
         chosen_camera: Camera that was chosen, or ``all``; it stays when the source is replaced.
         options: Drawings in 3D; they stay when the source is replaced.
     """
@@ -94,6 +95,7 @@ class Page(Protocol):
     shown_cameras: tuple[str, ...]
     shown_channels: tuple[str, ...]
     through: str | None
+    enlarged: tuple[str, str] | None
     chosen_camera: str
     options: Options
 

@@ -180,8 +180,8 @@ def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]
 
 #: Fewest frames that need a timeline, and digits of a number of a frame that a page sends.
 _FEWEST, _DIGITS = 2, 12
-#: Seconds that tracks wait for images, which may never come.
-_PATIENCE = 20.0
+#: Seconds that tracks wait for images, which may never come, and then for the browser to draw them.
+_PATIENCE, _DRAWING = 20.0, 3.0
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
 
@@ -309,8 +309,10 @@ class TracksPanel:
     def update(self, frame: ViewFrame) -> None:
         """Let tracks be read once the page has its images."""
         app = self._app
-        has_images = frame.image_index is not None or time.monotonic() > self._patient_until
-        if has_images or not (app.shown_cameras and app.shown_channels):
+        now = time.monotonic()
+        if frame.image_index is not None:  # the browser begins to draw now
+            self._patient_until = min(self._patient_until, now + _DRAWING)
+        if now > self._patient_until or not (app.shown_cameras and app.shown_channels):
             self._reader.begin()
 
     def close(self) -> None:

@@ -93,6 +93,8 @@ def receive(url: str, path: str, received: Any) -> None:
         try:
             while True:
                 data = page.recv()
+                if isinstance(data, bytes) and data[:4] == b"\xff" * 4 and path:
+                    page.send("shown")
                 with received.get_lock():
                     received[0] += 1
                     received[1] += len(data)
@@ -271,6 +273,9 @@ setInterval(() => {
 
 def publish_times(cameras: int, rate: float, counts: Any) -> None:
     """Publish images with the time in their pixels, until the process is killed. ``counts``: images."""
+    from humansim_ros.ros.runtime import prepare_transport
+
+    prepare_transport()
     import rclpy
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import CameraInfo, Image
@@ -302,7 +307,7 @@ def publish_times(cameras: int, rate: float, counts: Any) -> None:
         with counts.get_lock():
             counts[0] += 1
         due = max(due + 1 / rate, time.monotonic())
-        time.sleep(due - time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
 
 
 def measure_topics(options: argparse.Namespace) -> None:

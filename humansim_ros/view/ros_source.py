@@ -47,7 +47,7 @@ _LOOK_EVERY, _DISCOVER_EVERY = 0.05, 0.5
 #: Seconds after which images that are not wanted any more are not received any more.
 _UNWANTED = 3.0
 #: Nanoseconds that a frame is held back until all its messages are there, without and with an estimate.
-_PATIENCE, _ESTIMATE_PATIENCE = 500_000_000, 1_500_000_000
+_PATIENCE, _ESTIMATE_PATIENCE = 200_000_000, 1_500_000_000
 #: Seconds that numbers of a pixel wait for images that nobody wanted before.
 _PIXEL_PATIENCE = 1.5
 #: Seconds without a publisher after which people and cameras are gone.
@@ -57,7 +57,7 @@ _SILENT = 3.0
 #: Nanoseconds between frames from which the skin of a person is found.
 _SAMPLE_EVERY = 300_000_000
 #: Messages of a subscription that wait: of images, and of others.
-_IMAGE_DEPTH, _DEPTH = 5, 100
+_IMAGE_DEPTH, _DEPTH = 2, 100
 #: Longest messages by type, and of all other types, bytes.
 _MAX_BYTES = {
     IMAGE: 256 << 20,

@@ -67,6 +67,8 @@ _MOST_OWN = 1 << 26
 #: Longest text and longest list in a message.
 _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
+#: Seconds after which a page that has not told so has shown its images: it is in the background.
+_SHOWN_WITHIN = 1.0
 _LOCK = threading.Lock()
 #: Scripts of every page, in this order, before viser's own.
 SCRIPTS = ("page.js", "tiles.js", "recording.js", "through.js", "measure.js", "keys.js", "timeline.js")
@@ -162,12 +164,24 @@ class PageServer:
             event.set()
 
     async def _stream_to(self, connection: Any) -> None:
-        """Send what :meth:`stream` is given until the browser goes away."""
+        """Send what :meth:`stream` is given until the browser goes away.
+
+        Images wait until the page has shown the ones before, so that none grows old on its way.
+        """
         event = asyncio.Event()
         event.set()
         sent: dict[str, bytes | str] = {}
+        shown_by = 0.0  # time at which the page has shown the last images, at the latest
         self._streams.add(event)
-        closed = asyncio.ensure_future(connection.wait_closed())
+        loop = asyncio.get_running_loop()
+
+        async def receive() -> None:
+            nonlocal shown_by
+            async for _ in connection:  # the images are shown
+                shown_by = 0.0
+                event.set()
+
+        closed = asyncio.ensure_future(receive())
         try:
             while not closed.done():
                 woken = asyncio.ensure_future(event.wait())
@@ -175,9 +189,15 @@ class PageServer:
                 woken.cancel()
                 event.clear()
                 for kind, latest in list(self._latest.items()):
-                    if not closed.done() and sent.get(kind) is not latest:
-                        await connection.send(latest)
-                        sent[kind] = latest
+                    if closed.done() or sent.get(kind) is latest:
+                        continue
+                    if kind == "images":
+                        if (left := shown_by - loop.time()) > 0:
+                            loop.call_later(left, event.set)
+                            continue
+                        shown_by = loop.time() + _SHOWN_WITHIN
+                    await connection.send(latest)
+                    sent[kind] = latest
         except websockets.exceptions.ConnectionClosed:
             pass
         finally:

@@ -138,6 +138,20 @@ def test_a_stream_gives_the_latest_data_to_late_pages(server: PageServer) -> Non
         assert page.recv(timeout=30) == b"newer"
 
 
+def test_images_wait_until_the_page_has_shown_the_ones_before(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("humansim_ros.view.server._SHOWN_WITHIN", 1e6)
+    with connected(server, "/humansim/frames") as page:
+        for data, kind in ((b"images 1", "images"), (b"images 2", "images"), (b"poses", "poses")):
+            server.stream(data, kind)
+            if data != b"images 2":
+                assert page.recv(timeout=30) == data
+        server.stream(b"images 3", "images")
+        page.send("shown")
+        assert page.recv(timeout=30) == b"images 3"
+
+
 def hostile_messages(uuid: str) -> list[bytes | str]:
     encode = msgspec.msgpack.encode
     return [

@@ -228,6 +228,7 @@
       state.page = JSON.parse(event.data);
       state.dispatchEvent(new Event("state"));
     };
+    state.tellShown = () => socket.readyState === WebSocket.OPEN && socket.send("shown"); // the latest images
     socket.onopen = () => state.dispatchEvent(new Event("found"));
     socket.onclose = () => {
       state.dispatchEvent(new Event("lost"));

@@ -203,15 +203,16 @@
     for (const [key, tile] of order) tiles.set(key, tile);
     if (changed || area.dataset.count !== String(keys.length)) place();
     area.dataset.count = String(keys.length);
-    if (page.page && table.length >= page.page.expected) awaitFirst();
+    awaitShown(table.length);
   }
 
-  // Tell, once, that the first images are on the screen.
+  // Tell the server that the images are on the screen: it sends the newest ones then.
   let awaited = false;
-  async function awaitFirst() {
-    if (awaited) return;
-    awaited = true;
+  async function awaitShown(count) {
     await Promise.allSettled([...tiles.values()].map((tile) => tile.image.decode()));
+    page.tellShown();
+    if (awaited || !page.page || count < page.page.expected) return;
+    awaited = true;
     requestAnimationFrame(() => setTimeout(() => page.dispatchEvent(new Event("shown"))));
   }
 

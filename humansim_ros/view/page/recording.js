@@ -1,4 +1,4 @@
-// Buttons at the scene, and pictures (PNG) and videos (WebM, or MP4 where the browser has only it) of what is shown:
+// Buttons at the scene, and pictures (PNG) and videos (MP4, or WebM where the browser has no H.264) of what is shown:
 // the scene, the images beside it, and their labels (elements of the class humansim-label).
 "use strict";
 (() => {
@@ -6,9 +6,9 @@
   const RATE = 30; // frames per second of a video
   const BITS = 8e6; // per second
   const KINDS = [
-    ["video/webm;codecs=vp8", "webm"], // the quickest
+    ["video/mp4;codecs=avc1", "mp4"], // all players have it
+    ["video/webm;codecs=vp8", "webm"], // the quickest of the others
     ["video/webm", "webm"],
-    ["video/mp4", "mp4"],
   ];
 
   // --- buttons at the lower left corner of the scene ---------------------------------------------------------

@@ -32,11 +32,13 @@ from humansim_ros.scene.config import (
     SceneConfig,
     file_keys,
 )
+from humansim_ros.scene.findings import Obstacle, find_obstacles, without_enclosures
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 from humansim_ros.view.scene_file import NEW_SCENE, SceneFile
 from humansim_ros.view.scene_keys import (
     ItemPose,
+    People,
     SectionKeys,
     camera_keys,
     camera_pose,
@@ -566,22 +568,27 @@ class SceneDocument(SceneFile):
         return placed
 
     def _free_view(self, target: Array) -> Array:
-        """Place (3,) for a camera that looks at a target; in the room, if there is one."""
+        """Place (3,) for a camera that looks at a target: in the room, and where nothing hides people."""
         people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]
         points = np.array([[x, y, z] for x, y in people or [(target[0], target[1])] for z in (0.1, 1.8)])
+        seen = People(points, np.zeros(len(points)))
         centers = np.zeros((0, 3))
+        obstacles: list[Obstacle] = []
         inside: tuple[float, float] | None = None
         with suppress(HumansimError):  # the scene has errors: its places on the floor are enough
             scene = self.scene_so_far()
             if scene.actors:
                 paths = [actor.joint_paths(_FIRST) for actor in scene.actors.values()]
+                times = [np.repeat(_FIRST, path.shape[1]) for path in paths]
                 points = np.concatenate([path.reshape(-1, 3) for path in paths])
+                seen = People(points, np.concatenate(times))
             if not self.lacks_cameras:
                 centers = np.array([camera.center for camera in scene.cameras.values()]).reshape(-1, 3)
             if scene.config.room is not None:
                 length, width, _ = scene.config.room.size
                 inside = (length / 2 - _FROM_WALL, width / 2 - _FROM_WALL)
-        return free_view(points, centers, target, _EYE, inside)
+            obstacles = without_enclosures(find_obstacles(scene), np.vstack([points, centers]))
+        return free_view(seen, centers, target, _EYE, inside, obstacles)
 
     def _middle(self) -> np.ndarray[Any, Any]:
         people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]

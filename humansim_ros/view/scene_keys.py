@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -27,6 +27,7 @@ from humansim_ros.io.yaml_edit import YamlKey
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.scene.camera_config import CameraConfig
 from humansim_ros.scene.config import HumanConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.findings import Obstacle
 from humansim_ros.types import Array
 
 #: Longest name of a human, object or camera, which becomes part of topics; longest text of a value.
@@ -382,26 +383,48 @@ def free_place(near: tuple[float, float], taken: Mapping[str, tuple[float, float
 
 #: Share of the points that a new camera sees; beyond it, a free direction counts more.
 _ENOUGH = 0.9
+#: Size of a camera around its centre, metres.
+_CAMERA = 0.15
+
+
+@dataclass(frozen=True)
+class People:
+    """Points of people that a new camera should see.
+
+    Attributes:
+        points: (N, 3) in ``map``, metres.
+        times: (N,) scene time of each, seconds.
+    """
+
+    points: Array
+    times: Array
 
 
 def free_view(
-    points: Array, cameras: Array, target: Array, height: float, inside: tuple[float, float] | None = None
+    people: People,
+    cameras: Array,
+    target: Array,
+    height: float,
+    inside: tuple[float, float] | None = None,
+    obstacles: Sequence[Obstacle] = (),
 ) -> Array:
     """Place of a camera with a field of view of 60 degrees that sees people from a free direction.
 
     Args:
-        points: (N, 3) of the people, in ``map``.
+        people: Whom it should see.
         cameras: (C, 3) places of the other cameras.
         target: (3,) where it looks.
         height: Its height, metres.
         inside: Greatest distance along x and y from the origin of the place; None: anywhere.
+        obstacles: What it must not be in, and what hides people.
 
     Returns:
         (3,) Among the places that see most points, the one whose direction is farthest from the others.
     """
-    offsets = cameras - target
+    # seen from above: else a camera that is far away, which looks more level, would be in a freer direction
+    offsets = (cameras - target)[:, :2]
     others = offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-9)
-    best, found = (-1.0, -np.inf, 0.0), np.array([target[0] + 3.0, target[1], height])
+    places: list[tuple[tuple[float, float, float], Array, NDArray[np.bool_]]] = []
     for angle in np.radians(np.arange(0, 360, 15)):
         across = np.array([np.cos(angle), np.sin(angle)])
         for distance in np.arange(2.0, 12.1, 0.5):
@@ -409,13 +432,47 @@ def free_view(
             if inside is not None and (np.abs(place[:2]) > inside).any():
                 break
             camera = Camera.look_at(place, target)
-            pixels, depths = camera.project(points)
+            pixels, depths = camera.project(people.points)
             size = np.array(camera.size)
             within = np.all((pixels >= 0) & (pixels < size - 1), axis=1) & (depths > 0)
-            seen = min(float(within.mean()), _ENOUGH)
-            way = (place - target) / np.linalg.norm(place - target)
-            nearest = float((others @ way).max(initial=-1.0))  # cosine
-            rating = (seen, round(-nearest, 6), -distance)
-            if rating > best:
+            nearest = float((others @ across).max(initial=-1.0))  # cosine
+            places.append(((_share(within), round(-nearest, 3), -distance), place, within))
+    best, found = (-1.0, -np.inf, 0.0), np.array([target[0] + 3.0, target[1], height])
+    # an obstacle only makes a rating worse: places that were worse without are not looked at
+    for rating, place, within in sorted(places, key=lambda each: each[0], reverse=True):
+        if rating <= best:
+            break
+        if not any(_is_in(item, place, people.times) for item in obstacles):
+            clear = within & ~_hidden(obstacles, place, people)
+            if (rating := (_share(clear), *rating[1:])) > best:
                 best, found = rating, place
     return found
+
+
+def _share(seen: NDArray[np.bool_]) -> float:
+    """Share of the points that are seen; more than enough is no better."""
+    return min(float(seen.mean()), _ENOUGH)
+
+
+def _is_in(obstacle: Obstacle, place: Array, times: Array) -> bool:
+    """Whether a place (3,) is in an obstacle, or nearer to it than a camera is large."""
+    around = place + _CAMERA * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    moments = np.unique(times)
+    return any(
+        obstacle.contains(point[None], moments).any()
+        or obstacle.crossed(
+            np.broadcast_to(place, (len(moments), 1, 3)),
+            np.broadcast_to(point, (len(moments), 1, 3)),
+            moments,
+        ).any()
+        for point in around
+    )
+
+
+def _hidden(obstacles: Sequence[Obstacle], place: Array, people: People) -> NDArray[np.bool_]:
+    """Whether an obstacle lies between a place (3,) and each point of people (N,)."""
+    starts = np.broadcast_to(place, people.points.shape)[:, None]
+    hidden = np.zeros(len(people.points), bool)
+    for item in obstacles:
+        hidden |= item.crossed(starts, people.points[:, None], people.times)
+    return hidden

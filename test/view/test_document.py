@@ -369,3 +369,39 @@ def test_new_cameras_see_the_people_from_directions_of_their_own(text: str) -> N
     axes = np.array([camera.R[2] for camera in scene.cameras.values()])
     angles = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))[np.triu_indices(len(axes), 1)]
     assert angles.min() > 35
+
+
+#: Walls beside the person, and the furniture of two rooms.
+HIDING = {
+    "wall": "room: null\nobjects:\n  wall: {mesh: box, size: [0.2, 5, 2.6], position: [1.6, 0, 1.3]}\n",
+    "corner": "room: null\nobjects:\n  wall: {mesh: box, size: [0.2, 5, 2.6], position: [1.4, 0, 1.3]}\n"
+    "  other: {mesh: box, size: [5, 0.2, 2.6], position: [0, -1.4, 1.3]}\n",
+    "room 1": "room: {seed: 1}\n",
+    "room 4": "room: {seed: 4, size: [5.2, 5.2, 2.6]}\n",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.daily("wall")
+@pytest.mark.parametrize("hiding", HIDING)
+def test_new_cameras_are_where_no_furniture_or_wall_hides_the_people(hiding: str) -> None:
+    from humansim_ros import Simulation
+
+    opened = document(HIDING[hiding] + "cameras: {}\n")
+    opened.add_person("anna", near=(0.4, 0.3), motion="wave")
+    for _ in range(4):
+        opened.add_camera()
+    pixels = []
+    for text in (opened.text(), "room: null\n" + opened.text().split("\n", 1)[1]):
+        scene = document(text)
+        if pixels:
+            for name in scene.names("objects"):
+                scene.remove(["objects", name])
+        assert scene.errors() == []
+        with Simulation(scene.scene(), channels=("instance",)) as simulation:
+            views = simulation.frame(0).views
+        pixels.append({name: int((view.instance == 1).sum()) for name, view in views.items()})
+    for name, alone in pixels[1].items():
+        assert pixels[0][name] > 0.85 * alone > 1000, name
+    centers = [camera.center for camera in opened.scene().cameras.values()]
+    assert np.linalg.norm(np.subtract(centers, (0.4, 0.3, 0.9)), axis=1).max() < 6

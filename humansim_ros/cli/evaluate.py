@@ -12,6 +12,7 @@ from humansim_ros.cli.options import (
     EstimateTopicOption,
     JsonOption,
     KeypointsOption,
+    NamesOption,
     ResumeOption,
     ScaleOption,
     list_option,
@@ -43,14 +44,7 @@ def evaluate(
         ),
     ],
     keypoints: KeypointsOption = None,
-    names: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="YAML file with the name in the truth of each joint of the estimate; for points "
-            "without names, a list.",
-        ),
-    ] = None,
+    names: NamesOption = None,
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
     offset: Annotated[

@@ -192,6 +192,15 @@ KeypointsOption = Annotated[
         help="Keypoint set of the estimate, such as coco17; by the names of its joints if absent.",
     ),
 ]
+NamesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--names",
+        metavar="FILE",
+        help="YAML file with the name in the truth of each joint of the estimate; for points "
+        "without names, a list.",
+    ),
+]
 ScaleOption = Annotated[
     float,
     typer.Option(

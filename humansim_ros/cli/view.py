@@ -11,8 +11,8 @@ import typer
 
 from humansim_ros.cli.options import (
     AxesOption,
-    EstimateTopicOption,
     KeypointsOption,
+    NamesOption,
     ScaleOption,
     built_in_humans,
     list_option,
@@ -46,8 +46,17 @@ def view(
     namespace: Annotated[
         str, typer.Option(help="With --ros: show only topics below this namespace.", metavar="NAME")
     ] = "",
-    estimate: EstimateTopicOption = None,
+    estimate: Annotated[
+        list[str] | None,
+        list_option(
+            "--estimate",
+            "TOPIC|PATH",
+            "Poses of a tracker beside the truth: a topic of the bag or graph (* stands for the name of a "
+            "person), or what humansim evaluate takes: BAG:TOPIC, files, folders.",
+        ),
+    ] = None,
     keypoints: KeypointsOption = None,
+    names: NamesOption = None,
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
     body: Annotated[
@@ -72,15 +81,18 @@ def view(
     from humansim_ros.view.inputs import TopicOptions, new_scene, open_graph, open_source
 
     topics = None
-    if estimate is not None or keypoints is not None or body or scale != 1 or axes is not None:
-        reading = LiveOptions.of(keypoints or "", "", scale, axes or "", DEFAULT_GATE)
-        topics = TopicOptions(estimate, reading, tuple(map(Path, body or ())))
+    if estimate or keypoints is not None or names is not None or body or scale != 1 or axes is not None:
+        table = "" if names is None else str(names)
+        reading = LiveOptions.of(keypoints or "", table, scale, axes or "", DEFAULT_GATE)
+        topics = TopicOptions(tuple(estimate or ()), reading, tuple(map(Path, body or ())))
     if ros and what is not None:
         raise HumansimError("a graph is shown, or a file: leave out one of --ros and the path", key="--ros")
     if namespace and not ros:
         raise HumansimError("is for graphs: give --ros as well", key="--namespace")
     if new and (ros or topics is not None):
-        raise HumansimError("a new scene has no topics: leave out --ros and options of topics", key="--new")
+        raise HumansimError(
+            "a new scene has no people: leave out --ros and options of estimates", key="--new"
+        )
     if new:
         opened = new_scene(what or Path.cwd())
     else:

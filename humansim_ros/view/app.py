@@ -16,6 +16,7 @@ import numpy as np
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
+from humansim_ros.view.inputs import TopicOptions
 from humansim_ros.view.panels.commands import CommandsPanel
 from humansim_ros.view.panels.editor import EditorPanel
 from humansim_ros.view.panels.human import HumanPanel
@@ -27,7 +28,7 @@ from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.picking import hit_person, person_info
 from humansim_ros.view.scene_file import file_signature
 from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.server import PageServer, size_of_upload
+from humansim_ros.view.server import MOST_UPLOAD, PageServer, size_of_upload
 from humansim_ros.view.source import ViewFrame, ViewSource
 from humansim_ros.view.stage import Options, Stage
 
@@ -127,6 +128,8 @@ class ViewApp:
             if self.commands is not None:
                 self.commands.update()
             try:
+                if self.server.viser.get_clients():
+                    self._tracks.follow()
                 self._show_next()
             except HumansimError as error:
                 self.player.playing = False
@@ -212,6 +215,7 @@ class ViewApp:
         playing = self.player.playing
         self._remove_panels()
         self.source = source
+        source.estimate = source.estimate or previous.estimate
         if isinstance(source, SceneViewSource):
             source.take_over(previous)
         previous.close()
@@ -222,6 +226,22 @@ class ViewApp:
         self._unseen_since = time.monotonic()
         self._build()
         self._say_broken(None)
+
+    def compare(self, path: Path | None) -> None:
+        """Show an estimate of a tracker beside the truth of the scene; None: none."""
+        if self.editor is None or not isinstance(self.source, SceneViewSource):
+            return
+        found = None
+        if path is not None:
+            try:
+                found = TopicOptions([str(path)]).estimate_beside(self.source)
+            except HumansimError as error:  # such as detections in images, which can be evaluated
+                self.notify("Not shown beside the truth", str(error))
+                return
+        self.source.estimate = None
+        source = self.editor.make_source()
+        source.estimate = found
+        self.replace_source(source)
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
         """Show the numbers of a pixel, given as shares of the width and height of an image."""
@@ -269,7 +289,7 @@ class ViewApp:
 
     def _take_files(self) -> None:
         """Let browsers send files; a file that is refused is told."""
-        self.server.add_script("uploads.js")
+        self.server.add_script("uploads.js", most=MOST_UPLOAD)
 
         def refused(reason: str) -> None:
             self.post(lambda: self.notify("Not taken", reason))

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -42,6 +42,8 @@ from humansim_ros.view.tracks import (
     TrackOutline,
     TrackSample,
     coarse_to_fine,
+    has_message,
+    lost_frames,
     seen_shares,
     spans_of,
 )
@@ -92,11 +94,15 @@ class BagViewSource(TopicSource):
             types = {topic.name: topic.type for n, topic in enumerate(names) if counts.get(n)}
             self._topics = seen_topics(types, estimate, self._options.keypoints)
             if estimate is not None and not self._topics.estimate:
-                raise HumansimError(f"the bag has no topic {estimate} with poses", path=path)
+                raise HumansimError(
+                    f"the bag has no topic {estimate} with poses, and there is no file of that name",
+                    path=path,
+                )
             self._messages = _Messages(self._reader, _MAX_KEPT)
             #: Log times of the messages.
             self._logs = self._survey()
             self._stamps = self._frame_stamps()
+            self.start = int(self._stamps[0])
             self._last = 0
             self._shown.see(self._topics, self._messages.read(self._logs.first()))
             for name in self._shown.skinless:
@@ -147,7 +153,12 @@ class BagViewSource(TopicSource):
     ) -> ViewFrame:
         self._last = min(max(index, 0), self.frames - 1)
         found = self._frame(self._last, cameras, channels)
-        return self._shown.frame(found, cameras, channels, full)
+        frame = self._shown.frame(found, cameras, channels, full)
+        if self.estimate is None:
+            return frame
+        people = self.estimate.at(found.stamp, self.period // 2)
+        points, errors = self._shown.beside(people, found.data) if people else ({}, {})
+        return replace(frame, estimate=points, estimate_errors=errors)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         return self._shown.describe(self._frame(self._last, [camera], PIXEL_CHANNELS), camera, x, y)
@@ -191,9 +202,11 @@ class BagViewSource(TopicSource):
     @cached_property
     def _plan(self) -> ErrorPlan | None:
         """Frames in which the estimate is compared; None without one."""
-        own = self._logs.stamps(list(self._topics.estimate))
+        if self.estimate is not None:
+            return ErrorPlan.of(self._stamps, self.estimate.poses, self.estimate.options)
         if not self._topics.estimate:
             return None
+        own = self._logs.stamps(list(self._topics.estimate))
         return ErrorPlan.of(self._stamps, np.array(own, np.int64), self._options)
 
     def _lost(self, camera: str, half: int) -> list[int]:
@@ -438,34 +451,3 @@ def _most_views(topics: SeenTopics) -> int:
     """Most frames whose visibility is read."""
     values = max(1, len(topics.people) * len(topics.cameras))
     return min(_MOST_VIEWS, max(_FEWEST_VIEWS, _MOST_VALUES // values))
-
-
-def has_message(stamps: NDArray[np.int64], own: NDArray[np.int64], half: int) -> NDArray[np.bool_]:
-    """Whether frames have a message (F,): one within half a period.
-
-    Args:
-        stamps: (F,) stamps of the frames, nanoseconds.
-        own: (N,) increasing stamps of the messages.
-        half: Half a period of the frames, nanoseconds.
-    """
-    if not len(own):
-        return np.zeros(len(stamps), bool)
-    after = np.searchsorted(own, stamps)
-    before, after = own[np.maximum(after - 1, 0)], own[np.minimum(after, len(own) - 1)]
-    return np.asarray(np.minimum(abs(stamps - before), abs(after - stamps)) <= half)
-
-
-def lost_frames(present: NDArray[np.bool_]) -> list[int]:
-    """Frames whose image is lost: between two images that are farther apart than most.
-
-    ``present``: (F,) whether a frame has an image.
-    """
-    having = np.flatnonzero(present)
-    steps = np.diff(having)
-    if not len(steps):
-        return []
-    step = max(1, round(float(np.median(steps))))
-    found: list[int] = []
-    for place in np.flatnonzero(steps > step).tolist():
-        found += range(int(having[place]) + step, int(having[place + 1]) - step + 1, step)
-    return found

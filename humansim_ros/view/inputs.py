@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from humansim_ros.camera import Camera, read_calibration
 from humansim_ros.camera.rigs import Optics, ring
-from humansim_ros.errors import HumansimError, PhotographError, SceneError, did_you_mean, some_of
+from humansim_ros.errors import (
+    EvaluationError,
+    HumansimError,
+    PhotographError,
+    SceneError,
+    did_you_mean,
+    some_of,
+)
+from humansim_ros.evaluate.joint_names import set_of_names
 from humansim_ros.evaluate.live import LiveOptions
-from humansim_ros.evaluate.readers.estimates import is_bag
+from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
 from humansim_ros.humans import Human, load_human
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import exists, missing_file
@@ -29,9 +37,11 @@ from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.scene_file import EMPTY_SCENE
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
+from humansim_ros.view.topic_people import Estimate
 
 #: Cameras around a motion or a human: their number, distance and height in metres, and target.
 _COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
+_NO_TOPIC = "give a file, a folder or BAG:TOPIC; only bags and graphs have topics"
 _BODY = "adult_woman"
 _MOTION = "walk"
 #: Most YAML files of a folder that may be scenes.
@@ -61,28 +71,57 @@ class Opened:
 
 @dataclass(frozen=True)
 class TopicOptions:
-    """How topics of a bag or a graph are shown.
+    """How topics of a bag or a graph are shown, and an estimate beside them or beside a scene.
 
     Attributes:
-        estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person. None: there is none.
+        estimate: A tracker's estimate: a topic of the bag or graph, in which ``*`` stands for the name of a
+            person; or what ``humansim evaluate`` takes: ``BAG:TOPIC``, files, folders. Empty: there is none.
         reading: How the estimate is read and compared.
         bodies: Names or files of humans that people may have, beside the built-in ones.
     """
 
-    estimate: str | None = None
+    estimate: Sequence[str] = ()
     reading: LiveOptions = field(default_factory=LiveOptions)
     bodies: Sequence[Path] = ()
+
+    @property
+    def topic(self) -> str | None:
+        """The topic of the estimate; None if it is files, or there is none."""
+        one = self.estimate[0] if len(self.estimate) == 1 else ""
+        return one if one and not exists(Path(split_topic(one)[0])) else None
 
     def arguments(self) -> dict[str, Any]:
         """Arguments of the sources of topics."""
         humans = [load_human(body) for body in self.bodies]
-        return {"estimate": self.estimate, "options": self.reading, "humans": humans}
+        return {"estimate": self.topic, "options": self.reading, "humans": humans}
+
+    def beside(self, opened: Opened) -> Opened:
+        """A page with the files of the estimate beside its truth.
+
+        Raises:
+            HumansimError: They cannot be read.
+        """
+        if self.estimate and self.topic is None:
+            opened.source.estimate = self.estimate_beside(opened.source)
+        return opened
+
+    def estimate_beside(self, source: ViewSource) -> Estimate:
+        """The files of the estimate, read for the frames of a source.
+
+        Raises:
+            HumansimError: They cannot be read.
+        """
+        found = Estimate.read(self.estimate, self.reading, source.period, source.start)
+        if isinstance(source, SceneViewSource) and self.reading.keypoints is None:
+            points = set_of_names(found.poses.names)  # as humansim evaluate does
+            found = replace(found, options=replace(found.options, keypoints=points))
+        return found
 
 
 def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened:
     """Open a path, or the name of a built-in; the demo scene if None.
 
-    ``topics``: how the topics of a bag are shown; None: as they are.
+    ``topics``: how the topics of a bag are shown, and an estimate of a bag or scene; None: as they are.
 
     Raises:
         HumansimError: It is none of these; with file, line and key where these are known.
@@ -90,11 +129,12 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
     if what is not None and is_bag(what):
         from humansim_ros.view.bag_source import BagViewSource
 
-        return Opened(BagViewSource(what, **(topics or TopicOptions()).arguments()))
+        topics = topics or TopicOptions()
+        return topics.beside(Opened(BagViewSource(what, **topics.arguments())))
+    if topics is not None:
+        return topics.beside(_compared(what, topics))
     if what is not None and is_views_file(what):
         return Opened(PhotoSource(PhotoDocument.load(what)))
-    if topics is not None:
-        raise HumansimError("only bags and graphs have estimates and bodies: use these options with a bag")
     if what is None:
         demo = resource_path(DEMO_SCENE)
         return Opened(SceneViewSource(Scene.load(demo)), document=SceneDocument.copy_of(demo, Path.cwd()))
@@ -113,6 +153,23 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         if what.is_dir():
             raise
         return Opened(EmptySource(what.stem), what, make, str(error), document)
+
+
+def _compared(what: Path | None, topics: TopicOptions) -> Opened:
+    """Open the scene of an estimate.
+
+    Raises:
+        HumansimError: There is no such scene, or the options are for bags and graphs.
+    """
+    if topics.bodies:
+        raise HumansimError("the people of bags and graphs have bodies: leave it out", key="--body")
+    if not topics.estimate:
+        raise HumansimError("give --estimate as well: these options say how it is read")
+    if what is not None and not what.is_dir() and not _is_scene(what):
+        raise HumansimError("is no scene, bag or graph, whose people an estimate is compared with", path=what)
+    if topics.topic is not None:
+        raise EvaluationError(missing_file(Path(split_topic(topics.topic)[0]), _NO_TOPIC), key="--estimate")
+    return open_source(what)
 
 
 def new_scene(folder: Path) -> Opened:
@@ -159,7 +216,10 @@ def open_graph(topics: TopicOptions | None = None, namespace: str = "") -> Opene
     prepare_transport()
     from humansim_ros.view.ros_source import RosViewSource
 
-    return Opened(RosViewSource(namespace=namespace, **(topics or TopicOptions()).arguments()))
+    topics = topics or TopicOptions()
+    if topics.estimate and topics.topic is None:
+        raise HumansimError("a graph has estimates on topics: give one topic, such as /tracker/poses")
+    return Opened(RosViewSource(namespace=namespace, **topics.arguments()))
 
 
 def _maker(what: Path) -> Callable[[], ViewSource]:

@@ -6,12 +6,13 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 import rclpy
+from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
@@ -40,6 +41,14 @@ from humansim_ros.view.topic_frames import (
     TopicFrame,
     TopicFrames,
     TopicSource,
+)
+from humansim_ros.view.tracks import (
+    ArrivedFrame,
+    LiveTracks,
+    Tracks,
+    TrackSample,
+    has_message,
+    seen_shares,
 )
 
 #: Seconds between two looks at the wanted topics, and at the graph.
@@ -117,6 +126,7 @@ class RosViewSource(TopicSource):
         self._last: tuple[TopicFrame, Any, ViewFrame] | None = None
         #: Stamp of the frame whose numbers were asked for; it is shown while the page is paused.
         self._pinned: int | None = None
+        self._live = LiveTracks()
         #: Joints and vertices by person and stamp.
         self._samples: dict[str, dict[int, tuple[bytes, bytes]]] = {}
         try:
@@ -250,6 +260,73 @@ class RosViewSource(TopicSource):
         self._pinned = found.stamp
         return self._shown.describe(found, camera, x, y)
 
+    def live_tracks(self) -> Tracks | None:
+        store, topics = self._receiver.store, self._topics
+        clock = self._clock()
+        pictures = {name: self._received(camera.images.values()) for name, camera in topics.cameras.items()}
+        joints = {name: camera.joints for name, camera in topics.cameras.items()}
+        received = self._received(joints.values())
+        projected = [name for name, topic in joints.items() if topic not in received]
+        last = self._newest_whole(
+            clock, [*received, *(topic for each in pictures.values() for topic in each)]
+        )
+        if last is None:
+            return None
+        known = self._live.newest if last >= self._live.newest else -1
+        new = np.array([stamp for stamp in store.stamps(clock) if known < stamp <= last], np.int64)
+        half = self.period // 2
+
+        def arrived(topic: str) -> NDArray[np.bool_]:
+            return has_message(new, np.array(store.stamps([topic]), np.int64), half)
+
+        people = {name: arrived(of_person["joints"]) for name, of_person in topics.people.items()}
+        images = {
+            name: np.all([arrived(topic) for topic in each], axis=0)
+            for name, each in pictures.items()
+            if each
+        }
+        for place, stamp in enumerate(new.tolist()):
+            wanted = self._live.wants_sample(stamp)
+            sample, errors = self._sample(stamp, received, projected) if wanted else (None, {})
+            self._live.add(
+                ArrivedFrame(
+                    stamp,
+                    frozenset(name for name, there in people.items() if there[place]),
+                    {name: bool(there[place]) for name, there in images.items()},
+                    sample,
+                    errors,
+                )
+            )
+        return self._live.tracks(
+            self.period,
+            {name: human.skeleton.joint_names for name, human in self._shown.people.items()},
+            list(topics.cameras),
+            projected,
+            bool(topics.estimate),
+        )
+
+    def _received(self, wanted: Iterable[str]) -> list[str]:
+        """Those of some topics that have messages."""
+        return [topic for topic in wanted if topic and self._receiver.store.stamps([topic])]
+
+    def _sample(
+        self, stamp: int, received: Collection[str], projected: Collection[str]
+    ) -> tuple[TrackSample, Mapping[str, float]]:
+        """Joints and visibility of a frame, and the errors of the estimate.
+
+        Args:
+            stamp: Stamp of the frame.
+            received: Topics of joints in images that are received.
+            projected: Cameras whose joints are projected instead.
+        """
+        found = self._messages(stamp, received)
+        frame = self._shown.frame(found)
+        seen: dict[str, dict[str, tuple[float, float]]] = {}
+        for person, camera, states in self._shown.visibility(found, projected):
+            seen.setdefault(person, {})[camera] = seen_shares(states)
+        positions = {name: each[:, :3, 3].astype(np.float32) for name, each in frame.joints.items()}
+        return TrackSample(positions, seen), frame.estimate_errors
+
     def close(self) -> None:
         self._receiver.close()
 
@@ -306,22 +383,30 @@ class RosViewSource(TopicSource):
 
     def _frame(self, images: Collection[str], stamp: int | None = None) -> TopicFrame | None:
         """Messages of the frame of a stamp, or of the newest whole one; None without frames."""
-        store, topics = self._receiver.store, self._topics
-        clock = self._clock()
-        people = [of_person["joints"] for of_person in topics.people.values()]
-        needed = [*people, *images, *topics.estimate]
-        patience = _ESTIMATE_PATIENCE if topics.estimate else _PATIENCE
         if stamp is None:
-            stamp = store.newest_whole(clock, needed, patience, time.monotonic())
+            stamp = self._newest_whole(self._clock(), images)
         if stamp is None:
             return None
-        wanted = set(topics.topics) - topics.on_demand | {*images, *topics.lasting}
-        data = store.near(stamp, wanted, self.period // 2)
         if self._first is None or stamp < self._first:
             self._first = stamp
         if self._last is None or self._last[0].stamp != stamp:
             self._number += 1
-        return TopicFrame(max(self._number, 0), stamp, self._first, data)
+        return self._messages(stamp, images)
+
+    def _newest_whole(self, clock: Collection[str], images: Collection[str]) -> int | None:
+        """Stamp of the newest frame that has everything; None without frames."""
+        topics = self._topics
+        people = [of_person["joints"] for of_person in topics.people.values()]
+        patience = _ESTIMATE_PATIENCE if topics.estimate else _PATIENCE
+        needed = [*people, *images, *topics.estimate]
+        return self._receiver.store.newest_whole(clock, needed, patience, time.monotonic())
+
+    def _messages(self, stamp: int, images: Collection[str]) -> TopicFrame:
+        """Messages of the frame of a stamp, with some that are received on demand."""
+        topics = self._topics
+        wanted = set(topics.topics) - topics.on_demand | {*images, *topics.lasting}
+        data = self._receiver.store.near(stamp, wanted, self.period // 2)
+        return TopicFrame(max(self._number, 0), stamp, self._first or 0, data)
 
 
 class _Receiver:

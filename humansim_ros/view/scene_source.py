@@ -11,7 +11,8 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.drawing.views import channel_picture, draw_joints
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import EvaluationError, HumansimError
+from humansim_ros.evaluate.truth import FIRST_STAMP, truth_at
 from humansim_ros.humans import Human
 from humansim_ros.jobs.frame_job import Costs, FrameResult, cores
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
@@ -22,7 +23,8 @@ from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, fitted
-from humansim_ros.view.tracks import SceneTracks
+from humansim_ros.view.topic_people import beside_truth
+from humansim_ros.view.tracks import ErrorPlan, SceneTracks
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
@@ -95,6 +97,8 @@ class SceneViewSource(ViewSource):
         tracks += [item.keyframes for item in self.scene.moving_objects.values()]
         lasting = [track.timeline.duration for track in tracks if track is not None]
         lasting += [actor.motion.duration for actor in self.scene.actors.values()]
+        if self.estimate is not None:  # its frames, too, if the motions are played several times
+            lasting.append((int(self.estimate.poses.times[-1]) - FIRST_STAMP + self.period) * 1e-9)
         longest = max(lasting, default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
@@ -115,9 +119,10 @@ class SceneViewSource(ViewSource):
             sizes[name] = float(size)
         self._shown = index
         images = self._images(index, cameras, channels, wait, full)
+        estimate, errors = self._estimate(elapsed)
         return ViewFrame(
             index=index,
-            stamp=1 + elapsed,
+            stamp=FIRST_STAMP + elapsed,
             scene_time=elapsed,
             joints=joints,
             sizes=sizes,
@@ -129,7 +134,23 @@ class SceneViewSource(ViewSource):
             },
             images=images.images if images else {},
             image_index=images.request.index if images and images.is_whole else None,
+            estimate=estimate,
+            estimate_errors=errors,
         )
+
+    def _estimate(self, elapsed: int) -> tuple[dict[str, Array], dict[str, float]]:
+        """Points and errors of the estimate at a time of the scene, nanoseconds, by person."""
+        if self.estimate is None:
+            return {}, {}
+        people = self.estimate.at(FIRST_STAMP + elapsed, self.period // 2)
+        if not people or not self.scene.actors:
+            return {}, {}
+        options, time = self.estimate.options, np.array([elapsed], np.int64)
+        with suppress(EvaluationError):  # the tracks tell it
+            truth = truth_at(self.scene, time, FIRST_STAMP + time, options.keypoints)
+            named = {name: (truth.names, pose) for name, pose in truth.people[0].items()}
+            return beside_truth(people, named, options)
+        return {pose.person or "": pose.positions for pose in people}, {}
 
     def prepare(self, cameras: Collection[str], channels: Collection[str], alone: bool = False) -> None:
         with suppress(HumansimError):  # the first frame tells it
@@ -146,7 +167,12 @@ class SceneViewSource(ViewSource):
         return pixel_info(self.scene, self._exact, camera, x, y)
 
     def tracks(self) -> SceneTracks:
-        return SceneTracks(self.scene, self.frames, tuple(self.cameras))
+        plan = None
+        if self.estimate is not None and self.scene.actors:
+            times = [self.scene.frame_time(index) for index in range(self.frames)]
+            stamps = FIRST_STAMP + np.array(times, np.int64)
+            plan = ErrorPlan.of(stamps, self.estimate.poses, self.estimate.options)
+        return SceneTracks(self.scene, self.frames, tuple(self.cameras), plan)
 
     def take_over(self, previous: ViewSource) -> None:
         """Let the processes of another scene render this one: starting them takes seconds."""

@@ -10,10 +10,13 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
+from humansim_ros.evaluate.truth import FIRST_STAMP
 from humansim_ros.humans import Human
 from humansim_ros.jobs.frame_job import FrameJob
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array, Image
+from humansim_ros.view.topic_people import Estimate
+from humansim_ros.view.tracks import Tracks
 
 #: Channel of a page that is no channel of a renderer: the image with the joints drawn over it.
 JOINTS = "joints"
@@ -74,9 +77,13 @@ class ViewSource(ABC):
 
     Attributes:
         renders: Whether it renders the images itself, so that they are there soon.
+        start: Stamp of the first frame, nanoseconds.
+        estimate: An estimate of files that is shown beside the truth; None without.
     """
 
     renders: bool = False
+    start: int = FIRST_STAMP
+    estimate: Estimate | None = None
 
     @property
     @abstractmethod
@@ -163,6 +170,10 @@ class ViewSource(ABC):
 
     def tracks(self) -> FrameJob | None:
         """Job that reads the tracks of the timeline (``tracks.py``); None: the source has no timeline."""
+        return None
+
+    def live_tracks(self) -> Tracks | None:
+        """Tracks of what has arrived of a live source; None for other sources, and without frames."""
         return None
 
     @abstractmethod

@@ -314,7 +314,8 @@ class Stage:
                 self._points(f"estimate {name}", points, _RED)
                 error = frame.estimate_errors.get(name)
                 text = name if error is None else f"{name}: {error:.0f} mm"
-                self._label(f"error {name}", text, points[:, :2].mean(axis=0), points[:, 2].max() + 0.1)
+                # below the feet: the name of the person stands above the head
+                self._label(f"error {name}", text, points[:, :2].mean(axis=0), points[:, 2].min() - 0.1)
         for key in [key for key in self._extras if key.startswith(("estimate ", "error "))]:
             if key.split(" ", 1)[1] not in frame.estimate:
                 self._drop(key)

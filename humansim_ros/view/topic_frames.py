@@ -347,12 +347,23 @@ class TopicFrames:
         self, data: Mapping[str, bytes], poses: Mapping[str, JointPoses | None]
     ) -> tuple[dict[str, Array], dict[str, float]]:
         people = [pose for _, found in self.estimated(data) for pose in found]
-        nothing: tuple[dict[str, Array], dict[str, float]] = ({}, {})
-        if not people:
-            return nothing
-        topic = next(iter(self.topics.estimate))
-        truth = self.truth(data, poses)
-        return self._guarded(topic, lambda: beside_truth(people, truth, self._options)) or nothing
+        return self.beside(people, data, poses) if people else ({}, {})
+
+    def beside(
+        self,
+        people: Sequence[Pose],
+        data: Mapping[str, bytes],
+        poses: Mapping[str, JointPoses | None] | None = None,
+    ) -> tuple[dict[str, Array], dict[str, float]]:
+        """Points and errors of an estimate by person, as of ``beside_truth``; none if it cannot be compared.
+
+        Args:
+            people: People of the estimate, in ``map``, metres.
+            data: Serialised message by topic.
+            poses: Joints of the truth by person; None: they are read.
+        """
+        truth, topic = self.truth(data, poses), next(iter(self.topics.estimate), "the estimate")
+        return self._guarded(topic, lambda: beside_truth(people, truth, self._options)) or ({}, {})
 
     def estimated(self, data: Mapping[str, bytes]) -> list[tuple[str, list[Pose]]]:
         """People of the estimate in a frame, in ``map`` and metres, by topic."""
@@ -435,15 +446,18 @@ class TopicFrames:
             picture = draw_joints(picture, seen.pixels, seen.visible, seen.names, parents)
         return picture
 
-    def visibility(self, messages_of: TopicFrame) -> Iterator[tuple[str, str, NDArray[np.uint8]]]:
+    def visibility(
+        self, messages_of: TopicFrame, projected: Collection[str] = ()
+    ) -> Iterator[tuple[str, str, NDArray[np.uint8]]]:
         """Person, camera and states (J,) of the joints, as :mod:`humansim_ros.truth` has them.
 
-        Joints of cameras without a topic of joints are projected: none of them is occluded.
+        Joints of cameras without a topic of joints are projected: none of them is occluded. ``projected``:
+        cameras whose topic is not received, with the same effect.
         """
         found = self.frame(messages_of)
         for name, camera in found.cameras.items():
             topic = self.topics.cameras[name].joints
-            if topic and topic not in messages_of.data:
+            if topic and topic not in messages_of.data and name not in projected:
                 continue
             for seen in self._joints_in_image(name, camera, messages_of.data, found.joints):
                 within = (seen.pixels >= -0.5) & (seen.pixels < np.array(camera.size) - 0.5)

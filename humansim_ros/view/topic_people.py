@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,10 +12,13 @@ from scipy.sparse import csgraph, csr_matrix
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.body.skinning import limit_bones
-from humansim_ros.errors import printable
+from humansim_ros.errors import EvaluationError, printable
 from humansim_ros.evaluate.alignment import axes_matrix, match_people, pair_distances
 from humansim_ros.evaluate.joint_names import pair_joints
 from humansim_ros.evaluate.live import LiveOptions, check_world
+from humansim_ros.evaluate.pose_sequence import PoseSequence
+from humansim_ros.evaluate.readers.detections import is_of_images
+from humansim_ros.evaluate.readers.estimates import read_estimates
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import MAX_BONES
 from humansim_ros.io.assets import built_in_names
@@ -347,6 +351,47 @@ _MOST = 64
 
 #: Names and positions (K, 3) of a person of the truth.
 TruePoints = tuple[Sequence[str], Array]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Poses of a tracker that are not on topics of the source which is shown.
+
+    Attributes:
+        poses: They, in ``map``, metres.
+        options: How they are compared.
+    """
+
+    poses: PoseSequence
+    options: LiveOptions
+
+    @classmethod
+    def read(cls, texts: Sequence[str], options: LiveOptions, period: int, start: int) -> Estimate:
+        """Read what ``humansim evaluate`` takes as an estimate.
+
+        Args:
+            texts: ``BAG:TOPIC``, a file, a folder, or several of them.
+            options: How it is read and compared.
+            period: Nanoseconds between frames of the truth, for formats that number frames.
+            start: Stamp of the first frame, nanoseconds.
+
+        Raises:
+            HumansimError: It cannot be read, or is detections in images.
+        """
+        if found := next(filter(is_of_images, texts), None):
+            raise EvaluationError(
+                "is detections in images, and the page compares 3D poses: give it to humansim evaluate",
+                path=found,
+            )
+        return cls(read_estimates(texts, replace(options.reading, period=period, start=start)), options)
+
+    def at(self, stamp: int, half: int) -> list[Pose]:
+        """People in the frame that is nearest to a stamp, if it is at most ``half`` nanoseconds away."""
+        row = int(np.argmin(np.abs(self.poses.times - stamp)))
+        if abs(int(self.poses.times[row]) - stamp) > half:
+            return []
+        people = list(self.poses.people[row].items())[:_MOST]
+        return [Pose(name, self.poses.names, pose) for name, pose in people]
 
 
 def people_of(frame: PoseFrame, person: str | None, options: LiveOptions) -> list[Pose]:

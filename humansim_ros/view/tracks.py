@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -44,6 +45,9 @@ _NICE = 10
 #: Seconds that a source is shown before its tracks are read: who edits changes it several times. Then it is
 #: waited for its first images, at most so long.
 _QUIET, _PATIENCE = 1.0, 20.0
+#: Of a running graph: nanoseconds that are shown, and between frames whose joints and visibility are read;
+#: most frames.
+_LIVE_SPAN, _LIVE_STEP, _MOST_LIVE = 60 * 10**9, 240_000_000, 6000
 #: Seconds between looks at what has arrived, and between two messages to the page.
 _TICK, _PUBLISH = 0.2, 0.7
 
@@ -600,3 +604,151 @@ def spans_of(present: Iterable[bool]) -> list[tuple[int, int]]:
     flags = np.concatenate([[False], np.fromiter(present, bool), [False]])
     edges = np.flatnonzero(flags[1:] != flags[:-1]).reshape(-1, 2)
     return [(int(first), int(last) - 1) for first, last in edges]
+
+
+def has_message(stamps: NDArray[np.int64], own: NDArray[np.int64], half: int) -> NDArray[np.bool_]:
+    """Whether frames have a message (F,): one within half a period.
+
+    Args:
+        stamps: (F,) stamps of the frames, nanoseconds.
+        own: (N,) increasing stamps of the messages.
+        half: Half a period of the frames, nanoseconds.
+    """
+    if not len(own):
+        return np.zeros(len(stamps), bool)
+    after = np.searchsorted(own, stamps)
+    before, after = own[np.maximum(after - 1, 0)], own[np.minimum(after, len(own) - 1)]
+    return np.asarray(np.minimum(abs(stamps - before), abs(after - stamps)) <= half)
+
+
+def lost_frames(present: NDArray[np.bool_]) -> list[int]:
+    """Frames whose image is lost: between two images that are farther apart than most.
+
+    ``present``: (F,) whether a frame has an image.
+    """
+    having = np.flatnonzero(present)
+    steps = np.diff(having)
+    if not len(steps):
+        return []
+    step = max(1, round(float(np.median(steps))))
+    found: list[int] = []
+    for place in np.flatnonzero(steps > step).tolist():
+        found += range(int(having[place]) + step, int(having[place + 1]) - step + 1, step)
+    return found
+
+
+# --- a running graph
+
+
+@dataclass(frozen=True)
+class ArrivedFrame:
+    """What has arrived of a frame of a running graph.
+
+    Attributes:
+        stamp: Nanoseconds.
+        people: Names of those whose joints have arrived.
+        images: Whether the image of a camera has arrived, for the cameras whose images are received.
+        sample: Joints and visibility; None for the frames between samples.
+        errors: Errors of an estimate by person, millimetres.
+    """
+
+    stamp: int
+    people: frozenset[str]
+    images: Mapping[str, bool]
+    sample: TrackSample | None = None
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+class LiveTracks:
+    """Tracks that grow while a graph runs; of its newest frames only.
+
+    Attributes:
+        newest: Stamp of the newest frame; -1 without frames.
+    """
+
+    def __init__(self) -> None:
+        self._frames: deque[ArrivedFrame] = deque(maxlen=_MOST_LIVE)
+
+    @property
+    def newest(self) -> int:
+        return self._frames[-1].stamp if self._frames else -1
+
+    def wants_sample(self, stamp: int) -> bool:
+        """Whether joints and visibility of a frame should be read."""
+        last = next((each.stamp for each in reversed(self._frames) if each.sample is not None), None)
+        return last is None or stamp - last >= _LIVE_STEP
+
+    def add(self, frame: ArrivedFrame) -> None:
+        """Add a frame; those that are too old, and those of an earlier run, are forgotten."""
+        if frame.stamp <= self.newest:
+            self._frames.clear()
+        self._frames.append(frame)
+        while frame.stamp - self._frames[0].stamp > _LIVE_SPAN:
+            self._frames.popleft()
+
+    def tracks(
+        self,
+        period: int,
+        joints: Mapping[str, Sequence[str]],
+        cameras: Sequence[str],
+        projected: Sequence[str] = (),
+        has_errors: bool = False,
+    ) -> Tracks:
+        """Tracks of the frames; frame 0 is the oldest one.
+
+        Args:
+            period: Nanoseconds between frames.
+            joints: Names of the joints by person.
+            cameras: Names of the cameras.
+            projected: Cameras that do not say what is occluded.
+            has_errors: There is an estimate.
+        """
+        frames = list(self._frames)
+        first = frames[0].stamp if frames else 0
+        numbers = [round((each.stamp - first) / period) for each in frames]
+        count = numbers[-1] + 1 if numbers else 1
+        drops = {name: _lost_of(name, frames, numbers) for name in cameras}
+        outline = TrackOutline(
+            frames=count,
+            period=period,
+            cameras=tuple(cameras),
+            joints=joints,
+            spans={name: _spans_at(numbers, [name in each.people for each in frames]) for name in joints},
+            drops={name: lost for name, lost in drops.items() if lost},
+            projected=projected,
+            has_views=bool(cameras and joints),
+            has_errors=has_errors,
+        )
+        sampled = [(number, each) for number, each in zip(numbers, frames, strict=True) if each.sample]
+        found = Tracks(outline)
+        for number, each in sampled:
+            assert each.sample is not None
+            posed = {name: pose for name, pose in each.sample.joints.items()
+                     if len(pose) == len(joints.get(name, ()))}  # fmt: skip
+            found.take("motion", {number: replace(each.sample, joints=posed)})
+            found.take("views", {number: each.sample})
+        if has_errors:
+            found.errors = ErrorTrack([number for number, _ in sampled], [each.errors for _, each in sampled])
+        return found
+
+
+def _lost_of(camera: str, frames: Sequence[ArrivedFrame], numbers: Sequence[int]) -> list[int]:
+    """Numbers of the frames whose image is lost, while the images of a camera are received."""
+    found: list[int] = []
+    for first, last in spans_of(camera in each.images for each in frames):
+        present = np.array([each.images[camera] for each in frames[first : last + 1]])
+        found += [numbers[first + place] for place in lost_frames(present)]
+    return found
+
+
+def _spans_at(numbers: Sequence[int], present: Sequence[bool]) -> list[tuple[int, int]]:
+    """Spans of frames with numbers; a gap in the numbers ends one if it is longer than one lost frame."""
+    found: list[tuple[int, int]] = []
+    for first, last in spans_of(present):
+        begin = numbers[first]
+        for before, number in zip(numbers[first:last], numbers[first + 1 : last + 1], strict=True):
+            if number - before > 2:
+                found.append((begin, before))
+                begin = number
+        found.append((begin, numbers[last]))
+    return found

@@ -57,12 +57,12 @@ def served(*arguments: str, cwd: Path | None = None) -> Iterator[tuple[str, list
 
 
 @contextlib.contextmanager
-def running_app(path: Path) -> Iterator[Any]:
-    """The page of a file, served by a thread of this process."""
+def running_app(path: Path, estimate: str | None = None) -> Iterator[Any]:
+    """The page of a file, with an estimate beside it or not, served by a thread of this process."""
     from humansim_ros.view.app import ViewApp
-    from humansim_ros.view.inputs import open_source
+    from humansim_ros.view.inputs import TopicOptions, open_source
 
-    opened = open_source(path)
+    opened = open_source(path, None if estimate is None else TopicOptions([estimate]))
     made = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
 
     def serve() -> None:
@@ -167,3 +167,38 @@ def place_of(page: Any, pixel: tuple[float, float], size: tuple[int, int]) -> tu
 def until(condition: Any) -> None:
     """Wait for a condition, and assert it."""
     assert wait_until(condition)
+
+
+# --- controls of the panels
+
+
+def tab(page: Any, name: str) -> None:
+    """Open a tab."""
+    page.get_by_role("tab", name=name, exact=True).click()
+
+
+def upload(page: Any, button: str, file: Path) -> None:
+    """Choose a file of this machine in the dialog of a button."""
+    with page.expect_file_chooser() as dialog:
+        page.get_by_role("button", name=button, exact=True).filter(visible=True).first.click()
+    dialog.value.set_files(str(file))
+
+
+def press(page: Any, button: str) -> None:
+    """Press the first visible button of a name."""
+    page.get_by_role("button", name=button, exact=True).filter(visible=True).first.click()
+
+
+def field(page: Any, label: str) -> Any:
+    """The first visible control with a label."""
+    return (
+        page.locator(f"xpath=//label[normalize-space()='{label}']/following::input[1]")
+        .filter(visible=True)
+        .first
+    )
+
+
+def choose(page: Any, label: str, option: str) -> None:
+    """Choose from a list."""
+    field(page, label).click()
+    page.get_by_role("option", name=option, exact=True).filter(visible=True).first.click()

@@ -500,5 +500,5 @@ def test_the_command_opens_a_bag_and_its_bodies(tmp_path: Path, scene: Scene, ba
     source = open_source(other, TopicOptions(bodies=[tmp_path / "tall.npz"])).source
     assert source.people["anna"].name == "tall"
     source.close()
-    with pytest.raises(HumansimError, match="only bags and graphs have estimates"):
-        open_source(None, TopicOptions(estimate="/tracker/poses"))
+    with pytest.raises(HumansimError, match="only bags and graphs have topics"):
+        open_source(None, TopicOptions(["/tracker/poses"]))

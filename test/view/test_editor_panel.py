@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT
+from labs import write_estimate
 from scipy.spatial.transform import Rotation
 from stand_ins import STAND_INS
 from waiting import wait_until
@@ -314,6 +315,22 @@ def test_another_body_leaves_an_outfit_that_it_does_not_have_in_one_step(page: P
     assert worn in page.told[-1]
     page.editor.undo()
     assert page.document.text() == before
+
+
+def test_an_estimate_of_the_tab_is_shown_beside_the_truth_and_survives_edits(page: Page) -> None:
+    assert page.app.commands is not None
+    write_estimate(page.path, page.path.parent / "poses.csv", 3, {"walker": 0.02})
+    page.app.commands.estimate.take("poses.csv")
+    assert "--estimate poses.csv" in page.app.commands._text.value
+    for _ in range(2):
+        assert page.app.source.frame(1).estimate_errors == {"walker": pytest.approx(20.0, abs=0.1)}
+        page.editor.set(("rate",), page.document.value("rate"))
+        page.editor.show_scene()
+    page.app.commands.estimate.take("")
+    assert page.app.source.frame(1).estimate_errors == {}
+    (page.path.parent / "boxes.json").write_text('[{"image_id": 1, "bbox": [0, 0, 1, 1], "score": 1}]')
+    page.app.commands.estimate.take("boxes.json")
+    assert "is detections in images" in page.told[-1]
 
 
 def test_a_scene_with_errors_is_saved_only_after_a_question(page: Page) -> None:

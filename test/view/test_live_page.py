@@ -47,5 +47,13 @@ def test_people_who_come_are_shown(ros: None) -> None:
             people = client.node.create_publisher(MultiDOFJointState, "/late/humans/x/joints", 5)
             assert shown(page, "window.humansim && window.humansim.textured >= 1", people)
             assert shown(page, f"{text}('The graph has no cameras')", people)
+            # the timeline grows while it runs; a click on it does not move the time
+            frames = "fetch('/humansim/tracks.json').then((a) => a.json()).then((t) => t.frames)"
+            before = page.evaluate(frames)
+            assert shown(page, f"{frames}.then((now) => now > {before} + 10)", people)
+            assert shown(page, f"{text}('live, the last')", people)
+            labels = page.get_by_role("list", name="Tracks").get_by_role("listitem")
+            assert [label.inner_text() for label in labels.all()] == ["x"]
+            assert page.get_by_role("slider", name="Time").get_attribute("aria-readonly") == "true"
     finally:
         client.close()

@@ -14,6 +14,7 @@ from conftest import ROOT
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
+from labs import lab
 from pages import (
     browser,
     needs_browser,
@@ -31,16 +32,13 @@ from humansim_ros.view.stage import PageBody
 
 pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
-SCENE = """\
-rate: 30
-room: null
-humans:
-  anna: {body: adult_woman, motion: {file: walk, position: [0.6, 0.4]}}
-  ben: {body: adult_man, motion: {file: wave, position: [-0.6, -0.2]}}
-cameras:
-  left: {position: [3, 2, 1.6], look_at: [0, 0, 1], size: [320, 240]}
-  right: {position: [3, -2, 1.6], look_at: [0, 0, 1], size: [320, 240]}
-"""
+SCENE = lab(
+    30,
+    {
+        "left": "position: [3, 2, 1.6], look_at: [0, 0, 1], size: [320, 240]",
+        "right": "position: [3, -2, 1.6], look_at: [0, 0, 1], size: [320, 240]",
+    },
+)
 #: Pictures of the docs are made by these tests: HUMANSIM_PICTURES=docs/images.
 PICTURES = os.environ.get("HUMANSIM_PICTURES")
 

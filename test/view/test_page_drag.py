@@ -15,11 +15,15 @@ pytest.importorskip("playwright")
 
 from pages import (
     browser,
+    choose,
+    field,
     needs_browser,
     opened_page,
     pause,
+    press,
     running_app,
     scrub,
+    tab,
     three_vertices,
     tiles_of,
     until,
@@ -27,7 +31,7 @@ from pages import (
 from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
-from humansim_ros import Scene, Simulation
+from humansim_ros import Scene, Simulation, load_human
 from humansim_ros.types import Array
 from humansim_ros.view.app import ViewApp
 
@@ -148,3 +152,51 @@ def test_a_changed_body_is_dressed_and_posed_at_once(app: ViewApp) -> None:
                 return float(np.linalg.norm(found - expected[numbers], axis=1).max()) < 0.01
 
             until(is_posed)
+
+
+def test_a_scene_with_errors_is_told_at_its_controls_and_saved_only_after_a_question(app: ViewApp) -> None:
+    editor = app.editor
+    assert editor is not None and editor.document.path is not None
+    with browser() as chromium:
+        page = opened_page(chromium, app.server.url)
+        tab(page, "Edit")
+        choose(page, "Item", "scene")
+        rate = field(page, "rate")
+        rate.fill("-5")
+        rate.press("Enter")
+        told = page.get_by_text("greater than 0").filter(visible=True).first
+        told.wait_for()
+        assert 0 < told.bounding_box()["y"] - rate.bounding_box()["y"] < 120  # below its control
+        for answer, text in (("Do not save", SCENE), ("Save with errors", None)):
+            press(page, "Save")
+            page.get_by_text("This scene does not run").wait_for()
+            assert editor.document.path.read_text() == SCENE
+            press(page, answer)
+            until(lambda: editor.question is None)
+            assert text is None or editor.document.path.read_text() == text
+        until(lambda: "rate: -5" in editor.document.path.read_text())
+        page.close()
+
+
+def test_the_outfits_on_offer_follow_the_body(app: ViewApp) -> None:
+    editor = app.editor
+    assert editor is not None
+    with browser() as chromium:
+        page = opened_page(chromium, app.server.url)
+        tab(page, "Edit")
+        choose(page, "Item", "person anna")
+        for body in ("child", "adult_man"):
+            choose(page, "body", body)
+            outfits = load_human(body).outfits
+
+            def offered(wanted: frozenset[str] = frozenset(("(default)", *outfits))) -> bool:
+                field(page, "outfit").click()
+                options = page.get_by_role("option").filter(visible=True).all_inner_texts()
+                page.keyboard.press("Escape")
+                return frozenset(options) == wanted
+
+            until(offered)
+            choose(page, "outfit", outfits[-1])
+            until(lambda name=outfits[-1]: editor.document.value("humans.anna.outfit") == name)
+        assert editor.document.errors() == []
+        page.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import shutil
 from collections.abc import Iterator
@@ -18,9 +17,11 @@ from stand_ins import STAND_INS
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, needs_browser, served, until
+from labs import write_estimate
+from pages import browser, choose, field, needs_browser, press, served, tab, until, upload
+from waiting import PATIENCE
 
-from humansim_ros import Scene, Simulation, load_human
+from humansim_ros import Scene, load_human
 
 pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.process]
 
@@ -36,52 +37,11 @@ def chromium() -> Iterator[Any]:
         yield opened
 
 
-def tab(page: Any, name: str) -> None:
-    page.get_by_role("tab", name=name, exact=True).click()
-
-
-def upload(page: Any, button: str, file: Path) -> None:
-    """Choose a file of this machine in the dialog of a button."""
-    with page.expect_file_chooser() as dialog:
-        page.get_by_role("button", name=button, exact=True).filter(visible=True).first.click()
-    dialog.value.set_files(str(file))
-
-
-def press(page: Any, button: str) -> None:
-    page.get_by_role("button", name=button, exact=True).filter(visible=True).first.click()
-
-
-def field(page: Any, label: str) -> Any:
-    """The first visible control with a label."""
-    return (
-        page.locator(f"xpath=//label[normalize-space()='{label}']/following::input[1]")
-        .filter(visible=True)
-        .first
-    )
-
-
-def choose(page: Any, label: str, option: str) -> None:
-    """Choose from a list."""
-    field(page, label).click()
-    page.get_by_role("option", name=option, exact=True).filter(visible=True).first.click()
-
-
 def picture(page: Any, name: str) -> None:
     if PICTURES:
         page.add_style_tag(content=".mantine-Notifications-root { opacity: 0 }")
         page.wait_for_timeout(2500)
         page.screenshot(path=str(ROOT / PICTURES / f"{name}.jpg"), type="jpeg", quality=85)
-
-
-def write_estimate(scene: Path, path: Path) -> None:
-    """The joints of a tracker that is wrong by SHIFT, from a simulation without the page."""
-    with Simulation(Scene.load(scene)) as simulation, path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["stamp", "person", "joint", "x", "y", "z"])
-        for frame in simulation.frames(FRAMES):
-            for name, human in frame.humans.items():
-                for joint, point in zip(human.joint_names, human.positions, strict=True):
-                    writer.writerow([frame.stamp, name, joint, *np.add(point, [SHIFT, 0, 0])])
 
 
 def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, tmp_path: Path) -> None:
@@ -95,16 +55,16 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
     folder.mkdir()
     with served(str(folder), "--port", "0") as (address, _):
         page = chromium.new_page(viewport={"width": 1400, "height": 900})
-        page.set_default_timeout(120_000)
+        page.set_default_timeout(1000 * PATIENCE)
         page.goto(address)
         page.get_by_text("The scene has no people.").wait_for()
         page.get_by_text("The scene has no cameras.").wait_for()
 
         # 1. a person of the mesh
         tab(page, "Human")
-        upload(page, "Upload a mesh of a person, or a human", own / "cube.obj")
+        upload(page, "Upload a mesh or a human", own / "cube.obj")
         page.get_by_text("the mesh is flat, not a person").first.wait_for()
-        upload(page, "Upload a mesh of a person, or a human", own / "my person.obj")
+        upload(page, "Upload a mesh or a human", own / "my person.obj")
         page.get_by_text("drag the yellow joints").wait_for()
         page.wait_for_timeout(3000)
         picture(page, "from_nothing_skeleton")
@@ -144,9 +104,12 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         assert list((folder / "scene_export").rglob("*.json"))
 
         # 4. an evaluation of an estimate
-        write_estimate(folder / "scene.yaml", own / "estimate.csv")
+        write_estimate(folder / "scene.yaml", own / "estimate.csv", FRAMES, {"anna": SHIFT})
         upload(page, "Upload an estimate of a tracker", own / "estimate.csv")
         page.wait_for_timeout(500)
+        # the page shows it beside the truth, too
+        page.get_by_label("Curve", exact=True).select_option("estimate error")
+        until(lambda: page.locator("#humansim-timeline .values").inner_text() == "anna 20 mm")
         press(page, "Start")
         link = page.get_by_role("link", name="scene_report.html")
         link.wait_for()

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
+from labs import write_estimate
 from pages import browser, needs_browser, opened_page, pause, running_app, until
 
 from humansim_ros import Scene, Simulation
@@ -42,7 +43,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]
     write_keyframes(folder / "keys.xml", Keyframes(timeline, {"anna": track}))
     path = folder / "lab.yaml"
     path.write_text(SCENE)
-    with running_app(path) as app, browser() as chromium:
+    write_estimate(path, folder / "poses.csv", 12, {"anna": 0.02})
+    with running_app(path, str(folder / "poses.csv")) as app, browser() as chromium:
         page = opened_page(chromium, app.server.url, people=2)
         pause(page)
         page.get_by_role("slider", name="Time").wait_for()
@@ -119,6 +121,8 @@ def test_curves_have_their_values_beside_the_cursor(opened: tuple[Any, Any]) -> 
         camera: table["visible"]["ben"][camera][table["sampled"].index(9)] for camera in ("left", "right")
     }
     until(lambda: values.inner_text().split("\n") == [f"{name} {value} %" for name, value in shown.items()])
+    page.get_by_label("Curve", exact=True).select_option("estimate error")
+    until(lambda: values.inner_text().split("\n") == ["anna 20 mm", "ben –"])
     page.get_by_label("Curve", exact=True).select_option("no curve")
 
 

@@ -151,6 +151,50 @@ def test_age_rate_and_lost_images_are_told(shown: Any) -> None:
     assert float(source.timing.split(" s")[0]) >= float(age) + 0.29
 
 
+def test_the_timeline_of_the_graph_grows_with_its_truth(shown: Any) -> None:
+    source, found = shown.source, []
+    cameras = ["fixed", "bent"]
+
+    def step() -> None:
+        shown.graph.play(1)
+        source.frame(0, cameras, ["rgb", JOINTS])
+        found[:] = [source.live_tracks()]
+
+    def is_known() -> bool:
+        """Visibility comes from the topics of the cameras, for all people, in several frames."""
+        table = found[0].table() if found and found[0] else {}
+        return bool(table) and not table["projected"] and len(table["sampled"]) > 4
+
+    assert wait_until(is_known, step=step)
+    table, frames = found[0].table(), found[0].outline.frames
+    assert {
+        name: each["spans"][-1][1] for name, each in zip(("anna", "bert"), table["people"], strict=True)
+    } == {
+        "anna": frames - 1,
+        "bert": frames - 1,
+    }
+    newest, number = source._live.newest, table["sampled"][-1]
+    index = round((newest - 1) / 50e6) - (frames - 1 - number)
+    truth = shown.simulation.frame(index)
+    for person in ("anna", "bert"):
+        for camera in cameras:
+            states = truth.truth[camera].joints[person].visible
+            assert table["visible"][person][camera][-1] == round(100 * float((states == 2).mean()))
+        curve = found[0].curve(person, "l_wrist")
+        joints = source.people[person].skeleton.joint_names
+        point = truth.humans[person].joints[joints.index("l_wrist"), :3, 3]
+        assert [curve["lines"][axis][-1] for axis in "xyz"] == pytest.approx(point.tolist(), abs=1e-3)
+        assert table["errors"]["values"][person][-1] == pytest.approx(1000 * ERROR, abs=0.1)
+    assert not table["drops"]
+    shown.graph.play(1)
+    store, topic = source._receiver.store, source.topics.cameras["bent"].images["rgb"]
+    before = source._live.newest
+    assert wait_until(lambda: len([s for s in store.stamps([topic]) if s > before]) > 2,
+                      step=lambda: (shown.graph.play(1), source.frame(0, cameras, ["rgb"])))  # fmt: skip
+    store._remove(topic, [stamp for stamp in store.stamps([topic]) if stamp > before][1])
+    assert source.live_tracks().table()["dropped"] == {"bent": 1}
+
+
 def test_an_estimate_is_beside_the_truth_of_its_frame(shown: Any) -> None:
     frame, truth = shown_frame(shown, (), lambda frame: len(frame.estimate) == 2)
     assert frame.estimate_errors == pytest.approx({"anna": 1000 * ERROR, "bert": 1000 * ERROR}, abs=1e-6)

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from labs import lab, write_estimate
 from waiting import wait_until
 
-from humansim_ros import Scene, Simulation
+from humansim_ros import Scene, Simulation, evaluate
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic, Qos
@@ -24,29 +25,32 @@ from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.truth import bag_truth
 from humansim_ros.motion.keyframes import KeyframeTimeline, KeyframeTrack
 from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
-from humansim_ros.view.bag_source import BagViewSource, has_message, lost_frames
+from humansim_ros.view.bag_source import BagViewSource
 from humansim_ros.view.tracks import (
+    ArrivedFrame,
+    LiveTracks,
     SceneTracks,
     Tracker,
     TrackOutline,
     TrackReader,
     Tracks,
+    TrackSample,
     _Asked,
     coarse_to_fine,
+    has_message,
     key_frames,
+    lost_frames,
     spans_of,
 )
 
-SCENE = """\
-rate: 10
-room: null
-humans:
-  anna: {body: adult_woman, motion: {file: walk, position: [0.6, 0.4]}}
-  ben: {body: adult_man, motion: {file: wave, position: [-0.6, -0.2]}}
-cameras:
-  left: {position: [3, 2, 1.6], look_at: [0, 0, 1], size: [160, 120], faults: {drop: {probability: 0.3}}}
-  away: {position: [3, 0, 1.6], look_at: [9, 0, 1], size: [160, 120]}
-"""
+SCENE = lab(
+    10,
+    {
+        "left": "position: [3, 2, 1.6], look_at: [0, 0, 1], size: [160, 120], "
+        "faults: {drop: {probability: 0.3}}",
+        "away": "position: [3, 0, 1.6], look_at: [9, 0, 1], size: [160, 120]",
+    },
+)
 
 
 @pytest.fixture(scope="module")
@@ -298,6 +302,81 @@ def test_errors_of_an_estimate_are_those_of_evaluate(tmp_path: Path, bag: Path) 
     assert "ghost" in found.note and "p7" not in found.note
 
 
+@pytest.mark.parametrize("truth", ["scene", "bag"])
+@pytest.mark.parametrize("form", ["csv", "topic"])
+def test_files_of_an_estimate_are_compared_with_a_scene_and_a_bag_as_evaluate_does(
+    truth: str, form: str, tmp_path: Path, bag: Path, scene: Scene
+) -> None:
+    from humansim_ros.view.inputs import TopicOptions, open_source
+
+    assert scene.path is not None
+    if form == "csv":
+        estimate = str(tmp_path / "poses.csv")
+        write_estimate(scene.path, Path(estimate), 12, {"anna": 0.02, "ben": 0.05})
+    else:
+        shifts = {"p_anna": ("anna", 0.02), "p_ben": ("ben", 0.05)}
+        estimate = (
+            f"{with_estimate(tmp_path / 'tracker', bag, shifts, left_out=range(12, 20))}:/tracker/poses"
+        )
+    path = {"scene": scene.path, "bag": bag}[truth]
+    source = open_source(path, TopicOptions([estimate])).source
+    job = source.tracks()
+    assert job is not None
+    tracker = pickle.loads(pickle.dumps(job)).start()
+    tracks = Tracks(tracker._worker.outline())
+    tracks.errors = tracker.work(_Asked(1, "errors")).value
+    tracker.close()
+    shown = source.frame(4)
+    source.close()
+    table = tracks.table()["errors"]
+    for name, error in (("anna", 20.0), ("ben", 50.0)):
+        found = dict(zip(table["frames"], table["values"][name], strict=True))
+        assert [found[index] for index in range(12)] == [pytest.approx(error, abs=0.1)] * 12
+        assert shown.estimate_errors[name] == pytest.approx(error, abs=0.1) and name in shown.estimate
+        assert not any(found.get(index) for index in range(12, 20))
+    judge = evaluate(path, estimate).data
+    assert 1000 * judge["position"]["mpjpe"] == pytest.approx(35.0, abs=0.1)
+
+
+def test_an_estimate_that_is_longer_than_the_motions_is_shown_to_its_end(
+    tmp_path: Path, scene: Scene
+) -> None:
+    from humansim_ros.evaluate.live import LiveOptions
+    from humansim_ros.evaluate.pose_sequence import PoseSequence
+    from humansim_ros.view.scene_source import SceneViewSource
+    from humansim_ros.view.topic_people import Estimate
+
+    source = SceneViewSource(scene)
+    alone = source.frames
+    stamps = 1 + np.arange(2 * alone) * 10**8
+    poses = PoseSequence(("hip",), stamps, [{"p": np.zeros((1, 3))}] * len(stamps))
+    source.estimate = Estimate(poses, LiveOptions())
+    assert source.frames == 2 * alone
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("what", "estimate", "words"),
+    [
+        ("lab.yaml", "/tracker/poses", "only bags and graphs have topics"),
+        ("lab.yaml", "poses.csv", "no such file"),
+        ("lab.yaml", "boxes.json", "is detections in images"),
+        ("walk", "boxes.json", "is no scene, bag or graph"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused_with_the_remedy(
+    what: str, estimate: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from humansim_ros.errors import HumansimError
+    from humansim_ros.view.inputs import TopicOptions, open_source
+
+    monkeypatch.chdir(tmp_path)
+    Path("lab.yaml").write_text(SCENE)
+    Path("boxes.json").write_text('[{"image_id": 1, "bbox": [0, 0, 1, 1], "score": 1}]')
+    with pytest.raises(HumansimError, match=words):
+        open_source(Path(what), TopicOptions([estimate]))
+
+
 @pytest.mark.parametrize(
     ("shifts", "late", "words"),
     [
@@ -356,3 +435,49 @@ def test_tracks_of_an_hour_are_thinned_out_and_say_so() -> None:
     assert set(table["drops"]["a"]) <= set(lost) and max(np.diff(table["drops"]["a"])) <= 2 * count / 2000
     assert len(table["people"][0]["spans"]) <= 2000
     assert table["curves"] == 600 and table["planned"] == 60 and len(json.dumps(table)) < 50_000
+
+
+# --- a running graph
+
+
+def test_tracks_of_a_graph_grow_and_say_what_has_arrived() -> None:
+    live = LiveTracks()
+    period, lost = 50_000_000, {7, 8, 21}
+    for index in range(40):
+        stamp = 10**9 + index * period
+        sample = None
+        if live.wants_sample(stamp):
+            joints = {"anna": np.full((2, 3), index, np.float32)}
+            sample = TrackSample(joints, {"anna": {"left": (index / 100, 0.0)}})
+        # the images of a camera are received from frame 4 on, and of the other one never
+        images = {"left": index not in lost} if index >= 4 else {}
+        people = frozenset(["anna"] if index < 30 else [])
+        live.add(ArrivedFrame(stamp, people, images, sample, {"anna": float(index)}))
+    tracks = live.tracks(period, {"anna": ("hip", "head")}, ["left", "away"], ["away"], has_errors=True)
+    table = tracks.table()
+    assert table["frames"] == 40 and table["period"] == pytest.approx(0.05)
+    assert table["drops"] == {"left": [7, 8, 21]}
+    assert table["people"] == [{"name": "anna", "spans": [(0, 29)]}]
+    assert table["sampled"] == list(range(0, 40, 5)) and table["visible"]["anna"]["left"] == table["sampled"]
+    assert table["visible"]["anna"]["away"] == [None] * 8 and table["projected"] == ["away"]
+    assert table["errors"] == {"frames": table["sampled"], "values": {"anna": table["sampled"]}}
+    curve = tracks.curve("anna", "head")
+    assert curve is not None and curve["lines"]["z"] == table["sampled"]
+
+
+def test_tracks_of_a_graph_are_bounded_and_begin_again_with_a_new_run() -> None:
+    live = LiveTracks()
+    for index in range(20_000):  # more than ten minutes
+        live.add(ArrivedFrame(10**9 + index * 33_333_333, frozenset(["anna"]), {"left": index % 2 == 0}))
+    table = live.tracks(33_333_333, {"anna": ("hip",)}, ["left"]).table()
+    assert 1790 < table["frames"] < 1810 and len(json.dumps(table)) < 50_000
+    live.add(ArrivedFrame(5, frozenset(), {}))
+    assert live.newest == 5 and live.tracks(33_333_333, {}, []).table()["frames"] == 1
+
+
+def test_frames_that_the_page_did_not_follow_are_a_gap_in_the_track() -> None:
+    live = LiveTracks()
+    for index in [*range(10), *range(50, 60)]:
+        live.add(ArrivedFrame(index * 10**8, frozenset(["anna"]), {}))
+    people = live.tracks(10**8, {"anna": ("hip",)}, []).table()["people"]
+    assert people[0]["spans"] == [(0, 9), (50, 59)]

@@ -137,6 +137,7 @@
 
   // One request at a time, and then the latest: a drag does not queue up.
   async function seek(frame, drag) {
+    if (table.live) return; // a graph has no time but now
     next = `seek?frame=${Math.min(Math.max(frame, 0), last())}${drag ? "&drag=1" : ""}`;
     if (busy) return;
     busy = true;
@@ -337,13 +338,14 @@
     paint.strokeStyle = line;
     paint.textBaseline = "middle";
     for (let number = 0; number * step < whole; number += 1) {
-      const at = x((number * step) / table.period);
-      if (at > width - 1) break;
+      const away = (number * step) / table.period; // of a graph: back from now
+      const at = x(table.live ? last() - away : away);
+      if (at > width - 1 && !table.live) break;
       paint.beginPath();
       paint.moveTo(at, HEIGHT.ruler - 5);
       paint.lineTo(at, height);
       paint.stroke();
-      const label = `${+(number * step).toFixed(2)} s`;
+      const label = `${table.live && number ? "−" : ""}${+(number * step).toFixed(2)} s`;
       if (at + paint.measureText(label).width < width) paint.fillText(label, at + 2, 7);
     }
   }
@@ -416,12 +418,14 @@
   }
 
   function moveCursor() {
-    const frame = page.frame || 0;
+    const frame = table.live ? last() : page.frame || 0;
     const { area, cursor, time, values } = made;
     const width = area.clientWidth;
     const at = (Math.min(frame, last()) / last()) * width;
     cursor.style.transform = `translateX(${at}px)`;
-    time.textContent = `${seconds(frame)} · frame ${frame} of 0–${table.frames - 1}`;
+    time.textContent = table.live
+      ? `live, the last ${Math.round(table.frames * table.period)} s`
+      : `${seconds(frame)} · frame ${frame} of 0–${table.frames - 1}`;
     const row = rows.find((each) => each.kind === "curve");
     values.hidden = !row || !row.graph.lines.length;
     const words = [];
@@ -446,12 +450,14 @@
     }
     const now = { "aria-valuemin": 0, "aria-valuemax": table.frames - 1, "aria-valuenow": frame };
     for (const [name, value] of Object.entries(now)) area.setAttribute(name, value);
-    area.setAttribute("aria-valuetext", text([`frame ${frame}`, seconds(frame), ...words]));
+    area.setAttribute("aria-readonly", Boolean(table.live));
+    area.setAttribute("aria-valuetext", text([...(table.live ? ["now"] : [`frame ${frame}`, seconds(frame)]), ...words]));
   }
 
   function tell() {
     let words = table.problem || "";
-    if (!words && table.planned && table.sampled.length < table.planned)
+    if (!words && table.live) words = "";
+    else if (!words && table.planned && table.sampled.length < table.planned)
       words = `visibility: ${table.sampled.length} of ${table.planned} frames`;
     else if (!words && table.frames > table.curves)
       words = text([`of ${table.frames} frames, curves show ${table.curves}`, table.planned && `visibility ${table.planned}`]);
@@ -500,13 +506,4 @@
     }
   }
   requestAnimationFrame(follow);
-
-  // The canvas of the 3D view has no text of its own for screen readers.
-  const named = setInterval(() => {
-    const canvas = document.querySelector("#root canvas");
-    if (!canvas) return;
-    clearInterval(named);
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "3D view of the scene");
-  }, 500);
 })();

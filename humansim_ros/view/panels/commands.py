@@ -69,9 +69,7 @@ class CommandsPanel:
             self._formats = gui.add_text(
                 "Formats", "coco", hint="of export: coco, openpose, c3d, bvh … (docs/export.md)"
             )
-            self.estimate = FileChoice(
-                app, document, "Estimate", "estimate", lambda _: self.choose("evaluate")
-            )
+            self.estimate = FileChoice(app, document, "Estimate", "estimate", self._use_estimate)
             with gui.add_folder("Photographs", expand_by_default=False):
                 self.views = FileChoice(
                     app, document, "Views file", "views", lambda _: self.choose("open the photographs")
@@ -110,6 +108,11 @@ class CommandsPanel:
         }
         quoted = {key: shlex.quote(value) for key, value in values.items()}
         self._text.value = _BEGINNINGS[command].format(**quoted)
+
+    def _use_estimate(self, name: str) -> None:
+        """Show the line of an evaluation, and the estimate beside the truth; an empty name is none."""
+        self.choose("evaluate")
+        self._app.compare(self._document.folder / name if name else None)
 
     def _used(self, event: Any, action: Callable[[], None]) -> None:
         if event.client_id is not None:

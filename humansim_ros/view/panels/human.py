@@ -57,7 +57,9 @@ class HumanPanel:
             self._state = gui.add_markdown("Choose or upload a mesh of a person who stands in T or A pose.")
             self._bar = gui.add_progress_bar(100.0, visible=False, animated=True)
             with gui.add_folder("1. Mesh"):
-                self.mesh = FileChoice(app, document, "File", "body", self.read)
+                self.mesh = FileChoice(
+                    app, document, "File", "body", self.read, upload="Upload a mesh or a human"
+                )
                 self._extra = FileChoice(
                     app,
                     document,

@@ -130,6 +130,9 @@ class Page(Protocol):
     def replace_source(self, source: ViewSource) -> None:
         """Show another source, at the same time if it has it."""
 
+    def compare(self, path: Path | None) -> None:
+        """Show an estimate of a tracker beside the truth of the scene; None: none."""
+
     def saved(self, path: Path) -> None:
         """The scene has been saved as a file, which is watched from now on."""
 

@@ -182,6 +182,8 @@ def _names_in(camera: Camera, frame: ViewFrame) -> list[tuple[str, float, float]
 _FEWEST, _DIGITS = 2, 12
 #: Seconds that tracks wait for images, which may never come, and then for the browser to draw them.
 _PATIENCE, _DRAWING = 20.0, 3.0
+#: Seconds between two states of the timeline of a running graph.
+_LIVE_EVERY = 0.8
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
 
@@ -291,7 +293,7 @@ class TracksPanel:
         self._tracks: Tracks | None = None
         self._curve: tuple[str, str] = ("", "")
         self._source = self._version = 0
-        self._patient_until = 0.0
+        self._patient_until = self._due = 0.0
         app.server.on_request("seek", self._sought)
         app.server.on_request("curve", self._chosen)
 
@@ -315,6 +317,16 @@ class TracksPanel:
         if now > self._patient_until or not (app.shown_cameras and app.shown_channels):
             self._reader.begin()
 
+    def follow(self) -> None:
+        """Show what has arrived of a running graph, also while the page keeps a frame."""
+        if self._app.player.frames is not None or time.monotonic() < self._due:
+            return
+        self._due = time.monotonic() + _LIVE_EVERY
+        found = self._app.source.live_tracks()
+        if found is not None:
+            self._tracks = found
+            self._publish(self._table(found))
+
     def close(self) -> None:
         """End the process that reads tracks."""
         self._reader.close()
@@ -337,7 +349,8 @@ class TracksPanel:
         table = tracks.table()
         for person in table["people"]:
             person["color"] = "#{:02x}{:02x}{:02x}".format(*person_color(numbers.get(person["name"], 0)))
-        return table | {"curve": tracks.curve(*self._curve)}
+        live = self._app.player.frames is None
+        return table | {"curve": tracks.curve(*self._curve), "live": live}
 
     def _publish(self, table: Mapping[str, Any] | None) -> None:
         """Serve a table, and tell the script; None: there is no timeline."""

@@ -128,10 +128,14 @@ class PageServer:
         # one assignment: the thread of the server reads it meanwhile
         self.files = kept | {f"{PREFIX}{folder}{name}": file for name, file in files.items()}
 
-    def add_script(self, name: str) -> None:
-        """Add a script of the folder ``page`` to the page; browsers that open it later run it."""
+    def add_script(self, name: str, **data: float) -> None:
+        """Add a script of the folder ``page`` to the page; browsers that open it later run it.
+
+        ``data``: numbers that the script reads as data attributes of its element.
+        """
         self._add_script(name)
-        tag = f'<script src="{PREFIX}{name}"></script>'.encode()
+        given = "".join(f' data-{key}="{value}"' for key, value in data.items())
+        tag = f'<script src="{PREFIX}{name}"{given}></script>'.encode()
         self._page = self._page.replace(b"</head>", tag + b"</head>", 1)
         self._compressed = b""
 

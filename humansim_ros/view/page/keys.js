@@ -1,4 +1,4 @@
-// Keys of the page, their help, and what it says when its server has ended.
+// Keys of the page, their help, names of its controls for screen readers, and what it says when its server has ended.
 "use strict";
 (() => {
   const page = window.humansim;
@@ -68,6 +68,40 @@
     },
     true,
   );
+
+  // --- names for screen readers, where viser gives none --------------------------------------------------
+
+  const unnamed = (node) => !node.getAttribute("aria-label") && !node.getAttribute("aria-labelledby");
+
+  // Text of the label that stands beside a control.
+  function labelOf(node) {
+    for (let row = node.parentElement; row; row = row.parentElement) {
+      const label = row.querySelector("label");
+      if (label) return label.textContent.trim();
+    }
+    return "";
+  }
+
+  const NAMES = [
+    ["#root canvas", () => "3D view of the scene"],
+    [".mantine-Notification-closeButton", () => "Close the message"],
+    [".mantine-Modal-close", () => "Close"],
+    [".mantine-Slider-thumb, .mantine-NumberInput-input, .mantine-ColorInput-input", labelOf],
+    ["#root button", (node) => (node.textContent.trim() ? "" : labelOf(node) || "Settings of the page")],
+  ];
+
+  setInterval(() => {
+    for (const [selector, nameOf] of NAMES)
+      for (const node of document.querySelectorAll(selector)) {
+        const has = node.labels && node.labels.length;
+        const name = unnamed(node) && !has ? nameOf(node) : "";
+        if (name) node.setAttribute("aria-label", name);
+      }
+    const canvas = document.querySelector("#root canvas");
+    if (canvas) canvas.setAttribute("role", "img");
+    // pictures of buttons, which have names of their own
+    for (const svg of document.querySelectorAll("#root svg:not([aria-hidden])")) svg.setAttribute("aria-hidden", "true");
+  }, 700);
 
   let lost = null;
   page.addEventListener("lost", () => {

@@ -38,7 +38,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.scene_file import NEW_SCENE, SceneFile
 from humansim_ros.view.scene_keys import (
     ItemPose,
-    People,
+    PeoplePoints,
     SectionKeys,
     camera_keys,
     camera_pose,
@@ -571,7 +571,7 @@ class SceneDocument(SceneFile):
         """Place (3,) for a camera that looks at a target: in the room, and where nothing hides people."""
         people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]
         points = np.array([[x, y, z] for x, y in people or [(target[0], target[1])] for z in (0.1, 1.8)])
-        seen = People(points, np.zeros(len(points)))
+        seen = PeoplePoints(points, np.zeros(len(points)))
         centers = np.zeros((0, 3))
         obstacles: list[Obstacle] = []
         inside: tuple[float, float] | None = None
@@ -581,7 +581,7 @@ class SceneDocument(SceneFile):
                 paths = [actor.joint_paths(_FIRST) for actor in scene.actors.values()]
                 times = [np.repeat(_FIRST, path.shape[1]) for path in paths]
                 points = np.concatenate([path.reshape(-1, 3) for path in paths])
-                seen = People(points, np.concatenate(times))
+                seen = PeoplePoints(points, np.concatenate(times))
             if not self.lacks_cameras:
                 centers = np.array([camera.center for camera in scene.cameras.values()]).reshape(-1, 3)
             if scene.config.room is not None:

@@ -294,6 +294,7 @@ class RosViewSource(TopicSource):
                     frozenset(name for name, there in people.items() if there[place]),
                     {name: bool(there[place]) for name, there in images.items()},
                     sample,
+                    projected,
                     errors,
                 )
             )

@@ -388,7 +388,7 @@ _CAMERA = 0.15
 
 
 @dataclass(frozen=True)
-class People:
+class PeoplePoints:
     """Points of people that a new camera should see.
 
     Attributes:
@@ -401,7 +401,7 @@ class People:
 
 
 def free_view(
-    people: People,
+    people: PeoplePoints,
     cameras: Array,
     target: Array,
     height: float,
@@ -469,7 +469,7 @@ def _is_in(obstacle: Obstacle, place: Array, times: Array) -> bool:
     )
 
 
-def _hidden(obstacles: Sequence[Obstacle], place: Array, people: People) -> NDArray[np.bool_]:
+def _hidden(obstacles: Sequence[Obstacle], place: Array, people: PeoplePoints) -> NDArray[np.bool_]:
     """Whether an obstacle lies between a place (3,) and each point of people (N,)."""
     starts = np.broadcast_to(place, people.points.shape)[:, None]
     hidden = np.zeros(len(people.points), bool)

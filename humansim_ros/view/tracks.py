@@ -11,7 +11,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -649,6 +649,7 @@ class ArrivedFrame:
         people: Names of those whose joints have arrived.
         images: Whether the image of a camera has arrived, for the cameras whose images are received.
         sample: Joints and visibility; None for the frames between samples.
+        projected: Cameras whose visibility in the sample is of projected joints.
         errors: Errors of an estimate by person, millimetres.
     """
 
@@ -656,6 +657,7 @@ class ArrivedFrame:
     people: frozenset[str]
     images: Mapping[str, bool]
     sample: TrackSample | None = None
+    projected: Collection[str] = ()
     errors: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -725,8 +727,14 @@ class LiveTracks:
             assert each.sample is not None
             posed = {name: pose for name, pose in each.sample.joints.items()
                      if len(pose) == len(joints.get(name, ()))}  # fmt: skip
-            found.take("motion", {number: replace(each.sample, joints=posed)})
-            found.take("views", {number: each.sample})
+            # once a camera says what is occluded, projections are not shown beside it
+            old = set(each.projected) - set(projected)
+            seen = {
+                person: {name: shares for name, shares in of_person.items() if name not in old}
+                for person, of_person in each.sample.seen.items()
+            }
+            found.take("motion", {number: TrackSample(posed)})
+            found.take("views", {number: TrackSample(seen=seen)})
         if has_errors:
             found.errors = ErrorTrack([number for number, _ in sampled], [each.errors for _, each in sampled])
         return found

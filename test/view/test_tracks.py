@@ -452,7 +452,7 @@ def test_tracks_of_a_graph_grow_and_say_what_has_arrived() -> None:
         # the images of a camera are received from frame 4 on, and of the other one never
         images = {"left": index not in lost} if index >= 4 else {}
         people = frozenset(["anna"] if index < 30 else [])
-        live.add(ArrivedFrame(stamp, people, images, sample, {"anna": float(index)}))
+        live.add(ArrivedFrame(stamp, people, images, sample, ["away"], {"anna": float(index)}))
     tracks = live.tracks(period, {"anna": ("hip", "head")}, ["left", "away"], ["away"], has_errors=True)
     table = tracks.table()
     assert table["frames"] == 40 and table["period"] == pytest.approx(0.05)
@@ -463,6 +463,13 @@ def test_tracks_of_a_graph_grow_and_say_what_has_arrived() -> None:
     assert table["errors"] == {"frames": table["sampled"], "values": {"anna": table["sampled"]}}
     curve = tracks.curve("anna", "head")
     assert curve is not None and curve["lines"]["z"] == table["sampled"]
+    # a camera that says what is occluded from frame 5 on has no projections before it
+    sample = TrackSample(seen={"anna": {"left": (0.4, 0.0)}})
+    other = LiveTracks()
+    for index, projected in ((0, ["left"]), (5, [])):
+        other.add(ArrivedFrame(index * period, frozenset(), {}, sample, projected))
+    now = other.tracks(period, {"anna": ("hip",)}, ["left"]).table()
+    assert now["visible"]["anna"]["left"] == [None, 40]
 
 
 def test_tracks_of_a_graph_are_bounded_and_begin_again_with_a_new_run() -> None:

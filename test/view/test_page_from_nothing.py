@@ -51,6 +51,7 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
     shutil.copy(STAND_INS["own_mixamo"].path(), own / "my walk.bvh")
     (own / "cube.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (own / "not a motion.bvh").write_text("hello")
+    (own / "empty.bvh").touch()
     folder = tmp_path / "scene"
     folder.mkdir()
     with served(str(folder), "--port", "0") as (address, _):
@@ -72,7 +73,7 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         page.get_by_text("weights of up to").wait_for()
         picture(page, "from_nothing_weights")
         field(page, "Name").fill("anna")
-        page.wait_for_timeout(500)
+        page.wait_for_function("document.body.innerText.includes('human build anna.yaml')")  # the command
         press(page, "Add to the scene")
         until(lambda: (folder / "anna.npz").is_file())
         page.wait_for_function("window.humansim.people === 1")
@@ -81,15 +82,17 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         tab(page, "Edit")
         choose(page, "Item", "person anna")
         page.get_by_text("motion", exact=True).filter(visible=True).first.click()
+        upload(page, "Upload file …", own / "empty.bvh")
+        page.get_by_text("this file is empty").first.wait_for()  # the page itself refuses it
         upload(page, "Upload file …", own / "not a motion.bvh")
         page.get_by_text("is not a motion of a person").first.wait_for()
         upload(page, "Upload file …", own / "my walk.bvh")
         until(lambda: (folder / "my_walk.bvh").is_file())
         page.get_by_text("Joints of the motion").click()
         page.get_by_text("matched by names").wait_for()
-        for _ in range(2):
+        for number in (1, 2):
             press(page, "camera")
-            page.wait_for_timeout(1500)
+            until(lambda n=number: field(page, "Item").input_value() == f"camera camera_{n}")
         press(page, "Save")
         until(lambda: (folder / "scene.yaml").is_file())
 
@@ -98,7 +101,12 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         field(page, "Frames").fill(str(FRAMES))
         page.keyboard.press("Enter")
         press(page, "export")
-        page.wait_for_timeout(500)
+        until(
+            lambda: (
+                f"humansim export scene.yaml -o scene_export --format coco --frames {FRAMES}"
+                == field(page, "Line").input_value()
+            )
+        )
         press(page, "Start")
         page.get_by_text("has finished").wait_for()
         assert list((folder / "scene_export").rglob("*.json"))
@@ -106,7 +114,7 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         # 4. an evaluation of an estimate
         write_estimate(folder / "scene.yaml", own / "estimate.csv", FRAMES, {"anna": SHIFT})
         upload(page, "Upload an estimate of a tracker", own / "estimate.csv")
-        page.wait_for_timeout(500)
+        until(lambda: "--estimate estimate.csv" in field(page, "Line").input_value())
         # the page shows it beside the truth, too
         page.get_by_label("Curve", exact=True).select_option("estimate error")
         until(lambda: page.locator("#humansim-timeline .values").inner_text() == "anna 20 mm")

@@ -115,6 +115,7 @@ class HumanPanel:
         self._joint.on_update(lambda event: self._used(event, self._show_joint))
         self._place.on_update(lambda event: self._used(event, self._typed))
         self._shown.on_update(lambda event: self._used(event, self._draw))
+        self._name.on_update(lambda event: self._used(event, self._show))
         self._show()
 
     # --- the steps (in the thread of the page)

@@ -68,10 +68,9 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         upload(page, "Upload a mesh or a human", own / "my person.obj")
         page.get_by_text("drag the yellow joints").wait_for()
         page.wait_for_timeout(3000)
-        picture(page, "from_nothing_skeleton")
+        picture(page, "from_nothing")
         press(page, "Compute weights")
         page.get_by_text("weights of up to").wait_for()
-        picture(page, "from_nothing_weights")
         field(page, "Name").fill("anna")
         page.wait_for_function("document.body.innerText.includes('human build anna.yaml')")  # the command
         press(page, "Add to the scene")
@@ -121,7 +120,6 @@ def test_a_mesh_and_a_motion_become_a_data_set_and_an_evaluation(chromium: Any, 
         press(page, "Start")
         link = page.get_by_role("link", name="scene_report.html")
         link.wait_for()
-        picture(page, "from_nothing_run")
         report = chromium.new_page()
         report.goto(f"{address}{link.get_attribute('href')}")
         assert "20.0" in report.inner_text("body")  # millimetres

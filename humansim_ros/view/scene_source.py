@@ -98,7 +98,9 @@ class SceneViewSource(ViewSource):
         lasting = [track.timeline.duration for track in tracks if track is not None]
         lasting += [actor.motion.duration for actor in self.scene.actors.values()]
         if self.estimate is not None:  # its frames, too, if the motions are played several times
-            lasting.append((int(self.estimate.poses.times[-1]) - FIRST_STAMP + self.period) * 1e-9)
+            first, last = (int(stamp) * 1e-9 for stamp in self.estimate.poses.times[[0, -1]])
+            if first < _LONGEST:  # not of another clock
+                lasting.append(last - FIRST_STAMP * 1e-9 + self.period * 1e-9)
         longest = max(lasting, default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 

@@ -352,6 +352,10 @@ def test_an_estimate_that_is_longer_than_the_motions_is_shown_to_its_end(
     poses = PoseSequence(("hip",), stamps, [{"p": np.zeros((1, 3))}] * len(stamps))
     source.estimate = Estimate(poses, LiveOptions())
     assert source.frames == 2 * alone
+    source.estimate = Estimate(poses.delayed(1_700_000_000 * 10**9), LiveOptions())  # of a wall clock
+    assert source.frames == alone
+    job = source.tracks()
+    assert job.plan is not None and "do not overlap in time" in job.plan.problem
     source.close()
 
 

@@ -191,6 +191,13 @@ def test_the_pictures_of_the_docs(chromium: Any) -> None:
         until(lambda: tiles_of(page))
         pause(page)
         scrub(page, 20)
+        page.wait_for_function(
+            "fetch('/humansim/tracks.json').then((a) => a.json()).then((t) => "
+            "t.planned > 0 && t.sampled.length === t.planned)"
+        )
+        page.get_by_label("Curve", exact=True).select_option("joint position")
+        page.get_by_label("Joint of the curve").select_option("l_ankle")
+        page.add_style_tag(content=".mantine-Notifications-root { opacity: 0 }")  # there is no GPU
         for name, width, height in (("view", 1280, 800), ("view_tablet", 800, 1200)):
             page.set_viewport_size({"width": width, "height": height})
             page.wait_for_timeout(1500)

@@ -55,15 +55,22 @@ from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
+from humansim_ros.evaluate.readers.detections import read_image_estimates  # noqa: E402
+from humansim_ros.evaluate.readers.estimates import ESTIMATE_SUFFIXES, read_estimates  # noqa: E402
+from humansim_ros.evaluate.readers.pose_files import ReadOptions  # noqa: E402
 from humansim_ros.humans.description import read_description  # noqa: E402
 from humansim_ros.humans.human import read_human  # noqa: E402
 from humansim_ros.humans.loading import make_human  # noqa: E402
+from humansim_ros.io.motion_formats import MOTION_FORMATS  # noqa: E402
+from humansim_ros.keypoints import keypoint_set  # noqa: E402
 from humansim_ros.mesh.load import read_materials_z_up, read_mesh  # noqa: E402
+from humansim_ros.mesh.mesh import MESH_SUFFIXES  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
 from humansim_ros.motion.joint_matching import match_motion  # noqa: E402
 from humansim_ros.motion.joint_tables import load_table  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
 from humansim_ros.motion.limits import load_limits  # noqa: E402
+from humansim_ros.photographs.views import read_points  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 from humansim_ros.scene.environment import load_panorama  # noqa: E402
 
@@ -232,19 +239,62 @@ def reading_materials(path: Path) -> None:
     reading_world(mesh)
 
 
+@dataclass(frozen=True)
+class OneImage:
+    """A truth with one image of one camera."""
+
+    cameras = ("left",)
+    keypoints = keypoint_set("coco17")
+
+    def number(self, camera: str, frame: int) -> int | None:
+        """The only number."""
+        return 0 if frame == 0 else None
+
+    def size(self, number: int) -> tuple[int, int] | None:
+        """Width and height of the only image."""
+        return (64, 48) if number == 0 else None
+
+
+def reading_estimate(path: Path) -> None:
+    """Read 3D poses of a tracker."""
+    read_estimates([str(path)], ReadOptions(keypoint_set("coco17").names, 33_000_000))
+
+
+def reading_detections(path: Path) -> None:
+    """Read COCO results as detections in images."""
+    read_image_estimates([str(path)], OneImage())
+
+
+def reading_openpose(path: Path) -> None:
+    """Read 2D keypoints of OpenPose as detections in images."""
+    folder = path.parent / "left_json"
+    folder.mkdir(exist_ok=True)
+    (folder / "frame_0.json").write_bytes(path.read_bytes())
+    read_image_estimates([str(path.parent)], OneImage())
+
+
+def reading_points(path: Path) -> None:
+    """Read 2D points of a person in photographs."""
+    read_points(path, keypoint_set("coco17"), [Path("left.png")])
+
+
+#: Readers by name, and names of their files. Formats come from the tables of the product, so that a new one
+#: needs an entry in SEEDS; functions above replace some readers. FBX files are read by another program.
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    **{suffix[1:]: (read_mesh, f"*{suffix}") for suffix in MESH_SUFFIXES if suffix != ".fbx"},
+    **{
+        suffix[1:]: (reading_motion, f"*{suffix}")
+        for form in MOTION_FORMATS
+        for suffix in form.suffixes
+        if form.also != "human"
+    },
+    **{f"estimate {suffix[1:]}": (reading_estimate, f"*_0{suffix}") for suffix in ESTIMATE_SUFFIXES},
     "bvh": (reading_bvh, "*.bvh"),
     "amc": (reading_amc, "*.amc"),
     "asf": (reading_asf, "*.asf"),
-    "trc": (reading_motion, "*.trc"),
-    "c3d": (reading_motion, "*.c3d"),
-    "vrma": (reading_motion, "*.vrma"),
     "smpl motion": (reading_motion, "*.npz"),
-    "zip": (reading_motion, "*.zip"),
     "keyframes": (read_keyframes, "*.xml"),
-    "obj": (read_mesh, "*.obj"),
-    "gltf": (reading_figure, "*.gltf"),
-    "glb": (reading_figure, "*.glb"),
+    **{suffix[1:]: (reading_figure, f"*{suffix}") for suffix in (".gltf", ".glb", ".vrm")},
     "human": (read_human, "*.npz"),
     "smpl": (make_human, "*.npz"),
     "description": (read_description, "*.yaml"),
@@ -260,9 +310,9 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "joint table": (reading_joint_table, "*.table"),
     "joint limits": (load_limits, "*.limits"),
     "image size": (image_size, "*.png"),
-    "ply": (read_mesh, "*.ply"),
-    "stl": (read_mesh, "*.stl"),
-    "off": (read_mesh, "*.off"),
+    "detections": (reading_detections, "*.json"),
+    "openpose": (reading_openpose, "*.json"),
+    "points": (reading_points, "*.json"),
 }
 
 BVH = b"""HIERARCHY
@@ -521,6 +571,37 @@ BESIDE_SCENES = {
     "mesh.obj": OBJ.replace(b"mtllib none.mtl\n", b""),
 }
 
+CSV = b"""frame,person,joint,x,y,z,score
+0,anna,nose,0.1,0.2,1.5,0.9
+1,anna,nose,0.1,,1e-3,1
+1,,left_hip,1,2,3,0
+"""
+#: 3D poses of Panoptic and of OpenPose.
+POSES_3D = [
+    {"version": 0.7, "univTime": 5.5, "bodies": [{"id": 1, "joints19": 19 * [10.0, -150.5, 3.0, 0.7]}]},
+    {"people": [{"person_id": [3], "pose_keypoints_3d": 17 * [0.1, -0.2, 1.5, 0.9]}]},
+]
+RESULT = {"image_id": 0, "category_id": 1, "keypoints": 17 * [30.5, 20, 0.7], "score": 0.9}
+BOXES = [
+    {"image_id": 0, "category_id": 1, "bbox": [3, 4.5, 20, 30], "score": 1},
+    {"image_id": 0, "category_id": 1, "segmentation": [[3, 4, 20, 5, 9, 40.5]], "score": 0.5},
+    {
+        "image_id": 0,
+        "category_id": 1,
+        "segmentation": {"size": [48, 64], "counts": [10, 30, 3032]},
+        "score": 0.1,
+    },
+]
+PEOPLE_2D = {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": 17 * [30.5, 20, 0.7]}]}
+COCO_2D = {"images": [{"id": 0, "file_name": "left.png"}], "annotations": [RESULT]}
+OWN_POINTS = {"keypoints": "coco17", "frames": [{"nose": [30.5, 20, 0.7], "left_hip": [30, 20]}]}
+
+
+def as_json(*values: object) -> list[bytes]:
+    """Texts of JSON values."""
+    return [json.dumps(value).encode() for value in values]
+
+
 SEEDS = {
     "scene": [SCENE],
     "world obj": [OBJ],
@@ -533,6 +614,7 @@ SEEDS = {
     "obj": [OBJ],
     "gltf": [figures.gltf_text(*figures.gltf())],
     "glb": [figures.glb(*figures.gltf())],
+    "vrm": [figures.glb(*figures.gltf())],
     "human": [small_human()],
     "smpl": [packed(figures.smpl(figures.SMPL_NAMES, figures.SMPL_PARENTS))],
     "description": DESCRIPTIONS,
@@ -549,6 +631,15 @@ SEEDS = {
     "ply": [exported("ply"), exported("ply", encoding="ascii")],
     "stl": [exported("stl"), exported("stl_ascii")],
     "off": [exported("off")],
+    "dae": [exported("dae")],
+    "3mf": [exported("3mf")],
+    "estimate csv": [CSV],
+    "estimate trc": [MOTIONS[".trc"]],
+    "estimate c3d": [MOTIONS[".c3d"]],
+    "estimate json": as_json(*POSES_3D),
+    "detections": as_json([RESULT], BOXES),
+    "openpose": as_json(PEOPLE_2D),
+    "points": as_json(PEOPLE_2D, COCO_2D, OWN_POINTS, [RESULT]),
 }
 
 
@@ -558,7 +649,7 @@ def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> byt
         return inside_glb(data, random_)
     if data[:2] == b"PK" and b".npy" in data and random_.random() < 0.9:
         return inside_npz(data, random_)
-    if data[:1] == b"{" and random_.random() < 0.5:
+    if data[:1] in (b"{", b"[") and random_.random() < 0.5:
         return changed_json(data, random_)
     out = bytearray(data)
     for _ in range(random_.choice((1, 1, 1, 2, 3, 8))):
@@ -856,7 +947,7 @@ def _limit_memory() -> None:
 
 def corpus_of(name: str, files: Sequence[Path] = ()) -> list[bytes]:
     """Small files: ours, the committed ones and the given ones, each of a few frames at most."""
-    suffix = READERS[name][1].removeprefix("*")
+    suffix = Path(READERS[name][1]).suffix
     own = [*ROOT.glob(f"assets/motions/*{suffix}"), *ROOT.glob(f"config/scenes/*{suffix}")]
     return [
         *SEEDS[name],

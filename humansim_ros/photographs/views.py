@@ -165,7 +165,10 @@ class _PointsReader:
         if numbers is None:
             if not found:
                 raise self._error("no result has keypoints", "keypoints")
-            numbers = sorted({row.get("image_id") for row in rows if "keypoints" in row}, key=_sortable)
+            numbers = [row.get("image_id") for row in rows if "keypoints" in row]
+            if not all(isinstance(number, (int, float, str)) for number in numbers):
+                raise self._error("the image_id of a result is a number or a name", "image_id")
+            numbers = sorted(set(numbers), key=_sortable)
         return [self._best(found.get(repr(number), [])) for number in numbers]
 
     def _row(self, values: Any, key: str) -> Array:

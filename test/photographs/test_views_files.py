@@ -187,6 +187,7 @@ def test_own_points_are_written_and_read_back(tmp_path: Path) -> None:
         ({"annotations": [], "images": []}, "a list of images"),
         ([{"image_id": 1, "keypoints": "secret"}], "finite"),
         ([{"image_id": 1}], "no result has keypoints"),
+        ([{"image_id": [], "keypoints": 51 * [1]}], "a number or a name"),
         ({"a": 1}, "not a file of 2D points"),
         (3, "not a file of 2D points"),
     ],

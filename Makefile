@@ -52,8 +52,9 @@ docs: env-docs
 dist:
 	@tools/check_dist.sh
 
+# all that commands and code of the README, the first ten minutes and the tutorials use
 env:
-	@tools/setup_env.sh ros,view
+	@tools/setup_env.sh ros,view,export,photographs,plot,pytest
 
 env-test:
 	@tools/setup_env.sh ros,view,test

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Distribution, find_packages, setup
 
 NAME = "humansim_ros"
 # Resolved because colcon's symlink install runs a link to this file from its build folder.
@@ -104,6 +104,8 @@ EXTRAS = {
     "export": ["OpenEXR>=3.3", "c3d>=0.6", "pycocotools>=2.0.7"],
     # frame.plot()
     "plot": ["matplotlib>=3.8"],
+    # tests with the fixtures of humansim_ros.testing
+    "pytest": ["pytest"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45"],
@@ -134,8 +136,21 @@ def shims() -> tuple[str, list[str]]:
     return ("bin", [str(path) for path in files_below("resource/shims/bin")])
 
 
+class DataDistribution(Distribution):
+    """``pip install -e`` installs data files, too, so that ament finds the package.
+
+    setuptools asks for ``has_data`` before it installs them into an editable wheel, and its own class has no
+    such method.
+    """
+
+    def has_data(self) -> bool:
+        """Whether there are data files."""
+        return self.has_data_files()
+
+
 setup(
     name=NAME,
+    distclass=DataDistribution,
     # equal to package.xml; catkin_prepare_release needs the literal and raises both (docs/releasing.md)
     version="0.2.0",
     description="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2",

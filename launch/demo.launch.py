@@ -15,6 +15,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from humansim_ros.apps.viewer_layouts import rviz_layout
+from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.lockstep.settings import TIME_ARGUMENTS, time_options, true_or_false, whole_number
 from humansim_ros.ros.processes.node_processes import (
     CANNOT_WRITE,
@@ -34,8 +35,7 @@ from humansim_ros.ros.processes.node_processes import (
 from humansim_ros.ros.transport import choose_transport, remove_dead_files
 from humansim_ros.scene.names import read_names
 
-# launch/ and config/ are in one folder, in the checkout and in share/humansim_ros
-DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
+DEMO_SCENE = resource_path("config/scenes/demo.yaml")
 
 
 def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:

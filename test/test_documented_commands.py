@@ -13,17 +13,21 @@ import re
 import shlex
 import subprocess
 import sys
+from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import yaml
 from conftest import ROOT
+from test_packaging import setup_constants
 from waiting import PATIENCE
 
 from humansim_ros import Camera, Scene, write_calibration
 from humansim_ros.cli import main as cli
+from humansim_ros.cli.doctor import EXTRAS
 from humansim_ros.cli.options import new_names
+from humansim_ros.export.formats import EXPORT_FORMATS
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.scene.config import SceneConfig, check_config
 
@@ -207,6 +211,76 @@ def test_the_python_code_of_a_page_runs_alone_and_ends(
         timeout=2 * PATIENCE,
     )
     assert done.returncode == 0, done.stderr
+
+
+#: Pages that a new user follows after `make demo`.
+AFTER_DEMO = [page for page in PAGES if page.stem in ("README", "first_ten_minutes", "testing")] + FOLLOWED
+#: Extras of commands.
+EXTRA_OF = {"view": "view", "record": "record", "evaluate": "evaluate", "human texture": "photographs"}
+
+
+def modules_of(text: str) -> set[str]:
+    """Modules other than Python's and ours that the commands and the code of a page need."""
+    modules = set()
+    for block in blocks(text, "python"):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                modules.add(str(node.module).partition(".")[0])
+    for words in commands(text):
+        for name in (words[1], " ".join(words[1:3])) if words[0] == "humansim" else ():
+            modules |= set(EXTRAS.get(EXTRA_OF.get(name, ""), ()))
+        if "--format" in words and words[1] == "export":
+            formats = words[words.index("--format") + 1].split(",")
+            modules |= {module for name in formats for module in EXPORT_FORMATS[name].needs}
+        if words[0] == "ros2" or words[1] in ("run", "challenge"):
+            modules.add("rclpy")
+    if re.search(r"^    pytest ", text, re.MULTILINE):
+        modules.add("pytest")
+    written = {Path(name).stem for name in re.findall(r"```python\n# (\S+\.py)\n", text)}
+    return modules - written - {"humansim_ros", "my_tracker", *sys.stdlib_module_names}
+
+
+def installed_by_make_demo() -> set[str]:
+    """Distributions of the extras that the Makefile names, and all that they require."""
+    requirements = pytest.importorskip("packaging.requirements")
+    extras = re.search(r"^env:\n\t@tools/setup_env.sh (\S+)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert extras
+    constants = setup_constants()
+    lines = [line for extra in extras[1].split(",") for line in constants["EXTRAS"][extra]]
+    waiting = [(requirements.Requirement(line), ("",)) for line in [*constants["REQUIRES"], *lines]]
+    names: set[str] = set()
+    while waiting:
+        each, wanted = waiting.pop()
+        if each.marker is not None and not any(each.marker.evaluate({"extra": extra}) for extra in wanted):
+            continue
+        if (name := re.sub("[-_.]+", "-", each.name).lower()) not in names:
+            names.add(name)
+            further = map(requirements.Requirement, metadata.requires(name) or ())
+            waiting += [(requirement, ("", *each.extras)) for requirement in further]
+    return names
+
+
+def test_make_demo_installs_what_the_pages_of_a_new_user_need() -> None:
+    needed = {page.stem: modules_of(page.read_text()) for page in AFTER_DEMO}
+    assert {"c3d", "pycocotools", "viser", "rclpy"} <= needed["README"]
+    assert "pytest" in needed["testing"] and "matplotlib" in needed["compare_trackers"]
+    installed, distributions = installed_by_make_demo(), metadata.packages_distributions()
+    for page, modules in needed.items():
+        for module in modules:
+            # others, such as xatlas, have the name of their distribution
+            names = {re.sub("[-_.]+", "-", name).lower() for name in distributions.get(module, [module])}
+            assert names & installed, f"{page}: {module} is not installed by make demo"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_within_sentences_exist(page: Path) -> None:
+    groups = {name.split()[0] for name in cli.COMMANDS if " " in name}
+    for text in re.findall(r"`humansim ([a-z][^`\n]*)`", page.read_text()):
+        words = text.split()
+        alone = words[0] in groups and (len(words) == 1 or not words[1].isalpha())
+        assert words[0] in cli.COMMANDS or " ".join(words[:2]) in cli.COMMANDS or alone, text
 
 
 def test_commands_are_found_in_pages() -> None:

@@ -50,9 +50,10 @@ install_system_packages() {
         die "apt-get could not install: $*"
 }
 
-# What the installed state follows from: the description of the package, the interpreter, and where the checkout is.
+# What the installed state follows from: the description of the package, the files that ROS finds in the environment,
+# the interpreter, and where the checkout is.
 fingerprint() {
-    { cat setup.py setup.cfg pyproject.toml constraints.txt; "$python" -V; pwd; } | sha256sum
+    { cat setup.py setup.cfg pyproject.toml constraints.txt package.xml launch/*.py; "$python" -V; pwd; } | sha256sum
 }
 
 is_installed() {
@@ -72,7 +73,7 @@ progress() {
 }
 
 install() {
-    say "Installing humansim_ros[$extras] into $venv, $("$python" -V): half a minute, plus 400 MB of download at first."
+    say "Installing humansim_ros[$extras] into $venv, $("$python" -V): half a minute, plus 230 MB of download at first."
     if [ "$("$venv/bin/python" -V 2>/dev/null)" != "$("$python" -V)" ] || ! "$venv/bin/python" -c 'import pip' 2>/dev/null; then
         "$python" -m venv --clear "$venv"
     fi

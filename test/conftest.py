@@ -239,7 +239,7 @@ def built_interfaces() -> Path:
     build_interfaces = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build_interfaces)
     try:
-        return Path(build_interfaces.built_interfaces())
+        return Path(build_interfaces.built_interfaces("simulation_interfaces"))
     except build_interfaces.BuildError as reason:
         pytest.skip(f"interfaces cannot be built here: {reason}")
 

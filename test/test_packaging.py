@@ -519,7 +519,7 @@ def test_interfaces_that_cannot_be_built_say_why_and_leave_nothing(tmp_path: Pat
         "PIP_NO_CACHE_DIR": "1",
     }
     done = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "build_interfaces.py")],
+        [sys.executable, str(ROOT / "tools" / "build_interfaces.py"), "simulation_interfaces"],
         env={**os.environ, **no_network, "XDG_CACHE_HOME": str(tmp_path)},
         capture_output=True,
         text=True,

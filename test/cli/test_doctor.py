@@ -88,6 +88,21 @@ def test_a_machine_without_ros_is_usable(tmp_path: Path) -> None:
     assert "humansim_ros[ros]" in finding.fix or "/opt/ros" in finding.fix
 
 
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_messages_of_tf_are_found_or_their_command_is_told(
+    installed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tf2_msgs").mkdir()
+    code = "class TFMessage: pass" if installed else "raise ImportError('no tf2_msgs')"
+    (tmp_path / "tf2_msgs" / "__init__.py").touch()
+    (tmp_path / "tf2_msgs" / "msg.py").write_text(code)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(checks, "_is_there", lambda _: True)
+    finding = checks.check_tf()
+    assert finding.state == "ok" and ("no /tf" in finding.text) == (not installed)
+    assert ("tf2_msgs" in finding.fix or "tf2-msgs" in finding.fix) == (not installed)
+
+
 def test_little_shared_memory_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "fastrtps_7f").touch()
     monkeypatch.setattr(checks, "_SHARED_MEMORY", 1 << 60)

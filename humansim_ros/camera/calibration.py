@@ -30,7 +30,13 @@ from humansim_ros.camera.formats.matrices import (
     read_matrices,
     read_poses,
 )
-from humansim_ros.camera.formats.spellings import INTRINSIC, POSE, find_parameters
+from humansim_ros.camera.formats.spellings import (
+    INTRINSIC,
+    POSE,
+    find_parameters,
+    numbers_found,
+    plain,
+)
 from humansim_ros.camera.formats.syntax import other_half, read_document
 from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
 from humansim_ros.io.assets import resource_root
@@ -357,8 +363,11 @@ def _detect_format(file: CalibrationFile) -> CalibrationFormat:
         keys = ", ".join(str(key)[:30] for key in list(file.document)[:6])
         content = f" Its keys are {keys}." if keys else ""
     if file.document is not None:
-        said = missing_parts(find_parameters(file))
+        found = find_parameters(plain(file))
+        said = missing_parts(found)
         content += f" {said[:1].upper()}{said[1:]}."
+        if not found.cameras and (numbers := numbers_found(plain(file))):
+            content += f" Numbers under unknown keys: {', '.join(numbers)}."
     known = ", ".join(format.title for format in FORMATS if format.syntax == file.syntax)
     kind = "text" if file.syntax == "text" else file.syntax.upper()
     message = f"is not a known calibration format.{content} Known in {kind}: {known}"

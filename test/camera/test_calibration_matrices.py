@@ -52,7 +52,42 @@ def focal(c: Wanted) -> dict[str, Any]:
     return {"fx": c.K[0, 0], "fy": c.K[1, 1], "cx": c.K[0, 2], "cy": c.K[1, 2]}
 
 
+def sized(c: Wanted, **pose_of: Any) -> dict[str, Any]:
+    """Intrinsics, and a pose under other keys."""
+    return {"width": 640, "height": 480, "K": c.K.tolist(), "dist": D, **pose_of}
+
+
+def xyzw(c: Wanted) -> dict[str, float]:
+    return dict(zip("xyzw", Rotation.from_matrix(c.R).as_quat().tolist(), strict=True))
+
+
+def center(c: Wanted) -> list[float]:
+    return (-c.R.T @ c.t).tolist()  # type: ignore[no-any-return]
+
+
 LAYOUTS: dict[str, Callable[[], Any]] = {
+    "mappings of x, y, z, w": lambda: of_each(
+        lambda c: sized(c, rotation=xyzw(c), translation=dict(zip("xyz", c.t.tolist(), strict=True)))
+    ),
+    "order of a quaternion in its key": lambda: of_each(
+        lambda c: sized(c, quaternion_xyzw=list(xyzw(c).values()), t=c.t.tolist())
+    ),
+    "poses of 3D Gaussian Splatting": lambda: [
+        {"img_name": name, **sized(c, rotation=c.R.T.tolist(), position=center(c))}
+        for name, c in CAMERAS.items()
+    ],
+    "numbers as texts": lambda: of_each(
+        lambda c: {**flat(c), "K": [[str(number) for number in row] for row in c.K.tolist()]}
+    ),
+    "E": lambda: of_each(lambda c: sized(c, E=rt(c))),
+    "plurals": lambda: {
+        "names": list(CAMERAS),
+        "mtxs": [c.K.tolist() for c in CAMERAS.values()],
+        "dists": [list(D) for _ in CAMERAS],
+        "rvecs": [rvec(c) for c in CAMERAS.values()],
+        "tvecs": [c.t.tolist() for c in CAMERAS.values()],
+        "image_size": list(SIZE),
+    },
     "mapping of cameras": lambda: of_each(flat),
     "list of cameras": lambda: [{"name": name, **flat(c)} for name, c in CAMERAS.items()],
     "cameras below a key": lambda: {"date": "today", "cameras": of_each(flat)},
@@ -337,6 +372,21 @@ def test_the_unit_follows_from_the_distances_of_the_cameras(tmp_path: Path, scal
     document = of_each(lambda c: {**flat(c), "t": (c.t * scale).tolist()})
     with pytest.warns(HumansimWarning, match=f"the unit is not in the file; {unit} is assumed"):
         assert_same(read(tmp_path, "c.json", document))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"hello": [1, 2, 3]}, "Numbers under unknown keys: hello (3)"),
+        ({"a": {"K": [[1, 2], [3, 4]]}}, "Numbers under unknown keys: a.K (2 x 2)"),
+    ],
+)
+def test_a_file_that_is_not_understood_says_which_numbers_it_has(
+    tmp_path: Path, content: Any, said: str
+) -> None:
+    with pytest.raises(CameraError, match="missing: K or focal length, image size, rotation") as caught:
+        read(tmp_path, "c.json", content)
+    assert said in str(caught.value)
 
 
 def test_views_of_a_board_are_no_extrinsics(tmp_path: Path) -> None:

@@ -161,11 +161,14 @@ def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     if file.get(*at, "p") is not None:
         tangential = file.numbers((2,), *at, "p")
     posed = file.get(*at, "R") is not None or file.get(*at, "T") is not None
+    size = file.pair_size(*at, "imgSize")
+    if size is None and file.get(*at, "width") is not None and file.get(*at, "height") is not None:
+        size = file.positive_integer(*at, "width"), file.positive_integer(*at, "height")
     return RawCamera(
         pinhole(fx, fy, cx, cy),
         file.numbers((3, 3), *at, "R") if posed else None,
         center=file.numbers((3,), *at, "T") if posed else None,
-        size=file.pair_size(*at, "imgSize"),
+        size=size,
         distortion=(*radial[:2], *tangential, radial[2]),
         model="plumb_bob",
         locations=file.locations(at, K="fx", R="R", t="T", distortion="k"),

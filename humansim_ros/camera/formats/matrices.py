@@ -43,6 +43,7 @@ from humansim_ros.camera.formats.spellings import (
     Identity,
     find_parameters,
     parts_found,
+    plain,
     words,
 )
 from humansim_ros.errors import CameraError, some_of, warn_about
@@ -68,8 +69,8 @@ _CENTRED = 0.5
 class _Pose:
     """Rotation and translation as they are in a file.
 
-    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t) or ``center`` (x = R (X - t)). ``clear``:
-    whether the keys say so.
+    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)) or ``placed`` (a
+    rotation beside a position: ``camera`` rather than ``center``). ``clear``: whether the keys say so.
     """
 
     R: Array
@@ -90,14 +91,16 @@ _READINGS: tuple[tuple[str, Callable[[Array, Array], tuple[Array, Array]]], ...]
         lambda r, t: (_FLIP @ r.T, t),
     ),
 )
-_FIRST = {"world": 0, "camera": 1, "center": 2}
+_FIRST = {"world": 0, "camera": 1, "center": 2, "placed": 1}
 #: Readings that a kind of keys allows, where they are not clear.
-_ALLOWED = {"world": (0, 1, 2, 3), "camera": (1, 4, 0), "center": (2,)}
+_ALLOWED = {"world": (0, 1, 2, 3), "camera": (1, 4, 0), "center": (2, 1, 4), "placed": (1, 2, 4)}
+#: Keys of a camera's place. Beside a ``rotation``, they are its pose, as in 3D Gaussian Splatting.
+_PLACES = words("position pos cameraposition camposition campos location cameralocation")
 
 
 def is_matrices(file: CalibrationFile) -> bool:
     """Whether a document has K, a focal length or P of a camera under a known spelling."""
-    return bool(find_parameters(file).having(INTRINSIC))
+    return bool(find_parameters(plain(file)).having(INTRINSIC))
 
 
 def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -> dict[str, RawCamera]:
@@ -110,6 +113,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
     Raises:
         CameraError: A value is wrong, or there are no intrinsics or no extrinsics where they are needed.
     """
+    file, other = plain(file), None if other is None else plain(other)
     files = (file,) if other is None else (file, other)
     found = find_parameters(*files)
     if not found.having(INTRINSIC):
@@ -133,6 +137,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
 
 def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
     """Cameras of a document that has extrinsics, with any K."""
+    file = plain(file)
     found = find_parameters(file)
     poses: dict[str, _Pose] = {}
     for identity in _leaf_cameras(found, found.having(POSE)):
@@ -396,7 +401,9 @@ def _pose(entries: Mapping[str, Entry]) -> _Pose | None:
             locations,
         )
     if "center" in entries and shift is entries["center"]:
-        return _Pose(r, t, "center", rotation.key not in _UNCLEAR, locations)
+        placed = shift.key in _PLACES and rotation.key not in ("r", "rmat", "rvec")
+        clear = rotation.key not in _UNCLEAR and rotation is not entries.get("quaternion")
+        return _Pose(r, t, "placed" if placed else "center", clear, locations)
     clear = rotation.key not in _UNCLEAR or shift.key not in _UNCLEAR
     return _Pose(r, t, "world", clear, locations)
 
@@ -418,8 +425,10 @@ def _rotation(entry: Entry) -> Array:
         length = float(np.linalg.norm(values))
         if len(values) != 4 or abs(length - 1) > 1e-2:
             raise entry.file.error("is not a quaternion of length 1", *entry.keys)
-        order = "x, y, z, w" if entry.key == "orientation" else "w, x, y, z"
-        warn_about(entry.file.path, f"{_where(entry).key}: the order of the quaternion is taken as {order}")
+        order = "x, y, z, w" if entry.key.endswith(("orientation", "xyzw")) else "w, x, y, z"
+        if not entry.key.endswith(("xyzw", "wxyz", "qvec")):
+            where = f"{_where(entry).key}: the order of the quaternion"
+            warn_about(entry.file.path, f"{where} is taken as {order}")
         return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
     return rotation_of(entry.file, *entry.keys)
 
@@ -457,10 +466,11 @@ def _reading(file: CalibrationFile, poses: list[_Pose]) -> tuple[int, str]:
     )
     errors = {index: _view_error(unclear, index) for index in _ALLOWED[unclear[0].kind]}
     best = min(errors, key=errors.__getitem__)
-    if errors[first] < _SURE or errors[best] > _SURE or errors[best] * _BETTER > errors[first]:
+    usual = errors[first] < _SURE and unclear[0].kind in ("world", "camera")
+    if usual or errors[best] > _SURE or errors[best] * _BETTER > errors[first]:
         why = "because the cameras then look at a common place" if errors[first] < _SURE else "as in OpenCV"
-        if first == 1 and errors[first] >= _SURE:
-            why = "as the key says"
+        if first and errors[first] >= _SURE:
+            why = "as the key says" if first == 1 else "as is usual"
         return first, f"{keys}: taken as {_READINGS[first][0]}, {why}; the file does not say it"
     return (
         best,

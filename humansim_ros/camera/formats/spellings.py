@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,8 @@ def words(text: str) -> frozenset[str]:
 _SPELLINGS = {
     "K": """k intrinsic intrinsics intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters intrmat
         cameramatrix cameramat cammatrix cammat cameraintrinsic cameraintrinsics camk kmat kmatrix mtx m
-        matrix matrixk calibrationmatrix calibmatrix camint intmat internalmatrix ks""",
+        matrix matrixk calibrationmatrix calibmatrix camint intmat internalmatrix intr intrin ks mtxs
+        cameramatrices intrinsicmatrices""",
     "fx": "fx flx focalx focallengthx fu alphax",
     "fy": "fy fly focaly focallengthy fv alphay",
     "cx": "cx ppx principalpointx u0 px",
@@ -35,16 +36,20 @@ _SPELLINGS = {
     "focal": "f focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
     "principal": "c pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
     "skew": "skew",
-    "R": "r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs",
+    "R": """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs
+        rotations rotationmatrices rmats""",
     "Rinverse": "rc2w rwc rotationc2w",
-    "rvec": "rvec rvector rotationvector rotvec rodrigues om rodriguesvector axisangle rotationrodrigues",
-    "quaternion": "q quat quaternion rotationquaternion qvec orientation rotationquat",
-    "t": """t tvec tvector translation translationvector transvec trans tr camt tvecs0 matrixt tw2c tcwvec
+    "rvec": """rvec rvecs rvector rotationvector rotvec rodrigues om rodriguesvector axisangle
+        rotationrodrigues""",
+    "quaternion": """q quat quaternion rotationquaternion qvec orientation rotationquat qvecs quaternions
+        quaternionxyzw quatxyzw qxyzw rotationxyzw orientationxyzw
+        quaternionwxyz quatwxyz qwxyz rotationwxyz orientationwxyz""",
+    "t": """t tvec tvecs tvector translation translationvector transvec trans tr camt matrixt tw2c tcwvec
         translations ts""",
     "center": """center centre position pos cameraposition camposition campos cameracenter cameracentre
         camcenter location c2wtranslation cameralocation origin""",
     "pose": """rt extrinsic extrinsics extrinsicmatrix extrinsicsmatrix extrinsicmat extmat extr extri w2c
-        worldtocam worldtocamera world2cam world2camera worldview viewmatrix viewmat tcw tcamworld
+        e worldtocam worldtocamera world2cam world2camera worldview viewmatrix viewmat tcw tcamworld
         tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs""",
     "inverse": """c2w cam2world camera2world camtoworld cameratoworld pose posematrix campose camerapose
         cameraposematrix twc tworldcam tworldcamera worldfromcam worldfromcamera transform
@@ -52,7 +57,8 @@ _SPELLINGS = {
     "P": "p projection projectionmatrix projmat projmatrix proj pmatrix pmat cameraprojection worldmat",
     "distortion": """d dist distortion distcoeff distcoeffs distcoef distcoefs distortioncoeff distortions
         distortioncoeffs distortioncoef distortioncoefs distortioncoefficient distortioncoefficients dcoeffs
-        kc lensdistortion coeffs distorsion distortionparameters distortionparams distvec distortionvector""",
+        kc lensdistortion coeffs distorsion distortionparameters distortionparams distvec distortionvector
+        dists ds""",
     **{k: k for k in ("k1", "k2", "k3", "k4", "k5", "k6")},
     "p1": "p1 t1",
     "p2": "p2 t2",
@@ -62,7 +68,8 @@ _SPELLINGS = {
     "shape": "shape imageshape imgshape hw imagehw frameshape",
     "model": "model cameramodel distortionmodel lensmodel distortiontype camtype",
     "fisheye": "fisheye isfisheye",
-    "name": "name cameraname camname id cameraid camid serial serialnumber label deviceid camera cam",
+    "name": """name cameraname camname id cameraid camid serial serialnumber label deviceid camera cam
+        imgname imagename""",
     "names": "names cameranames camnames cams cameras serials ids labels cameraids",
 }
 _ROLES = {word: role for role, words in _SPELLINGS.items() for word in words.split()}
@@ -93,7 +100,7 @@ _GROUPS = words(
     """cameras camera cams cam intrinsics intrinsic extrinsics extrinsic calibration calibrations calib params
     parameters cameraparameters cameraparams data poses pose rig rigs sensors devices views lens
     calibrationdata info metadata result results frames color rgb image transform externals internals
-    extri intri value camerapose cameraposes external internal"""
+    extri intri intr extr value matrix mat camerapose cameraposes external internal"""
 )
 #: Ends of keys that group the parameters of one camera, such as color_intrinsics.
 _SECTION = re.compile(
@@ -103,6 +110,7 @@ _SECTION = re.compile(
 _NAMES_OF_LISTS = ("rvecs", "tvecs")
 _MAX_DEPTH, _MAX_ENTRIES = 10, 100_000
 _WORD = re.compile(r"[^a-z0-9]+")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
 #: Names of the camera of an entry: parts of its key path.
 Identity = tuple[str, ...]
@@ -166,12 +174,81 @@ def find_parameters(*files: CalibrationFile) -> Found:
                 raise file.error(f"has more than {_MAX_ENTRIES} values")
             _add(found, file, keys, shape)
     if found.views:
-        for entries in found.cameras.values():
-            for role in ("rvec", "t"):
-                if role in entries and entries[role].key in _NAMES_OF_LISTS:
-                    del entries[role]
-        found.cameras = {identity: entries for identity, entries in found.cameras.items() if entries}
+        _leave_out_views(found)
     return found
+
+
+def _leave_out_views(found: Found) -> None:
+    """Remove ``rvecs`` and ``tvecs``, unless each camera with K has one of them."""
+    listed = {
+        identity
+        for identity, entries in found.cameras.items()
+        if any(entries[role].key in _NAMES_OF_LISTS for role in ("rvec", "t") if role in entries)
+    }
+    if len(listed) > 1 and listed == {one for one, entries in found.cameras.items() if "K" in entries}:
+        found.views = False
+        return
+    for entries in found.cameras.values():
+        for role in ("rvec", "t"):
+            if role in entries and entries[role].key in _NAMES_OF_LISTS:
+                del entries[role]
+    found.cameras = {identity: entries for identity, entries in found.cameras.items() if entries}
+
+
+#: Parts of vectors and quaternions that are written as a mapping.
+_COMPONENTS = (
+    ("x", "y", "z"),
+    ("tx", "ty", "tz"),
+    ("x", "y", "z", "w"),
+    ("qx", "qy", "qz", "qw"),
+    ("rx", "ry", "rz"),
+)
+_MAX_NORMALISED = 200_000
+
+
+def plain(file: CalibrationFile) -> CalibrationFile:
+    """File with lists in place of mappings of x, y, z (and w), and numbers in place of lists of their texts.
+
+    The key of a quaternion gets the end ``_xyzw``, which tells its order.
+    """
+    budget = _MAX_NORMALISED
+
+    def convert(value: Any, depth: int = 0) -> Any:
+        nonlocal budget
+        budget -= 1
+        if depth > _MAX_DEPTH or budget < 0:
+            return value
+        if isinstance(value, Mapping):
+            items = {}
+            for key, item in value.items():
+                vector = _vector(item)
+                if vector is None:
+                    items[key] = convert(item, depth + 1)
+                else:
+                    items[f"{key}_xyzw" if len(vector) == 4 else key] = vector
+            return items
+        if isinstance(value, list):
+            if value and all(isinstance(item, str) and _NUMBER.fullmatch(item.strip()) for item in value):
+                return [float(item) for item in value]
+            return [convert(item, depth + 1) for item in value]
+        return value
+
+    return replace(file, document=convert(file.document))
+
+
+def _vector(value: Any) -> list[float] | None:
+    """Numbers of a mapping of x, y, z (and w); None for others."""
+    if not isinstance(value, Mapping) or not 3 <= len(value) <= 4:
+        return None
+    by_key = {str(key).lower(): number for key, number in value.items()}
+    for names in _COMPONENTS:
+        if by_key.keys() == set(names):
+            numbers = [by_key[name] for name in names]
+            known = all(
+                isinstance(number, (int, float)) and not isinstance(number, bool) for number in numbers
+            )
+            return numbers if known else None
+    return None
 
 
 _Shape = tuple[int, ...] | str
@@ -295,11 +372,25 @@ def _count(role: str, shape: _Shape) -> int | None:
     if role == "distortion":
         single = size <= 14 and (len(shape) <= 1 or 1 in shape)
         return 0 if single else (shape[0] if len(shape) in (2, 3) and size // shape[0] <= 14 else None)
+    if role == "K" and size == 4 and 4 not in shape:
+        return None  # 2 x 2 numbers
     counts = _COUNTS[role]
     if size in counts and not (role == "R" and size == 3 and len(shape) > 2):
         return 0
     each = size // shape[0] if len(shape) > 1 else 0
     return shape[0] if each in counts else None
+
+
+def numbers_found(file: CalibrationFile, most: int = 4) -> list[str]:
+    """Keys of lists of numbers in a document, with their sizes, for messages."""
+    found = []
+    for count, (keys, shape) in enumerate(_leaves(file.document, (), 0)):
+        if len(found) == most or count > 1000:
+            break
+        if isinstance(shape, tuple) and shape:
+            key = ".".join(str(key) for key in keys)[-60:]
+            found.append(f"{key} ({' x '.join(map(str, shape))})")
+    return found
 
 
 def parts_found(found: Found) -> tuple[list[str], list[str]]:

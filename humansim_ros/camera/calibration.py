@@ -273,6 +273,8 @@ def _with_poses(file: CalibrationFile, raw: dict[str, RawCamera]) -> dict[str, R
         what = "the file has no extrinsics"
         if unread:
             what = f"the extrinsics in the file were not understood ({some_of(map('.'.join, unread), 3)})"
+        elif file.document is not None and (numbers := numbers_found(plain(file), least=3)):
+            what += f" under known keys (there are {', '.join(numbers)})"
         warn_about(path, f"{what}: all cameras are at the origin")
     return posed or raw
 

@@ -57,6 +57,10 @@ def sized(c: Wanted, **pose_of: Any) -> dict[str, Any]:
     return {"width": 640, "height": 480, "K": c.K.tolist(), "dist": D, **pose_of}
 
 
+def without_dist(c: Wanted) -> dict[str, Any]:
+    return {key: value for key, value in flat(c).items() if key != "dist"}
+
+
 def xyzw(c: Wanted) -> dict[str, float]:
     return dict(zip("xyzw", Rotation.from_matrix(c.R).as_quat().tolist(), strict=True))
 
@@ -78,6 +82,38 @@ LAYOUTS: dict[str, Callable[[], Any]] = {
     ],
     "numbers as texts": lambda: of_each(
         lambda c: {**flat(c), "K": [[str(number) for number in row] for row in c.K.tolist()]}
+    ),
+    "numbers in the keys": lambda: (
+        {
+            f"{key}{number}": value
+            for number, c in enumerate(CAMERAS.values())
+            for key, value in sized(c, R=c.R.tolist(), t=c.t.tolist()).items()
+            if key not in ("width", "height")
+        }
+        | {"names": list(CAMERAS), "image_size": SIZE}
+    ),
+    "directions in the keys": lambda: of_each(
+        lambda c: sized(c, R_cam2world=c.R.T.tolist(), t_cam2world=center(c))
+    ),
+    "long directions": lambda: of_each(
+        lambda c: sized(c, rotation_world_to_camera=c.R.tolist(), translation_world_to_camera=c.t.tolist())
+    ),
+    "T_w2c": lambda: of_each(lambda c: sized(c, T_w2c=rt(c))),
+    "radial and tangential": lambda: of_each(
+        lambda c: {**without_dist(c), "radial_distortion": [*D[:2], D[4]], "tangential_distortion": D[2:4]}
+    ),
+    "mapping of coefficients": lambda: of_each(
+        lambda c: {**flat(c), "dist": dict(zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True))}
+    ),
+    "MATLAB": lambda: of_each(
+        lambda c: {
+            "IntrinsicMatrix": c.K.T.tolist(),
+            "ImageSize": [480, 640],
+            "RadialDistortion": [*D[:2], D[4]],
+            "TangentialDistortion": D[2:4],
+            "R": c.R.tolist(),
+            "t": c.t.tolist(),
+        }
     ),
     "E": lambda: of_each(lambda c: sized(c, E=rt(c))),
     "plurals": lambda: {
@@ -387,6 +423,18 @@ def test_a_file_that_is_not_understood_says_which_numbers_it_has(
     with pytest.raises(CameraError, match="missing: K or focal length, image size, rotation") as caught:
         read(tmp_path, "c.json", content)
     assert said in str(caught.value)
+
+
+def test_euler_angles_are_no_rotation_vector(tmp_path: Path) -> None:
+    content = of_each(lambda c: sized(c, rotation_euler=[10, 20, 30], translation=c.t.tolist()))
+    with pytest.raises(CameraError, match="needs a rotation"):
+        read(tmp_path, "c.json", content)
+
+
+def test_extrinsics_under_unknown_keys_are_named(tmp_path: Path) -> None:
+    content = of_each(lambda c: sized(c, placement=rt(c)))
+    with pytest.warns(HumansimWarning, match=r"no extrinsics under known keys \(there are .*placement"):
+        read(tmp_path, "c.json", content)
 
 
 def test_views_of_a_board_are_no_extrinsics(tmp_path: Path) -> None:

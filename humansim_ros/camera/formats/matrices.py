@@ -276,6 +276,8 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
         camera = _from_projection(entries["P"])
         return replace(camera, size=size, distortion=distortion, model=model)
     k = _k(entries, size)
+    if size is not None and "size" in entries and "K" in entries and _is_transposed(_numbers(entries["K"])):
+        size = size[1], size[0]  # MATLAB's size is rows and columns
     return RawCamera(k, size=size, distortion=distortion, model=model, locations=locations)
 
 
@@ -286,7 +288,7 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
         if len(values) == 4:
             return pinhole(*values)
         k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.file.numbers((3, 3), *entry.keys)
-        if k[2, :2].any() and not k[:2, 2].any():
+        if _is_transposed(k.ravel()):
             warn_about(entry.file.path, f"{_where(entry).key}: is transposed, as in MATLAB")
             return k.T
         return k
@@ -309,6 +311,11 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
     k = pinhole(fx, fy, cx, cy)
     k[0, 1] = _scalar(entries, "skew") or 0.0
     return k
+
+
+def _is_transposed(k: Array) -> bool:
+    """Whether 9 numbers are a K of MATLAB."""
+    return len(k) == 9 and bool(k[6:8].any() and not k[[2, 5]].any())
 
 
 def _from_projection(entry: Entry) -> RawCamera:
@@ -347,6 +354,11 @@ def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[fl
         entry = entries["distortion"]
         coefficients = _numbers(entry)
         keys = entry.keys
+    elif "radial" in entries:
+        keys = entries["radial"].keys
+        radial = [*_numbers(entries["radial"]), 0.0, 0.0, 0.0, 0.0][:6]
+        tangential = _numbers(entries["tangential"]) if "tangential" in entries else np.zeros(2)
+        coefficients = np.array([*radial[:2], *tangential, *radial[2:]])
     else:
         first = [_scalar(entries, role) or 0.0 for role in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")]
         k1, k2, k3, k4, k5, k6, p1, p2 = first

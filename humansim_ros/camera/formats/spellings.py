@@ -59,6 +59,8 @@ _SPELLINGS = {
         distortioncoeffs distortioncoef distortioncoefs distortioncoefficient distortioncoefficients dcoeffs
         kc lensdistortion coeffs distorsion distortionparameters distortionparams distvec distortionvector
         dists ds""",
+    "radial": "radial radialdistortion radialcoefficients radialcoeffs radialdistortioncoefficients",
+    "tangential": "tangential tangentialdistortion tangentialcoefficients tangentialcoeffs",
     **{k: k for k in ("k1", "k2", "k3", "k4", "k5", "k6")},
     "p1": "p1 t1",
     "p2": "p2 t2",
@@ -83,6 +85,8 @@ _COUNTS = {
     **dict.fromkeys(("focal", "principal"), (2, 1)),
     "size": (2,),
     "shape": (3, 2),
+    "radial": (6, 3, 2),
+    "tangential": (2,),
 }
 _TEXTS = ("model", "name", "names", "fisheye")
 #: Parameters that are single numbers.
@@ -100,7 +104,8 @@ _GROUPS = words(
     """cameras camera cams cam intrinsics intrinsic extrinsics extrinsic calibration calibrations calib params
     parameters cameraparameters cameraparams data poses pose rig rigs sensors devices views lens
     calibrationdata info metadata result results frames color rgb image transform externals internals
-    extri intri intr extr value matrix mat camerapose cameraposes external internal"""
+    extri intri intr extr value matrix mat distortion dist distortions distcoeffs camerapose
+    cameraposes external internal"""
 )
 #: Ends of keys that group the parameters of one camera, such as color_intrinsics.
 _SECTION = re.compile(
@@ -110,6 +115,12 @@ _SECTION = re.compile(
 _NAMES_OF_LISTS = ("rvecs", "tvecs")
 _MAX_DEPTH, _MAX_ENTRIES = 10, 100_000
 _WORD = re.compile(r"[^a-z0-9]+")
+#: Ends of keys that tell the direction of a transform: ``rotation_world_to_camera``.
+_DIRECTION = re.compile(r"(.+?)(w2c|world(?:to|2)cam(?:era)?|c2w|cam(?:era)?(?:to|2)world)", re.IGNORECASE)
+#: Parameter with a direction -> parameter from the camera to the world.
+_OPPOSITES = {"R": "Rinverse", "t": "center", "pose": "inverse"}
+#: Keys of angles, which are no rotation vectors.
+_ANGLES = re.compile(r"euler|rpy|ypr|yaw|pitch|roll|degree", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
 #: Names of the camera of an entry: parts of its key path.
@@ -316,35 +327,61 @@ def _spelled(keys: Keys, shape: _Shape) -> tuple[str, int, Identity] | None:
         last -= 1
     for at in range(last, max(last - 2, -1), -1):
         key = keys[at]
-        if not isinstance(key, str):
+        if not isinstance(key, str) or _ANGLES.search(key):
             continue
-        role, extra = _role(key)
+        fitting = ((role, extra) for role, extra in _candidates(key) if _count(role, shape) is not None)
+        role, extra = next(fitting, (None, ()))
         if role is None or (at < last and role in (*SCALARS, *_TEXTS)):
-            continue
-        if _count(role, shape) is None:
             continue
         parts = [*_parts(keys[:at]), *extra, *(str(k) for k in keys[at + 1 : last + 1])]
         return role, at, tuple(parts)
     return None
 
 
-def _role(key: str) -> tuple[str | None, Identity]:
-    """Parameter that a key spells, and the camera that it names: K_left and left_K are K of left."""
-    role = _ROLES.get(_word(key))
+def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
+    """Parameters that a key may spell, the surest first, and the camera that it names.
+
+    ``K_left``, ``left_K`` and ``K1`` are K of a camera, ``R_world_to_camera`` has a direction.
+    """
+    word = _word(key)
+    role, numbered = _ROLES.get(word), _numbered(key)
+    if role in SCALARS and numbered is not None:
+        yield numbered  # K1 of 3 x 3 numbers is no k1; the sizes decide
     if role is not None:
-        return role, ()
+        yield role, ()
+    directed = _DIRECTION.fullmatch(word)
+    if directed is not None:
+        bases = ("t", "pose") if directed[1] == "t" else (_ROLES.get(directed[1], ""),)
+        for base in bases:
+            if base in _OPPOSITES:
+                yield (_OPPOSITES[base] if directed[2][0] == "c" else base), ()
+    if role is None:
+        split = _split(key)
+        if split is not None:
+            yield split
+        if numbered is not None:
+            yield numbered
+
+
+def _numbered(key: str) -> tuple[str, Identity] | None:
+    """Parameter and camera of a key that ends with a number: ``K1``."""
+    match = re.fullmatch(r"([A-Za-z_]+?)_?([0-9]+)", key) if len(key) < 80 else None
+    role = _ROLES.get(_word(match[1])) if match else None
+    known = ("K", "R", "t", "rvec", "pose", "distortion", "P")
+    return (str(role), (match[2],)) if match and role in known else None
+
+
+def _split(key: str) -> tuple[str, Identity] | None:
+    """Parameter and camera of a key with words of both: ``K_left`` and ``left_K``."""
     words = [word for word in re.split(r"[_. -]+", key) if word]
     if len(words) > 8 or len(key) > 80:
-        return None, ()
+        return None
     for length in range(len(words) - 1, 0, -1):
         for own, rest in ((words[-length:], words[:-length]), (words[:length], words[length:])):
             role = _ROLES.get("".join(own).lower())
             if role is not None and role not in _TEXTS:
                 return role, ("_".join(rest),)
-    numbered = re.fullmatch(r"([A-Za-z_]+?)_?([0-9]+)", key)
-    if numbered and _ROLES.get(_word(numbered[1])) in ("K", "R", "t", "rvec", "pose", "distortion", "P"):
-        return _ROLES[_word(numbered[1])], (numbered[2],)
-    return None, ()
+    return None
 
 
 def _parts(keys: Keys) -> Identity:
@@ -381,13 +418,14 @@ def _count(role: str, shape: _Shape) -> int | None:
     return shape[0] if each in counts else None
 
 
-def numbers_found(file: CalibrationFile, most: int = 4) -> list[str]:
-    """Keys of lists of numbers in a document, with their sizes, for messages."""
-    found = []
+def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[str]:
+    """Unknown keys of lists of at least ``least`` numbers in a document, with their sizes, for messages."""
+    found: list[str] = []
     for count, (keys, shape) in enumerate(_leaves(file.document, (), 0)):
         if len(found) == most or count > 1000:
             break
-        if isinstance(shape, tuple) and shape:
+        known = not isinstance(shape, tuple) or int(np.prod(shape)) < least or _spelled(keys, shape)
+        if shape and not known:
             key = ".".join(str(key) for key in keys)[-60:]
             found.append(f"{key} ({' x '.join(map(str, shape))})")
     return found

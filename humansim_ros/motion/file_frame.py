@@ -294,13 +294,23 @@ class _UpEvidence:
             witness, name, least = first, "frame 0", _HALF
         else:
             witness, name = self._least_moved(mean), "the floor"
-        if (witness == mean).all() or self._raised(mean, witness, least):
+        if (witness == mean).all():
+            return mean, None
+        raised = self._raised(mean, witness, least)
+        if raised and self._is_sure(mean, witness):
             return mean, None
         up, other = axis_name(witness), axis_name(mean)
-        return witness, (
+        taken, instead = (other, up) if raised else (up, other)
+        return mean if raised else witness, (
             f"{name} and most frames contradict each other: the head is above the feet along {up} in {name}, "
-            f"along {other} on average. {up} is taken as up; if it is wrong, give the axis (up: {other})"
+            f"along {other} on average. {taken} is taken as up; if it is wrong, give the axis (up: {instead})"
         )
+
+    def _is_sure(self, mean: Array, witness: Array) -> bool:
+        """Whether more than the share of the frames tells that the mean direction is up."""
+        if _is_usual(mean) != _is_usual(witness) or self._moves_off(witness, mean):
+            return True
+        return self._is_on_floor(mean) and not self._is_on_floor(witness)
 
     def _first(self) -> tuple[Array, float]:
         """Axis (3,) along which the person is in frame 0, and the angle between both, degrees."""

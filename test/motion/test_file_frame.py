@@ -11,10 +11,11 @@ import pytest
 from motion_files import Rotations, StandIn, one_axis, stand_in, turns
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.motion import Motion
+from humansim_ros.motion import Motion, read_motion
 from humansim_ros.motion.file_frame import FileFrame, detect_file_frame
 from humansim_ros.motion.info import LoadedMotion, describe_motion
 from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.kinematics import motion_of_rotations
 from humansim_ros.types import Array
 
 FRAMES = 60
@@ -176,3 +177,23 @@ def test_a_given_up_axis_is_taken_without_a_warning() -> None:
     for up in ("y", "-x"):
         frame = detect_file_frame(motion, match, up=up)
         assert (frame.up, frame.confidence, frame.warning) == (up, 1.0, None)
+
+
+def test_a_person_who_lies_in_all_frames_is_in_doubt() -> None:
+    wave = read_motion("wave")
+    few = np.arange(0, wave.n_frames, 8)
+    poses = Rotation.from_quat(wave.local_rotations(few).reshape(-1, 4)).as_matrix()
+    poses = poses.reshape(len(few), -1, 3, 3)
+    poses[:, 0] = Rotation.from_euler("x", -90, degrees=True).as_matrix() @ poses[:, 0]
+    z_up = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    root = np.tile(z_up @ [0.0, 25.0, 0.0], (len(few), 1))
+    motion = motion_of_rotations(
+        wave.joint_names,
+        wave.parents,
+        wave.offsets @ z_up.T,
+        z_up @ poses @ z_up.T,
+        {0: root},
+        8 * wave.frame_time,
+    )
+    frame = detect_file_frame(motion, match_motion(motion))
+    assert frame.confidence == 0.5

@@ -53,7 +53,7 @@ def test_people_who_come_are_shown(ros: None) -> None:
             assert shown(page, f"{frames}.then((now) => now > {before} + 10)", people)
             assert shown(page, f"{text}('live, the last')", people)
             labels = page.get_by_role("list", name="Tracks").get_by_role("listitem")
-            assert [label.inner_text() for label in labels.all()] == ["x"]
+            assert [label.inner_text() for label in labels.all()] == ["late/x"]
             assert page.get_by_role("slider", name="Time").get_attribute("aria-readonly") == "true"
     finally:
         client.close()

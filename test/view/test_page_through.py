@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -95,6 +96,33 @@ def test_a_click_through_a_camera_is_in_the_pixel_that_it_shows(
     assert np.hypot(float(found[1]) - x, float(found[2]) - y) < 1.6, (table, x, y)
     hidden = page.evaluate("window.humansim.page.through.camera")
     assert hidden == camera
+
+
+def test_people_without_a_room_are_as_bright_as_in_the_images(opened: tuple[Any, Any]) -> None:
+    """From both sides of the person: lights of one side leave the other one black."""
+    page, app = opened
+    scrub(page, SHOWN)
+    with Simulation(Scene.load(app.source.scene.path), channels=("rgb", "instance")) as simulation:
+        frame = simulation.frame(SHOWN)
+    through = app._through
+    for camera in ("wide", "tall"):
+        view, size = frame.views[camera], frame.cameras[camera].size
+        inside = cv2.erode((view.instance == 1).astype(np.uint8), np.ones((5, 5), np.uint8))
+        rows, columns = np.nonzero(inside)
+        through._choice.value, through._kind.value = camera, "3D from its position"
+        app.post(through._choose)
+        wanted = view.rgb[rows, columns].mean()
+
+        def brightness(rows: Any = rows, columns: Any = columns, size: tuple[int, int] = size) -> float:
+            picture = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+            places = [place_of(page, pixel, size) for pixel in ((0, 0), (1, 1))]
+            (left, top), (right, bottom) = places
+            across = np.rint(left + columns * (right - left)).astype(int)
+            down = np.rint(top + rows * (bottom - top)).astype(int)
+            return float(picture[down, across].mean())
+
+        # the floor and the sky of an empty page are at 200 and more, what is black at 20
+        until(lambda brightness=brightness, wanted=wanted: 0.7 < brightness() / wanted < 1.5)
 
 
 def test_keys_play_step_and_undo(opened: tuple[Any, Any]) -> None:

@@ -184,6 +184,8 @@ _FEWEST, _DIGITS = 2, 12
 _PATIENCE, _DRAWING = 20.0, 3.0
 #: Seconds between two states of the timeline of a running graph.
 _LIVE_EVERY = 0.8
+#: Seconds between two texts of the time while it plays.
+_TELL = 0.2
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
 
@@ -209,7 +211,7 @@ class TimelinePanel:
             )
             self._loop = gui.add_checkbox("Loop", player.loop, visible=recorded)
             self._text = gui.add_markdown("")
-        self._shown = ""
+        self._shown, self._told = "", 0.0
 
         # a coroutine: it runs before anything else can set the slider
         async def seek(event: Any) -> None:
@@ -239,9 +241,10 @@ class TimelinePanel:
         text = f"{frame.scene_time * 1e-9:.3f} s, stamp {frame.stamp} ns{late}"
         if timing := self._app.source.timing:
             text += f"\n\n{plain_markdown(timing)}"
-        if text != self._shown and (not player.playing or index % 5 == 0):
+        now = time.monotonic()
+        if text != self._shown and (not player.playing or now - self._told > _TELL):
             self._text.content = text
-            self._shown = text
+            self._shown, self._told = text, now
 
     def remove(self) -> None:
         """Remove the panel."""

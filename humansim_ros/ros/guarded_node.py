@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ from humansim_ros.messages.cdr import check_serialised, deserialised
 
 #: ``max_bytes`` of subscriptions that take serialised messages of any size, and do not read them.
 ANY_SIZE = -1
+#: Bytes of a refused message from which its memory is given back to the system.
+_LARGE = 1 << 22
 #: Seconds between two log lines about errors of one callback.
 _LINE_EVERY = 1.0
 #: Most elements of a sequence in a request: each of the parameters to set is checked alone.
@@ -127,10 +130,12 @@ class GuardedNode(Node):
         """
 
         def on_data(data: bytes) -> None:
-            with self.guard(f"topic {self.resolve_topic_name(topic)}", "the message is ignored"):
+            with self.guard(f"topic {self.resolve_topic_name(topic)}", "the message is ignored") as fault:
                 if raw and max_bytes != ANY_SIZE:
                     check_serialised(data, msg_type, max_bytes)
                 callback(data if raw else deserialised(data, msg_type, max_bytes))
+            if fault.reason and len(data) > _LARGE and self.executor is not None:
+                self.run_soon(release_memory)  # when the message itself is freed
 
         return super().create_subscription(msg_type, topic, on_data, qos_profile, raw=True, **options)
 
@@ -218,6 +223,12 @@ class GuardedNode(Node):
                 callback(parameters)
 
         super().add_post_set_parameters_callback(on_parameters)
+
+
+def release_memory() -> None:
+    """Give freed memory back to the system: glibc keeps up to 100 MB after large messages."""
+    with suppress(AttributeError, OSError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _name(callback: Callable[..., object]) -> str:

@@ -149,6 +149,8 @@ _DISCOVERY_SETTINGS = (_RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", *_TRANS
 _FAST_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 #: Environment variable that profiles of Fast DDS read.
 _SEGMENT_BYTES = "HUMANSIM_SEGMENT_BYTES"
+#: Environment variable by which rmw_fastrtps takes the memory policy of readers from the profiles.
+_MEMORY_POLICY = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 #: Bytes of a segment below which large images may be lost.
 _SMALL_SEGMENT = 1 << 24
 #: Bytes in /dev/shm of a process whose segment has its full size.
@@ -195,6 +197,7 @@ def choose_transport(participants: int | None = None, network: bool = True) -> T
     environment = {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(resource_path(f"config/{_profile(segment, network)}.xml")),
         _SEGMENT_BYTES: str(segment),
+        _MEMORY_POLICY: "1",
         **limit,
     }
     return Transport(environment, reach, _warning(segment, free, participants))

@@ -12,7 +12,7 @@ from conftest import ROOT
 from ros_support import Client, rclpy
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros import runtime
+from humansim_ros.ros import guarded_node, runtime
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.runtime import make_executor
 
@@ -315,3 +315,18 @@ def test_all_nodes_of_the_package_are_guarded() -> None:
         if path.name != "guarded_node.py" and path.parent.name != "testing":
             text = path.read_text()
             assert not re.search(r"create_node\(|\(Node\b|create_task\(", text), path
+
+
+@pytest.mark.parametrize(("size", "releases"), [(100, 0), (5 << 20, 1)])
+def test_memory_of_long_messages_that_are_refused_is_given_back(
+    guarded: Any, monkeypatch: pytest.MonkeyPatch, size: int, releases: int
+) -> None:
+    from std_msgs.msg import Header
+
+    released: list[int] = []
+    monkeypatch.setattr(guarded_node, "release_memory", lambda: released.append(1))
+    subscription = guarded.node.create_subscription(Header, "/header", endless, 10)
+    subscription.callback(bytes(size))
+    guarded.client.spin_until(lambda: len(released) >= releases)
+    assert guarded.errors() == 1
+    assert len(released) == releases

@@ -22,7 +22,12 @@ from humansim_ros.ros import transport as shared_memory
 from humansim_ros.ros.transport import FULL_SEGMENT, choose_transport, free_memory, segment_size
 
 MB = 1 << 20
-SETTINGS = (*transport._DISCOVERY_SETTINGS, transport._SEGMENT_BYTES, "RMW_IMPLEMENTATION")
+SETTINGS = (
+    *transport._DISCOVERY_SETTINGS,
+    transport._SEGMENT_BYTES,
+    transport._MEMORY_POLICY,
+    "RMW_IMPLEMENTATION",
+)
 #: Publishes images of 640x480 as a camera does, and stops each time until a subscriber has had a second.
 PUBLISHER = """
 import sys, time
@@ -43,6 +48,54 @@ for number in range(20):
     image.header.stamp.sec = number
     publisher.publish(image)
     time.sleep(0.2)
+"""
+#: Sends messages of 30 MB to three topics.
+FLOOD = """
+import time
+import rclpy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
+from humansim_ros.ros.runtime import prepare_transport
+prepare_transport(2, network=False)
+rclpy.init()
+node = rclpy.create_node("flood")
+publishers = [node.create_publisher(Header, f"/topic_{number}", 1) for number in range(3)]
+while not all(publisher.get_subscription_count() for publisher in publishers):
+    time.sleep(0.05)
+for _ in range(8):
+    for publisher in publishers:
+        publisher.publish(serialize_message(Header()) + bytes(30_000_000))
+        time.sleep(0.3)
+"""
+#: Prints megabytes of its own before and after messages, and the number of refused ones.
+FLOODED = """
+import subprocess, sys, time
+from pathlib import Path
+import rclpy
+from std_msgs.msg import Header
+from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.qos import NEWEST
+from humansim_ros.ros.runtime import make_executor, prepare_transport
+
+def own():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("RssAnon")).split()[1]) / 1024
+
+prepare_transport(2, network=False)
+rclpy.init()
+node, executor = GuardedNode("flooded"), make_executor()
+executor.add_node(node)
+for number in range(3):
+    node.create_subscription(Header, f"/topic_{number}", print, NEWEST)
+executor.spin_once(0.1)
+before = own()
+with subprocess.Popen([sys.executable, "-c", sys.argv[1]]) as flood:
+    while flood.poll() is None:
+        executor.spin_once(0.1)
+end = time.monotonic() + 1
+while time.monotonic() < end:
+    executor.spin_once(0.1)
+print(before, own(), node._counts["errors"])
 """
 SUBSCRIBER = """
 import sys, time
@@ -288,3 +341,20 @@ def test_the_network_is_opened_by_an_option(run: Mapping[str, subprocess.Popen[s
         lambda: "0.0.0.0" in set().union(*(udp_addresses(pid) for pid in node_pids(parent.pid)))
     )
     assert "every host on the network" in (tmp_path / "output").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_long_messages_that_are_refused_hold_no_memory(ros: None) -> None:
+    """Buffers of Fast DDS and of the C library would hold several messages of 30 MB for each topic."""
+    done = subprocess.run(
+        [sys.executable, "-c", FLOODED, FLOOD],
+        env={**default_environment(ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"]), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=PATIENCE,
+    )
+    before, after, refused = map(float, done.stdout.split()[-3:])
+    assert refused >= 9
+    assert after - before < 2 * 30

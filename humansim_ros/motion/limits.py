@@ -13,7 +13,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -551,7 +551,15 @@ def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton |
     Raises:
         MotionError: The file is not a valid table; with file, line and key.
     """
-    path = resource_path(_BUILT_IN) if path is None else path
-    data, tree = read_yaml(path, MotionError, "joint limits")
-    table = validated(LimitTable, data, MotionError, path, tree)
+    table = _built_in_table() if path is None else _read_table(path)
     return JointLimits(table, hanim_skeleton()).for_skeleton(skeleton or hanim_skeleton())
+
+
+@lru_cache(maxsize=1)
+def _built_in_table() -> LimitTable:
+    return _read_table(resource_path(_BUILT_IN))
+
+
+def _read_table(path: str | os.PathLike[str]) -> LimitTable:
+    data, tree = read_yaml(path, MotionError, "joint limits")
+    return validated(LimitTable, data, MotionError, path, tree)

@@ -31,6 +31,7 @@ from humansim_ros.photographs.pose_fitting import (
     fit_poses,
     fitted_states,
     point_errors,
+    relative_size,
     unwound,
     with_possible_hinges,
 )
@@ -46,6 +47,10 @@ SHAPE_FRAMES = 12
 SILHOUETTE_FRAMES = 4
 #: Weight of points that no other view confirms.
 _UNCONFIRMED = 0.3
+#: Least and greatest stature of people, metres; and size of the points relative to the start that fits reach.
+_STATURES, _SIZES = (0.5, 2.3), (0.3, 3.0)
+#: Median distance of points from the body, as a share of the longer side of the images, that is told.
+_FAR = 0.03
 #: A point farther than this number of standard deviations of the noise, and of pixels, is an outlier.
 _FARTHEST, _LEAST_FARTHEST = 6.0, 4.0
 
@@ -104,12 +109,22 @@ def find_doubts(fit: PersonFit, photos: PhotoSet, silhouettes: bool = True) -> l
     shown = dict(zip(model.skeleton.names, turned, strict=True))
     ends = {"head": ("vt3",), "legs": ("l_knee", "r_knee")}
     missing = [part for part, bones in ends.items() if not any(shown.get(bone, True) for bone in bones)]
+    stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
     if missing and not masks:
-        stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
         parts = " and the ".join(missing)
         found.append(
             f"the stature of {stature:.2f} m is a guess, because no point shows the {parts}: "
             "add such points, or masks"
+        )
+    if not _STATURES[0] < stature < _STATURES[1]:
+        found.append(
+            f"the person is {stature:.2f} m tall: check the unit of the calibration (key unit) and the points"
+        )
+    distance = float(np.median(fit.residuals[used])) if used.any() else 0.0
+    if distance > _FAR * max(max(camera.size) for camera in photos.cameras):
+        found.append(
+            f"half of the points are {distance:.0f} pixels or more from the fitted body: check the points, "
+            "and that calibration and photographs belong together"
         )
     for kind, factors, limit in (
         ("length", fit.proportions.lengths, LENGTH_LIMIT),
@@ -137,6 +152,7 @@ def _fit(
     base = Proportions() if start is None else start.proportions
     body = shaped_human(name, base)
     model = PoseModel(body, photos.keypoints, base)
+    _check_size(photos, model, body, found)
     sights = [_sight(photos, model, each) for each in found]
     noise = _noise(found)
     states = _initial(model, found, start, progress)
@@ -169,6 +185,20 @@ def _fit(
         states = fit_poses(model, states, sights, Settings(noise, free_shape=False, period=period))
     progress("poses", len(states), len(states))
     return result()
+
+
+def _check_size(photos: PhotoSet, model: PoseModel, body: Human, found: Sequence[Triangulation]) -> None:
+    """Raise PhotographError if the triangulated points are much larger or smaller than a person."""
+    sizes = np.array([relative_size(model, each.positions) for each in found])
+    size = float(np.median(sizes[np.isfinite(sizes)])) if np.isfinite(sizes).any() else 1.0
+    if not _SIZES[0] < size < _SIZES[1]:
+        stature = size * float(np.ptp(body.mesh.vertices[:, 1]))
+        raise PhotographError(
+            f"the points are of a person of {stature:.3g} m: check the unit of the calibration (key unit), "
+            "and the points",
+            path=photos.path,
+            key="unit",
+        )
 
 
 def _stored_name(human: str) -> str:

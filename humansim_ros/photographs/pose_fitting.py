@@ -43,9 +43,9 @@ _TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
 _STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.1
 #: Standard deviation of logarithms of girths. Only outlines tell them.
 _GIRTH_SPREAD = 0.2
-#: Greatest logarithms of lengths and girths of people relative to others, children and clothes included; and
-#: their standard deviation beyond.
-LENGTH_LIMIT, GIRTH_LIMIT, _BEYOND_SHAPE = 0.35, 0.55, 0.02
+#: Greatest logarithms of statures, lengths and girths of people relative to others, children and clothes
+#: included; and their standard deviation beyond.
+STATURE_LIMIT, LENGTH_LIMIT, GIRTH_LIMIT, _BEYOND_SHAPE = 0.9, 0.35, 0.55, 0.02
 #: Standard deviations where no point shows the part: logarithm of its length, rotation in radians.
 _HELD_LENGTH, _HELD_TURN = 0.03, 0.3
 #: Standard deviation of a joint beyond its limit, radians.
@@ -142,12 +142,7 @@ def first_state(model: PoseModel, places: Array) -> BodyState:
     if known.sum() < 3:
         return replace(model.neutral(), position=_mean(np.nan_to_num(places), known))
     target = np.where(known[:, None], places, 0.0)
-
-    def spread(points: Array) -> float:
-        return float(weights @ np.square(points - weights @ points / weights.sum()).sum(axis=1))
-
-    # lengths of the trunk: robust against limbs in another pose
-    scale = float(np.clip(np.sqrt(spread(target) / max(spread(rest), 1e-12)), 0.4, 2.0))
+    scale = float(np.clip(relative_size(model, places), 0.4, 2.0))
     _, turn, shift = fit_similarity(rest, target, weights, scale)
     neutral = model.neutral()
     return replace(
@@ -156,6 +151,22 @@ def first_state(model: PoseModel, places: Array) -> BodyState:
         position=scale * turn @ model.skeleton.heads[0] + shift,
         stature=float(np.log(scale)),
     )
+
+
+def relative_size(model: PoseModel, places: Array) -> float:
+    """Size of a person with triangulated keypoints (K, 3) relative to the model; NaN below three keypoints.
+
+    Lengths of the trunk count most: they are robust against limbs in another pose.
+    """
+    known = np.isfinite(places[:, 0])
+    if known.sum() < 3:
+        return float("nan")
+    weights = np.where(model.on_trunk, 1.0, 0.05)[known]
+
+    def spread(points: Array) -> float:
+        return float(weights @ np.square(points - weights @ points / weights.sum()).sum(axis=1))
+
+    return float(np.sqrt(spread(places[known]) / max(spread(model.keypoints(model.neutral())[known]), 1e-12)))
 
 
 def fit_poses(
@@ -225,7 +236,9 @@ class _Problem:
             np.full(len(model.girths), _GIRTH_SPREAD),
         ]
         self._shape_limits = np.r_[
-            np.inf, np.full(len(model.groups), LENGTH_LIMIT), np.full(len(model.girths), GIRTH_LIMIT)
+            STATURE_LIMIT,
+            np.full(len(model.groups), LENGTH_LIMIT),
+            np.full(len(model.girths), GIRTH_LIMIT),
         ]
         # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
         frames, bones = len(sights), len(spreads)
@@ -256,9 +269,11 @@ class _Problem:
         for _ in range(self.settings.steps):
             equations = self._equations(states)
             for _ in range(8):
-                step = equations.solve(damping)
-                tried = self._moved(states, step)
-                new = self.cost(tried)
+                try:
+                    tried = self._moved(states, equations.solve(damping))
+                    new = self.cost(tried)
+                except np.linalg.LinAlgError:  # too little damping for the precision of numbers
+                    new = np.inf
                 if new < cost:
                     break
                 damping = max(damping * 8, 1e-6)

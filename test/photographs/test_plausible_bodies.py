@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from photographs.studio import make_studio
+from photographs.studio import change_views, make_studio
 
-from humansim_ros.errors import HumansimWarning
+from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.photographs import read_views
@@ -87,3 +88,28 @@ def test_a_stature_that_no_point_shows_and_an_implausible_body_are_told(tmp_path
     squat = replace(fit, proportions=replace(fit.proportions, girths={"l_hip": 1.9}))
     (told,) = find_doubts(squat, photos)
     assert told.startswith("the girth of l_hip (1.90) is at the limit for people") and "check points" in told
+    (told,) = find_doubts(replace(fit, residuals=fit.residuals + 40), photos)
+    assert "pixels or more from the fitted body: check the points" in told
+    (told,) = find_doubts(replace(fit, proportions=replace(fit.proportions, stature=1.5)), photos)
+    assert "m tall: check the unit of the calibration (key unit)" in told
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_studio(tmp_path_factory.mktemp("views"), cameras=4, images=False).path
+
+
+@pytest.mark.parametrize("unit", [0.001, 10.0])
+def test_a_calibration_in_another_unit_is_refused_with_its_key(views: Path, unit: float) -> None:
+    other = change_views(views, unit=unit)
+    with pytest.raises(PhotographError, match=r"a person of .* m: check the unit of the calibration") as said:
+        fit_person(read_views(other), silhouettes=False)
+    assert said.value.path == str(other) and said.value.key == "unit"
+
+
+def test_points_at_one_place_are_refused(views: Path, tmp_path: Path) -> None:
+    shutil.copytree(views.parent, tmp_path, dirs_exist_ok=True)
+    for file in (tmp_path / "points").glob("*.json"):
+        write_points(file, COCO, [np.tile([320.0, 240.0, 1.0], (len(COCO), 1))])
+    with pytest.raises(PhotographError, match=r"views\.yaml.*unit.*a person of"):
+        fit_person(read_views(tmp_path / views.name), silhouettes=False)

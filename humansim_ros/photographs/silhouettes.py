@@ -161,6 +161,16 @@ def find_edges(
     return Edges(vertex[clear].astype(np.intp), unit.astype(float), own_distances, size)
 
 
+def own_parts(mask: NDArray[np.bool_], body: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Parts of a mask (H, W) that a roughly fitted body (H, W) touches: the others are of other people.
+
+    The whole mask if the body touches no part of it.
+    """
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    touched = np.isin(labels, np.unique(labels[mask & body]))
+    return np.asarray(touched if touched.any() else mask)
+
+
 def intersection_over_union(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
     """Share of the pixels of either mask that both have; 0 if both are empty."""
     union = int((first | second).sum())
@@ -219,22 +229,31 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     all_states = fitted_states(model, fit)
     states = [all_states[number] for number in chosen]
     noise = _noise(fit)
-    sights = [_sight(fit, photos, model, number) for number in chosen]
+    sights = [_sight(fit, photos, number) for number in chosen]
     topology, renderer = human.mesh, make_renderer()
+
+    def faces(number: int, vertices: Float32Array) -> dict[int, Faces]:
+        """Face images of the body in the views of a frame that have a mask, by the number of the view."""
+        # one topology in all rounds: a renderer prepares it once
+        surface = Body(topology, vertices, human.triangle_parts, 1)
+        return {
+            view: renderer.render([surface], photos.frames[number][view].camera, ["face"]).face
+            for view in outlines[number]
+        }
 
     def edges(number: int, state: BodyState, count: int = _COUNT) -> dict[int, Edges]:
         """Edges of a frame by the number of the view."""
         vertices = _posed(human, model, state)
-        # one topology in all rounds: a renderer prepares it once
-        surface = Body(topology, vertices, human.triangle_parts, 1)
-        found = {}
-        for view, outline in outlines[number].items():
-            camera = photos.frames[number][view].camera
-            face = renderer.render([surface], camera, ["face"]).face
-            found[view] = find_edges(outline, camera, vertices, topology, face, count)
-        return found
+        return {
+            view: find_edges(outlines[number][view], photos.cameras[view], vertices, topology, face, count)
+            for view, face in faces(number, vertices).items()
+        }
 
     try:
+        for number, state in zip(chosen, states, strict=True):
+            for view, face in faces(number, _posed(human, model, state)).items():
+                outline = outlines[number][view]
+                outlines[number][view] = MaskOutline(own_parts(outline.mask, face > 0))
         for step in range(_ROUNDS + _SURFACE_ROUNDS):
             if step >= _ROUNDS:
                 found = [
@@ -369,10 +388,13 @@ def _points(
     return EdgePoints(points, views, normals, offsets, noise)
 
 
-def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
-    """Keypoints of a frame without the wrong ones, with left and right as they should be."""
+def _sight(fit: PersonFit, photos: PhotoSet, number: int) -> Sight:
+    """Keypoints of a frame without the wrong ones, with left and right as they should be.
+
+    Points of the skin count as much as others: outlines of hair and hoods would turn and stretch the head.
+    """
     points = _corrected(fit, photos, number)
-    weights = np.where(fit.outliers[number], 0.0, points[..., 2] * model.trust)
+    weights = np.where(fit.outliers[number], 0.0, points[..., 2])
     nowhere = np.full((points.shape[1], 3), np.nan)
     return Sight(photos.cameras, points[..., :2], weights, nowhere)
 

@@ -191,7 +191,7 @@ def _draw_points(tile: _Tile, points: Array, wrong: NDArray[np.bool_]) -> None:
 
 def _title(fit: PersonFit, overlaps: list[tuple[float, float]], compared: bool) -> str:
     stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
-    used = fit.residuals[~fit.outliers & np.isfinite(fit.residuals)]
+    used = _used(fit)
     given = int(np.isfinite(fit.residuals).sum())
     frames = f", {len(fit.root)} frames" if len(fit.root) > 1 else ""
     title = f"{stature:.2f} m tall   {len(fit.views)} views{frames}"
@@ -203,11 +203,16 @@ def _title(fit: PersonFit, overlaps: list[tuple[float, float]], compared: bool) 
     return title
 
 
+def _used(fit: PersonFit) -> Array:
+    """Distances (N,) of the points that are not left out."""
+    return np.asarray(fit.residuals[~fit.outliers & np.isfinite(fit.residuals)])
+
+
 def _notes(fit: PersonFit, before: PersonFit | None) -> list[str]:
     """Facts that people must know."""
     notes = []
-    if before is not None and np.isfinite(before.residuals).any() and np.isfinite(fit.residuals).any():
-        earlier, now = np.nanmedian(before.residuals), np.nanmedian(fit.residuals)
+    if before is not None and len(_used(before)) and len(_used(fit)):
+        earlier, now = np.median(_used(before)), np.median(_used(fit))
         if now > earlier + _WORSE:
             notes.append(
                 f"keypoints are {now - earlier:.1f} px farther than before the silhouettes: where both "

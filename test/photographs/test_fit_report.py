@@ -93,6 +93,10 @@ def test_a_line_says_why_keypoints_are_worse_than_before(fit: PersonFit, photos:
     worse = replace(fit, residuals=fit.residuals + 5)
     lines = draw_report(worse, photos, fit).shape[0] - draw_report(fit, photos, worse).shape[0]
     assert lines == 28  # the height of a line
+    most = np.random.default_rng(0).random(fit.residuals.shape) < 0.7
+    left_out = replace(fit, residuals=fit.residuals + 500 * most, outliers=most)
+    silent = draw_report(left_out, photos, replace(fit, outliers=most)).shape[0]
+    assert silent == draw_report(fit, photos, worse).shape[0], "points that are left out are no reason"
 
 
 @pytest.mark.slow

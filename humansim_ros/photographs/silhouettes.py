@@ -58,6 +58,8 @@ _STEPS = 4
 #: Standard deviation of outlines, as a share of the side of a square of the area of the person: bodies and
 #: clothes differ, and neighbouring points are off alike.
 _NOISE = 0.022
+#: Weight of points of the skin, such as eyes: outlines of hair and hoods would turn and stretch the head.
+_SKIN = 2.0
 #: Standard deviation of offsets of the surface, metres; of outlines that move it, as above; and the number of
 #: these beyond which outlines count less.
 _SPREAD, _SURFACE_NOISE, _ROBUST = 0.02, 0.007, 4.0
@@ -229,7 +231,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     all_states = fitted_states(model, fit)
     states = [all_states[number] for number in chosen]
     noise = _noise(fit)
-    sights = [_sight(fit, photos, number) for number in chosen]
+    sights = [_sight(fit, photos, model, number) for number in chosen]
     topology, renderer = human.mesh, make_renderer()
 
     def faces(number: int, vertices: Float32Array) -> dict[int, Faces]:
@@ -388,13 +390,10 @@ def _points(
     return EdgePoints(points, views, normals, offsets, noise)
 
 
-def _sight(fit: PersonFit, photos: PhotoSet, number: int) -> Sight:
-    """Keypoints of a frame without the wrong ones, with left and right as they should be.
-
-    Points of the skin count as much as others: outlines of hair and hoods would turn and stretch the head.
-    """
+def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
+    """Keypoints of a frame without the wrong ones, with left and right as they should be."""
     points = _corrected(fit, photos, number)
-    weights = np.where(fit.outliers[number], 0.0, points[..., 2])
+    weights = np.where(fit.outliers[number], 0.0, points[..., 2] * np.where(model.trust < 1, _SKIN, 1.0))
     nowhere = np.full((points.shape[1], 3), np.nan)
     return Sight(photos.cameras, points[..., :2], weights, nowhere)
 

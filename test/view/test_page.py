@@ -22,6 +22,7 @@ from pages import (
     pause,
     scrub,
     served,
+    tab,
     three_vertices,
     tiles_of,
     until,
@@ -206,3 +207,24 @@ def test_the_pictures_of_the_docs(chromium: Any) -> None:
             if PICTURES:
                 (ROOT / PICTURES / f"{name}.jpg").write_bytes(picture)
         page.close()
+
+
+#: Roles of controls in the accessibility tree of Chromium.
+CONTROLS = {"button", "checkbox", "combobox", "link", "slider", "spinbutton", "tab", "textbox"}
+
+
+def unnamed_controls(page: Any) -> list[str]:
+    """Controls that a screen reader cannot name, from Chromium's accessibility tree: role and value."""
+    session = page.context.new_cdp_session(page)
+    nodes = session.send("Accessibility.getFullAXTree")["nodes"]
+    session.detach()
+    controls = [n for n in nodes if not n["ignored"] and n.get("role", {}).get("value") in CONTROLS]
+    assert len(controls) > 10
+    empty = [n for n in controls if not n.get("name", {}).get("value", "").strip()]
+    return [f"{n['role']['value']} {n.get('value', {}).get('value', '')}" for n in empty]
+
+
+def test_a_screen_reader_has_a_name_for_each_control(page: Any) -> None:
+    for name in ("Show", "Numbers", "Edit", "Run"):
+        tab(page, name)
+        until(lambda: not unnamed_controls(page))

@@ -50,7 +50,7 @@ def view(
         list[str] | None,
         list_option(
             "--estimate",
-            "TOPIC|PATH",
+            "PATH",
             "Poses of a tracker beside the truth: a topic of the bag or graph (* stands for the name of a "
             "person), or what humansim evaluate takes: BAG:TOPIC, files, folders.",
         ),

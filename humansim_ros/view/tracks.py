@@ -673,6 +673,7 @@ class LiveTracks:
 
     @property
     def newest(self) -> int:
+        """Stamp of the newest frame in nanoseconds, -1 if none has arrived."""
         return self._frames[-1].stamp if self._frames else -1
 
     def wants_sample(self, stamp: int) -> bool:

@@ -77,7 +77,7 @@ class LiveOptions:
 def check_world(frame: PoseFrame) -> None:
     """Raise EvaluationError if the positions of a message are not in ``map``."""
     if frame.frame_id not in ("", _WORLD):
-        raise EvaluationError(f"frame_id is {printable(frame.frame_id, 80)!r}: publish positions in {_WORLD}")
+        raise EvaluationError(f"frame_id is '{printable(frame.frame_id, 80)}': publish positions in {_WORLD}")
 
 
 class LiveEvaluation:

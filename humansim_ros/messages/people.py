@@ -75,7 +75,7 @@ def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
     if len(set(named)) < len(named):
         twice = next(name for name in named if named.count(name) > 1)
         raise EvaluationError(
-            f"person {printable(twice, 80)!r} has two poses in a message; give each person a name of its own"
+            f"person '{printable(twice, 80)}' has two poses in a message; give each person a name of its own"
         )
     for pose in people:
         if (np.abs(pose.positions[np.isfinite(pose.positions)]) > MAX_POSITION).any():

@@ -54,7 +54,7 @@ def message_type(name: str) -> Any:
     """
     matched = _NAME.fullmatch(name) if len(name) <= _MAX_NAME else None
     if matched is None:
-        raise RosError(f"{printable(name, 80)!r} is no name of a message type, such as sensor_msgs/msg/Image")
+        raise RosError(f"'{printable(name, 80)}' is no name of a message type, such as sensor_msgs/msg/Image")
     package, message = matched.groups()
     if not _is_message_package(package):
         raise RosError(

@@ -161,7 +161,7 @@ class _SkeletonText:
             elif word.lower() == "angle":
                 unit = " ".join(rest).lower()
                 if unit not in _ANGLES:
-                    raise self.error(f"unknown unit of angles {printable(unit, 40)!r}: deg or rad", line)
+                    raise self.error(f"unknown unit of angles '{printable(unit, 40)}': deg or rad", line)
                 degrees = _ANGLES[unit]
         return length, degrees
 
@@ -185,7 +185,7 @@ class _SkeletonText:
         if unknown or len(set(names)) < len(names):
             raise self.error(
                 f"degrees of freedom are {', '.join(_WORDS)}, each once; not "
-                f"{printable(' '.join(words), 60)!r}",
+                f"'{printable(' '.join(words), 60)}'",
                 line,
             )
         return names
@@ -203,7 +203,7 @@ class _SkeletonText:
             if key == "begin":
                 bone = _Bone(line)
             elif bone is None:
-                raise self.error(f"{printable(word, 40)!r} outside 'begin' and 'end'", line)
+                raise self.error(f"'{printable(word, 40)}' outside 'begin' and 'end'", line)
             elif key == "end":
                 if not bone.name or bone.name in self.bones:
                     raise self.error(f"a bone needs a name of its own, not {bone.name!r}", bone.line)
@@ -234,7 +234,7 @@ class _SkeletonText:
                 continue
             for name in (parent, *names):
                 if name not in self.bones:
-                    raise self.error(f"the hierarchy has no bone {printable(name, 40)!r}", line)
+                    raise self.error(f"the hierarchy has no bone '{printable(name, 40)}'", line)
             for name in names:
                 if name in known:
                     raise self.error(f"bone {name!r} has two parents", line)
@@ -307,7 +307,7 @@ class _Amc:
         if name not in self.values:
             why = "has no degrees of freedom" if name in self.skeleton.bones else "does not exist"
             raise self.error(
-                f"bone {printable(name, 40)!r} {why} in {self.skeleton.path.name}: "
+                f"bone '{printable(name, 40)}' {why} in {self.skeleton.path.name}: "
                 "this skeleton does not belong to the motion",
                 line,
             )
@@ -322,7 +322,7 @@ class _Amc:
         if len(values) != len(dof) or not all(abs(value) <= _LARGEST for value in values):
             raise self.error(
                 f"bone {name!r} has the {len(dof)} values {' '.join(dof)} in {self.skeleton.path.name}, "
-                f"not {printable(' '.join(words[1:]), 60)!r}",
+                f"not '{printable(' '.join(words[1:]), 60)}'",
                 line,
             )
         self.values[name].append(values)

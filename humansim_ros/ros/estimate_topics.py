@@ -58,7 +58,7 @@ class PoseTopics:
         on_frame: Callable[[PoseFrame, str, str | None], object],
     ) -> None:
         if not topic.strip("/") or any(letter.isspace() for letter in topic):
-            raise RosError(f"{printable(topic, 80)!r} is no topic: give a name such as /tracker/poses")
+            raise RosError(f"'{printable(topic, 80)}' is no topic: give a name such as /tracker/poses")
         self.topic = absolute(topic, node.get_namespace())
         self._node, self._options, self._on_frame = node, options, on_frame
         self.ignored = 0

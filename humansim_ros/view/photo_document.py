@@ -300,13 +300,13 @@ class PhotoDocument:
     def _view(self, view: str) -> int:
         if view not in self.photos.names:
             hint = did_you_mean(view, self.photos.names)
-            raise HumansimError(f"no view {printable(view, 60)!r}{hint}")
+            raise HumansimError(f"no view '{printable(view, 60)}'{hint}")
         return self.photos.names.index(view)
 
     def _point(self, point: str) -> int:
         if point not in self.keypoints.names:
             hint = did_you_mean(point, self.keypoints.names)
-            raise HumansimError(f"{self.keypoints.name} has no point {printable(point, 60)!r}{hint}")
+            raise HumansimError(f"{self.keypoints.name} has no point '{printable(point, 60)}'{hint}")
         return self.keypoints.index(point)
 
     # --- files

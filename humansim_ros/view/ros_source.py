@@ -620,11 +620,11 @@ def _checked(estimate: str | None, namespace: str) -> str | None:
     """Absolute topic of an estimate. Raises RosError if it is no name."""
     for name in (estimate, namespace):
         if name is not None and any(letter.isspace() for letter in name):
-            raise RosError(f"{printable(name, 80)!r} is no name of a topic or namespace")
+            raise RosError(f"'{printable(name, 80)}' is no name of a topic or namespace")
     if estimate is None:
         return None
     if not estimate.strip("/"):
-        raise RosError(f"{printable(estimate, 80)!r} is no topic: give a name such as /tracker/poses")
+        raise RosError(f"'{printable(estimate, 80)}' is no topic: give a name such as /tracker/poses")
     return absolute(estimate, f"/{namespace.strip('/')}")
 
 

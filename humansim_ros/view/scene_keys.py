@@ -74,7 +74,7 @@ def split_key(key: str | Sequence[YamlKey]) -> tuple[YamlKey, ...]:
     """Path of a dotted key. Raises SceneError for keys that no scene can have."""
     keys = tuple(key.split(".")) if isinstance(key, str) else tuple(key)
     if not keys or len(keys) > _MAX_DEPTH or any(part == "" for part in keys):
-        raise SceneError(f"not a key of a scene: {printable(str(key), 60)!r}")
+        raise SceneError(f"not a key of a scene: '{printable(str(key), 60)}'")
     return keys
 
 

@@ -505,7 +505,7 @@ class TopicFrames:
             RosError: There is no such camera, or the pixel is not in the image.
         """
         if camera not in self.topics.cameras or camera not in self.cameras:
-            raise RosError(f"there is no camera {printable(camera, 80)!r}")
+            raise RosError(f"there is no camera '{printable(camera, 80)}'")
         data, topics = messages_of.data, self.topics.cameras[camera]
         seen_by = self._camera(camera, data, messages_of.stamp)
         assert seen_by is not None

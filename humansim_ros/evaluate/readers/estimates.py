@@ -163,7 +163,7 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
                 raise EvaluationError(error.message, path=path, key=kind.name) from None
             frames.add(content.frame_id)
     if others := sorted(frames - {"", _WORLD}):
-        warn_about(source, f"frame_id is {printable(others[0], 80)!r}, and is taken as {_WORLD}")
+        warn_about(source, f"frame_id is '{printable(others[0], 80)}', and is taken as {_WORLD}")
     return stream
 
 

@@ -153,7 +153,7 @@ def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]
         name = text.removeprefix(TOPIC_PREFIX)
         if len(name) > _MAX_NAME or not _NAME.fullmatch(name):
             raise RosError(
-                f"wait_for: {printable(text, 60)!r} is neither the name of a node, such as tracker, "
+                f"wait_for: '{printable(text, 60)}' is neither the name of a node, such as tracker, "
                 f"nor a topic, such as {TOPIC_PREFIX}/tracker/poses"
             )
         (topics if text != name else names)[name] = None
@@ -163,11 +163,11 @@ def read_members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]
 def topic_name(setting: str, text: str) -> str:
     """Return the value of a setting that names a topic. Raises RosError if it is no such name."""
     if len(text) > _MAX_NAME or not _NAME.fullmatch(text):
-        raise RosError(f"{setting}: {printable(text, 60)!r} is no name of a topic, such as /tracker/poses")
+        raise RosError(f"{setting}: '{printable(text, 60)}' is no name of a topic, such as /tracker/poses")
     return text
 
 
 def check_choice(name: str, value: str, values: Sequence[str]) -> None:
     """Raise RosError if the value of a setting is none of some values."""
     if value not in values:
-        raise RosError(f"{name}: {printable(value, 80)!r} must be {' or '.join(values)}")
+        raise RosError(f"{name}: '{printable(value, 80)}' must be {' or '.join(values)}")

@@ -407,7 +407,7 @@ class SimulationServices:
 
     def _entity(self, name: str) -> Entity:
         if name not in self._entities:
-            raise Refusal(f"there is no entity {printable(name, 80)!r}: see get_entities", "RESULT_NOT_FOUND")
+            raise Refusal(f"there is no entity '{printable(name, 80)}': see get_entities", "RESULT_NOT_FOUND")
         return self._entities[name]
 
     def _is_live(self, entity: Entity) -> bool:
@@ -580,7 +580,7 @@ def _read_pose(state: Any) -> tuple[Array, Array]:
     """
     frame = state.header.frame_id
     if frame not in ("", WORLD_FRAME):
-        raise Refusal(f"poses must be in {WORLD_FRAME}, this is in {printable(frame, 80)!r}", "INVALID_POSE")
+        raise Refusal(f"poses must be in {WORLD_FRAME}, this is in '{printable(frame, 80)}'", "INVALID_POSE")
     numbers = np.array(_numbers(state.pose))
     position, rotation = numbers[:3], numbers[3:]
     if not within_bounds(numbers) or not abs(np.linalg.norm(rotation) - 1) < _ROTATION_TOLERANCE:

@@ -237,7 +237,7 @@ def command_words(text: str, folder: Path) -> list[str]:
     known = (*COMMANDS, *_OPTIONS)
     command = next((name for name in known if words[1 : 1 + len(name.split())] == name.split()), None)
     if words[:1] != ["humansim"] or command is None or "\0" in text:
-        raise HumansimError(f"give 'humansim' with one of {', '.join(known)}; found {printable(text, 60)!r}")
+        raise HumansimError(f"give 'humansim' with one of {', '.join(known)}; found '{printable(text, 60)}'")
     for word in words[2:]:
         option = word.partition("=")[0]
         if command in _OPTIONS and option.startswith("-") and option not in _OPTIONS[command]:

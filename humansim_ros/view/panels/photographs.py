@@ -80,7 +80,7 @@ class PhotographsPanel:
         elif action == "redo":
             document.redo()
         else:
-            raise HumansimError(f"the page has no action {printable(action, 60)!r}")
+            raise HumansimError(f"the page has no action '{printable(action, 60)}'")
         self._app.refresh()
 
     def toggle_solving(self) -> None:

@@ -645,13 +645,21 @@ SEEDS = {
 }
 
 
+def is_json(data: bytes) -> bool:
+    """Whether a file is a JSON text; TOML files and others begin with a bracket, too."""
+    try:
+        return isinstance(json.loads(data), (dict, list))
+    except ValueError:
+        return False
+
+
 def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
     """Damage a copy of a file."""
     if data[:4] == b"glTF" and random_.random() < 0.9:
         return inside_glb(data, random_)
     if data[:2] == b"PK" and b".npy" in data and random_.random() < 0.9:
         return inside_npz(data, random_)
-    if data[:1] in (b"{", b"[") and random_.random() < 0.5:
+    if is_json(data) and random_.random() < 0.5:
         return changed_json(data, random_)
     out = bytearray(data)
     for _ in range(random_.choice((1, 1, 1, 2, 3, 8))):

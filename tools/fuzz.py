@@ -659,12 +659,32 @@ def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> byt
         return inside_glb(data, random_)
     if data[:2] == b"PK" and b".npy" in data and random_.random() < 0.9:
         return inside_npz(data, random_)
+    if data[:2] == b"PK" and random_.random() < 0.5:
+        return inside_zip(data, corpus, random_)
     if is_json(data) and random_.random() < 0.5:
         return changed_json(data, random_)
+    return changed_bytes(data, corpus, random_)
+
+
+def changed_bytes(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
+    """Change bytes anywhere."""
     out = bytearray(data)
     for _ in range(random_.choice((1, 1, 1, 2, 3, 8))):
         out = bytearray(random_.choice(MUTATIONS)(bytes(out), corpus, random_))[:_LONGEST]
     return bytes(out)
+
+
+def inside_zip(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
+    """Change bytes of a file within an archive. The checksums of the archive are right."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    name = random_.choice(list(files))
+    files[name] = changed_bytes(files[name], corpus, random_)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return out.getvalue()
 
 
 def inside_glb(data: bytes, random_: random.Random) -> bytes:

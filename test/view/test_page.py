@@ -27,6 +27,7 @@ from pages import (
     tiles_of,
     until,
 )
+from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.view.stage import PageBody
@@ -227,4 +228,5 @@ def unnamed_controls(page: Any) -> list[str]:
 def test_a_screen_reader_has_a_name_for_each_control(page: Any) -> None:
     for name in ("Show", "Numbers", "Edit", "Run"):
         tab(page, name)
-        until(lambda: not unnamed_controls(page))
+        wait_until(lambda: not unnamed_controls(page), 20)
+        assert unnamed_controls(page) == [], name

@@ -86,7 +86,8 @@
     ["#root canvas", () => "3D view of the scene"],
     [".mantine-Notification-closeButton", () => "Close the message"],
     [".mantine-Modal-close", () => "Close"],
-    [".mantine-Slider-thumb, .mantine-NumberInput-input, .mantine-ColorInput-input", labelOf],
+    [".mantine-Slider-thumb, .mantine-ColorInput-input", labelOf],
+    ["#root input, #root textarea", labelOf],
     ["#root button", (node) => (node.textContent.trim() ? "" : labelOf(node) || "Settings of the page")],
   ];
 

@@ -22,6 +22,24 @@ def levels(parents: Indices) -> tuple[Indices, ...]:
     return tuple(np.split(order, np.flatnonzero(np.diff(depth[order])) + 1))
 
 
+def find_cycle(parents: Indices) -> list[int]:
+    """Nodes of a cycle, each followed by its parent; empty if there is none.
+
+    ``parents``: (N,), in any order, negative for a root.
+    """
+    seen: set[int] = set()
+    for start in range(len(parents)):
+        path: list[int] = []
+        node = start
+        while node >= 0 and node not in seen:
+            seen.add(node)
+            path.append(node)
+            node = int(parents[node])
+        if node in path:
+            return path[path.index(node) :]
+    return []
+
+
 #: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z
 #: up).
 WORLD_FROM_BODY: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

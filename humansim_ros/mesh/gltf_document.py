@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from humansim_ros.errors import MeshError, located
+from humansim_ros.errors import MeshError, located, printable, some_of
 from humansim_ros.io.converters import converted_fbx, is_fbx
 from humansim_ros.io.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
@@ -38,7 +38,7 @@ from humansim_ros.mesh.gltf_compression import (
     meshopt_view,
 )
 from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, GltfMesh, Node, Primitive, Skin
-from humansim_ros.rotations import levels, quaternion_to_matrix
+from humansim_ros.rotations import find_cycle, levels, quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: Maximum size of a file.
@@ -118,14 +118,12 @@ class Gltf:
                 if parents[child] >= 0:
                     raise self._error(f"node {child} has two parents", f"nodes.{number}.children")
                 parents[child] = number
-        reached = np.zeros(len(parents), dtype=bool)
-        pending = [int(root) for root in np.flatnonzero(parents < 0)]
-        while pending:
-            node_number = pending.pop()
-            reached[node_number] = True
-            pending += self.nodes[node_number].children
-        if not reached.all():
-            raise self._error("the node tree has a cycle", f"nodes.{int(np.argmin(reached))}")
+        if cycle := find_cycle(parents):
+            names = some_of(printable(self.nodes[node].name or f"node {node}", 40) for node in cycle)
+            raise self._error(
+                f"the nodes {names} are their own ancestors: the tree has a cycle",
+                f"nodes.{cycle[0]}.children",
+            )
         return parents
 
     def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:

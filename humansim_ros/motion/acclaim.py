@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError, printable, some_of, warn_about
 from humansim_ros.io.files import read_text, resolve_inside
-from humansim_ros.motion.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.kinematics import Motion, motion_of_rotations, refuse_cycle
 from humansim_ros.types import Array
 
 #: Greatest sizes of the files, and most bones.
@@ -228,7 +228,7 @@ class _SkeletonText:
     def _hierarchy(self, rows: list[tuple[int, list[str]]]) -> dict[str, str]:
         """Parent of each bone, parents first."""
         children: dict[str, list[str]] = {}
-        known: set[str] = {_ROOT}
+        above_of: dict[str, str] = {}
         for line, (parent, *names) in rows:
             if parent.lower() in ("begin", "end") and not names:
                 continue
@@ -236,10 +236,13 @@ class _SkeletonText:
                 if name not in self.bones:
                     raise self.error(f"the hierarchy has no bone '{printable(name, 40)}'", line)
             for name in names:
-                if name in known:
+                if name in above_of or name == _ROOT:
                     raise self.error(f"bone {name!r} has two parents", line)
-                known.add(name)
+                above_of[name] = parent
             children.setdefault(parent, []).extend(names)
+        number = {name: place for place, name in enumerate(self.bones)}
+        above_numbers = np.array([number.get(above_of.get(name, ""), -1) for name in self.bones])
+        refuse_cycle(list(self.bones), above_numbers, self.path)
         parents: dict[str, str] = {}
         pending = [_ROOT]
         while pending:

@@ -26,7 +26,7 @@ from humansim_ros.motion.joint_tables import (
     load_table,
     plain_name,
 )
-from humansim_ros.motion.kinematics import Motion
+from humansim_ros.motion.kinematics import Motion, refuse_cycle
 from humansim_ros.motion.skeleton_matching import match_shape
 from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Indices
@@ -306,8 +306,11 @@ def match_names(
         parents: (J,) parent of each joint, where known. Joints that contradict the hierarchy do not match.
 
     Raises:
-        MotionError: No table fits; the message names the bones and roles without joints.
+        MotionError: No table fits, or the parents have a cycle; the message names the bones and roles without
+            joints, or the joints of the cycle.
     """
+    if parents is not None:
+        refuse_cycle(joint_names, parents, path)
     tables = _candidates(table, path)
     best = _best_match(tables, joint_names, parents)
     if not best.complete:
@@ -426,10 +429,11 @@ def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, i
 
 
 def _is_descendant(joint: int, ancestor: int, parents: Indices) -> bool:
-    while joint >= 0 and joint != ancestor:
-        joint = int(parents[joint])
-        if joint == ancestor:
-            return True
+    above = joint
+    for _ in parents:  # no longer path exists, and a cycle has no end
+        above = int(parents[above])
+        if above < 0 or above == ancestor:
+            return above == ancestor
     return False
 
 

@@ -6,6 +6,7 @@ order of its channels, on column vectors. The translation is outermost, wherever
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,9 +16,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, printable, some_of
 from humansim_ros.pictures import Pictured
 from humansim_ros.rotations import (
+    find_cycle,
     levels,
     multiply_quaternions,
     normalised,
@@ -35,6 +37,13 @@ _ALL = slice(None)
 AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
+def refuse_cycle(names: Sequence[str], parents: Indices, path: str | os.PathLike[str] | None = None) -> None:
+    """Raise MotionError, which names the joints, if the parents (J,) of joints have a cycle."""
+    if cycle := find_cycle(parents):
+        joints = some_of(printable(names[joint], 40) for joint in cycle)
+        raise MotionError(f"the joints {joints} are their own ancestors: the tree has a cycle", path=path)
+
+
 @dataclass(frozen=True, repr=False)
 class Motion(Pictured):
     """A joint hierarchy and the values of its channels in each frame, as in the file.
@@ -50,6 +59,9 @@ class Motion(Pictured):
         path: File of the motion.
         positions: Whether position channels replace the OFFSET or are added to it.
         unit: Metres per file unit, where the file format defines it.
+
+    Raises:
+        MotionError: The parents have a cycle, or a joint is before its parent.
 
     Example:
         >>> from humansim_ros import read_motion
@@ -69,6 +81,15 @@ class Motion(Pictured):
     path: str = field(default="", compare=False)
     positions: Literal["replace", "add"] = "replace"
     unit: float | None = None
+
+    def __post_init__(self) -> None:
+        refuse_cycle(self.joint_names, self.parents, self.path)
+        late = np.flatnonzero(self.parents >= np.arange(len(self.parents)))
+        if len(late):
+            joint, parent = (self.joint_names[n] for n in (late[0], self.parents[late[0]]))
+            raise MotionError(
+                f"joint {joint!r} is before its parent {parent!r}: list parents first", path=self.path
+            )
 
     def __repr__(self) -> str:
         name = f"{self.path!r}, " if self.path else ""

@@ -170,6 +170,7 @@ BAD_SKELETONS = {
     "cut off": (r"(?s)(.*direction).*", r"\1 0 1 0\n:hierarchy\nbegin\nend\n", "a bone without 'end'"),
     "unknown bone": (":hierarchy\n  begin", ":hierarchy\n  begin\n  root ghost", "no bone 'ghost'"),
     "two parents": (":hierarchy\n  begin", ":hierarchy\n  begin\n  root head", "bone 'head' has two parents"),
+    "a cycle": ("lowerback thorax\n", "lowerneck thorax\n", "thorax, lowerneck, thorax_to_lowerneck are"),
     "a name twice": ("name head", "name thorax", "a bone needs a name of its own"),
     "unknown dof": ("dof rx ry rz", "dof rx ry rw", "degrees of freedom are tx, ty, tz, rx, ry, rz"),
     "bad axis": (r"XYZ\n     dof", "XXZ\n     dof", "an order of axes is XYZ"),

@@ -901,6 +901,23 @@ def test_a_motion_that_cannot_be_read_back_is_not_written(tmp_path: Path) -> Non
         write_bvh(tmp_path / "out.bvh", replace(motion, values=motion.values * 0))
 
 
+@pytest.mark.parametrize(
+    ("parents", "message"),
+    [((1, 0), "the joints Hips, Chest are their own ancestors"), ((-1, 1), "Chest are their own ancestors")],
+)
+def test_a_motion_is_a_tree(tmp_path: Path, parents: tuple[int, int], message: str) -> None:
+    motion = read(tmp_path, GOOD)
+    changed = np.array([*parents, *motion.parents[2:]])
+    with pytest.raises(MotionError, match=message):
+        replace(motion, parents=changed)
+
+
+def test_a_motion_has_parents_before_their_children(tmp_path: Path) -> None:
+    motion = read(tmp_path, GOOD)
+    with pytest.raises(MotionError, match="joint 'Hips' is before its parent 'Chest'"):
+        replace(motion, parents=np.array([1, -1, *motion.parents[2:]]))
+
+
 def test_bvhio_reads_written_files(tmp_path: Path) -> None:
     bvhio = pytest.importorskip("bvhio")
     write_bvh(tmp_path / "out.bvh", read(tmp_path, GOOD))

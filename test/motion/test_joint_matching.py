@@ -16,7 +16,7 @@ from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.joint_matching import loose_keys, match_names, match_table
+from humansim_ros.motion.joint_matching import _is_descendant, loose_keys, match_names, match_table
 from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, plain_name, right_name
 
 LIMBS = ("l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
@@ -331,6 +331,18 @@ def test_joints_that_contradict_the_hierarchy_do_not_match() -> None:
     with pytest.raises(MotionError, match=r"l_elbow|l_shoulder"):
         match_names(names, parents=wrong)
     assert match_names(names).complete  # names alone cannot know
+
+
+def test_a_cycle_of_parents_is_refused_with_its_joints() -> None:
+    names, parents = skeleton_of("lafan1")
+    hips, chest, head = (names.index(name) for name in ("Hips", "Spine", "Head"))
+    parents[hips] = head  # the whole body is in or below the cycle
+    assert not _is_descendant(chest, names.index("LeftFoot"), parents)
+    with pytest.raises(
+        MotionError, match=r"the joints Hips, Head, Neck, Spine2, Spine1 and 1 more are their own ancestors"
+    ):
+        match_names(names, parents=parents)
+    assert match_names(names).complete
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ _MOSTLY, _HALF = 0.8, 0.5
 _FLOOR_AT_ORIGIN = (-0.06, 0.1)
 #: Change of the height of the lowest joint, as a share of the height, of a person that leaves the floor.
 _LEAVES_FLOOR = 0.15
-#: Confidence in an up axis that the motion contradicts.
+#: Confidence in an up axis that the motion contradicts, or that files do not have.
 _DOUBTFUL = 0.5
 
 
@@ -151,8 +151,8 @@ class FileFrame:
             (J, 3, 3), where the OFFSETs are not a standing person and the straightest frame is the rest
             pose.
         ankle_to_head: Height in file units.
-        confidence: Confidence in the up axis, 0 to 1; lower where the motion contradicts the rest pose.
-        warning: What contradicts the up axis, for the user.
+        confidence: Confidence in the up axis, 0 to 1; lower with a warning.
+        warning: What contradicts the up axis, or why it is unlikely, for the user.
     """
 
     up: str
@@ -190,7 +190,8 @@ def detect_file_frame(
     """Detect up axis, facing and unit of a motion.
 
     Up is the file axis on which the head is above the ankles on average. Where the rest pose stands along
-    another axis (someone dances on the floor or on the hands), floor and movement decide. Facing is the
+    another axis (someone dances on the floor or on the hands), floor and movement decide. An axis other than
+    y and z, and one along which head, hips and ankles are rarely in this order, gets a warning. Facing is the
     direction in front of hips and shoulders at rest. The unit is the known one with which the stature is
     nearest to 1.7 m.
 
@@ -218,8 +219,10 @@ def detect_file_frame(
         raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
     rest_stands = bool(BodyLines.of(rest[None], roles).stands()[0])
     rest_up = nearest_axis(rest[head] - rest[ankles].mean(0))
+    feet = frames[:, ankles].mean(1)
+    hips = (frames[:, roles["LeftHip"]] + frames[:, roles["RightHip"]]) / 2
     evidence = _UpEvidence(
-        frames / height, frames[:, head] - frames[:, ankles].mean(1), BodyLines.of(frames, roles), roles
+        frames / height, frames[:, head] - feet, hips - feet, BodyLines.of(frames, roles), roles
     )
     if (
         motion.positions == "add"
@@ -266,12 +269,14 @@ class _UpEvidence:
     """What F frames of a motion tell about the up axis of its file.
 
     ``points``: joints (F, J, 3), in heights of the person. ``heads``: directions (F, 3) from the ankles to
-    the head. ``lines``: lines of the body in all frames. ``roles``: role -> joint. ``origin``: other place
-    (3,) where the origin of the file may be.
+    the head. ``hips``: directions (F, 3) from the ankles to the middle of the hips. ``lines``: lines of the
+    body in all frames. ``roles``: role -> joint. ``origin``: other place (3,) where the origin of the file
+    may be.
     """
 
     points: Array
     heads: Array
+    hips: Array
     lines: BodyLines
     roles: Mapping[str, int]
     origin: Array = field(default_factory=lambda: np.zeros(3))
@@ -295,15 +300,37 @@ class _UpEvidence:
         else:
             witness, name = self._least_moved(mean), "the floor"
         if (witness == mean).all():
-            return mean, None
+            return mean, self._doubt(mean)
         raised = self._raised(mean, witness, least)
         if raised and self._is_sure(mean, witness):
-            return mean, None
+            return mean, self._doubt_of_order(mean)
         up, other = axis_name(witness), axis_name(mean)
         taken, instead = (other, up) if raised else (up, other)
         return mean if raised else witness, (
             f"{name} and most frames contradict each other: the head is above the feet along {up} in {name}, "
             f"along {other} on average. {taken} is taken as up; if it is wrong, give the axis (up: {instead})"
+        )
+
+    def _doubt(self, up: Array) -> str | None:
+        """Warning of an axis (3,) along which the whole file stands, but which files do not have as up."""
+        if up[1] > 0 or up[2] > 0:
+            return self._doubt_of_order(up)
+        name, usual = axis_name(up), "y" if up[1] else "z" if up[2] else "y or z"
+        what = "upside down" if up[1] or up[2] else "turned, or the person lies"
+        return (
+            f"the head is above the feet along {name} in the whole file, where y or z is usual. {name} is "
+            f"taken as up; if the file is {what}, give the axis (up: {usual})"
+        )
+
+    def _doubt_of_order(self, up: Array) -> str | None:
+        """Warning of an axis (3,) along which head, hips and ankles are rarely in this order."""
+        hips, heads = self.hips @ up, self.heads @ up
+        share = float(((hips > 0) & (heads > hips)).mean())
+        if share >= _HALF:
+            return None
+        return (
+            f"the head is above the hips, and the hips above the ankles, in only {share:.0%} of the frames. "
+            f"{axis_name(up)} is taken as up; if the person does not lie or crawl, give the axis (up: y or z)"
         )
 
     def _is_sure(self, mean: Array, witness: Array) -> bool:

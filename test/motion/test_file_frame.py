@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import motion_files as files
 import numpy as np
 import pytest
+from conftest import ROOT
 from motion_files import Rotations, StandIn, one_axis, stand_in, turns
 from scipy.spatial.transform import Rotation
 
@@ -158,6 +161,65 @@ def test_nobody_is_warned_of_a_person_who_stands(family: str, axes: str, name: s
     joint_axes = one_axis(person) if axes == "one axis" else None
     frame = frame_of(person.motion(rotations, path(person, rotations, name), joint_axes))
     assert (frame.up, frame.confidence, frame.warning) == ("y", 1.0, None)
+
+
+@pytest.mark.parametrize(
+    ("turn", "up", "instead"),
+    [
+        (Y_DOWN, "-y", "y"),
+        (Rotation.from_euler("x", -90, degrees=True), "-z", "z"),
+        (Rotation.from_euler("z", -90, degrees=True), "x", "y or z"),
+        (Rotation.from_euler("z", 90, degrees=True), "-x", "y or z"),
+    ],
+)
+@pytest.mark.parametrize("axes", ["rest pose", "one axis"])
+@pytest.mark.parametrize("name", STANDING)
+def test_a_file_that_stands_upside_down_or_along_x_is_in_doubt(
+    name: str, axes: str, turn: Rotation, up: str, instead: str
+) -> None:
+    rotations = STANDING[name]
+    root = path(PERSON, rotations, name)
+    if axes == "rest pose":
+        motion = turned(PERSON, rotations, root, turn)
+    else:
+        motion = PERSON.motion(*raised(PERSON, rotations, root, turn), one_axis(PERSON))
+    frame = frame_of(motion)
+    assert (frame.up, frame.confidence) == (up, 0.5)
+    assert f"give the axis (up: {instead})" in str(frame.warning)
+
+
+def test_a_head_below_the_hips_in_most_frames_is_in_doubt() -> None:
+    """Someone bends down all the time; or the arms were taken for legs."""
+    rotations = {"Hips": turns("x", constant(110)), **on_both_sides("x", constant(-110), "Hip")}
+    frame = frame_of(PERSON.motion(rotations, path(PERSON, rotations, "bends")))
+    assert (frame.up, frame.confidence) == ("y", 0.5)
+    assert "in only 0% of the frames. y is taken as up" in str(frame.warning)
+    few = {role: turn[:25] for role, turn in rotations.items()}
+    most = {role: Rotation.concatenate([turn, *[UPRIGHT] * 35]) for role, turn in few.items()}
+    assert frame_of(PERSON.motion(most, path(PERSON, most, "bends"))).warning is None
+
+
+#: Real files of people who stand and walk; others contradict themselves.
+REAL = (
+    *("adakri_run", "aitviewer_sample", "animdraw_cmu1_jumping_jacks", "animdraw_rokoko_jesse_dance"),
+    *("assimp_Boxing_Toes", "bandai_bow_normal_001", "bvhio_example", "bvhtoolbox_walk01"),
+    *("chenzhike_result", "coda02_woman", "griebel_Example1", "loadbvh_test", "makehuman_tpose"),
+    *("makehuman_walk1", "mixamo_freebvh", "mocapbank_bvhpython", "pybvh_cmu_12_01_walk", "pybvh_test1"),
+    *("rmginner_A1_Stand", "tomboudard_walkSit"),
+)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_nobody_is_warned_of_real_files(shared_data: Path, name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        frame = frame_of(read_motion(shared_data / "bvh" / f"{name}.bvh"))
+    assert (frame.confidence, frame.warning) == (1.0, None)
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted((ROOT / "assets" / "motions").glob("*.bvh"))])
+def test_nobody_is_warned_of_built_in_motions(name: str) -> None:
+    assert frame_of(read_motion(name)).warning is None
 
 
 def test_a_contradiction_lowers_the_confidence_and_is_explained() -> None:

@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+import scipy.fft
 
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array, Image
@@ -211,10 +212,10 @@ def pattern(seed: int, color: Sequence[int], side: int) -> Image:
 
 def _noise(rng: _Rng, shape: tuple[int, int], scale: float) -> Array:
     """Smooth noise with unit deviation that repeats at its edges."""
-    spectrum = np.fft.rfft2(rng.standard_normal(shape))
+    spectrum = scipy.fft.rfft2(rng.standard_normal(shape).astype(np.float32), overwrite_x=True)
     spectrum *= _smoothing(shape, scale)
-    out = np.fft.irfft2(spectrum, shape)
-    out /= max(float(out.std()), 1e-9)
+    out = scipy.fft.irfft2(spectrum, shape, overwrite_x=True)
+    out /= max(float(cv2.meanStdDev(out)[1][0, 0]), 1e-9)
     return np.asarray(out)
 
 
@@ -222,13 +223,13 @@ def _noise(rng: _Rng, shape: tuple[int, int], scale: float) -> Array:
 def _smoothing(shape: tuple[int, int], scale: float) -> Array:
     """Share of each frequency that remains in smooth noise."""
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
-    return np.asarray(np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)))
+    return np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)).astype(np.float32)
 
 
 def _shade(color: Sequence[int], amount: Array) -> Image:
-    light = 1 + amount
-    channels = [np.clip(value * light, 0, 255).astype(np.uint8) for value in np.array(color, dtype=float)]
-    return np.stack(channels, axis=-1)
+    light = 1 + amount.astype(np.float32)
+    channels = [np.clip(value * light, 0, 255).astype(np.uint8) for value in np.array(color, np.float32)]
+    return np.asarray(cv2.merge(channels), np.uint8)
 
 
 def _plaster(rng: _Rng, color: Sequence[int], side: int = 256) -> Image:

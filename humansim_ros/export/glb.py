@@ -122,7 +122,7 @@ def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
             "GLB",
             f"glTF has no dual quaternion skinning: vertices near bent joints of {', '.join(curved)} differ",
         )
-    document = _Document()
+    document = GlbDocument()
     frames = len(next(iter(people.values())).bones)
     times = document.accessor((np.arange(frames) / rate).astype(np.float32), bounds=True)
     for name, person in people.items():
@@ -130,7 +130,7 @@ def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
     return document.encoded()
 
 
-class _Document:
+class GlbDocument:
     """A glTF document while it is made: its JSON and its binary buffer."""
 
     def __init__(self) -> None:
@@ -205,6 +205,30 @@ class _Document:
             }
         )
 
+    def add_mesh(
+        self,
+        vertices: Array,
+        triangles: NDArray[np.integer],
+        *,
+        colors: NDArray[np.uint8] | None = None,
+        uv: Array | None = None,
+        texture: bytes | None = None,
+    ) -> None:
+        """Add a mesh that stands still, without normals: programs draw its triangles flat.
+
+        ``vertices``: (V, 3) as they are, in metres. ``triangles``: (F, 3). ``colors``: (V, 3) sRGB. ``uv``:
+        (V, 2), v up; ``texture``: JPEG or PNG file.
+        """
+        columns: dict[str, NDArray[Any]] = {"POSITION": vertices.astype(np.float32)}
+        if uv is not None:
+            columns["TEXCOORD_0"] = _image_coordinates(uv)
+        if colors is not None:
+            columns["COLOR_0"] = _linear(colors)
+        material = self._material("static", texture, 0.9, double_sided=False)
+        mesh = self._add_mesh("static", columns, triangles.astype(np.uint32), material)
+        self._roots.append(len(self._nodes))
+        self._nodes.append({"mesh": mesh})
+
     def _animate(self, node: int, path: str, values: NDArray[np.float32], times: int) -> None:
         """Set a property of a node to its first value, and add a channel if it changes."""
         if path != "scale" or (values[0] != 1).any():
@@ -218,49 +242,41 @@ class _Document:
     def _mesh(self, human: Human) -> int:
         """Number of the mesh of a human, added on the first call."""
         if id(human) not in self._mesh_of:
-            self._mesh_of[id(human)] = len(self._meshes)
-            primitive = {
-                "attributes": self._attributes(human),
-                "indices": self.accessor(split_seams(human.mesh)[2].ravel(), _TRIANGLES),
-                "material": self._material(human),
-            }
-            self._meshes.append({"name": human.name, "primitives": [primitive]})
+            texture = None
+            if human.mesh.texture is not None:
+                look = human.looks.get(human.outfit)
+                image = encode_image(human.mesh.texture) if look is None or look.ndim != 1 else look
+                texture = image.tobytes()
+            material = self._material(f"{human.name} {human.outfit}", texture, 1.0, double_sided=True)
+            triangles = split_seams(human.mesh)[2]
+            self._mesh_of[id(human)] = self._add_mesh(human.name, _columns(human), triangles, material)
         return self._mesh_of[id(human)]
 
-    def _attributes(self, human: Human) -> dict[str, int]:
-        mesh = human.mesh
-        original, uv, _ = split_seams(mesh)
-        normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)
-        # a vertex without triangles has no normal; glTF needs one of unit length
-        normals = np.where(normals.any(axis=-1, keepdims=True), normals, (0.0, 1.0, 0.0))
-        columns: dict[str, NDArray[Any]] = {
-            "POSITION": mesh.vertices.astype(np.float32)[original],
-            "NORMAL": normals.astype(np.float32)[original],
-            "_VERTEX": original.astype(np.float32),
-        }
-        if uv is not None:
-            columns["TEXCOORD_0"] = np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype(np.float32)
-        if mesh.colors is not None:
-            columns["COLOR_0"] = decode_srgb(mesh.colors / 255.0).astype(np.float32)[original]
-        for number, (bones, weights) in enumerate(influences(human)):
-            columns[f"JOINTS_{number}"] = bones[original]
-            columns[f"WEIGHTS_{number}"] = weights[original]
-        return {
+    def _add_mesh(
+        self, name: str, columns: Mapping[str, NDArray[Any]], triangles: NDArray[np.uint32], material: int
+    ) -> int:
+        """Number of a new mesh. ``columns``: values (V, ...) of the vertices by attribute."""
+        attributes = {
             name: self.accessor(np.ascontiguousarray(values), _VERTICES, bounds=name == "POSITION")
             for name, values in columns.items()
         }
+        primitive = {
+            "attributes": attributes,
+            "indices": self.accessor(triangles.ravel(), _TRIANGLES),
+            "material": material,
+        }
+        self._meshes.append({"name": name, "primitives": [primitive]})
+        return len(self._meshes) - 1
 
-    def _material(self, human: Human) -> int:
-        reflection: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
-        if human.mesh.texture is not None:
-            look = human.looks.get(human.outfit)
-            image = encode_image(human.mesh.texture) if look is None or look.ndim != 1 else look
-            data = image.tobytes()
-            kind = "image/jpeg" if data[:2] == b"\xff\xd8" else "image/png"
-            self._images.append({"bufferView": self._view(data), "mimeType": kind})
+    def _material(self, name: str, texture: bytes | None, roughness: float, double_sided: bool) -> int:
+        reflection: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": roughness}
+        if texture is not None:
+            kind = "image/jpeg" if texture[:2] == b"\xff\xd8" else "image/png"
+            self._images.append({"bufferView": self._view(texture), "mimeType": kind})
             reflection["baseColorTexture"] = {"index": len(self._images) - 1}
-        name = f"{human.name} {human.outfit}"
-        self._materials.append({"name": name, "pbrMetallicRoughness": reflection, "doubleSided": True})
+        self._materials.append(
+            {"name": name, "pbrMetallicRoughness": reflection, "doubleSided": double_sided}
+        )
         return len(self._materials) - 1
 
     def encoded(self) -> bytes:
@@ -272,11 +288,12 @@ class _Document:
             "nodes": self._nodes,
             "meshes": self._meshes,
             "materials": self._materials,
-            "skins": self._skins,
             "accessors": self._accessors,
             "bufferViews": self._views,
             "buffers": [{"byteLength": len(self._binary)}],
         }
+        if self._skins:  # empty lists are errors
+            document["skins"] = self._skins
         if self._images:
             document["images"] = self._images
             document["textures"] = [{"source": number} for number in range(len(self._images))]
@@ -295,6 +312,38 @@ class _Document:
                 bytes(self._binary),
             ]
         )
+
+
+def _columns(human: Human) -> dict[str, NDArray[Any]]:
+    """Values (V, ...) of the vertices of a human by attribute."""
+    mesh = human.mesh
+    original, uv, _ = split_seams(mesh)
+    normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)
+    # a vertex without triangles has no normal; glTF needs one of unit length
+    normals = np.where(normals.any(axis=-1, keepdims=True), normals, (0.0, 1.0, 0.0))
+    columns: dict[str, NDArray[Any]] = {
+        "POSITION": mesh.vertices.astype(np.float32)[original],
+        "NORMAL": normals.astype(np.float32)[original],
+        "_VERTEX": original.astype(np.float32),
+    }
+    if uv is not None:
+        columns["TEXCOORD_0"] = _image_coordinates(uv)
+    if mesh.colors is not None:
+        columns["COLOR_0"] = _linear(mesh.colors)[original]
+    for number, (bones, weights) in enumerate(influences(human)):
+        columns[f"JOINTS_{number}"] = bones[original]
+        columns[f"WEIGHTS_{number}"] = weights[original]
+    return columns
+
+
+def _image_coordinates(uv: Array) -> NDArray[np.float32]:
+    """Texture coordinates (V, 2) with v down, as glTF has them."""
+    return np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype(np.float32)
+
+
+def _linear(colors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Colours (V, 3) in linear light, as glTF has them."""
+    return np.asarray(decode_srgb(colors / 255.0), np.float32)
 
 
 def local_transforms(person: AnimatedHuman) -> tuple[Array, Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import math
@@ -14,16 +13,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from PIL import Image as PillowImage
-from trimesh.visual.material import PBRMaterial
-from trimesh.visual.texture import TextureVisuals
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.coverage import Coverage
 from humansim_ros.drawing.canvas import distinct_hues, hsv_colors
 from humansim_ros.errors import CameraError
+from humansim_ros.export.glb import GlbDocument
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh, split_seams
 from humansim_ros.mesh.normals import SurfaceNormals
@@ -584,21 +580,22 @@ def glb_of(meshes: Iterable[Mesh]) -> bytes:
             groups.setdefault(id(mesh.texture), []).append(mesh)
         else:
             plain.append((mesh, color))
-    scene = trimesh.Scene()
+    document = GlbDocument()
     for group in groups.values():
-        scene.add_geometry(_textured(group))
+        _add_textured(document, group)
     if plain:
-        firsts = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in plain[:-1])])
-        faces = [mesh.triangles + first for (mesh, _), first in zip(plain, firsts, strict=True)]
-        scene.add_geometry(
-            trimesh.Trimesh(
-                np.concatenate([mesh.vertices for mesh, _ in plain]),
-                np.concatenate(faces),
-                vertex_colors=np.concatenate([np.broadcast_to(c, (len(m.vertices), 3)) for m, c in plain]),
-                process=False,
-            )
+        document.add_mesh(
+            np.concatenate([mesh.vertices for mesh, _ in plain]),
+            _joined([(mesh.triangles, len(mesh.vertices)) for mesh, _ in plain]),
+            colors=np.concatenate([np.broadcast_to(c, (len(m.vertices), 3)) for m, c in plain]),
         )
-    return bytes(scene.export(file_type="glb"))
+    return document.encoded()
+
+
+def _joined(parts: Sequence[tuple[NDArray[np.integer], int]]) -> NDArray[np.integer]:
+    """Triangles (F, 3) of meshes one after the other, each given with its number of vertices."""
+    firsts = np.cumsum([0, *(count for _, count in parts)])
+    return np.concatenate([faces + first for (faces, _), first in zip(parts, firsts, strict=False)])
 
 
 def _plain_color(mesh: Mesh) -> NDArray[np.uint8] | None:
@@ -609,19 +606,15 @@ def _plain_color(mesh: Mesh) -> NDArray[np.uint8] | None:
     return np.rint(mean[:3, 0]).astype(np.uint8) if deviation.max() < _PLAIN else None
 
 
-def _textured(meshes: list[Mesh]) -> trimesh.Trimesh:
-    """One mesh of several with the same texture."""
-    vertices, uvs, faces, count = [], [], [], 0
-    for mesh in meshes:
-        original, uv, triangles = split_seams(mesh)
-        assert uv is not None
-        vertices.append(mesh.vertices[original])
-        uvs.append(uv)
-        faces.append(triangles + count)
-        count += len(original)
+def _add_textured(document: GlbDocument, meshes: list[Mesh]) -> None:
+    """Add meshes with the same texture as one mesh."""
     texture = meshes[0].texture
     assert texture is not None
-    image = PillowImage.open(io.BytesIO(jpeg_of(texture, _ROOM_TEXTURE)))
-    material = PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=False)
-    visual = TextureVisuals(uv=np.concatenate(uvs), material=material)
-    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), visual=visual, process=False)
+    split = [split_seams(mesh) for mesh in meshes]
+    uvs = [uv for _, uv, _ in split if uv is not None]
+    document.add_mesh(
+        np.concatenate([mesh.vertices[each[0]] for mesh, each in zip(meshes, split, strict=True)]),
+        _joined([(triangles, len(original)) for original, _, triangles in split]),
+        uv=np.concatenate(uvs),
+        texture=jpeg_of(texture, _ROOM_TEXTURE),
+    )

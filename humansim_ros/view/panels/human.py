@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from humansim_ros.errors import HumansimError
+from humansim_ros.export.glb import GlbDocument
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
@@ -268,8 +268,9 @@ class HumanPanel:
         if draft.human is not None and self._shown.value != _SKIN:
             bone = None if self._shown.value == _ALL_BONES else str(self._shown.value)
             colors = draft.weight_colors(bone)
-            body = trimesh.Trimesh(vertices, triangles, vertex_colors=colors, process=False)
-            self._nodes.append(scene.add_mesh_trimesh("/human/body", body, cast_shadow=False))
+            document = GlbDocument()
+            document.add_mesh(vertices, triangles, colors=colors)
+            self._nodes.append(scene.add_glb("/human/body", document.encoded(), cast_shadow=False))
         else:
             self._nodes.append(
                 scene.add_mesh_simple(

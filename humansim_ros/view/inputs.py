@@ -137,7 +137,8 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return Opened(PhotoSource(PhotoDocument.load(what)))
     if what is None:
         demo = resource_path(DEMO_SCENE)
-        return Opened(SceneViewSource(Scene.load(demo)), document=SceneDocument.copy_of(demo, Path.cwd()))
+        copy = SceneDocument.copy_of(demo, Path.cwd())
+        return Opened(SceneViewSource(copy.scene(), demo.stem), document=copy)
     if exists(what) and what.is_dir():
         return _open_folder(what)
     make = _maker(what)
@@ -148,6 +149,8 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         if document is not None and document.lacks_cameras:  # it is being made
             source = SceneViewSource(document.scene_so_far(), what.stem, has_cameras=False)
             return Opened(source, what, make, document=document)
+        if document is not None and not document.errors():  # which has loaded the scene
+            return Opened(SceneViewSource(document.scene()), what, make, document=document)
         return Opened(make(), what, make, document=document)
     except HumansimError as error:
         if what.is_dir():

@@ -102,12 +102,20 @@ class Actor:
         Raises:
             HumansimError: The human cannot play the motion; ``key`` is relative to the section.
         """
+        table = None if config.joint_names is None else source.joint_table(config.joint_names)
+        section = "file" if table is None else "joint_names"
         if motion is None:
             with in_section("file"):
-                motion = source.motion(config.file, config.positions)
-        table = None if config.joint_names is None else source.joint_table(config.joint_names)
-        with in_section("file" if table is None else "joint_names"):
-            match = match_motion(motion, table, config.min_confidence)
+                read = source.motion(config.file, config.positions)
+            with in_section(section):
+                match = source.once(
+                    lambda: match_motion(read, table, config.min_confidence),
+                    *("match", config.file, config.positions, table, config.min_confidence),
+                )
+            motion = read
+        else:
+            with in_section(section):
+                match = match_motion(motion, table, config.min_confidence)
         match = match.with_extra_bones(human.skeleton.names, motion.joint_names)
         world = WorldMotion(
             motion,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -291,11 +291,13 @@ class Scene(Pictured):
         """Make a scene from a checked configuration. ``source`` finds its files and locates its errors."""
         source = source or SceneSource()
         with source.locating_errors():
-            return cls._from_config(with_variety(config, source), source, set(config.humans))
+            scene = cls._from_config(config, source.loading())
+        return replace(scene, source=source)
 
     @classmethod
-    def _from_config(cls, config: SceneConfig, source: SceneSource, named: Set[str]) -> Scene:
-        """``named``: the humans of the section ``humans``; the others are from ``variety``."""
+    def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
+        named = frozenset(config.humans)
+        config = with_variety(config, source)
         tracks = load_tracks(config, source)
         actors: dict[str, Actor] = {}
         for number, (name, human) in enumerate(config.humans.items(), 1):
@@ -323,8 +325,8 @@ class Scene(Pictured):
                 f"pyrender does not render distorted lenses, as of {distorted[0]}: use moderngl",
                 key="renderer",
             )
-        random = frozenset(config.humans) - named
-        return cls(source, config, actors, cameras, objects, environment, random)
+        random = config.humans.keys() - named
+        return cls(source, config, actors, cameras, objects, environment, frozenset(random))
 
     def __repr__(self) -> str:
         parts: dict[str, Iterable[str]] = {

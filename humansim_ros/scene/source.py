@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -39,17 +40,33 @@ class SceneSource:
         folder: Folder that relative file names start from.
         objects: Humans, motions and meshes in memory, by their names in the configuration.
         text: Content of the scene file in place of the file on disk, while it is edited.
+        loaded: Humans and motions so far, by what was asked for, see :meth:`loading`; None: files are read
+            each time.
     """
 
     path: Path | None = None
     folder: Path = field(default_factory=Path.cwd)
     objects: Mapping[str, Human | Motion | Mesh] = field(default_factory=dict)
     text: str | None = None
+    loaded: dict[tuple[object, ...], Any] | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def of_file(cls, path: str | os.PathLike[str]) -> SceneSource:
         """Source of the scene in a file."""
         return cls(Path(path), Path(path).resolve().parent)
+
+    def loading(self) -> SceneSource:
+        """The same source for the time that a scene is loaded: it reads a file once for all people."""
+        return replace(self, loaded={})
+
+    def once(self, make: Callable[[], T], *key: object) -> T:
+        """Result of a function: while a scene is loaded, of the first call with a key."""
+        if self.loaded is None:
+            return make()
+        if key not in self.loaded:
+            self.loaded[key] = make()
+        result: T = self.loaded[key]
+        return result
 
     @contextmanager
     def locating_errors(self) -> Iterator[None]:
@@ -109,10 +126,11 @@ class SceneSource:
         with in_section(key):
             human = self._object(name, Human)
             if human is None:
-                human = load_human(find_asset(name, "humans", self.folder, SceneError))
+                path = find_asset(name, "humans", self.folder, SceneError)
+                human = self.once(lambda: load_human(path), "human", name)
         if outfit is not None:
             with in_section("outfit"):
-                human = human.wearing(outfit)
+                human = self.once(partial(human.wearing, outfit), "human", name, outfit)
         return human if skinning is None else replace(human, skinning=skinning)
 
     def motion(self, name: str, positions: PositionChannels) -> Motion:
@@ -123,7 +141,8 @@ class SceneSource:
         if name == LIVE:
             standing = read_motion(_STANDING)
             return replace(standing, values=standing.values[:1], path=LIVE)
-        return read_motion(find_motion(name, self.folder, SceneError), positions)
+        path = find_motion(name, self.folder, SceneError)
+        return self.once(lambda: read_motion(path, positions), "motion", name, positions)
 
     def mesh(self, name: str) -> Mesh | None:
         """A mesh in memory; None if it is the name of a file."""

@@ -17,7 +17,6 @@ from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.motion.keyframes import KeyframeTrack
-from humansim_ros.motion.kinematics import Motion
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig
@@ -285,7 +284,7 @@ def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
             raise SceneError(f"there is a human {name} already", key="variety.name")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)  # the scene reads the same files and warns
-        crowd = _Crowd.of_scene(config, variety, source)
+        crowd = _Crowd.of_scene(config, variety, source.loading())
         humans |= {name: crowd.draw(name) for name in names}
     if crowd.crossing:
         source.warn(
@@ -306,8 +305,6 @@ class _Crowd:
         area: x, y of two corners: the middles of all paths are in it.
         floor: Floor with everything placed so far.
         source: Finds bodies and motions.
-        bodies: Bodies so far, by name.
-        motions: Motions so far, by name.
         paths: Paths so far from the origin along +x, by body and motion.
         crossing: Names of the humans that found no free place.
     """
@@ -316,8 +313,6 @@ class _Crowd:
     area: tuple[tuple[float, float], tuple[float, float]]
     floor: Floor
     source: SceneSource
-    bodies: dict[str, Human] = field(default_factory=dict)
-    motions: dict[str, Motion] = field(default_factory=dict)
     paths: dict[tuple[str, str], Path] = field(default_factory=dict)
     crossing: list[str] = field(default_factory=list)
 
@@ -417,20 +412,15 @@ class _Crowd:
         return motion, (round(float(shift[0]), 4), round(float(shift[1]), 4)), yaw
 
     def _body(self, name: str) -> Human:
-        if name not in self.bodies:
-            with in_section("variety"):
-                self.bodies[name] = self.source.human(name, key="bodies")
-        return self.bodies[name]
+        with in_section("variety"):
+            return self.source.human(name, key="bodies")
 
     def _path(self, body: str, motion: str, mirror: bool) -> Path:
         """Path from the origin along +x. Raises HumansimError if the human cannot play the motion."""
         if (body, motion) not in self.paths:
             config = MotionConfig(file=motion)
             try:
-                if motion not in self.motions:
-                    with in_section("file"):
-                        self.motions[motion] = self.source.motion(motion, config.positions)
-                actor = Actor.build("", 1, self._body(body), config, self.source, self.motions[motion])
+                actor = Actor.build("", 1, self._body(body), config, self.source)
             except HumansimError as error:
                 raise type(error)(error.message, key="variety.motions") from error.__cause__
             self.paths[body, motion] = Path.of_cycle(actor)

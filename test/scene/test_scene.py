@@ -470,3 +470,15 @@ def test_any_tree_gives_a_scene_or_a_scene_error(
         assert isinstance(error, SceneError)  # noqa: PT017
     else:
         assert config.cameras
+
+
+def test_people_of_one_file_share_its_body_and_motion() -> None:
+    person = {"body": "adult_man", "motion": {"file": "walk", "position": [0, 0]}}
+    beside = {**person, "motion": {"file": "walk", "position": [1, 0]}}
+    other = {**person, "outfit": "green"}
+    data = {"humans": {"a": person, "b": beside, "c": other}, "cameras": yaml.safe_load(GOOD)["cameras"]}
+    first, second, third = Scene.from_dict(data).actors.values()
+    assert second.human is first.human
+    assert second.motion.motion is first.motion.motion
+    assert third.human.outfit == "green" and third.human.skeleton is first.human.skeleton
+    assert Scene.from_dict(data).actors["a"].human is not first.human  # a changed file is read again

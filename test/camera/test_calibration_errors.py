@@ -380,7 +380,7 @@ def ros(old: str, new: str) -> str:
             CAMERAS.replace("PINHOLE", "FOV"),
             ":2: unknown camera model 'FOV'; known are SIMPLE_PINHOLE",
         ),
-        (CAMERAS.replace(" 245", ""), ":2: PINHOLE needs width, height and fx fy cx cy, not 5 numbers"),
+        (CAMERAS.replace(" 245", ""), ":2: PINHOLE needs fx fy cx cy after width and height, not 3 numbers"),
         (CAMERAS.replace("640", "0"), ":2: width and height must be whole numbers above zero"),
         (CAMERAS + "1 PINHOLE 640 480 700 690 310 245\n", ":3: there are two cameras with the name '1'"),
         # scene

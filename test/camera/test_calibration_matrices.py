@@ -256,6 +256,108 @@ def test_one_camera_needs_no_name(tmp_path: Path) -> None:
     assert_allclose(camera.project(wanted.points())[0], wanted.pixels(), atol=TOLERANCE)
 
 
+def colmap(c: Wanted, model: str = "FULL_OPENCV", d: tuple[float, ...] = D) -> dict[str, Any]:
+    """Intrinsics as pycolmap writes them: COLMAP's first pixel has its centre at (0.5, 0.5)."""
+    middle = [c.K[0, 2] + 0.5, c.K[1, 2] + 0.5]
+    focal = [c.K[0, 0]] if model.startswith(("SIMPLE_", "RADIAL")) else [c.K[0, 0], c.K[1, 1]]
+    return {"model": model, "width": 640, "height": 480, "params": [*focal, *middle, *d]}
+
+
+COLMAP_POSES: dict[str, Callable[[Wanted], dict[str, Any]]] = {
+    "qvec, tvec": lambda c: {"qvec": wxyz(c), "tvec": c.t.tolist()},
+    "R, t": lambda c: {"R": c.R.tolist(), "t": c.t.tolist()},
+    "R, tvec": lambda c: {"R": c.R.tolist(), "tvec": c.t.tolist()},
+    "cam_from_world": lambda c: {"cam_from_world": rt(c)},
+}
+
+
+@pytest.mark.parametrize("pose_of", COLMAP_POSES)
+@pytest.mark.parametrize(
+    ("model", "d", "expected"),
+    [
+        ("PINHOLE", (), (0.0,) * 5),
+        ("OPENCV", D[:4], (*D[:4], 0.0)),
+        ("FULL_OPENCV", (*D, 0.0, 0.0, 0.0), D),
+        ("FULL_OPENCV", (*D, 0.01, -0.02, 0.003), (*D, 0.01, -0.02, 0.003)),
+        ("OPENCV_FISHEYE", FISHEYE, FISHEYE),
+    ],
+)
+def test_parameters_of_colmaps_models_project_as_opencv_does(
+    tmp_path: Path, model: str, d: tuple[float, ...], expected: tuple[float, ...], pose_of: str
+) -> None:
+    document = of_each(lambda c: {**colmap(c, model, d), **COLMAP_POSES[pose_of](c)})
+    assert_same(read(tmp_path, "cameras.json", document), expected, model.endswith("FISHEYE"))
+
+
+@pytest.mark.parametrize(
+    ("model", "d", "lens"),
+    [
+        ("SIMPLE_PINHOLE", (), ()),
+        ("SIMPLE_RADIAL", (-0.2,), (-0.2, 0, 0, 0, 0)),
+        ("RADIAL", (-0.2, 0.05), (-0.2, 0.05, 0, 0, 0)),
+        ("SIMPLE_RADIAL_FISHEYE", (-0.02,), (-0.02, 0, 0, 0)),
+        ("RADIAL_FISHEYE", (-0.02, 0.01), (-0.02, 0.01, 0, 0)),
+    ],
+)
+def test_models_with_one_focal_length_have_it_for_x_and_y(
+    tmp_path: Path, model: str, d: tuple[float, ...], lens: tuple[float, ...]
+) -> None:
+    wanted = CAMERAS["cam1"]
+    (camera,) = read(
+        tmp_path, "cameras.json", {**colmap(wanted, model, d), "qvec": wxyz(wanted), "tvec": [0, 0, 1]}
+    ).values()
+    f = wanted.K[0, 0]
+    assert_allclose(camera.K, [[f, 0, 310.4], [0, f, 245.3], [0, 0, 1]])
+    assert_allclose(camera.distortion[: len(lens)], lens)
+    assert (camera.model == "equidistant") == model.endswith("FISHEYE")
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_images_refer_to_their_cameras(tmp_path: Path, listed: bool) -> None:
+    """Two images of one camera, and one of another, in another order than the cameras."""
+    first, second = CAMERAS["cam0"], CAMERAS["cam2"]
+    cameras: Any = {"7": colmap(second, "OPENCV", D[:4]), "3": colmap(first, "OPENCV", D[:4])}
+    ids = {"left": "3", "right": "7", "middle": "3"}
+    poses = dict(zip(ids, CAMERAS.values(), strict=True))
+    images: Any = {
+        str(number): {
+            "id": number,
+            "name": f"{name}.jpg",
+            "camera_id": int(ids[name]),
+            **COLMAP_POSES["qvec, tvec"](c),
+        }
+        for number, (name, c) in enumerate(poses.items(), 11)
+    }
+    if listed:
+        cameras = [{"camera_id": int(key), **camera} for key, camera in cameras.items()]
+        images = list(images.values())
+    document = {"cameras": cameras, "images": images}
+    read_cameras = read(tmp_path, "model.json", document)
+    assert list(read_cameras) == ["left", "right", "middle"]
+    for name, c in poses.items():
+        assert read_cameras[name].K[0, 0] == {"3": first, "7": second}[ids[name]].K[0, 0]
+        assert_allclose(read_cameras[name].R, c.R, atol=1e-9)
+        assert_allclose(read_cameras[name].t, c.t, atol=1e-9)
+
+
+def test_wrong_parameters_of_a_model_have_their_key(tmp_path: Path) -> None:
+    document = {**colmap(CAMERAS["cam0"], "OPENCV", D[:4])}
+    said = refused(tmp_path, {**document, "params": document["params"][:-3]})
+    assert "params: OPENCV needs fx fy cx cy k1 k2 p1 p2 after width and height, not 5 numbers" in said
+    assert "params: unknown camera model 'FOV'" in refused(tmp_path, {**document, "model": "FOV"})
+    document = {
+        "cameras": {"1": document},
+        "images": [{"camera_id": 2, "qvec": [1, 0, 0, 0], "tvec": [0, 0, 0]}],
+    }
+    assert "images.0.camera_id: there is no camera '2' in cameras" in refused(tmp_path, document)
+
+
+def test_other_parameters_are_no_camera_of_colmap(tmp_path: Path) -> None:
+    assert "is not a known calibration format" in refused(
+        tmp_path, {"model": "resnet", "params": [1, 2, 3, 4]}
+    )
+
+
 def test_fisheyes_are_read_with_their_model(tmp_path: Path) -> None:
     def fisheye(c: Wanted) -> dict[str, Any]:
         return {**flat(c), "dist": FISHEYE, "distortion_model": "fisheye"}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
@@ -173,6 +174,70 @@ def test_focal_lengths_and_centres_of_voxelpose_may_be_arrays(tmp_path: Path) ->
         camera["f"] = [[camera.pop("fx")], [camera.pop("fy")]]
         camera["c"] = [[camera.pop("cx")], [camera.pop("cy")]]
     assert_same(read(tmp_path, "c.json", document, size=SIZE))
+
+
+def ring() -> dict[str, Wanted]:
+    """Four cameras around a person, in VoxelPose's keys below."""
+    cameras = {}
+    for number in range(4):
+        camera = Wanted(number)
+        angle = np.pi / 2 * number + 0.3
+        placed = Camera.look_at((4 * np.cos(angle), 3 * np.sin(angle), 1.5 + 0.2 * number), (0, 0, 1))
+        camera.R, camera.t = placed.R, placed.t
+        cameras[str(number)] = camera
+    return cameras
+
+
+#: R and T in metres of each convention, and the warning about them.
+SHELF_POSES: dict[str, tuple[Callable[[Wanted], tuple[Any, Any]], str]] = {
+    "VoxelPose": (lambda c: (c.R, c.center), ""),
+    "world to camera": (lambda c: (c.R, c.t), r"R and T: taken as from the world to the camera"),
+    "camera to world": (lambda c: (c.R.T, c.center), r"R and T: taken as from the camera to the world"),
+}
+
+
+def own_arrays(c: Wanted, convention: str, unit: float) -> dict[str, Any]:
+    r, t = SHELF_POSES[convention][0](c)
+    return {
+        "f": [c.K[0, 0], c.K[1, 1]],
+        "c": c.K[:2, 2].tolist(),
+        "k": [D[0], D[1], D[4]],
+        "p": D[2:4],
+        "R": r.tolist(),
+        "T": (t / unit).tolist(),
+        "imgSize": list(SIZE),
+    }
+
+
+@pytest.mark.parametrize("convention", SHELF_POSES)
+@pytest.mark.parametrize("stated", [None, "m", "millimeters", "cm"])
+def test_views_and_keys_decide_what_r_and_t_of_voxelpose_are(
+    tmp_path: Path, convention: str, stated: str | None
+) -> None:
+    unit = {None: 0.001, "m": 1.0, "millimeters": 0.001, "cm": 0.01}[stated]
+    document: dict[str, Any] = {name: own_arrays(c, convention, unit) for name, c in ring().items()}
+    if stated is not None:
+        document["unit"] = stated
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cameras = read(tmp_path, "c.json", document)
+    said = [str(warning.message) for warning in caught]
+    expected = SHELF_POSES[convention][1]
+    assert not said if not expected else re.search(expected, said[0]) and len(said) == 1
+    for name, c in ring().items():
+        assert_allclose(cameras[name].R, c.R, atol=1e-9)
+        assert_allclose(cameras[name].center, c.center, atol=1e-9)
+
+
+def test_a_stated_convention_of_voxelposes_keys_needs_no_views(tmp_path: Path) -> None:
+    camera = CAMERAS["cam0"]
+    for stated, convention in (("world_to_camera", "world to camera"), ("c2w", "camera to world")):
+        document = {"convention": stated, "cam0": own_arrays(camera, convention, 0.001)}
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            (found,) = read(tmp_path, "c.json", document).values()
+        assert_allclose(found.R, camera.R, atol=1e-9)
+        assert_allclose(found.t, camera.t, atol=1e-9)
 
 
 # -- Kalibr with the inverse extrinsics of the IMU

@@ -602,10 +602,27 @@ def vector_of(rotation: Array) -> Array:
 
 #: Names of units in a file, and metres per unit.
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-#: Key of the unit, and the tables in which it may be.
-_UNIT, _UNIT_TABLES = "unit", ((), ("metadata",))
+_LONG_UNITS = {"metre": "m", "centimetre": "cm", "millimetre": "mm"}
+#: Key paths of the unit.
+_UNIT_KEYS = tuple((*table, key) for table in ((), ("metadata",)) for key in ("unit", "units"))
 #: Extent of a rig in units of the file from which these are millimetres: between a room of 30 m and 10 cm.
 _MILLIMETRES = 50.0
+
+
+def stated_unit(file: CalibrationFile) -> float | None:
+    """Metres per unit of a file that has the key ``unit`` or ``units``; None without it.
+
+    Raises CameraError for an unknown unit.
+    """
+    for keys in _UNIT_KEYS:
+        value = file.get(*keys)
+        if value is not None:
+            name = str(value).strip().lower().removesuffix("s").replace("meter", "metre")
+            unit = _UNITS.get(_LONG_UNITS.get(name, str(value)))
+            if unit is None:
+                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *keys)
+            return unit
+    return None
 
 
 def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
@@ -613,12 +630,9 @@ def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
 
     A HumansimWarning says what is assumed. Raises CameraError for an unknown unit.
     """
-    for table in _UNIT_TABLES:
-        value = file.get(*table, _UNIT)
-        if value is not None:
-            if not isinstance(value, str) or value not in _UNITS:
-                raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *table, _UNIT)
-            return _UNITS[value]
+    stated = stated_unit(file)
+    if stated is not None:
+        return stated
     positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
     if not len(positions):
         return 1.0
@@ -632,6 +646,6 @@ def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
         file.path,
         f"the unit is not in the file; {name} is assumed, because the cameras are then "
         f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.5g} m with {other}); to state it, "
-        f'set unit, or add {_UNIT} = "{name}" to the file',
+        f'set unit, or add unit = "{name}" to the file',
     )
     return _UNITS[name]

@@ -6,7 +6,8 @@ are read and written. https://colmap.github.io/format.html, https://colmap.githu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,8 @@ _MODELS = {
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
 }
-_UNSUPPORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
+#: Names of all camera models, also of the ones that are not read.
+COLMAP_MODELS = (*_MODELS, "FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 _QUATERNION_SLACK = 1e-3
 
 
@@ -49,7 +51,7 @@ def _is_colmap(file: CalibrationFile) -> bool:
     if Path(file.path).name in (CAMERAS, IMAGES):
         return True
     words = file.head[0].split() if file.head else []
-    return len(words) > 4 and words[1] in (*_MODELS, *_UNSUPPORTED)
+    return len(words) > 4 and words[1] in COLMAP_MODELS
 
 
 def _read(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -80,28 +82,38 @@ def _read_models(file: CalibrationFile) -> dict[str, RawCamera]:
     for line, text in file.lines():
         name, *words = text.split()
         model = words[0] if words else ""
-        if model not in _MODELS:
-            message = f"unknown camera model {model[:40]!r}; known are {', '.join(_MODELS)}"
-            raise CameraError(message, path=file.path, line=line)
-        names = _MODELS[model].split()
-        values = file.row(words[1:], line)
-        if len(values) != 2 + len(names):
-            message = f"{model} needs width, height and {_MODELS[model]}, not {len(values)} numbers"
-            raise CameraError(message, path=file.path, line=line)
+        location = SourceLocation(None, line, file.path)
+        values = file.row(words[1:], line) if model in _MODELS else []
+        camera = camera_of_model(model, values[2:], location)
         if any(v != int(v) or v <= 0 for v in values[:2]):
             message = "width and height must be whole numbers above zero"
             raise CameraError(message, path=file.path, line=line)
-        parameters = dict(zip(names, values[2:], strict=True))
-        camera = _model(model, parameters, values, SourceLocation(None, line, file.path))
+        camera = replace(camera, size=(int(values[0]), int(values[1])))
         file.add(cameras, name, camera, line=line)
     if not cameras:
         raise CameraError("the file has no cameras", path=file.path)
     return cameras
 
 
-def _model(
-    model: str, parameters: dict[str, float], values: list[float], location: SourceLocation
-) -> RawCamera:
+def camera_of_model(model: str, values: Sequence[float], location: SourceLocation) -> RawCamera:
+    """Camera without size and pose from the parameters of a camera model.
+
+    Args:
+        model: Name of the camera model, in upper case.
+        values: Numbers after width and height in cameras.txt; ``params`` in other files.
+        location: Location of the numbers, for errors.
+
+    Raises:
+        CameraError: The model is not known, or has another number of parameters.
+    """
+    names = _MODELS.get(model, "").split()
+    if not names:
+        message = f"unknown camera model {model[:40]!r}; known are {', '.join(_MODELS)}"
+        raise CameraError(message, path=location.path, line=location.line, key=location.key)
+    if len(values) != len(names):
+        message = f"{model} needs {_MODELS[model]} after width and height, not {len(values)} numbers"
+        raise CameraError(message, path=location.path, line=location.line, key=location.key)
+    parameters = dict(zip(names, values, strict=True))
     fx, fy = parameters.get("fx", parameters.get("f", 0.0)), parameters.get("fy", parameters.get("f", 0.0))
     ros_model = "plumb_bob"
     if model.endswith("FISHEYE"):
@@ -110,7 +122,6 @@ def _model(
         ros_model = "rational_polynomial"
     return RawCamera(
         pinhole(fx, fy, parameters["cx"] - 0.5, parameters["cy"] - 0.5),
-        size=(int(values[0]), int(values[1])),
         distortion=tuple(parameters.get(name, 0.0) for name in MODELS[ros_model]),
         model=ros_model,
         locations={"": location},

@@ -35,8 +35,10 @@ from humansim_ros.camera.formats.base import (
     reader_of,
     rotation_of,
     row,
+    stated_unit,
     vector_of,
 )
+from humansim_ros.camera.formats.matrices import Pose, resolved
 from humansim_ros.camera.formats.spellings import role_of
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError
@@ -175,6 +177,22 @@ def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     )
 
 
+_is_shelf, _read_as_shelf = reader_of(_shelf_cameras, _shelf_camera)
+
+
+def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
+    """Cameras with the R and T of VoxelPose, unless the file or the views say that R and T are others."""
+    cameras = _read_as_shelf(file)
+    poses = {
+        name: Pose(
+            camera.R, camera.position, "shelf", False, {part: camera.locations[part] for part in ("R", "t")}
+        )
+        for name, camera in cameras.items()
+        if camera.R is not None
+    }
+    return {**cameras, **resolved(file, cameras, poses)}
+
+
 def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
     data = {}
     for name, camera in cameras.items():
@@ -265,9 +283,11 @@ SHELF = CalibrationFormat(
     "Shelf/Campus JSON",
     ".json",
     "json",
-    *reader_of(_shelf_cameras, _shelf_camera),
+    _is_shelf,
+    _read_shelf,
     _write_shelf,
     unit=0.001,
+    find_unit=lambda file, _: stated_unit(file) or 0.001,
     holds_size=False,
     holds_skew=False,
     lenses={"plumb_bob": 5},

@@ -8,6 +8,9 @@ decide between the conventions that are in use, and a warning says which one is 
 NeuS stores in cameras_sphere.npz for each image ``world_mat_i``, which is P = K [R | t] in 4 x 4 numbers, and
 ``scale_mat_i``, which moves a unit sphere to the object and which is not used here.
 https://github.com/Totoro97/NeuS
+
+``params`` beside a camera model of COLMAP are its parameters, in COLMAP's pixels; ``images`` may refer to
+``cameras`` by ``camera_id``.
 """
 
 from __future__ import annotations
@@ -33,7 +36,9 @@ from humansim_ros.camera.formats.base import (
     nested,
     opencv_model,
     rotation_of,
+    without_suffix,
 )
+from humansim_ros.camera.formats.colmap import camera_of_model
 from humansim_ros.camera.formats.spellings import (
     INTRINSIC,
     POSE,
@@ -41,6 +46,7 @@ from humansim_ros.camera.formats.spellings import (
     Entry,
     Found,
     Identity,
+    colmap_model,
     find_parameters,
     parts_found,
     plain,
@@ -63,14 +69,17 @@ _UNCLEAR = words(
 _SURE, _BETTER = 0.35, 3.0
 _CONVENTIONS = {"world_to_camera": 0, "w2c": 0, "opencv": 0, "camera_to_world": 1, "c2w": 1}
 _CENTRED = 0.5
+#: Camera models whose coefficients are as OpenCV has them.
+_UNNAMED = words("pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial")
 
 
 @dataclass(frozen=True)
-class _Pose:
+class Pose:
     """Rotation and translation as they are in a file.
 
     ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)) or ``placed`` (a
-    rotation beside a position: ``camera`` rather than ``center``). ``clear``: whether the keys say so.
+    rotation beside a position: ``camera`` rather than ``center``) or ``shelf`` (as ``center``; a warning only
+    where the views decide otherwise). ``clear``: whether the keys say so.
     """
 
     R: Array
@@ -91,9 +100,15 @@ _READINGS: tuple[tuple[str, Callable[[Array, Array], tuple[Array, Array]]], ...]
         lambda r, t: (_FLIP @ r.T, t),
     ),
 )
-_FIRST = {"world": 0, "camera": 1, "center": 2, "placed": 1}
+_FIRST = {"world": 0, "camera": 1, "center": 2, "placed": 1, "shelf": 2}
 #: Readings that a kind of keys allows, where they are not clear.
-_ALLOWED = {"world": (0, 1, 2, 3), "camera": (1, 4, 0), "center": (2, 1, 4), "placed": (1, 2, 4)}
+_ALLOWED = {
+    "world": (0, 1, 2, 3),
+    "camera": (1, 4, 0),
+    "center": (2, 1, 4),
+    "placed": (1, 2, 4),
+    "shelf": (2, 0, 1, 3),
+}
 #: Keys of a camera's place. Beside a ``rotation``, they are its pose, as in 3D Gaussian Splatting.
 _PLACES = words("position pos cameraposition camposition campos location cameralocation")
 
@@ -101,6 +116,34 @@ _PLACES = words("position pos cameraposition camposition campos location cameral
 def is_matrices(file: CalibrationFile) -> bool:
     """Whether a document has K, a focal length or P of a camera under a known spelling."""
     return bool(find_parameters(plain(file)).having(INTRINSIC))
+
+
+def _with_models(file: CalibrationFile) -> CalibrationFile:
+    """File whose images have the parameters of their cameras, where it lists both, as COLMAP's models do."""
+    cameras, images = (
+        dict(enumerate(section)) if isinstance(section, list) else section
+        for section in (file.get("cameras"), file.get("images"))
+    )
+    if not isinstance(cameras, Mapping) or not isinstance(images, Mapping):
+        return file
+    by_id = {
+        str(camera.get("camera_id", camera.get("id", key))): camera
+        for key, camera in cameras.items()
+        if isinstance(camera, Mapping)
+    }
+    joined = {}
+    for key, image in images.items():
+        if not isinstance(image, Mapping) or "camera_id" not in image:
+            return file
+        number = str(image["camera_id"])
+        if number not in by_id:
+            raise file.error(f"there is no camera {number[:40]!r} in cameras", "images", key, "camera_id")
+        name = without_suffix(str(image.get("name", key)))
+        shared = {**by_id[number], **image}
+        joined[key] = {k: v for k, v in shared.items() if k not in ("id", "camera_id", "image_id")}
+        joined[key]["name"] = name
+    rest = {key: value for key, value in file.document.items() if key != "cameras"}
+    return replace(file, document={**rest, "images": joined})
 
 
 def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -> dict[str, RawCamera]:
@@ -113,7 +156,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
     Raises:
         CameraError: A value is wrong, or there are no intrinsics or no extrinsics where they are needed.
     """
-    file, other = plain(file), None if other is None else plain(other)
+    file, other = _with_models(plain(file)), None if other is None else plain(other)
     files = (file,) if other is None else (file, other)
     found = find_parameters(*files)
     if not found.having(INTRINSIC):
@@ -123,7 +166,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
         raise CameraError(message, path=other.path)
     pairs = _pairs(file, found)
     cameras: dict[str, RawCamera] = {}
-    poses: dict[str, _Pose] = {}
+    poses: dict[str, Pose] = {}
     for name, (entries, posed) in pairs.items():
         camera = _intrinsics(file, entries)
         pose = None if "P" in entries and "K" not in entries else _pose(posed)
@@ -132,20 +175,20 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
             poses[name] = pose
     if found.views:
         warn_about(file.path, "rvecs and tvecs are poses of a calibration board, not of cameras: ignored")
-    return {**cameras, **_resolved(files[-1], cameras, poses)}
+    return {**cameras, **resolved(files[-1], cameras, poses)}
 
 
 def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
     """Cameras of a document that has extrinsics, with any K."""
     file = plain(file)
     found = find_parameters(file)
-    poses: dict[str, _Pose] = {}
+    poses: dict[str, Pose] = {}
     for identity in _leaf_cameras(found, found.having(POSE)):
         pose = _pose(found.entries_of(identity))
         if pose is not None:
             poses[_name(file, found, identity)] = pose
     cameras = {name: RawCamera(np.eye(3)) for name in poses}
-    return _resolved(file, cameras, poses)
+    return resolved(file, cameras, poses)
 
 
 def missing_parts(found: Found) -> str:
@@ -271,6 +314,10 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
         )
         if role in entries
     }
+    if "params" in entries and not {"K", "fx", "focal"} & entries.keys():
+        params = entries["params"]
+        name = colmap_model(entries) or ""
+        return replace(camera_of_model(name, _numbers(params).tolist(), _where(params)), size=size)
     distortion, model = _lens(file, entries)
     if "P" in entries and not {"K", "fx", "focal"} & entries.keys():
         camera = _from_projection(entries["P"])
@@ -368,7 +415,7 @@ def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[fl
     if bent:
         check_count(file, "equidistant", coefficients, keys)
         return tuple(coefficients), "equidistant"
-    if word in ("", "pinhole", "perspective", "opencv", "simple_pinhole", "brown", "none", "full_opencv"):
+    if not word or word in _UNNAMED:
         if not coefficients.any():
             return (), None
         if len(np.trim_zeros(coefficients, "b")) < 4:
@@ -383,7 +430,7 @@ def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[fl
 # -- extrinsics
 
 
-def _pose(entries: Mapping[str, Entry]) -> _Pose | None:
+def _pose(entries: Mapping[str, Entry]) -> Pose | None:
     """Rotation and translation of a camera; None without any."""
     for role, kind in (("pose", "world"), ("inverse", "camera")):
         if role in entries:
@@ -405,7 +452,7 @@ def _pose(entries: Mapping[str, Entry]) -> _Pose | None:
     t = shift.file.numbers((3,), *shift.keys)
     locations = {"R": _where(rotation), "t": _where(shift)}
     if "Rinverse" in entries and rotation is entries["Rinverse"]:
-        return _Pose(
+        return Pose(
             r.T if shift is entries.get("center") else r,
             t,
             "center" if "center" in entries else "camera",
@@ -415,12 +462,12 @@ def _pose(entries: Mapping[str, Entry]) -> _Pose | None:
     if "center" in entries and shift is entries["center"]:
         placed = shift.key in _PLACES and rotation.key not in ("r", "rmat", "rvec")
         clear = rotation.key not in _UNCLEAR and rotation is not entries.get("quaternion")
-        return _Pose(r, t, "placed" if placed else "center", clear, locations)
+        return Pose(r, t, "placed" if placed else "center", clear, locations)
     clear = rotation.key not in _UNCLEAR or shift.key not in _UNCLEAR
-    return _Pose(r, t, "world", clear, locations)
+    return Pose(r, t, "world", clear, locations)
 
 
-def _pose_matrix(entry: Entry, kind: str) -> _Pose:
+def _pose_matrix(entry: Entry, kind: str) -> Pose:
     rows = 4 if len(_numbers(entry)) == 16 else 3
     values = entry.file.numbers((rows, 4), *entry.keys)
     if rows == 4 and not values[:3, 3].any() and values[3, :3].any():
@@ -428,7 +475,7 @@ def _pose_matrix(entry: Entry, kind: str) -> _Pose:
     if rows == 4 and not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
         raise entry.file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *entry.keys)
     at = _where(entry)
-    return _Pose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
+    return Pose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
 
 
 def _rotation(entry: Entry) -> Array:
@@ -445,8 +492,8 @@ def _rotation(entry: Entry) -> Array:
     return rotation_of(entry.file, *entry.keys)
 
 
-def _resolved(
-    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, _Pose]
+def resolved(
+    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, Pose]
 ) -> dict[str, RawCamera]:
     """Cameras with R and t; the convention of unclear ones is found by the views."""
     if not poses:
@@ -454,17 +501,19 @@ def _resolved(
     reading, said = _reading(file, list(poses.values()))
     if said:
         warn_about(file.path, said)
-    resolved = {}
+    posed = {}
     for name, pose in poses.items():
         convention = reading if not pose.clear else _FIRST[pose.kind]
         r, center = _READINGS[convention][1](pose.R, pose.t)
-        t = pose.t if convention == 0 else -r @ center
         locations = {**cameras[name].locations, **pose.locations}
-        resolved[name] = replace(cameras[name], R=r, t=t, locations=locations)
-    return resolved
+        camera = replace(cameras[name], R=r, locations=locations)
+        posed[name] = (
+            replace(camera, t=pose.t, center=None) if convention == 0 else replace(camera, center=center)
+        )
+    return posed
 
 
-def _reading(file: CalibrationFile, poses: list[_Pose]) -> tuple[int, str]:
+def _reading(file: CalibrationFile, poses: list[Pose]) -> tuple[int, str]:
     """Index of the convention of the unclear poses of a file, and a sentence about it."""
     unclear = [pose for pose in poses if not pose.clear]
     if not unclear:
@@ -478,8 +527,11 @@ def _reading(file: CalibrationFile, poses: list[_Pose]) -> tuple[int, str]:
     )
     errors = {index: _view_error(unclear, index) for index in _ALLOWED[unclear[0].kind]}
     best = min(errors, key=errors.__getitem__)
+    decided = errors[best] <= _SURE and errors[best] * _BETTER <= errors[first]
+    if unclear[0].kind == "shelf" and not decided:
+        return first, ""
     usual = errors[first] < _SURE and unclear[0].kind in ("world", "camera")
-    if usual or errors[best] > _SURE or errors[best] * _BETTER > errors[first]:
+    if usual or not decided:
         why = "because the cameras then look at a common place" if errors[first] < _SURE else "as in OpenCV"
         if first and errors[first] >= _SURE:
             why = "as the key says" if first == 1 else "as is usual"
@@ -490,7 +542,7 @@ def _reading(file: CalibrationFile, poses: list[_Pose]) -> tuple[int, str]:
     )
 
 
-def _view_error(poses: list[_Pose], reading: int) -> float:
+def _view_error(poses: list[Pose], reading: int) -> float:
     """How badly the optical axes meet in front of the cameras: 0 if they meet in a point, 1 and more if not.
 
     The mean distance of the axes from their common point, as a fraction of the distance of the cameras from

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys
+from humansim_ros.camera.formats.colmap import COLMAP_MODELS
 
 
 def words(text: str) -> frozenset[str]:
@@ -36,6 +37,7 @@ _SPELLINGS = {
     "focal": "f focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
     "principal": "c pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
     "skew": "skew",
+    "params": "params parameters cameraparams cameraparameters intrinsicparams",
     "R": """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs
         rotations rotationmatrices rmats""",
     "Rinverse": "rc2w rwc rotationc2w",
@@ -87,6 +89,7 @@ _COUNTS = {
     "shape": (3, 2),
     "radial": (6, 3, 2),
     "tangential": (2,),
+    "params": (12, 8, 5, 4, 3),
 }
 _TEXTS = ("model", "name", "names", "fisheye")
 #: Parameters that are single numbers.
@@ -94,7 +97,7 @@ SCALARS = (
     *("fx", "fy", "cx", "cy", "skew", "width", "height"),
     *("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
 )
-INTRINSIC = frozenset({"K", "fx", "focal", "P"})
+INTRINSIC = frozenset({"K", "fx", "focal", "P", "params"})
 ROTATION = frozenset({"R", "Rinverse", "rvec", "quaternion", "pose", "inverse", "P"})
 TRANSLATION = frozenset({"t", "center", "pose", "inverse", "P"})
 POSE = ROTATION | TRANSLATION
@@ -103,7 +106,7 @@ SIZE = frozenset({"width", "size", "shape"})
 _GROUPS = words(
     """cameras camera cams cam intrinsics intrinsic extrinsics extrinsic calibration calibrations calib params
     parameters cameraparameters cameraparams data poses pose rig rigs sensors devices views lens
-    calibrationdata info metadata result results frames color rgb image transform externals internals
+    calibrationdata info metadata result results frames images color rgb image transform externals internals
     extri intri intr extr value matrix mat distortion dist distortions distcoeffs camerapose
     cameraposes external internal"""
 )
@@ -186,7 +189,17 @@ def find_parameters(*files: CalibrationFile) -> Found:
             _add(found, file, keys, shape)
     if found.views:
         _leave_out_views(found)
+    for identity, entries in found.cameras.items():
+        if "params" in entries and colmap_model(found.entries_of(identity)) is None:
+            del entries["params"]
+    found.cameras = {identity: entries for identity, entries in found.cameras.items() if entries}
     return found
+
+
+def colmap_model(entries: Mapping[str, Entry]) -> str | None:
+    """Camera model of COLMAP that a camera with these parameters has; None for another one or none."""
+    model = str(entries["model"].value).strip().upper() if "model" in entries else ""
+    return model if model in COLMAP_MODELS else None
 
 
 def _leave_out_views(found: Found) -> None:
@@ -203,7 +216,6 @@ def _leave_out_views(found: Found) -> None:
         for role in ("rvec", "t"):
             if role in entries and entries[role].key in _NAMES_OF_LISTS:
                 del entries[role]
-    found.cameras = {identity: entries for identity, entries in found.cameras.items() if entries}
 
 
 #: Parts of vectors and quaternions that are written as a mapping.
@@ -409,6 +421,8 @@ def _count(role: str, shape: _Shape) -> int | None:
     if role == "distortion":
         single = size <= 14 and (len(shape) <= 1 or 1 in shape)
         return 0 if single else (shape[0] if len(shape) in (2, 3) and size // shape[0] <= 14 else None)
+    if role == "params" and len(shape) == 2:
+        return shape[0]
     if role == "K" and size == 4 and 4 not in shape:
         return None  # 2 x 2 numbers
     counts = _COUNTS[role]

@@ -22,9 +22,8 @@ _WHITE = b"\xff\xff\xff"
 #: Texture unit of the first map of a material.
 _FIRST_MAP = 9
 #: Vertex attributes of the shaders and their numbers of components, in the order of the columns of
-#: :meth:`ExpandedMesh.attributes`.
-_LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3))
-_FLOATS = sum(n for _, n in _LAYOUT)
+#: :meth:`ExpandedMesh.attributes`, and after them the place in the light map.
+_LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3), ("light_uv", 2))
 
 
 class ExpandedMesh:
@@ -59,10 +58,9 @@ class ExpandedMesh:
 class MaterialBuffers:
     """Texture and material of a mesh on the device."""
 
-    def __init__(self, ctx: moderngl.Context, mesh: Mesh, texture: moderngl.Texture | None = None) -> None:
-        """``texture``: texture of another mesh with the same image and no material; a new one if None."""
+    def __init__(self, ctx: moderngl.Context, mesh: Mesh) -> None:
         self.material = material = mesh.material
-        self.texture = texture or _texture(ctx, mesh.texture, mesh.skin)
+        self.texture = _texture(ctx, mesh.texture, mesh.skin)
         self._maps: dict[str, moderngl.Texture] = {}
         if material is not None:
             alpha = None if material.alpha_map is None else material.alpha_map[..., None].repeat(3, axis=2)
@@ -77,15 +75,16 @@ class MaterialBuffers:
 
     @classmethod
     def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[MaterialBuffers]:
-        """Materials of several meshes; meshes with the same image share its texture."""
+        """Materials of several meshes; meshes with the same image and no material share one."""
+        shared: dict[tuple[int, int], MaterialBuffers] = {}
         made: list[MaterialBuffers] = []
-        shared: dict[tuple[int, int], moderngl.Texture] = {}
         for mesh in meshes:
             key = id(mesh.texture), id(mesh.skin)
             # a material says how its texture repeats, so that it has a texture of its own
-            made.append(cls(ctx, mesh, shared.get(key) if mesh.material is None else None))
+            known = shared.get(key) if mesh.material is None else None
+            made.append(known or cls(ctx, mesh))
             if mesh.material is None:
-                shared[key] = made[-1].texture
+                shared[key] = made[-1]
         return made
 
     @staticmethod
@@ -121,11 +120,13 @@ class MaterialBuffers:
 
 
 class TriangleBuffers:
-    """Triangles (N, 3) of vertices with attributes (V, 11) on the device; ``with`` releases them."""
+    """Triangles (N, 3) of vertices with attributes (V, 11), or (V, 13) with a place in the light map, on the
+    device; ``with`` releases them.
+    """
 
     def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
         self._ctx = ctx
-        self._empty = len(triangles) == 0
+        self._empty, self._floats = len(triangles) == 0, attributes.shape[1]
         if not self._empty:
             self._vertices = ctx.buffer(attributes.astype("f4").tobytes())
             self._index = ctx.buffer(np.ascontiguousarray(triangles, dtype=np.int32).tobytes())
@@ -149,6 +150,7 @@ class TriangleBuffers:
         counts: Sequence[int],
         selected: Sequence[bool] | None = None,
         eye: Array | None = None,
+        mode: int = moderngl.TRIANGLES,
     ) -> None:
         """Draw runs of triangles that follow each other, each run with its material.
 
@@ -158,26 +160,29 @@ class TriangleBuffers:
             counts: Number of triangles of each run.
             selected: The runs to draw; all if None.
             eye: (3,) point from which the triangles are sorted, farthest first; not sorted if None.
+            mode: What is drawn of each triangle.
         """
         if self._empty:
             return
-        layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in _LAYOUT)
-        used = [name for name, _ in _LAYOUT if name in program]
+        columns = np.cumsum([n for _, n in _LAYOUT])
+        layouts = _LAYOUT[: int(np.searchsorted(columns, self._floats)) + 1]
+        layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in layouts)
+        used = [name for name, _ in layouts if name in program]
         starts = np.cumsum([0, *counts])[:-1].tolist()
         chosen = [True] * len(counts) if selected is None else selected
         runs = [
             run for run, use in zip(zip(materials, starts, counts, strict=True), chosen, strict=True) if use
         ]
         runs = [run for run in runs if run[2]]
-        if eye is None and not MaterialBuffers.matter(program):
-            runs = _joined(runs)
+        if eye is None:
+            runs = _joined(runs, MaterialBuffers.matter(program))
         index = self._index
         if eye is not None:
             index, runs = self._farthest_first(runs, eye)
         array = self._ctx.vertex_array(program, [(self._vertices, layout, *used)], index_buffer=index)
         for material, first, count in runs:
             material.use(program)
-            array.render(moderngl.TRIANGLES, vertices=3 * count, first=3 * first)
+            array.render(mode, vertices=3 * count, first=3 * first)
         array.release()
         if index is not self._index:
             index.release()
@@ -187,7 +192,7 @@ class TriangleBuffers:
     ) -> tuple[moderngl.Buffer, list[tuple[MaterialBuffers, int, int]]]:
         """Indices of the triangles of some runs, sorted by distance, and the new runs."""
         corners = np.frombuffer(self._index.read(), np.int32).reshape(-1, 3)
-        positions = np.frombuffer(self._vertices.read(), np.float32).reshape(-1, _FLOATS)[:, :3]
+        positions = np.frombuffer(self._vertices.read(), np.float32).reshape(-1, self._floats)[:, :3]
         selected = np.concatenate([np.arange(first, first + count) for _, first, count in runs])
         owner = np.repeat(np.arange(len(runs)), [count for _, _, count in runs])
         middle = positions[corners[selected]].mean(axis=1) - eye.astype(np.float32)
@@ -202,11 +207,14 @@ class TriangleBuffers:
         return self._ctx.buffer(np.ascontiguousarray(corners[selected]).tobytes()), new
 
 
-def _joined(runs: Sequence[tuple[MaterialBuffers, int, int]]) -> list[tuple[MaterialBuffers, int, int]]:
+def _joined(
+    runs: Sequence[tuple[MaterialBuffers, int, int]], materials_matter: bool
+) -> list[tuple[MaterialBuffers, int, int]]:
     """Runs of triangles; those that follow each other become one, because calls of OpenGL take long."""
     out: list[tuple[MaterialBuffers, int, int]] = []
     for material, first, count in runs:
-        if out and out[-1][1] + out[-1][2] == first:
+        follows = bool(out) and out[-1][1] + out[-1][2] == first
+        if follows and (out[-1][0] is material or not materials_matter):
             out[-1] = (out[-1][0], out[-1][1], out[-1][2] + count)
         else:
             out.append((material, first, count))

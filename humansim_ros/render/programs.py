@@ -84,12 +84,18 @@ def depth_program(ctx: moderngl.Context, switches: Sequence[str] = ()) -> modern
     )
 
 
-def use_camera(ctx: moderngl.Context, program: moderngl.Program, camera: Camera) -> None:
-    """Set the uniforms of a program for a camera."""
+def use_camera(
+    ctx: moderngl.Context,
+    program: moderngl.Program,
+    camera: Camera,
+    offset: tuple[float, float] = (0.0, 0.0),
+) -> None:
+    """Set the uniforms of a program for a camera, whose image is shifted by an offset (x, y) in pixels."""
     set_uniform(program, "optical_z", (*camera.R[2], camera.t[2]))
     set_uniform(program, "eye", tuple(camera.center.tolist()))
     near = near_plane(camera)
     clip = camera.opengl_clip(near, _FAR)
+    clip[:2] += 2 * np.divide(offset, camera.size)[:, None] * clip[3]
     if not camera.distorted:
         set_uniform(program, "lens", 0)
         set_uniform(program, "clip", columns(clip @ camera.optical_from_world))

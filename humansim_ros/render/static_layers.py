@@ -1,18 +1,15 @@
-"""Cached images of the static scene, one per camera and backdrop, with their ambient occlusion.
+"""Cached images of the static scene, one per camera and backdrop.
 
-Ambient occlusion is the visible share of sky and ground at a point. Depth maps of the scene are rendered
-once from many directions, side by side in one texture. Each pixel of a camera tests one ninth of the
-directions, its neighbours test the others, at a lower resolution than the image. Like the sun, ambient light
-passes through the back faces of surfaces.
+The colours of a still camera are the mean of images that are shifted by fractions of a pixel, so that they
+need no more memory than one image.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
+from typing import NamedTuple
 
-import cv2
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -21,27 +18,35 @@ from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.caches import LruCache
 from humansim_ros.render.lens_tessellation import TOLERANCE, VISIBLE, LensView
+from humansim_ros.render.light_map import UNIT, LightMap
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.pixel_geometry import ray_grid
-from humansim_ros.render.programs import columns, depth_program, lit_program, set_uniform, shader, use_camera
+from humansim_ros.render.programs import lit_program, set_uniform, use_camera
 from humansim_ros.render.rendered_frame import StaticLayer
 from humansim_ros.render.renderer import Backdrop, Body
 from humansim_ros.render.static_scene import StaticScene, StaticTriangles
 from humansim_ros.render.sun_shadows import ShadowInputs, SunShadows
 from humansim_ros.render.target import RenderTarget
-from humansim_ros.types import Array, Float32Array, Image
+from humansim_ros.types import Image
 
-#: Supersampling factor of cached images: they are rendered once.
-_SUPERSAMPLING, _MAX_SIDE = 4, 8192
-#: A moving camera renders the static scene with multisampling, in half the time; or supersampled if there is
-#: a backdrop, because the pixels that show it have to be known.
-_SAMPLES, _MOVING_SUPERSAMPLING = 4, 2
-#: Pixels per texel of ambient occlusion, by whether the camera moves; and the fewest texels along a side.
-_AO_SCALE, _MIN_AO_SIDE = {False: 2, True: 4}, 120
-#: Largest number of cached images, and memory of the targets that they are rendered into.
-_MAX_LAYERS, _MAX_TARGET_BYTES = 32, 1 << 30
+#: Shifted images of a still camera, which are averaged: a number of Fibonacci spreads them best. And of a
+#: moving camera if there is a backdrop.
+_OFFSETS, _MOVING_OFFSETS = 13, 4
+#: A moving camera renders the static scene with multisampling.
+_SAMPLES = 4
+#: Largest number of cached images.
+_MAX_LAYERS = 32
 #: Blending of transparent surfaces; alpha stays.
 _BLENDING = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ZERO, moderngl.ONE)
+
+
+class _View(NamedTuple):
+    """The triangles of the scene for a camera, and a target of its size."""
+
+    camera: Camera
+    moving_camera: bool
+    triangles: StaticTriangles
+    target: RenderTarget
 
 
 class StaticLayers:
@@ -66,26 +71,26 @@ class StaticLayers:
         lit_bodies: moderngl.Program,
     ) -> None:
         self._ctx, self._lighting, self._ids = ctx, lighting, ids
-        self._unlabelled = self._scene = StaticScene(ctx, tuple(meshes))
+        lit = lighting.ambient_occlusion and lighting.mode == "lit"
+        self._unlabelled = self._scene = StaticScene(ctx, tuple(meshes), lit and not bodies)
         if bodies:
             labelled = (replace(body.mesh, vertices=body.vertices.astype(float)) for body in bodies)
-            self._scene = StaticScene(ctx, (*meshes, *labelled))
+            self._scene = StaticScene(ctx, (*meshes, *labelled), lit)
         self._layers: LruCache[tuple[bytes, int], StaticLayer] = LruCache(
             _MAX_LAYERS, release=lambda layer: layer.release()
         )
-        self._targets: LruCache[tuple[tuple[int, int], int], RenderTarget] = LruCache(
-            _MAX_LAYERS,
-            _MAX_TARGET_BYTES,
-            nbytes=lambda target: target.nbytes,
-            release=lambda target: target.release(),
+        self._targets: LruCache[tuple[int, int], RenderTarget] = LruCache(
+            _MAX_LAYERS, release=lambda target: target.release()
         )
         self._moving: StaticLayer | None = None
         soft = lighting.shadow == "soft"
-        occlusion = lighting.ambient_occlusion and lighting.mode == "lit" and self._scene.box is not None
-        switches = ["STATIC_SCENE", *(["AMBIENT_OCCLUSION"] if occlusion else []), *self._scene.switches]
+        occlusion = ["AMBIENT_OCCLUSION"] if self._scene.charts is not None else []
+        switches = ["STATIC_SCENE", *occlusion, *self._scene.switches]
         self._lit = self._programs([*switches, *(["STATIC_SHADOWS"] if soft else [])])
         self._without_sun = self._programs(switches, sun=False) if soft else self._lit
-        self._occlusion = AmbientOcclusion(ctx, self._scene) if occlusion else None
+        self._light_map = LightMap(ctx, self._scene) if occlusion else None
+        for program in (*self._lit, *self._without_sun):
+            set_uniform(program, "light_map", UNIT)
         #: soft shadows, if the light has them
         self.sun_shadows = SunShadows(ctx, self._scene, lighting, (lit_bodies, *self._lit)) if soft else None
         #: whether bodies cast contact shadows: there is a floor for them
@@ -111,7 +116,7 @@ class StaticLayers:
     def draw_unlabelled(self, target: RenderTarget, camera: Camera, moving_camera: bool) -> None:
         """Draw depths of the meshes without labels."""
         with self._unlabelled.tessellated(camera, _tolerance(moving_camera)) as triangles:
-            self._draw(target, triangles, self._depth_program, camera)
+            self._draw_depths(target, triangles, camera)
 
     def _render(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
         behind = None if backdrop is None else backdrop.picture(camera)
@@ -124,27 +129,16 @@ class StaticLayers:
                 self._ground(behind, camera, sun) for sun in (visibility, np.zeros_like(visibility))
             )
         target = RenderTarget(self._ctx, camera.size)
-        # clip coordinates do not depend on the resolution: the same view, only finer
-        fine = self._fine_target(camera.size, moving_camera, behind is not None)
-        with (
-            self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles,
-            ExitStack() as stack,
-        ):
-            if self._occlusion is not None:
-                scale = min(_AO_SCALE[moving_camera], max(1, min(camera.size) // _MIN_AO_SIDE))
-                occlusion = self._occlusion.image(camera, triangles, scale)
-                stack.callback(occlusion.release)
-                occlusion.use(UNIT)
-                for program in (*self._lit, *self._without_sun):
-                    set_uniform(program, "ao_map", UNIT)
-                    ratio = (occlusion.width / fine.size[0], occlusion.height / fine.size[1])
-                    set_uniform(program, "ao_scale", ratio)
-            rgba = self._colour(self._lit, triangles, camera, fine, target, behind)
+        with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
+            if self._light_map is not None:
+                self._light_map.use()
+            view = _View(camera, moving_camera, triangles, target)
+            rgba = self._colour(self._lit, view, behind)
             shadow_inputs = None
             if self.sun_shadows is not None:
-                shaded = self._colour(self._without_sun, triangles, camera, fine, target, behind_without_sun)
+                shaded = self._colour(self._without_sun, view, behind_without_sun)
                 shadow_inputs = ShadowInputs(self._ctx, camera, shaded[..., :3])
-            self._draw(target, triangles, self._depth_program, camera)
+            self._draw_depths(target, triangles, camera)
         if self.sun_shadows is None:
             rgba[..., 3] = 255
         if visibility is not None:
@@ -154,31 +148,52 @@ class StaticLayers:
         return StaticLayer(target, backdrop, shadow_inputs)
 
     def _colour(
+        self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
+    ) -> NDArray[np.uint8]:
+        """(H, W, 4) colours before an image (H, W, 3), before the background colour if None; black beyond
+        the field of view of the lens.
+        """
+        samples = _SAMPLES if view.moving_camera and behind is None else 0
+        count = 1 if samples else _MOVING_OFFSETS if view.moving_camera else _OFFSETS
+        # the samples of a pixel share its texels: finer ones than usual
+        mip_bias = (-0.5 if samples else -0.75) * float(np.log2(max(samples, count)))
+        total = np.zeros((*view.camera.size[::-1], 4), np.uint16)
+        for offset in offsets(count):
+            total += self._image(programs, view, behind, offset, mip_bias, samples)
+        rgba = ((total + count // 2) // count).astype(np.uint8)
+        if view.camera.distorted and LensView(view.camera).partly_dark:
+            rgba[..., :3][~np.isfinite(ray_grid(view.camera)[..., 0])] = 0
+        return rgba
+
+    def _image(
         self,
         programs: Sequence[moderngl.Program],
-        triangles: StaticTriangles,
-        camera: Camera,
-        fine: RenderTarget,
-        target: RenderTarget,
+        view: _View,
         behind: Image | None,
+        offset: tuple[float, float],
+        mip_bias: float,
+        samples: int,
     ) -> NDArray[np.uint8]:
-        """(H, W, 4) colours of the static scene before an image.
-
-        ``fine``: target of a higher resolution, or with samples. ``target``: of the resolution of the image.
-        ``behind``: (H, W, 3), the background colour if None.
-        """
+        """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels."""
+        camera, target = view.camera, view.target
+        if samples:
+            size = camera.size
+            target = self._targets.get_or_make(size, lambda: RenderTarget(self._ctx, size, samples))
+        for program in programs:
+            use_camera(self._ctx, program, camera, offset)
+            set_uniform(program, "mip_bias", mip_bias)
         colour = self._lighting.background if behind is None else (0, 0, 0)
-        self._draw(fine, triangles, programs[0], camera, colour)
-        if len(programs) == 1:
-            return _composed(self._averaged(fine, target), fine, camera, behind)
+        self._draw(target, view.triangles, programs[0], colour)
         if behind is not None:
-            fine.fill(behind)
-        fine.use_colour()
-        self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
-        self._ctx.blend_func = _BLENDING  # type: ignore[assignment]  # four factors are allowed
-        use_camera(self._ctx, programs[1], camera)
-        triangles.draw_transparent(programs[1], camera.center)
-        return _composed(self._averaged(fine, target), fine, camera, None)
+            target.fill(behind)
+        if len(programs) > 1:
+            target.use_colour()
+            self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+            self._ctx.blend_func = _BLENDING  # type: ignore[assignment]  # four factors are allowed
+            view.triangles.draw_transparent(programs[1], camera.center)
+        if samples:
+            view.target.average(target)
+        return view.target.read("rgba", lit=True)
 
     def _ground(self, image: Image, camera: Camera, visibility: NDArray[np.floating]) -> Image:
         """Image (H, W, 3) of sunny ground z = 0, darkened to a visible share (H, W) of the sun."""
@@ -186,44 +201,24 @@ class StaticLayers:
         share = np.where(down[..., None], np.sqrt(self._lighting.on_ground(visibility)), 1.0)
         return np.rint(image * share).astype(np.uint8)
 
-    @property
-    def _depth_program(self) -> moderngl.Program:
-        """Program for depths: with glTF materials the lit one, which applies alpha masks."""
-        return self._lit[0] if self._scene.switches else self._ids
-
     def _draw(
         self,
         target: RenderTarget,
         triangles: StaticTriangles,
         program: moderngl.Program,
-        camera: Camera,
         colour: Sequence[int] = (0, 0, 0),
     ) -> None:
         """Clear a target to a colour and draw the opaque triangles."""
         target.clear(colour)
         target.use(program is not self._ids)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        use_camera(self._ctx, program, camera)
-        # the samples of a pixel share one texel: select it as if each had its own
-        set_uniform(program, "mip_bias", -0.5 * np.log2(max(target.samples, 1)))
         triangles.draw(program)
 
-    def _fine_target(self, size: tuple[int, int], moving_camera: bool, has_backdrop: bool) -> RenderTarget:
-        """Target of a higher resolution than the image, or with samples."""
-        samples, factor = (_SAMPLES, 1) if moving_camera and not has_backdrop else (0, 0)
-        if not samples:
-            limit = _MOVING_SUPERSAMPLING if moving_camera else _SUPERSAMPLING
-            factor = max(1, min(limit, _MAX_SIDE // max(size)))
-        fine = size[0] * factor, size[1] * factor
-        return self._targets.get_or_make((fine, samples), lambda: RenderTarget(self._ctx, fine, samples))
-
-    def _averaged(self, fine: RenderTarget, target: RenderTarget) -> NDArray[np.uint8]:
-        """(H, W, 4) colours of a finer target at the resolution of ``target``."""
-        if fine.samples:
-            target.average(fine)
-            return target.read("rgba", lit=True).copy()
-        image = fine.read("rgba", lit=True)
-        return np.asarray(cv2.resize(image, target.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    def _draw_depths(self, target: RenderTarget, triangles: StaticTriangles, camera: Camera) -> None:
+        """Draw depths; with glTF materials by the lit program, which applies alpha masks."""
+        program = self._lit[0] if self._scene.switches else self._ids
+        use_camera(self._ctx, program, camera)
+        self._draw(target, triangles, program)
 
 
 def camera_key(camera: Camera) -> bytes:
@@ -236,129 +231,16 @@ def _tolerance(moving_camera: bool) -> float:
     return VISIBLE if moving_camera else TOLERANCE
 
 
-def _composed(
-    rgba: NDArray[np.uint8], fine: RenderTarget, camera: Camera, behind: Image | None
-) -> NDArray[np.uint8]:
-    """Colours (H, W, 4) before an image, black beyond the field of view of the lens."""
-    if behind is not None:
-        empty = np.where(fine.read("depth", lit=True) > 0, np.uint8(0), np.uint8(255))
-        share = cv2.resize(empty, camera.size, interpolation=cv2.INTER_AREA)[..., None] / 255
-        rgba[..., :3] = np.rint(rgba[..., :3] + share * behind)
-    if camera.distorted and LensView(camera).partly_dark:
-        rgba[..., :3][~np.isfinite(ray_grid(camera)[..., 0])] = 0
-    return rgba
+def offsets(count: int) -> list[tuple[float, float]]:
+    """Offsets (x, y) within a pixel, evenly in rows, in columns and over the area: a lattice."""
+    step = max((n for n in range(1, count + 1) if np.gcd(n, count) == 1), key=lambda n: _spread(n, count))
+    x = (np.arange(count) + 0.5) / count - 0.5
+    y = (np.arange(count) * step % count + 0.5) / count - 0.5
+    return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
-#: Maps along a side of the common texture, and texels along a side of each map.
-_SIDE, _TEXELS = 12, 208
-#: Relative difference of depth below which two points belong to one surface.
-_SAME_SURFACE = 0.03
-#: Metres that the maps cover around the scene.
-_MARGIN = 0.1
-#: Texture unit; 0 has the texture of the surface, 1 to 4 have shadow maps.
-UNIT = 5
-
-
-class AmbientOcclusion:
-    """Depth maps of a static scene from many directions."""
-
-    def __init__(self, ctx: moderngl.Context, static: StaticScene) -> None:
-        self._ctx = ctx
-        box = static.box
-        assert box is not None
-        low, high = box.min(axis=1).astype(float), box.max(axis=1).astype(float)
-        self._centre, self._extent = (low + high) / 2, (high - low) / 2 + _MARGIN
-        self._directions = directions(_SIDE * _SIDE)
-        side = _SIDE * _TEXELS
-        self._map = ctx.depth_texture((side, side))
-        self._sampler = ctx.sampler(
-            False, False, filter=(moderngl.LINEAR, moderngl.LINEAR), compare_func="<=", texture=self._map
-        )
-        self._program = ctx.program(
-            vertex_shader=shader(["lens.glsl", "ambient_occlusion.vert"]),
-            fragment_shader=shader(
-                ["ambient_occlusion.frag"], [f"COUNT {_SIDE**2}", f"SIDE {_SIDE}", f"INSET {1 / _TEXELS}"]
-            ),
-        )
-        set_uniform(self._program, "directions", self._directions.astype("f4").tobytes())
-        set_uniform(self._program, "centre", tuple(self._centre))
-        set_uniform(self._program, "extent", tuple(self._extent))
-        set_uniform(self._program, "texel", 2 * float(self._extent.max()) / _TEXELS)
-        set_uniform(self._program, "maps", UNIT)
-        self._draw_maps(static)
-
-    def _draw_maps(self, static: StaticScene) -> None:
-        depths = depth_program(self._ctx, static.switches)
-        framebuffer = self._ctx.framebuffer(depth_attachment=self._map)
-        framebuffer.use()
-        framebuffer.clear(depth=1.0)
-        self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        self._ctx.cull_face = "front"  # images are mirrored, and with them the winding of front faces
-        for number, direction in enumerate(self._directions):
-            row, column = divmod(number, _SIDE)
-            framebuffer.viewport = column * _TEXELS, row * _TEXELS, _TEXELS, _TEXELS
-            set_uniform(depths, "clip", columns(self._clip(direction)))
-            static.whole.draw(depths)
-        self._ctx.cull_face = "back"
-        framebuffer.release()
-
-    def _clip(self, direction: Array) -> Array:
-        """(4, 4) from the world to a map's clip coordinates (the same as in ambient_occlusion.frag)."""
-        u = np.array([-direction[1], direction[0], 0.0])
-        u /= np.linalg.norm(u)
-        axes = np.stack([u, np.cross(direction, u), -direction])
-        axes /= (np.abs(axes) @ self._extent)[:, None]
-        clip = np.eye(4)
-        clip[:3, :3], clip[:3, 3] = axes, -axes @ self._centre
-        return clip
-
-    def image(self, camera: Camera, static: StaticTriangles, scale: int) -> moderngl.Texture:
-        """Render the ambient occlusion for a camera, see :func:`packed`. ``scale``: pixels per texel."""
-        size = -(-camera.size[0] // scale), -(-camera.size[1] // scale)
-        sums_image, depth = self._ctx.texture(size, 4, dtype="f4"), self._ctx.texture(size, 1, dtype="f4")
-        buffer = self._ctx.depth_renderbuffer(size)
-        framebuffer = self._ctx.framebuffer([sums_image, depth], buffer)
-        framebuffer.use()
-        framebuffer.clear()
-        self._ctx.enable_only(moderngl.DEPTH_TEST)
-        use_camera(self._ctx, self._program, camera)
-        self._sampler.use(UNIT)
-        static.draw(self._program)
-        self._sampler.clear(UNIT)
-        sums = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32).reshape(*size[::-1], 4)
-        far = np.frombuffer(framebuffer.read(components=1, attachment=1, dtype="f4"), np.float32)
-        for one in (framebuffer, sums_image, depth, buffer):
-            one.release()
-        made = self._ctx.texture(size, 1, packed(sums, far.reshape(size[::-1])).tobytes(), dtype="u4")
-        made.filter = moderngl.NEAREST, moderngl.NEAREST
-        return made
-
-
-def directions(count: int) -> Array:
-    """(N, 3) unit vectors evenly over the sphere, on a spiral; none is vertical."""
-    z = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (1 + 5**0.5) * np.arange(count)
-    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
-
-
-def packed(sums: Float32Array, depth: Float32Array) -> NDArray[np.uint32]:
-    """Combine each pixel with its neighbours on the same surface, and pack the result.
-
-    ``sums``: (H, W, 4) sky visible and total, ground visible and total, of one ninth of the directions each.
-    ``depth``: (H, W) metres.
-
-    Returns:
-        (H, W): visible share of sky in the low 8 bits, of ground in the next 8, 1 / (1 + depth) in 16.
-    """
-    padded, far = np.pad(sums, ((1, 1), (1, 1), (0, 0))), np.pad(depth, 1)
-    height, width = depth.shape
-    total = np.zeros_like(sums)
-    for y in range(3):
-        for x in range(3):
-            near = np.abs(far[y : y + height, x : x + width] - depth) < _SAME_SURFACE * depth
-            total += np.where(near[..., None], padded[y : y + height, x : x + width], 0)
-    shares = np.where(total[..., 1::2] > 1e-3, total[..., ::2] / np.maximum(total[..., 1::2], 1e-3), 1)
-    sky, ground = np.moveaxis(np.rint(255 * shares).astype(np.uint32), -1, 0)
-    return np.asarray(
-        sky | ground << 8 | np.rint(65535 / (1 + depth)).astype(np.uint32) << 16, dtype=np.uint32
-    )
+def _spread(step: int, count: int) -> int:
+    """Least squared distance between points of the lattice of a step."""
+    x = np.arange(1, count)
+    y = x * step % count
+    return int((np.minimum(x, count - x) ** 2 + np.minimum(y, count - y) ** 2).min(initial=2 * count**2))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.charts import Charts
 from humansim_ros.render.lens_tessellation import LensView
 from humansim_ros.render.mesh_buffers import (
     ExpandedMesh,
@@ -24,12 +25,20 @@ from humansim_ros.types import Array, Float32Array, Indices
 
 #: Metres from z = 0 within which level triangles are a floor.
 FLOOR_SLACK = 0.02
+#: Texels of the light map along the longest side of the scene.
+_LIGHT_TEXELS = 208
 
 
 class StaticScene:
-    """Meshes in ``map`` with their materials on the device."""
+    """Meshes in ``map`` with their materials on the device.
 
-    def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
+    Args:
+        ctx: OpenGL context.
+        meshes: The meshes.
+        charted: Lay out the triangles for a light map.
+    """
+
+    def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh], charted: bool = False) -> None:
         self._ctx = ctx
         self._materials = MaterialBuffers.of_meshes(ctx, meshes)
         attributes: list[Float32Array] = [np.zeros((0, 11), np.float32)]
@@ -44,8 +53,20 @@ class StaticScene:
             first += len(attributes[-1])
         self._attributes, self._corners = np.concatenate(attributes), np.concatenate(corners)
         self._counts = [len(mesh.triangles) for mesh in meshes]
+        #: where the triangles are in the light map
+        self.charts: Charts | None = None
+        if charted and len(self._corners):
+            self._chart()
         self._ends: Indices = np.cumsum(self._counts, dtype=np.intp)
         self._buffers = TriangleBuffers(ctx, self._attributes, self._corners)
+
+    def _chart(self) -> None:
+        positions = self._attributes[:, :3]
+        texel = max(float(np.ptp(positions, axis=0).max()), 1e-3) / _LIGHT_TEXELS
+        self.charts = charts = Charts.of(positions, self._corners, texel)
+        places = charts.coordinates / np.array(charts.size, np.float32)
+        self._attributes = np.concatenate([self._attributes[charts.source], places], axis=1)
+        self._corners = charts.corners
 
     @property
     def box(self) -> Float32Array | None:
@@ -119,6 +140,10 @@ class StaticTriangles:
         """Draw all triangles whose material does not blend."""
         opaque = [not one.blends for one in self._materials]
         self._buffers.draw(program, self._materials, self._counts, opaque)
+
+    def draw_all(self, program: moderngl.Program, mode: int = moderngl.TRIANGLES) -> None:
+        """Draw all triangles, or points at their corners."""
+        self._buffers.draw(program, self._materials, self._counts, mode=mode)
 
     def draw_transparent(self, program: moderngl.Program, eye: Array) -> None:
         """Draw the triangles whose material blends, sorted by distance from ``eye``, farthest first."""

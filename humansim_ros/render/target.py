@@ -134,11 +134,9 @@ class RenderTarget:
         self._textures[2].write(rgba.tobytes())
 
     def fill(self, image: NDArray[np.uint8]) -> None:
-        """Show an image (H, W, 3) where nothing is drawn. The target is a multiple of its size."""
-        times = self.size[0] // image.shape[1]
-        larger = image.repeat(times, axis=0).repeat(times, axis=1)
+        """Show an image (H, W, 3) where nothing is drawn."""
         rgba, empty = self.read("rgba", lit=True).copy(), self.read("depth", lit=True) == 0
-        rgba[empty, :3] = larger[empty]
+        rgba[empty, :3] = image[empty]
         self.write(rgba)
 
     @property

@@ -16,7 +16,7 @@ from humansim_ros.humans.loading import load_human
 from humansim_ros.io.assets import resource_path
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, Lighting
-from humansim_ros.render.static_layers import directions
+from humansim_ros.render.light_map import directions
 
 BLACK = (0.0, 0.0, 0.0)
 SKIN, CLOTH = 255, 0

@@ -35,24 +35,9 @@ const vec3 TINT = vec3(1.0, 0.95, 0.93);    // of light that was scattered under
 const float FUZZ = 0.25;                    // share of grazing light that fibres of cloth reflect
 #endif
 #ifdef AMBIENT_OCCLUSION
-uniform usampler2D ao_map;  // visible share of sky (8 bits) and ground (8 bits), 1 / (1 + depth) (16 bits)
-uniform vec2 ao_scale;      // its pixels per pixel
+in vec2 v_light_uv;
+uniform sampler2D light_map;  // visible share of sky and ground on the front, and on the back
 const float INTERREFLECTION = 0.6;
-vec2 ambient_visibility(float z) {
-    vec2 lookup = gl_FragCoord.xy * ao_scale - 0.5;
-    ivec2 low = ivec2(floor(lookup)), most = textureSize(ao_map, 0) - 1;
-    vec2 share = lookup - vec2(low), sum = vec2(0.0);
-    float total = 0.0;
-    for (int i = 0; i < 4; i++) {
-        ivec2 step = ivec2(i & 1, i >> 1);
-        uint texel = texelFetch(ao_map, clamp(low + step, ivec2(0), most), 0).r;
-        vec2 weights = mix(1.0 - share, share, vec2(step));
-        float weight = (weights.x * weights.y + 1e-3) / (1e-3 + abs(float(texel >> 16u) / 65535.0 * (1.0 + z) - 1.0));
-        sum += weight * vec2(uvec2(texel & 255u, (texel >> 8u) & 255u));
-        total += weight;
-    }
-    return sum / (255.0 * total);
-}
 #endif
 void main() {
     vec3 n = normalize(gl_FrontFacing ? v_normal.xyz : -v_normal.xyz);
@@ -103,7 +88,8 @@ void main() {
 #endif
     vec3 ambient = mix(ground_color, sky_color, 0.5 + 0.5 * n.z);
 #ifdef AMBIENT_OCCLUSION
-    vec2 shares = ambient_visibility(v_normal.w);
+    vec4 sides = textureLod(light_map, v_light_uv, 0.0);
+    vec2 shares = gl_FrontFacing ? sides.xy : sides.zw;
     ambient = sky_color * (0.5 + 0.5 * n.z) * shares.x + ground_color * (0.5 - 0.5 * n.z) * shares.y;
     // occluders reflect some light
     vec2 occluded = vec2(0.5 + 0.5 * n.z, 0.5 - 0.5 * n.z) * (1.0 - shares);

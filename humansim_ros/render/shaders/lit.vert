@@ -11,6 +11,10 @@ out vec3 v_color;
 #if defined(STATIC_SHADOWS) || defined(PBR)
 out vec3 v_world;
 #endif
+#ifdef AMBIENT_OCCLUSION
+in vec2 light_uv;
+out vec2 v_light_uv;
+#endif
 #ifdef SKIN_AND_CLOTH
 uniform vec3 eye;
 uniform vec3 sun;
@@ -23,6 +27,9 @@ void main() {
     v_color = color;
 #if defined(STATIC_SHADOWS) || defined(PBR)
     v_world = position;
+#endif
+#ifdef AMBIENT_OCCLUSION
+    v_light_uv = light_uv;
 #endif
 #ifdef SKIN_AND_CLOTH
     v_terms = skin_and_cloth_terms(normal, normalize(eye - position), sun);

@@ -38,7 +38,7 @@ from humansim_ros.camera.formats.base import (
     stated_unit,
     vector_of,
 )
-from humansim_ros.camera.formats.matrices import Pose, resolved
+from humansim_ros.camera.formats.matrices import FilePose, resolved
 from humansim_ros.camera.formats.spellings import role_of
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError
@@ -184,7 +184,7 @@ def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
     """Cameras with the R and T of VoxelPose, unless the file or the views say that R and T are others."""
     cameras = _read_as_shelf(file)
     poses = {
-        name: Pose(
+        name: FilePose(
             camera.R, camera.position, "shelf", False, {part: camera.locations[part] for part in ("R", "t")}
         )
         for name, camera in cameras.items()

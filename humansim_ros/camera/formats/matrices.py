@@ -74,7 +74,7 @@ _UNNAMED = words("pinhole perspective opencv simple_pinhole brown none full_open
 
 
 @dataclass(frozen=True)
-class Pose:
+class FilePose:
     """Rotation and translation as they are in a file.
 
     ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)) or ``placed`` (a
@@ -166,7 +166,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
         raise CameraError(message, path=other.path)
     pairs = _pairs(file, found)
     cameras: dict[str, RawCamera] = {}
-    poses: dict[str, Pose] = {}
+    poses: dict[str, FilePose] = {}
     for name, (entries, posed) in pairs.items():
         camera = _intrinsics(file, entries)
         pose = None if "P" in entries and "K" not in entries else _pose(posed)
@@ -182,7 +182,7 @@ def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
     """Cameras of a document that has extrinsics, with any K."""
     file = plain(file)
     found = find_parameters(file)
-    poses: dict[str, Pose] = {}
+    poses: dict[str, FilePose] = {}
     for identity in _leaf_cameras(found, found.having(POSE)):
         pose = _pose(found.entries_of(identity))
         if pose is not None:
@@ -430,7 +430,7 @@ def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[fl
 # -- extrinsics
 
 
-def _pose(entries: Mapping[str, Entry]) -> Pose | None:
+def _pose(entries: Mapping[str, Entry]) -> FilePose | None:
     """Rotation and translation of a camera; None without any."""
     for role, kind in (("pose", "world"), ("inverse", "camera")):
         if role in entries:
@@ -452,7 +452,7 @@ def _pose(entries: Mapping[str, Entry]) -> Pose | None:
     t = shift.file.numbers((3,), *shift.keys)
     locations = {"R": _where(rotation), "t": _where(shift)}
     if "Rinverse" in entries and rotation is entries["Rinverse"]:
-        return Pose(
+        return FilePose(
             r.T if shift is entries.get("center") else r,
             t,
             "center" if "center" in entries else "camera",
@@ -462,12 +462,12 @@ def _pose(entries: Mapping[str, Entry]) -> Pose | None:
     if "center" in entries and shift is entries["center"]:
         placed = shift.key in _PLACES and rotation.key not in ("r", "rmat", "rvec")
         clear = rotation.key not in _UNCLEAR and rotation is not entries.get("quaternion")
-        return Pose(r, t, "placed" if placed else "center", clear, locations)
+        return FilePose(r, t, "placed" if placed else "center", clear, locations)
     clear = rotation.key not in _UNCLEAR or shift.key not in _UNCLEAR
-    return Pose(r, t, "world", clear, locations)
+    return FilePose(r, t, "world", clear, locations)
 
 
-def _pose_matrix(entry: Entry, kind: str) -> Pose:
+def _pose_matrix(entry: Entry, kind: str) -> FilePose:
     rows = 4 if len(_numbers(entry)) == 16 else 3
     values = entry.file.numbers((rows, 4), *entry.keys)
     if rows == 4 and not values[:3, 3].any() and values[3, :3].any():
@@ -475,7 +475,7 @@ def _pose_matrix(entry: Entry, kind: str) -> Pose:
     if rows == 4 and not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
         raise entry.file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *entry.keys)
     at = _where(entry)
-    return Pose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
+    return FilePose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
 
 
 def _rotation(entry: Entry) -> Array:
@@ -493,7 +493,7 @@ def _rotation(entry: Entry) -> Array:
 
 
 def resolved(
-    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, Pose]
+    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, FilePose]
 ) -> dict[str, RawCamera]:
     """Cameras with R and t; the convention of unclear ones is found by the views."""
     if not poses:
@@ -513,7 +513,7 @@ def resolved(
     return posed
 
 
-def _reading(file: CalibrationFile, poses: list[Pose]) -> tuple[int, str]:
+def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
     """Index of the convention of the unclear poses of a file, and a sentence about it."""
     unclear = [pose for pose in poses if not pose.clear]
     if not unclear:
@@ -542,7 +542,7 @@ def _reading(file: CalibrationFile, poses: list[Pose]) -> tuple[int, str]:
     )
 
 
-def _view_error(poses: list[Pose], reading: int) -> float:
+def _view_error(poses: list[FilePose], reading: int) -> float:
     """How badly the optical axes meet in front of the cameras: 0 if they meet in a point, 1 and more if not.
 
     The mean distance of the axes from their common point, as a fraction of the distance of the cameras from

@@ -216,8 +216,12 @@ class GlbDocument:
     ) -> None:
         """Add a mesh that stands still, without normals: programs draw its triangles flat.
 
-        ``vertices``: (V, 3) as they are, in metres. ``triangles``: (F, 3). ``colors``: (V, 3) sRGB. ``uv``:
-        (V, 2), v up; ``texture``: JPEG or PNG file.
+        Args:
+            vertices: (V, 3), written as they are.
+            triangles: (F, 3).
+            colors: (V, 3) sRGB.
+            uv: (V, 2) in the texture, v up.
+            texture: JPEG or PNG file.
         """
         columns: dict[str, NDArray[Any]] = {"POSITION": vertices.astype(np.float32)}
         if uv is not None:

@@ -1,4 +1,4 @@
-"""Skinned figures of any rig move with chest and head as upright as at rest."""
+"""Skinned figures of any rig move with chest and head as upright as at rest, and arms as our own bodies."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import read_motion
+from humansim_ros import load_human, read_motion
+from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.humans.figure import to_body_space
+from humansim_ros.humans.human import Human
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import Mesh, SkinnedMesh, padded
 from humansim_ros.motion.info import to_world
 from humansim_ros.motion.joint_matching import match_names
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.rotations import angle_between, unit_vectors
 
 Array = NDArray[np.float64]
 #: Joint -> its parent and position: metres, y up, facing +z.
@@ -400,6 +403,63 @@ def tilts(skinned: SkinnedMesh) -> dict[str, Array]:
 def test_chest_and_head_of_any_rig_look_forward_as_at_rest(rig: str, rest: str) -> None:
     for bone, degrees in tilts(figure(rig, rest)).items():
         assert np.abs(degrees).max() < MOST, bone
+
+
+def forearms(skeleton: Skeleton, posed: Array) -> Array:
+    """Unit vectors (2, F, 3) from the elbows to the wrists in poses (F, B, 4, 4)."""
+    ends = [
+        [posed[:, skeleton.bone(f"{side}_{part}"), :3, 3] for part in ("elbow", "wrist")] for side in "lr"
+    ]
+    return np.stack([unit_vectors(wrist - elbow) for elbow, wrist in ends])
+
+
+@cache
+def bends() -> tuple[WorldMotion, Array, Array]:
+    """The built-in run; forearms (2, F, 3) and bends of the elbows (2, F), degrees, of our own body in it."""
+    motion = to_world(read_motion("run"))
+    skeleton = load_human("adult_man").skeleton
+    posed = Retargeter.fit(motion, skeleton).pose(motion.sample(np.linspace(0.0, motion.cycle_length, 12)))
+    own = forearms(skeleton, posed)
+    heads = [
+        [posed[:, skeleton.bone(f"{side}_{part}"), :3, 3] for part in ("shoulder", "elbow")] for side in "lr"
+    ]
+    upper = np.stack([unit_vectors(elbow - shoulder) for shoulder, elbow in heads])
+    return motion, own, np.degrees(angle_between(own, upper))
+
+
+def forearm_errors(skinned: SkinnedMesh) -> tuple[float, float]:
+    """Most degrees between the forearms of a figure, by bones and by skin, and our own in the same motion."""
+    motion, own, _ = bends()
+    mesh, skeleton, weights = to_body_space(skinned)
+    posed = Retargeter.fit(motion, skeleton).pose(motion.sample(np.linspace(0.0, motion.cycle_length, 12)))
+    human = Human("figure", mesh, skeleton, weights)
+    vertices = np.stack([human.pose(frame) for frame in posed])
+    skin = []
+    for side in "lr":
+        elbow = skeleton.bone(f"{side}_elbow")
+        middle = vertices[:, np.asarray(weights.argmax(axis=1)).ravel() == elbow].mean(1)
+        skin.append(unit_vectors(middle - posed[:, elbow, :3, 3]))
+    bones, flesh = (angle_between(found, own) for found in (forearms(skeleton, posed), np.stack(skin)))
+    return float(np.degrees(bones.max())), float(np.degrees(flesh.max()))
+
+
+def test_the_run_bends_both_elbows() -> None:
+    _, _, bend = bends()
+    assert bend.max(1).min() > 60
+
+
+@pytest.mark.daily("*-T", "*-posed")
+@pytest.mark.parametrize("rest", RESTS)
+@pytest.mark.parametrize("rig", RIGS)
+def test_forearms_of_any_rig_point_as_ours_do(rig: str, rest: str) -> None:
+    assert max(forearm_errors(figure(rig, rest))) < MOST
+
+
+@pytest.mark.parametrize("name", if_shared("rpm_6505ad3b.glb", "CesiumMan.glb", "RiggedFigure.gltf"))
+def test_forearms_of_shared_figures_point_as_ours_do(name: str) -> None:
+    skinned = read_mesh_or_figure(SHARED_DATA / "mesh" / name)
+    assert isinstance(skinned, SkinnedMesh)
+    assert forearm_errors(skinned)[0] < MOST  # few vertices that also follow the upper arm are no direction
 
 
 @pytest.mark.parametrize("rig", FAMILIES)

@@ -67,6 +67,8 @@ def to_body_space(
         if attached is not None:
             figure, rest = attached, _rest_motion(attached)
             match = match_motion(rest)
+        if match.warning is not None:
+            warn_about(figure.name, f"{match.warning}. Look at the result (docs/humans.md)")
         frame = detect_file_frame(rest, match, unit, up, facing)
     except MotionError as error:
         raise MeshError(f"the skeleton is not a person's: {error.message}") from None

@@ -151,7 +151,8 @@ def load_human(
 def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -> Human:
     """Make a human from a mesh, a skinned mesh or an SMPL model, without the cache. Raises MeshError."""
     options = options or MeshHuman()
-    human = _made(path, options)
+    with located(path=path):
+        human = _made(path, options)
     _warn_about_stature(path, human, options)
     return human
 

@@ -132,6 +132,24 @@ def test_a_figure_of_impossible_height_is_scaled_with_a_word(tmp_path: Path) -> 
         assert 1.5 < np.ptp(load_human(path).mesh.vertices[:, 1]) < 1.9
 
 
+def test_a_figure_whose_joints_are_hardly_known_is_told(tmp_path: Path) -> None:
+    document, binary = figures.gltf()
+    for number, node in enumerate(document["nodes"]):
+        node["name"] = f"node {number}"
+    path = tmp_path / "nameless.glb"
+    path.write_bytes(figures.glb(document, binary))
+    with pytest.warns(HumansimWarning, match=r"nameless.*matched by shape with a confidence of \d\d%"):
+        assert "l_hip" in load_human(path).skeleton.names
+
+
+def test_a_mesh_that_cannot_be_rigged_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "leaf.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(MeshError, match="flat, not a person") as caught:
+        make_human(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
 @pytest.mark.parametrize("size", [0.3, 1.35])
 def test_a_figure_far_from_human_height_is_reported_with_the_key(tmp_path: Path, size: float) -> None:
     document, binary = figures.gltf()

@@ -170,7 +170,9 @@ class Mesh:
         edges = self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
         forward = edges[:, 0] * len(self.vertices) + edges[:, 1]
         backward = edges[:, 1] * len(self.vertices) + edges[:, 0]
-        if len(np.unique(forward)) < len(forward) or not np.array_equal(np.sort(forward), np.sort(backward)):
+        forward.sort()
+        backward.sort()
+        if not np.diff(forward).all() or not np.array_equal(forward, backward):
             return False
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0

@@ -29,7 +29,7 @@ from humansim_ros.view.picking import hit_person, person_info
 from humansim_ros.view.scene_file import file_signature
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import MOST_UPLOAD, PageServer, size_of_upload
-from humansim_ros.view.source import ViewFrame, ViewSource
+from humansim_ros.view.source import FrameRequest, ViewFrame, ViewSource
 from humansim_ros.view.stage import Options, Stage
 
 _LOG = logging.getLogger(__name__)
@@ -372,7 +372,8 @@ class ViewApp:
         cameras = self.shown_cameras if self.through is None else (self.through,)
         channels = self.shown_channels or (self.source.channels[:1] if self.through else ())
         full = cameras if len(cameras) == 1 else [name for name in cameras if self._is_large(name)]
-        frame = self.source.frame(index, cameras, channels, still and not (pending or dragged), full)
+        exact = still and not (pending or dragged)
+        frame = self.source.frame(index, FrameRequest(cameras, channels, exact, full))
         if self._content() != self._built_of:  # people and cameras of a graph come and go
             self._remove_panels()
             self._build()

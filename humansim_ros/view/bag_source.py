@@ -26,7 +26,7 @@ from humansim_ros.messages.types import begins_with_stamp, readable_type
 from humansim_ros.types import Indices
 from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import SeenTopics, Transforms, seen_topics
-from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
     SAMPLES,
@@ -143,17 +143,10 @@ class BagViewSource(TopicSource):
     def frames(self) -> int:
         return len(self._stamps)
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-        full: Collection[str] = (),
-    ) -> ViewFrame:
+    def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
         self._last = min(max(index, 0), self.frames - 1)
-        found = self._frame(self._last, cameras, channels)
-        frame = self._shown.frame(found, cameras, channels, full)
+        found = self._frame(self._last, wanted.cameras, wanted.channels)
+        frame = self._shown.frame(found, wanted)
         if self.estimate is None:
             return frame
         people = self.estimate.at(found.stamp, self.period // 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from humansim_ros.view.photo_document import PhotoDocument
 from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.scene_file import EMPTY_SCENE
 from humansim_ros.view.scene_source import SceneViewSource
-from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource
+from humansim_ros.view.source import POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource
 from humansim_ros.view.topic_people import Estimate
 
 #: Cameras around a motion or a human: their number, distance and height in metres, and target.
@@ -347,14 +347,7 @@ class EmptySource(ViewSource):
     def __init__(self, title: str) -> None:
         self.title = title
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-        full: Collection[str] = (),
-    ) -> ViewFrame:
+    def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
         return ViewFrame(index=0, stamp=0, scene_time=0)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Image
 from humansim_ros.view.photo_document import PhotoDocument, PhotoState
-from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, fitted
+from humansim_ros.view.source import POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource, fitted
 
 #: The only channel, and the name of the person.
 PHOTOGRAPH, PERSON = "photograph", "person"
@@ -71,14 +71,7 @@ class PhotoSource(ViewSource):
         """Photographs that cannot be shown."""
         return list(self._problems.values())
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-        full: Collection[str] = (),
-    ) -> ViewFrame:
+    def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
         fit = self.document.state.fit
         joints = {}
         if fit is not None:

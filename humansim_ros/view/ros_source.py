@@ -34,7 +34,7 @@ from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.view.picking import PIXEL_CHANNELS
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
-from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
     SAMPLES,
@@ -214,26 +214,19 @@ class RosViewSource(TopicSource):
             yield f"No frame has arrived for {silence:.0f} s."
         yield from self._receiver.problems
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-        full: Collection[str] = (),
-    ) -> ViewFrame:
+    def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
         self._see()
-        images = self._images(cameras, channels)
+        images = self._images(wanted.cameras, wanted.channels)
         self._receiver.want(images)
-        if not wait:
+        if not wanted.wait:
             self._pinned = None
         found = self._frame(images, self._pinned)
         if found is None:
             return ViewFrame(index=0, stamp=0, scene_time=0, cameras=dict(self._shown.cameras))
-        asked = tuple(cameras), tuple(channels), frozenset(full)
+        asked = tuple(wanted.cameras), tuple(wanted.channels), frozenset(wanted.full)
         if self._last is not None and self._last[1] == asked and _is_same(self._last[0], found):
             return self._last[2]
-        frame = self._shown.frame(found, cameras, channels, full)
+        frame = self._shown.frame(found, wanted)
         self._last = found, asked, frame
         return frame
 

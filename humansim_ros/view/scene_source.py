@@ -22,7 +22,7 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, fitted
+from humansim_ros.view.source import JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource, fitted
 from humansim_ros.view.topic_people import beside_truth
 from humansim_ros.view.tracks import ErrorPlan, SceneTracks
 
@@ -104,14 +104,7 @@ class SceneViewSource(ViewSource):
         longest = max(lasting, default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-        full: Collection[str] = (),
-    ) -> ViewFrame:
+    def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
         elapsed = self.scene.frame_time(index)
         poses = self._playback.show(elapsed)
         joints: dict[str, Array] = {}
@@ -120,7 +113,7 @@ class SceneViewSource(ViewSource):
             (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
             sizes[name] = float(size)
         self._shown = index
-        images = self._images(index, cameras, channels, wait, full)
+        images = self._images(index, wanted)
         estimate, errors = self._estimate(elapsed)
         return ViewFrame(
             index=index,
@@ -159,7 +152,7 @@ class SceneViewSource(ViewSource):
             if alone and self.cameras:
                 _ = self.scene.static_meshes, self.scene.joint_surfaces  # once for all
                 self.__dict__["_workers"] = ImageWorkers(self.scene, self._count, copies=True)
-            self._images(0, cameras, channels, False)
+            self._images(0, FrameRequest(cameras, channels))
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         if self._truth is None:
@@ -193,21 +186,14 @@ class SceneViewSource(ViewSource):
     def _workers(self) -> ImageWorkers:
         return ImageWorkers(self.scene, self._count)
 
-    def _images(
-        self,
-        index: int,
-        cameras: Collection[str],
-        channels: Collection[str],
-        wait: bool,
-        full: Collection[str] = (),
-    ) -> Images | None:
-        known = tuple(name for name in self.scene.scene_cameras if name in cameras)
-        shown = tuple(name for name in _CHANNELS if name in channels)
+    def _images(self, index: int, wanted: FrameRequest) -> Images | None:
+        known = tuple(name for name in self.scene.scene_cameras if name in wanted.cameras)
+        shown = tuple(name for name in _CHANNELS if name in wanted.channels)
         if not known or not shown:
             return None
         width = _PAGE_WIDTH // min(len(known), _BESIDE)
-        request = Request(index, known, shown, width, frozenset(known) & frozenset(full))
-        return self._workers.exact(request) if wait else self._workers.latest(request)
+        request = Request(index, known, shown, width, frozenset(known) & frozenset(wanted.full))
+        return self._workers.exact(request) if wanted.wait else self._workers.latest(request)
 
 
 # --- processes that render the images, so that rendering never delays the motion of the page

@@ -72,6 +72,27 @@ class PixelInfo:
     world: Array | None = None
 
 
+@dataclass(frozen=True)
+class FrameRequest:
+    """What the page wants of a frame, beside the poses.
+
+    Attributes:
+        cameras: Cameras whose images are wanted.
+        channels: Channels that are wanted.
+        wait: The images must belong to this frame; otherwise the latest images that are ready are given.
+        full: Cameras whose images keep their size; other images are small.
+    """
+
+    cameras: Collection[str] = ()
+    channels: Collection[str] = ()
+    wait: bool = False
+    full: Collection[str] = ()
+
+
+#: A frame without images.
+POSES = FrameRequest()
+
+
 class ViewSource(ABC):
     """Source of a page; all methods are called in one thread.
 
@@ -136,23 +157,8 @@ class ViewSource(ABC):
         """What the user should know, such as "the bag has no images"."""
 
     @abstractmethod
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-        full: Collection[str] = (),
-    ) -> ViewFrame:
-        """A frame.
-
-        Args:
-            index: Number of the frame; a live source gives its latest one instead.
-            cameras: Cameras whose images are wanted.
-            channels: Channels that are wanted.
-            wait: The images must belong to this frame; otherwise the latest images that are ready are given.
-            full: Cameras whose images keep their size; other images are small.
-        """
+    def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
+        """A frame with the wanted images. ``index``: its number; a live source gives its latest frame."""
 
     def prepare(self, cameras: Collection[str], channels: Collection[str], alone: bool = False) -> None:
         """Begin with what takes time before somebody looks.

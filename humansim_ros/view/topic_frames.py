@@ -40,7 +40,16 @@ from humansim_ros.types import Array, Float32Array
 from humansim_ros.types import Image as Picture
 from humansim_ros.view.picking import PIXEL_CHANNELS, JointsInImage, near_joint_values, surface_values
 from humansim_ros.view.seen_topics import IMAGE, WORLD, SeenCamera, SeenTopics, Transforms, spaced
-from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, PixelInfo, ViewFrame, ViewSource, fitted
+from humansim_ros.view.source import (
+    IMAGE_WIDTH,
+    JOINTS,
+    POSES,
+    FrameRequest,
+    PixelInfo,
+    ViewFrame,
+    ViewSource,
+    fitted,
+)
 from humansim_ros.view.topic_people import (
     TruePoints,
     beside_truth,
@@ -280,21 +289,8 @@ class TopicFrames:
 
     # --- frames
 
-    def frame(
-        self,
-        messages_of: TopicFrame,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        full: Collection[str] = (),
-    ) -> ViewFrame:
-        """A frame with what its messages say.
-
-        Args:
-            messages_of: The messages.
-            cameras: Cameras whose images are wanted.
-            channels: Channels that are wanted.
-            full: Cameras whose images keep their size.
-        """
+    def frame(self, messages_of: TopicFrame, wanted: FrameRequest = POSES) -> ViewFrame:
+        """A frame with what its messages say."""
         data, stamp = messages_of.data, messages_of.stamp
         scene_time = stamp - messages_of.start
         if self.topics.scene_time in data:
@@ -320,9 +316,11 @@ class TopicFrames:
         posed = {name: self._camera(name, data, stamp) for name in self.topics.cameras}
         estimate, errors = self._estimate(data, poses)
         images = {
-            name: self._images(name, camera, data, joints, channels, None if name in full else self._width)
+            name: self._images(
+                name, camera, data, joints, wanted.channels, None if name in wanted.full else self._width
+            )
             for name, camera in posed.items()
-            if name in cameras and camera is not None
+            if name in wanted.cameras and camera is not None
         }
         placed = {
             name: self._read(topic, data, Marker, messages.read_object)

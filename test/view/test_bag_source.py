@@ -24,7 +24,7 @@ from humansim_ros.record.recording import RecordingPlan, SceneRecording, record
 from humansim_ros.scene import Frame
 from humansim_ros.view.bag_source import BagViewSource
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
-from humansim_ros.view.source import JOINTS
+from humansim_ros.view.source import JOINTS, FrameRequest
 
 SCENE = """
 rate: 20
@@ -112,7 +112,7 @@ def topic(name: str, kind: str) -> BagTopic:
 def test_frames_have_the_joints_cameras_and_images_of_the_scene(source: BagViewSource, truth: Frame) -> None:
     assert source.title == "walk" and source.frames == FRAMES and source.period == 50_000_000
     assert source.channels == ("rgb", JOINTS, "depth", "instance", "part", "face", "normal")
-    frame = source.frame(SHOWN, ["fixed", "moving"], source.channels)
+    frame = source.frame(SHOWN, FrameRequest(["fixed", "moving"], source.channels))
     assert (frame.index, frame.stamp, frame.scene_time) == (SHOWN, truth.stamp, truth.scene_time)
     assert frame.joints.keys() == {"anna", "bert"} and frame.sizes == pytest.approx(
         {"anna": 1.0, "bert": 1.1}
@@ -145,13 +145,13 @@ def test_people_are_the_built_in_ones_with_their_textures(source: BagViewSource,
 
 
 def test_frames_come_in_any_order_and_unwanted_images_are_not_read(source: BagViewSource) -> None:
-    whole = [source.frame(index, ["fixed"], ["rgb"]) for index in range(FRAMES)]
+    whole = [source.frame(index, FrameRequest(["fixed"], ["rgb"])) for index in range(FRAMES)]
     for index in (4, 0, 2):
-        again = source.frame(index, ["fixed"], ["rgb"])
+        again = source.frame(index, FrameRequest(["fixed"], ["rgb"]))
         np.testing.assert_array_equal(again.images["fixed"]["rgb"], whole[index].images["fixed"]["rgb"])
         np.testing.assert_array_equal(again.joints["anna"], whole[index].joints["anna"])
     assert len({frame.stamp for frame in whole}) == FRAMES
-    assert not source.frame(1, ["moving"], ()).images["moving"] and not source.frame(1).images
+    assert not source.frame(1, FrameRequest(["moving"], ())).images["moving"] and not source.frame(1).images
     assert source.frame(99).index == FRAMES - 1 and source.frame(-3).index == 0
 
 
@@ -159,7 +159,7 @@ def test_the_cache_of_messages_is_bounded(bag: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("humansim_ros.view.bag_source._MAX_KEPT", 100_000)
     source = BagViewSource(bag)
     for index in (*range(FRAMES), 0):
-        frame = source.frame(index, ["fixed", "moving"], ["rgb", "depth"])
+        frame = source.frame(index, FrameRequest(["fixed", "moving"], ["rgb", "depth"]))
         assert set(frame.images["moving"]) == {"rgb", "depth"}
         assert source._messages.size == sum(map(len, source._messages.kept.values())) <= 100_000
     source.close()
@@ -198,7 +198,7 @@ def test_other_storages_and_compressed_images(
     source = BagViewSource(
         recorded(tmp_path / "bag", scene, ["*/image_raw", "*/camera_info", "*/depth/image"], **options)
     )
-    frame = source.frame(SHOWN, ["fixed"], ["rgb", "depth"])
+    frame = source.frame(SHOWN, FrameRequest(["fixed"], ["rgb", "depth"]))
     np.testing.assert_array_equal(frame.images["fixed"]["rgb"], truth.views["fixed"].rgb)
     assert frame.images["fixed"]["depth"].any()
     source.close()
@@ -208,7 +208,7 @@ def test_other_storages_and_compressed_images(
 def test_labels_as_png_are_shown_as_raw_ones(tmp_path: Path, scene: Scene, truth: Frame) -> None:
     patterns = ["*/instance/image", "*/part/image", "*/camera_info"]
     source = BagViewSource(recorded(tmp_path / "bag", scene, patterns, labels="png"))
-    frame = source.frame(SHOWN, ["fixed"], ["instance", "part"])
+    frame = source.frame(SHOWN, FrameRequest(["fixed"], ["instance", "part"]))
     for channel in ("instance", "part"):
         shown = color_channel(channel, getattr(truth.views["fixed"], channel))
         np.testing.assert_array_equal(frame.images["fixed"][channel], shown)
@@ -223,7 +223,7 @@ def test_a_bag_without_images(tmp_path: Path, scene: Scene) -> None:
         recorded(tmp_path / "bag", scene, ["humans/*/joints", "*/camera_info", "*/extrinsics"])
     )
     assert source.messages == ["The bag has no images."] and source.channels == ()
-    assert source.frames == FRAMES and len(source.frame(2, ["fixed"], ["rgb"]).joints) == 2
+    assert source.frames == FRAMES and len(source.frame(2, FrameRequest(["fixed"], ["rgb"])).joints) == 2
     source.close()
 
 
@@ -233,7 +233,7 @@ def test_a_bag_without_people(tmp_path: Path, scene: Scene, truth: Frame) -> Non
     )
     assert source.messages == ["The bag has no people: no topic is humans/<name>/joints."]
     assert source.frames == FRAMES and source.channels == ("rgb",)
-    frame = source.frame(SHOWN, ["fixed"], ["rgb"])
+    frame = source.frame(SHOWN, FrameRequest(["fixed"], ["rgb"]))
     np.testing.assert_array_equal(frame.images["fixed"]["rgb"], truth.views["fixed"].rgb)
     source.close()
 
@@ -378,7 +378,7 @@ def test_a_robot_with_tf_other_names_and_other_stamps(tmp_path: Path) -> None:
     )
     source = BagViewSource(path)
     assert list(source.cameras) == ["cam/color", "cam/depth"] and source.frames == 3
-    frame = source.frame(1, list(source.cameras), ["rgb"])
+    frame = source.frame(1, FrameRequest(list(source.cameras), ["rgb"]))
     np.testing.assert_array_equal(frame.images["cam/color"]["rgb"], colors[1][..., ::-1])
     np.testing.assert_allclose(frame.cameras["cam/color"].center, (0, 1, 2), atol=1e-9)
     np.testing.assert_allclose(frame.cameras["cam/color"].R, np.diag([-1, -1, 1]), atol=1e-9)
@@ -407,10 +407,10 @@ def test_damaged_and_hostile_messages_are_left_out(tmp_path: Path, bag: Path) ->
             found[topics[message.topic].name].append((message.stamp, data))
     source = BagViewSource(written(tmp_path / "bag", [(each, found[each.name]) for each in topics]))
     for index in range(source.frames):
-        source.frame(index, list(source.cameras), source.channels)
+        source.frame(index, FrameRequest(list(source.cameras), source.channels))
         source.describe("fixed", 5, 5)
     assert 3 < len(source.messages) <= 20 and all(len(text) < 500 for text in source.messages)
-    assert source.frame(0, ["fixed"], ["rgb"]).images["fixed"]
+    assert source.frame(0, FrameRequest(["fixed"], ["rgb"])).images["fixed"]
     source.close()
 
 

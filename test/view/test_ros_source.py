@@ -22,7 +22,7 @@ from humansim_ros.scene import Frame
 from humansim_ros.testing import SceneGraph
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.ros_source import RosViewSource
-from humansim_ros.view.source import JOINTS
+from humansim_ros.view.source import JOINTS, FrameRequest
 
 SCENE = """
 rate: 20
@@ -96,7 +96,7 @@ def shown_frame(shown: Any, channels: tuple[str, ...], whole: Callable[[Any], ob
 
     def step() -> None:
         shown.graph.play(1)
-        found.append(shown.source.frame(0, cameras, channels))
+        found.append(shown.source.frame(0, FrameRequest(cameras, channels)))
 
     assert wait_until(lambda: found and whole(found[-1]), step=step), found[-1]
     frame = found[-1]
@@ -136,7 +136,7 @@ def test_age_rate_and_lost_images_are_told(shown: Any) -> None:
 
     def step() -> None:
         shown.graph.play(1)
-        source.frame(0, ["fixed", "bent"], ["rgb"])
+        source.frame(0, FrameRequest(["fixed", "bent"], ["rgb"]))
 
     pattern = r"(\d\.\d\d) s old; bent \d+\.\d Hz; fixed \d+\.\d Hz"
     assert wait_until(lambda: re.fullmatch(pattern, source.timing), step=step), source.timing
@@ -157,7 +157,7 @@ def test_the_timeline_of_the_graph_grows_with_its_truth(shown: Any) -> None:
 
     def step() -> None:
         shown.graph.play(1)
-        source.frame(0, cameras, ["rgb", JOINTS])
+        source.frame(0, FrameRequest(cameras, ["rgb", JOINTS]))
         found[:] = [source.live_tracks()]
 
     def is_known() -> bool:
@@ -194,7 +194,7 @@ def test_the_timeline_of_the_graph_grows_with_its_truth(shown: Any) -> None:
 
     def play() -> None:
         shown.graph.play(1)
-        source.frame(0, cameras, ["rgb"])
+        source.frame(0, FrameRequest(cameras, ["rgb"]))
 
     assert wait_until(lambda: len(new()) > 2, step=play)
     # one that arrived is taken away: it is as one that never came
@@ -231,10 +231,10 @@ def test_pixels_have_the_numbers_of_the_simulation(shown: Any) -> None:
     assert wait_until(lambda: found and found[-1][0].values == found[-1][1].values, step=step), found[-1]
     assert {"world", "normal", "instance", "part", "face"} <= found[-1][0].values.keys()
     np.testing.assert_allclose(found[-1][0].world, found[-1][1].world, atol=1e-6)
-    described = source.frame(0, wait=True)
+    described = source.frame(0, FrameRequest(wait=True))
     shown.graph.play(2)
     assert wait_until(lambda: source._receiver.store.stamps(["/humans/anna/joints"])[-1] > described.stamp)
-    assert source.frame(0, wait=True).stamp == described.stamp  # while the page is paused
+    assert source.frame(0, FrameRequest(wait=True)).stamp == described.stamp  # while the page is paused
     assert wait_until(lambda: source.frame(0).stamp > described.stamp)
     with pytest.raises(RosError, match="there is no camera"):
         source.describe("nowhere", 0, 0)
@@ -245,7 +245,9 @@ def test_images_that_nobody_looks_at_are_not_received(shown: Any, monkeypatch: p
     monkeypatch.setattr("humansim_ros.view.ros_source._UNWANTED", 0.2)
     source, node = shown.source, shown.graph.node
     assert wait_until(
-        lambda: source.frame(0, ["fixed"], ["rgb"]) and node.count_subscribers("/fixed/image_raw")
+        lambda: (
+            source.frame(0, FrameRequest(["fixed"], ["rgb"])) and node.count_subscribers("/fixed/image_raw")
+        )
     )
     assert wait_until(lambda: not node.count_subscribers("/bent/image_raw"))
     assert wait_until(lambda: not node.count_subscribers("/fixed/image_raw"))
@@ -269,7 +271,7 @@ def test_an_empty_graph_says_so_and_takes_what_comes(client: Client) -> None:
     from humansim_ros.messages import header, image_message, joints_message
 
     with closing(RosViewSource(estimate="/t/*/poses", namespace="lab", patience=0.1)) as source:
-        frame = source.frame(0, [], ["rgb"])
+        frame = source.frame(0, FrameRequest([], ["rgb"]))
         assert not frame.joints and not frame.cameras
         assert "Nothing in ROS domain" in source.messages[0]
         assert "Nothing publishes the estimate, /t/*/poses." in source.messages
@@ -289,7 +291,7 @@ def test_an_empty_graph_says_so_and_takes_what_comes(client: Client) -> None:
             hidden.publish(info)
             images.publish(image_message(pixels, "mono8", stamp, "eye"))
             client.executor.spin_once(timeout_sec=0.02)
-            found.append(source.frame(0, list(source.cameras), ["rgb"]))
+            found.append(source.frame(0, FrameRequest(list(source.cameras), ["rgb"])))
 
         assert wait_until(lambda: found and any(found[-1].images.values()), step=publish)
         assert list(source.cameras) == ["lab/eye"]
@@ -399,7 +401,7 @@ def test_hostile_messages_do_not_end_the_source(client: Client) -> None:
             for name, message in contents.items():
                 publishers[name].publish(message)
             publishers["/bad/humans/x/joints"].publish(MultiDOFJointState(header=early))
-            found.append(source.frame(0, ["bad/cam"], ["rgb", JOINTS]))
+            found.append(source.frame(0, FrameRequest(["bad/cam"], ["rgb", JOINTS])))
             client.executor.spin_once(timeout_sec=0.02)
 
         wrong = {"humans/x/joints", "cam/camera_info", "objects/thing/marker", "poses"}
@@ -412,7 +414,7 @@ def test_hostile_messages_do_not_end_the_source(client: Client) -> None:
 
         def publish() -> None:
             publishers["/bad/humans/x/joints"].publish(joints_message(state, next(stamps)))
-            found.append(source.frame(0, ["bad/cam"], ["rgb", JOINTS]))
+            found.append(source.frame(0, FrameRequest(["bad/cam"], ["rgb", JOINTS])))
             client.executor.spin_once(timeout_sec=0.02)
 
         assert wait_until(lambda: found[-1].joints, step=publish)

@@ -102,7 +102,8 @@ def opened_page(chromium: Any, url: str, people: int = 1, size: tuple[int, int] 
 
 
 def pause(page: Any) -> None:
-    """Pause, if it plays."""
+    """Pause, if it plays. The buttons come later than the images."""
+    page.get_by_role("button", name=re.compile("^(Play|Pause)$")).first.wait_for()
     button = page.get_by_role("button", name="Pause", exact=True)
     if button.count():
         button.click()
@@ -138,7 +139,8 @@ def three_vertices(page: Any, key: str, numbers: list[int]) -> Any:
     """World positions (N, 3) in ``map`` of vertices, as three.js skins them."""
     return np.array(
         page.evaluate(
-            """([key, numbers]) => {
+            """async ([key, numbers]) => {
+                await new Promise(requestAnimationFrame);  // the page poses the bones before each image
                 const mesh = window.humansim.meshes.get(key)[0];
                 mesh.skeleton.bones.forEach((bone) => bone.updateWorldMatrix(true, false));
                 mesh.skeleton.update();

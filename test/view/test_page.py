@@ -27,7 +27,7 @@ from pages import (
     tiles_of,
     until,
 )
-from waiting import wait_until
+from waiting import PATIENCE, wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.view.stage import PageBody
@@ -175,6 +175,7 @@ def test_a_scene_with_an_error_is_told_with_its_line_until_it_is_mended(
     path.write_text(SCENE.replace("body: adult_man", "body: adult_mann"))
     with served(str(path), "--port", "0") as (address, _):
         page = chromium.new_page()
+        page.set_default_timeout(1000 * PATIENCE)
         page.goto(address)
         page.get_by_text("wrong.yaml:5").wait_for()
         path.write_text(SCENE)
@@ -182,7 +183,7 @@ def test_a_scene_with_an_error_is_told_with_its_line_until_it_is_mended(
         until(lambda: page.get_by_text("wrong.yaml:5").count() == 0)
         path.write_text(SCENE + "rate: fast\n")
         page.get_by_text("wrong.yaml").first.wait_for()
-        assert page.evaluate("window.humansim.people") == 2
+        page.wait_for_function("window.humansim.people === 2")  # the last state that could be shown
         page.close()
 
 

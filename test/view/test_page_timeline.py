@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -155,6 +156,34 @@ def test_the_timeline_never_covers_the_scene(opened: tuple[Any, Any], width: int
     until(fits)
     page.get_by_role("button", name="Show the tracks").click()
     until(fits)
+
+
+def test_a_low_page_has_room_for_the_tabs_beside_the_scroll_bar(
+    opened: tuple[Any, Any],
+) -> None:
+    """The folder of the time, whose controls the timeline has, is folded."""
+    first, app = opened
+    page = opened_page(first.context.browser, app.server.url, people=2, size=(1000, 557))
+    try:
+        fold = page.locator(".mantine-Paper-root", has_text=re.compile("^Time$"))
+        fold.locator(".tabler-icon-chevron-down").wait_for()
+
+        def room() -> float:
+            tabs = page.get_by_role("tab", name="Show", exact=True).bounding_box()
+            return float(page.locator("#humansim-timeline").bounding_box()["y"] - tabs["y"] - tabs["height"])
+
+        until(lambda: room() > 250)
+        bar = page.locator('.mantine-ScrollArea-scrollbar[data-orientation="vertical"]:visible').first
+        bar.wait_for()
+        left = bar.bounding_box()["x"]
+        panel = page.locator(".mantine-ScrollArea-content").filter(has=page.get_by_role("tab")).first
+        rows = panel.locator(".mantine-Paper-root:visible, .mantine-Input-wrapper:visible").all()
+        assert rows
+        assert all(box["x"] + box["width"] <= left for row in rows if (box := row.bounding_box()))
+        fold.click()  # whoever needs the folder opens it, and it stays open
+        page.get_by_role("button", name=re.compile("^(Play|Pause)$")).wait_for()
+    finally:
+        page.close()
 
 
 def test_hostile_requests_change_nothing(opened: tuple[Any, Any]) -> None:

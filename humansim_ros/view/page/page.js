@@ -253,6 +253,13 @@
   state.reservedByOthers = (area, side) =>
     Object.entries(kept).reduce((sum, [name, [at, count]]) => sum + (name !== area && at === side ? count : 0), 0);
 
+  // --- panel -----------------------------------------------------------------------------------------------
+  // Viser's scroll bars lie over the panel: its rows end beside them.
+  const style = document.createElement("style");
+  style.textContent = `.mantine-ScrollArea-root:has(> .mantine-ScrollArea-scrollbar[data-orientation="vertical"])
+    > .mantine-ScrollArea-viewport > .mantine-ScrollArea-content { padding-right: 6px; }`;
+  append.call(document.head, style);
+
   // --- no WebGL --------------------------------------------------------------------------------------------
   function hasWebGL() {
     try {

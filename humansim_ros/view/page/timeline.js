@@ -6,6 +6,7 @@
   const page = window.humansim;
   const NONE = "no curve";
   const LINES = ["#1c7ed6", "#e8590c", "#2f9e44", "#9c36b5", "#0c8599", "#c92a2a", "#5f3dc4", "#868e96"];
+  const LOW = 700; // height of a page, pixels
   const HEIGHT = { ruler: 18, person: 16, camera: 11, object: 16, drops: 12, curve: 84 };
   const STYLE = `
     #humansim-timeline { position: fixed; left: 0; right: 0; bottom: 0; z-index: 150; box-sizing: border-box;
@@ -98,6 +99,15 @@
     area.addEventListener("keydown", key);
     new ResizeObserver(place).observe(bar);
     setOpen(window.innerHeight >= 500);
+    if (window.innerHeight < LOW && !table.live) foldTime();
+  }
+
+  // Fold the folder of the time, whose controls the timeline has, too: on a low page the tabs need its place.
+  function foldTime() {
+    const folders = [...document.querySelectorAll(".mantine-Paper-root")];
+    const title = folders.find((node) => node.textContent === "Time" && node.querySelector("svg"));
+    if (!title) return made && setTimeout(foldTime, 100); // the panel is not there yet
+    if (title.querySelector(".tabler-icon-chevron-up")) title.click();
   }
 
   function setOpen(value) {

@@ -52,19 +52,26 @@ class Studio:
     points: NDArray[np.float64]
 
 
-def ring(count: int, size: tuple[int, int] = (640, 480), radius: float = 3.0) -> dict[str, Camera]:
-    """Cameras on a circle around the origin that see a standing person whole, with a lens."""
+def ring(
+    count: int, size: tuple[int, int] = (640, 480), radius: float = 3.0, turn: float = 0.0
+) -> dict[str, Camera]:
+    """Cameras on a circle around the origin that see a standing person whole, with a lens.
+
+    ``turn``: angle by which the circle is turned, as a share of the angle between cameras.
+    """
     cameras = {}
     for number in range(count):
-        angle = 2 * np.pi * (number + 0.5) / count
+        angle = 2 * np.pi * (number + 0.5 + turn) / count
         place = (radius * np.cos(angle), radius * np.sin(angle), 1.3 + 0.4 * (number % 2))
         ideal = Camera.look_at(place, (0, 0, 0.9), size, np.radians(60))
         cameras[f"view_{number + 1}"] = Camera(ideal.size, ideal.K, ideal.R, ideal.t, LENS)
     return cameras
 
 
-def studio_cameras(cameras: int | str) -> dict[str, Camera]:
+def studio_cameras(cameras: int | str | Mapping[str, Camera]) -> dict[str, Camera]:
     """A ring of cameras, or ``shelf``: those of the Shelf data set, of a stand-in where it is absent."""
+    if isinstance(cameras, Mapping):
+        return dict(cameras)
     if isinstance(cameras, int):
         return ring(cameras)
     shared = SHARED_DATA / "calib" / "shelf_4dassociation.json"
@@ -76,7 +83,7 @@ def make_studio(
     folder: Path,
     human: str = "adult_woman",
     motion: str = "walk",
-    cameras: int | str = 4,
+    cameras: int | str | Mapping[str, Camera] = 4,
     frames: int = 1,
     rate: float = 25.0,
     begin: int = 0,
@@ -98,7 +105,7 @@ def make_studio(
         folder: Folder of the files.
         human: Built-in human that is photographed.
         motion: Built-in motion; ``begin`` is its first frame at ``rate`` Hz.
-        cameras: Number of cameras around the person, or ``shelf``.
+        cameras: Number of cameras around the person, ``shelf``, or cameras by name.
         frames: Number of frames.
         rate: Frames per second.
         begin: Number of the first frame.

@@ -90,7 +90,14 @@ def use_camera(
     camera: Camera,
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> None:
-    """Set the uniforms of a program for a camera, whose image is shifted by an offset (x, y) in pixels."""
+    """Set the uniforms of a program for a camera.
+
+    Args:
+        ctx: OpenGL context, of which clipping at the edge of a lens is switched.
+        program: Program with ``lens.glsl``.
+        camera: The camera.
+        offset: Pixels (x, y) that its image is shifted by.
+    """
     set_uniform(program, "optical_z", (*camera.R[2], camera.t[2]))
     set_uniform(program, "eye", tuple(camera.center.tolist()))
     near = near_plane(camera)

@@ -335,7 +335,7 @@ def contour(
         bent = wider_than(angle, vertices.take(starts, axis=0), vertices.take(ends, axis=0), camera)
     edges = []
     if bent.any():
-        pieces = LensView(camera).divide_edges(vertices[starts[bent]], vertices[ends[bent]])
+        *pieces, _ = LensView(camera).divide_edges(vertices[starts[bent]], vertices[ends[bent]])
         edges.append(ImageEdges.of(camera, *pieces))
         starts, ends = starts[~bent], ends[~bent]
     if projected.near:

@@ -51,7 +51,7 @@ class Charts:
         normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
         axis = np.abs(normals).argmax(axis=1)
         turned = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] < 0
-        owner = _connected(_welded(positions)[corners], 2 * axis + turned)
+        owner = _connected(welded(positions)[corners], 2 * axis + turned)
         flat = np.stack([np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)], axis=1)
         plane = np.take_along_axis(points, np.repeat(flat[:, None], 3, axis=1), axis=2)
         depth = np.take_along_axis(points.mean(axis=1), axis[:, None], axis=1)[:, 0]
@@ -76,7 +76,7 @@ class Charts:
         )
 
 
-def _welded(positions: NDArray[np.floating]) -> Indices:
+def welded(positions: NDArray[np.floating]) -> Indices:
     """(V,) number of each place: vertices at the same place have the same."""
     order = np.lexsort(positions.T)
     new = (np.diff(positions[order], axis=0, prepend=np.nan) != 0).any(axis=1)

@@ -8,7 +8,7 @@ the crossing, and that share of the other colour is blended in.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,13 +27,24 @@ _SNAP = 1 / 128
 class EdgeCrossings:
     """Crossings of outlines between pixel centers: ``pixel`` gets ``share`` of the colour of ``neighbour``.
 
-    All arrays are (N,); pixels are flat indices into the image. ``depth``: of the outline, metres.
+    All arrays are (N,); pixels are flat indices into the image. ``depth``: of the outline, metres. ``edge``:
+    number of the edge.
     """
 
     pixel: NDArray[np.intp]
     neighbour: NDArray[np.intp]
     share: Array
     depth: Array
+    edge: NDArray[np.intp]
+
+    def __add__(self, other: EdgeCrossings) -> EdgeCrossings:
+        """Crossings of both."""
+        both = ([getattr(one, field.name) for one in (self, other)] for field in fields(self))
+        return EdgeCrossings(*(np.concatenate(values) for values in both))
+
+    def take(self, which: NDArray[Any]) -> EdgeCrossings:
+        """Crossings of a mask (N,) or of indices."""
+        return EdgeCrossings(*(getattr(self, one.name)[which] for one in fields(self)))
 
 
 class ImageEdges(NamedTuple):
@@ -83,10 +94,11 @@ def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCr
     inside = np.flatnonzero(
         (np.minimum(centre, centre + side) >= 0) & (np.maximum(centre, centre + side) < limit)
     )
-    x, y, depth, centre, side, limit, slope = (
-        values.take(inside) for values in (x, y, depth, centre, side, limit, slope)
+    x, y, depth, centre, side, limit, slope, edge = (
+        values.take(inside) for values in (x, y, depth, centre, side, limit, slope, edge)
     )
-    rows = edge.take(inside) >= len(px)
+    rows = edge >= len(px)
+    edge = np.where(rows, edge - len(px), edge)
     along = np.where(rows, 1, width)
     nearer = x * np.where(rows, width, 1) + centre.astype(np.intp) * along
     farther = nearer + side * along
@@ -99,14 +111,22 @@ def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCr
         np.concatenate([nearer, farther[both], nearer[tie]]),
         np.concatenate([farther, nearer[both], 2 * nearer[tie] - farther[tie]]),
         np.concatenate(
-            [_share(distance, slope), _share(1 - distance[both], slope[both]), 0.5 - distance[tie]]
+            [
+                share_beyond(distance, slope),
+                share_beyond(1 - distance[both], slope[both]),
+                0.5 - distance[tie],
+            ]
         ),
         np.concatenate([depth, depth[both], depth[tie]]),
+        np.concatenate([edge, edge[both], edge[tie]]),
     )
 
 
-def _share(distance: Array, slope: Array) -> Array:
-    """Share of a pixel, at most half, beyond an edge that crosses at a distance from its center."""
+def share_beyond(distance: Array, slope: Array) -> Array:
+    """Share of a pixel, at most half, beyond an edge that crosses at a distance from its center.
+
+    ``distance``: (N,) pixels. ``slope``: (N,) 0 to 1, change of the distance per pixel across.
+    """
     # within the pixel the edge rises by the slope, and may leave the pixel
     corner = np.maximum(0.5 + slope / 2 - distance, 0)
     return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
@@ -126,3 +146,31 @@ def blend(images: Sequence[NDArray[np.uint8]], depth: NDArray[np.float32], outli
         flat = image.reshape(depth.size, -1)
         own = flat[pixel]
         flat[pixel] = np.rint(own + share * (flat[neighbour].astype(np.float32) - own)).astype(np.uint8)
+
+
+def mix(image: NDArray[np.uint8], crossings: EdgeCrossings) -> None:
+    """Mix colours across edges, in an image (H, W, C) in place.
+
+    A pixel may lie between two edges of a narrow surface: opposite neighbours both count.
+    """
+    height, width = image.shape[:2]
+    mark = np.zeros(height * width, bool)
+    mark[crossings.pixel] = True
+    pixels = np.flatnonzero(mark)
+    place = np.searchsorted(pixels, crossings.pixel)
+    steps = np.array([1, -1, width, -width])
+    which = (crossings.neighbour - crossings.pixel)[:, None] == steps
+    order = np.argsort(crossings.share)
+    shares = np.zeros((4, len(pixels)), np.float32)
+    shares[which.argmax(axis=1)[order], place[order]] = crossings.share[
+        order
+    ]  # the last, the largest, remains
+    # a slanted edge crosses lines of both axes: the axis of the larger share is the right one
+    across = shares[:2].max(axis=0) >= shares[2:].max(axis=0)
+    shares *= [across, across, ~across, ~across]
+    flat = image.reshape(height * width, -1)
+    mixed = flat[pixels] * (1 - shares.sum(axis=0))[:, None]
+    for share, step in zip(shares, steps, strict=True):
+        used = np.flatnonzero(share)
+        mixed[used] += share[used, None] * flat[pixels[used] + step]
+    flat[pixels] = np.rint(mixed).astype(np.uint8)

@@ -235,7 +235,9 @@ class GLRenderer(Renderer):
         if layer.labels is None or not layer.labels.passes.covers(passes):
             target = self._target(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
-            frame = self._render(self._static_bodies, camera, passes, StaticLayer(target, None, None))
+            frame = self._render(
+                self._static_bodies, camera, passes, StaticLayer(target, target.read("rgba", lit=True))
+            )
             layer.labels = StaticLabels(replace(frame, layer=layer), self._static_bodies)
         return layer.labels
 

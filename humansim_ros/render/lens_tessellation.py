@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,12 +133,12 @@ class LensView:
             za, zb = start[:, 2:], end[:, 2:]
             error = _length(m - (a * za + b * zb) / (za + zb))
             span = _length(a - b)
-            before, behind = (
-                np.maximum(a, b) < -_OUTSIDE,
-                np.minimum(a, b) > np.add(self.camera.size, _OUTSIDE),
-            )
+            outside: NDArray[np.bool_] = np.zeros(len(a), bool)
+            for axis, side in enumerate(self.camera.size):
+                p, q = a[:, axis], b[:, axis]
+                outside |= (np.maximum(p, q) < -_OUTSIDE) | (np.minimum(p, q) > side + _OUTSIDE)
             allowed = tolerance * np.maximum(1.0, _length(middle[:, :2]) / (middle[:, 2] * _WIDE_TANGENT))
-            bent = ((error > allowed) & ~(before | behind).any(axis=1)) | (span > _MAX_LENGTH)
+            bent = ((error > allowed) & ~outside) | (span > _MAX_LENGTH)
             enough = (error < _ERROR_RATIO * allowed) & (span < _MAX_LENGTH)
         if not (visible_a & visible_b).all():
             length, distance = _length(end - start), _length(start + end) / 2
@@ -167,7 +167,7 @@ class LensView:
         for _ in range(_ROUNDS):
             a, b, c = beyond[corners].T
             inside = (a & b & c) == 0
-            straight = inside & (edges < 0).all(axis=1)
+            straight = inside & (np.bitwise_and.reduce(edges.T) < 0)  # all of them are -1
             done.append((corners[straight], parents[straight]))
             inside &= ~straight
             corners, edges, parents = corners[inside], edges[inside], parents[inside]
@@ -193,7 +193,8 @@ class LensView:
             half[cut[further]] = np.arange(0, new, 2)
             halves = _halves(corners, ends[edges], half[edges])
             pieces = _divided(corners, middle[edges], halves, new)
-            attributes = np.concatenate([attributes, attributes[ends[cut]].mean(axis=1)])
+            start, end = ends[cut].T
+            attributes = np.concatenate([attributes, (attributes[start] + attributes[end]) / 2])
             points = np.concatenate([points, middles[halved]])
             pixels = np.concatenate([pixels, projected[halved]])
             beyond = np.concatenate([beyond, self._sides_beyond(middles[halved])])
@@ -207,21 +208,28 @@ class LensView:
 
     def divide_edges(
         self, starts: NDArray[np.floating], ends: NDArray[np.floating]
-    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that are straight in the image."""
-        done_starts, done_ends = [starts[:0]], [ends[:0]]
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating], Indices]:
+        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that are straight in the image.
+
+        Returns:
+            Starts and ends of the pieces, and (P,) the edge of each.
+        """
+        done: list[tuple[NDArray[Any], NDArray[Any], Indices]] = []
+        parents: Indices = np.arange(len(starts), dtype=np.intp)
         for _ in range(_ROUNDS):
             halved = self.bent(
                 self.camera.to_optical(starts), self.camera.to_optical(ends), tolerance=TOLERANCE
             )
-            done_starts.append(starts[~halved])
-            done_ends.append(ends[~halved])
-            starts, ends = starts[halved], ends[halved]
+            done.append((starts[~halved], ends[~halved], parents[~halved]))
+            starts, ends, parents = starts[halved], ends[halved], parents[halved]
             if not len(starts) or len(starts) > _MAX_TRIANGLES:
                 break
             middles = (starts + ends) / 2
             starts, ends = np.concatenate([starts, middles]), np.concatenate([middles, ends])
-        return np.concatenate([*done_starts, starts]), np.concatenate([*done_ends, ends])
+            parents = np.tile(parents, 2)
+        done.append((starts, ends, parents))
+        starts, ends, parents = (np.concatenate(parts) for parts in zip(*done, strict=True))
+        return starts, ends, parents
 
 
 def near_plane(camera: Camera) -> float:

@@ -153,6 +153,7 @@ class TriangleBuffers:
         selected: Sequence[bool] | None = None,
         eye: Array | None = None,
         mode: int = moderngl.TRIANGLES,
+        first_id: int | None = None,
     ) -> None:
         """Draw runs of triangles that follow each other, each run with its material.
 
@@ -163,6 +164,7 @@ class TriangleBuffers:
             selected: The runs to draw; all if None.
             eye: (3,) point from which the triangles are sorted, farthest first; not sorted if None.
             mode: What is drawn of each triangle.
+            first_id: Id of the first triangle; as the program has it if None.
         """
         if self._empty:
             return
@@ -184,6 +186,8 @@ class TriangleBuffers:
         array = self._ctx.vertex_array(program, [(self._vertices, layout, *used)], index_buffer=index)
         for material, first, count in runs:
             material.use(program)
+            if first_id is not None:
+                set_uniform(program, "first_id", first_id + first)
             array.render(mode, vertices=3 * count, first=3 * first)
         array.release()
         if index is not self._index:

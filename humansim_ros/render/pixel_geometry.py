@@ -80,7 +80,7 @@ class PixelGeometry:
     def weights(self) -> Array:
         """(3, M) barycentric coordinates of the points."""
         a, b, c = self._positions
-        x, y = (component.take(self.visible.pixels) for component in _rays(self.camera))
+        x, y = (component.take(self.visible.pixels) for component in pixel_rays(self.camera))
         # the ray d meets the plane of a b c where d . (b x c), d . (c x a), d . (a x b) are as the weights
         weights = np.empty((3, len(x)))
         for weight, plane in zip(weights, (cross(b, c), cross(c, a), cross(a, b)), strict=True):
@@ -197,7 +197,7 @@ def ray_grid(camera: Camera) -> Array:
     """(H, W, 3) ray directions with z = 1 of all pixel centers, optical frame; NaN beyond the lens."""
     width, height = camera.size
     rays: Array = np.ones((height, width, 3))
-    rays[..., 0], rays[..., 1] = _rays(camera).reshape(2, height, width)
+    rays[..., 0], rays[..., 1] = pixel_rays(camera).reshape(2, height, width)
     return rays
 
 
@@ -207,7 +207,7 @@ _RAYS: LruCache[tuple[Lens, tuple[int, int], tuple[float, ...]], Array] = LruCac
 )
 
 
-def _rays(camera: Camera) -> Array:
+def pixel_rays(camera: Camera) -> Array:
     """(2, H W) x and y of the rays of :func:`ray_grid`, read-only."""
     k = tuple(camera.K.ravel().tolist())
 

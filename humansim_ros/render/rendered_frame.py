@@ -73,13 +73,18 @@ class StaticLayer:
     """Image of the static scene from one camera, on the device and as arrays."""
 
     def __init__(
-        self, target: RenderTarget, backdrop: Backdrop | None, shadow_inputs: ShadowInputs | None
+        self,
+        target: RenderTarget,
+        rgba: NDArray[np.uint8],
+        backdrop: Backdrop | None = None,
+        shadow_inputs: ShadowInputs | None = None,
     ) -> None:
-        self.target, self.shadow_inputs = target, shadow_inputs
+        self.target, self.rgba, self.shadow_inputs = target, rgba, shadow_inputs
         self._backdrop = backdrop  # referenced: caches know it by its id
         #: of the static bodies, once a frame needed them
         self.labels: StaticLabels | None = None
-        self._rgb, self.rgba, depth = (target.read(name, lit=True) for name in ("rgb", "rgba", "depth"))
+        self._rgb: NDArray[Any] = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
+        depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
         self._depth = np.where(depth > 0, depth, np.float32(np.inf))
 
@@ -94,8 +99,12 @@ class StaticLayer:
 
     def release(self) -> None:
         """Free the memory on the device."""
-        self.labels = None  # it refers to this layer
+        self.release_inputs()
         self.target.release()
+
+    def release_inputs(self) -> None:
+        """Free the memory on the device except the target."""
+        self.labels = None  # it refers to this layer
         if self.shadow_inputs is not None:
             self.shadow_inputs.release()
 

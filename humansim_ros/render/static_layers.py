@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.caches import LruCache
+from humansim_ros.render.edge_antialiasing import mix
 from humansim_ros.render.lens_tessellation import TOLERANCE, VISIBLE, LensView
 from humansim_ros.render.light_map import UNIT, LightMap
 from humansim_ros.render.lighting import Lighting
@@ -30,10 +32,13 @@ from humansim_ros.render.target import RenderTarget
 from humansim_ros.types import Image
 
 #: Shifted images of a still camera, which are averaged: a number of Fibonacci spreads them best. And of a
-#: moving camera if there is a backdrop.
+#: moving camera if surfaces are transparent.
 _OFFSETS, _MOVING_OFFSETS = 13, 4
-#: A moving camera renders the static scene with multisampling.
-_SAMPLES = 4
+#: Largest side of images through a lens that are drawn twice as large with a quarter of the offsets: a lens
+#: makes so many triangles that the number of draws matters.
+_MAX_LENS_SIDE = 1024
+#: Mip levels by which the textures of the single image of a moving camera are finer than usual.
+_MOVING_MIP_BIAS = -1.0
 #: Largest number of cached images.
 _MAX_LAYERS = 32
 #: Blending of transparent surfaces; alpha stays.
@@ -41,10 +46,14 @@ _BLENDING = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ZERO, mo
 
 
 class _View(NamedTuple):
-    """The triangles of the scene for a camera, and a target of its size."""
+    """The triangles of the scene for a camera, and a target of its size.
+
+    ``single``: one image shows colours and depths, and its edges are anti-aliased.
+    """
 
     camera: Camera
     moving_camera: bool
+    single: bool
     triangles: StaticTriangles
     target: RenderTarget
 
@@ -79,9 +88,6 @@ class StaticLayers:
         self._layers: LruCache[tuple[bytes, int], StaticLayer] = LruCache(
             _MAX_LAYERS, release=lambda layer: layer.release()
         )
-        self._targets: LruCache[tuple[int, int], RenderTarget] = LruCache(
-            _MAX_LAYERS, release=lambda target: target.release()
-        )
         self._moving: StaticLayer | None = None
         soft = lighting.shadow == "soft"
         occlusion = ["AMBIENT_OCCLUSION"] if self._scene.charts is not None else []
@@ -99,26 +105,39 @@ class StaticLayers:
         )
 
     def _programs(self, switches: Sequence[str], sun: bool = True) -> tuple[moderngl.Program, ...]:
-        """A program for opaque surfaces, and one for transparent surfaces if there are any."""
-        transparent = [[*switches, "TRANSPARENT"]] if self._scene.blends else []
-        return tuple(lit_program(self._ctx, self._lighting, names, sun) for names in (switches, *transparent))
+        """Programs for opaque surfaces, for their colours alone, and for transparent ones if there are any."""
+        kinds = ((), ("COLOUR",), *((("COLOUR", "TRANSPARENT"),) if self._scene.blends else ()))
+        return tuple(lit_program(self._ctx, self._lighting, (*switches, *kind), sun) for kind in kinds)
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
         """Return the image for a camera. Images of a moving camera are not cached."""
         if moving_camera:
-            if self._moving is not None:
-                self._moving.release()
-            self._moving = self._render(camera, True, backdrop)
+            self._moving = self._render(camera, backdrop, self._moving_target(camera.size), True)
             return self._moving
         key = camera_key(camera), id(backdrop)
-        return self._layers.get_or_make(key, lambda: self._render(camera, False, backdrop))
+        return self._layers.get_or_make(
+            key, lambda: self._render(camera, backdrop, RenderTarget(self._ctx, camera.size), False)
+        )
+
+    def _moving_target(self, size: tuple[int, int]) -> RenderTarget:
+        """Target of the image before, if it has the same size: memory on the device is slow to get."""
+        layer, self._moving = self._moving, None
+        if layer is None:
+            return RenderTarget(self._ctx, size)
+        if layer.target.size == size:
+            layer.release_inputs()
+            return layer.target
+        layer.release()
+        return RenderTarget(self._ctx, size)
 
     def draw_unlabelled(self, target: RenderTarget, camera: Camera, moving_camera: bool) -> None:
         """Draw depths of the meshes without labels."""
         with self._unlabelled.tessellated(camera, _tolerance(moving_camera)) as triangles:
             self._draw_depths(target, triangles, camera)
 
-    def _render(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
+    def _render(
+        self, camera: Camera, backdrop: Backdrop | None, target: RenderTarget, moving_camera: bool
+    ) -> StaticLayer:
         behind = None if backdrop is None else backdrop.picture(camera)
         behind_without_sun, visibility = behind, None
         if self.sun_shadows is not None and self._lighting.shadow_catcher:
@@ -128,24 +147,25 @@ class StaticLayers:
             behind, behind_without_sun = (
                 self._ground(behind, camera, sun) for sun in (visibility, np.zeros_like(visibility))
             )
-        target = RenderTarget(self._ctx, camera.size)
         with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
             if self._light_map is not None:
                 self._light_map.use()
-            view = _View(camera, moving_camera, triangles, target)
+            view = _View(camera, moving_camera, moving_camera and not self._scene.blends, triangles, target)
             rgba = self._colour(self._lit, view, behind)
             shadow_inputs = None
             if self.sun_shadows is not None:
                 shaded = self._colour(self._without_sun, view, behind_without_sun)
                 shadow_inputs = ShadowInputs(self._ctx, camera, shaded[..., :3])
-            self._draw_depths(target, triangles, camera)
+            if not view.single:
+                self._draw_depths(target, triangles, camera)
         if self.sun_shadows is None:
             rgba[..., 3] = 255
         if visibility is not None:
             empty = target.read("depth", lit=True) == 0
             rgba[..., 3][empty] = np.rint(255 * visibility[empty]).astype(np.uint8)
-        target.write(rgba)
-        return StaticLayer(target, backdrop, shadow_inputs)
+        if shadow_inputs is not None:
+            target.write(rgba)
+        return StaticLayer(target, rgba, backdrop, shadow_inputs)
 
     def _colour(
         self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
@@ -153,17 +173,36 @@ class StaticLayers:
         """(H, W, 4) colours before an image (H, W, 3), before the background colour if None; black beyond
         the field of view of the lens.
         """
-        samples = _SAMPLES if view.moving_camera and behind is None else 0
-        count = 1 if samples else _MOVING_OFFSETS if view.moving_camera else _OFFSETS
-        # the samples of a pixel share its texels: finer ones than usual
-        mip_bias = (-0.5 if samples else -0.75) * float(np.log2(max(samples, count)))
-        total = np.zeros((*view.camera.size[::-1], 4), np.uint16)
-        for offset in offsets(count):
-            total += self._image(programs, view, behind, offset, mip_bias, samples)
-        rgba = ((total + count // 2) // count).astype(np.uint8)
+        rgba: NDArray[np.uint8]
+        if view.single:
+            rgba = self._image(programs, view, behind, (0.0, 0.0), _MOVING_MIP_BIAS).copy()
+            if self._scene.edges is not None:
+                ids = view.target.read("triangle_id", lit=True)
+                mix(rgba, self._scene.edges.crossings(view.camera, view.triangles.triangles(ids)))
+        else:
+            rgba = self._mean(programs, view, behind)
         if view.camera.distorted and LensView(view.camera).partly_dark:
             rgba[..., :3][~np.isfinite(ray_grid(view.camera)[..., 0])] = 0
         return rgba
+
+    def _mean(
+        self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
+    ) -> NDArray[np.uint8]:
+        """(H, W, 4) mean of shifted images."""
+        size, count, factor = view.camera.size, _MOVING_OFFSETS if view.moving_camera else _OFFSETS, 1
+        if view.camera.distorted and max(size) <= _MAX_LENS_SIDE:
+            factor, count = 2, -(-count // 4)
+            view = view._replace(target=RenderTarget(self._ctx, (2 * size[0], 2 * size[1])))
+        # the samples of a pixel share its texels: finer ones than usual
+        mip_bias = -0.75 * float(np.log2(count * factor**2)) + factor - 1
+        total = np.zeros((*view.target.size[::-1], 4), np.uint16)
+        for x, y in offsets(count):
+            total += self._image(programs, view, behind, (x / factor, y / factor), mip_bias)
+        mean = ((total + count // 2) // count).astype(np.uint8)
+        if factor == 1:
+            return mean
+        view.target.release()
+        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
     def _image(
         self,
@@ -172,28 +211,22 @@ class StaticLayers:
         behind: Image | None,
         offset: tuple[float, float],
         mip_bias: float,
-        samples: int,
     ) -> NDArray[np.uint8]:
         """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels."""
         camera, target = view.camera, view.target
-        if samples:
-            size = camera.size
-            target = self._targets.get_or_make(size, lambda: RenderTarget(self._ctx, size, samples))
         for program in programs:
             use_camera(self._ctx, program, camera, offset)
             set_uniform(program, "mip_bias", mip_bias)
         colour = self._lighting.background if behind is None else (0, 0, 0)
-        self._draw(target, view.triangles, programs[0], colour)
+        self._draw(target, view.triangles, programs[not view.single], colour, colours_only=not view.single)
         if behind is not None:
             target.fill(behind)
-        if len(programs) > 1:
+        if len(programs) > 2:
             target.use_colour()
             self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
             self._ctx.blend_func = _BLENDING  # type: ignore[assignment]  # four factors are allowed
-            view.triangles.draw_transparent(programs[1], camera.center)
-        if samples:
-            view.target.average(target)
-        return view.target.read("rgba", lit=True)
+            view.triangles.draw_transparent(programs[2], camera.center)
+        return target.read("rgba", lit=True)
 
     def _ground(self, image: Image, camera: Camera, visibility: NDArray[np.floating]) -> Image:
         """Image (H, W, 3) of sunny ground z = 0, darkened to a visible share (H, W) of the sun."""
@@ -207,10 +240,14 @@ class StaticLayers:
         triangles: StaticTriangles,
         program: moderngl.Program,
         colour: Sequence[int] = (0, 0, 0),
+        colours_only: bool = False,
     ) -> None:
         """Clear a target to a colour and draw the opaque triangles."""
         target.clear(colour)
-        target.use(program is not self._ids)
+        if colours_only:
+            target.use_visible_colour()
+        else:
+            target.use(program is not self._ids)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         triangles.draw(program)
 

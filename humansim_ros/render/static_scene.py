@@ -21,6 +21,7 @@ from humansim_ros.render.mesh_buffers import (
     Topology,
     TriangleBuffers,
 )
+from humansim_ros.render.static_edges import StaticEdges
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Metres from z = 0 within which level triangles are a floor.
@@ -91,7 +92,16 @@ class StaticScene:
     @property
     def whole(self) -> StaticTriangles:
         """All triangles."""
-        return StaticTriangles(self._buffers, self._materials, self._counts, shared=True)
+        parents = np.arange(len(self._corners))
+        return StaticTriangles(self._buffers, self._materials, self._counts, parents, shared=True)
+
+    @cached_property
+    def edges(self) -> StaticEdges | None:
+        """Edges of the triangles, None if there are none."""
+        if not len(self._corners):
+            return None
+        owner = np.repeat(np.arange(len(self._counts)), self._counts)
+        return StaticEdges(self._attributes[:, :3], self._corners, owner)
 
     def facing(self, direction: Array) -> StaticTriangles:
         """Return the triangles whose front faces a direction."""
@@ -100,7 +110,7 @@ class StaticScene:
         owner = np.repeat(np.arange(len(self._counts)), self._counts)[towards]
         counts = np.bincount(owner, minlength=len(self._counts)).tolist()
         buffers = TriangleBuffers(self._ctx, self._attributes, self._corners[towards])
-        return StaticTriangles(buffers, self._materials, counts)
+        return StaticTriangles(buffers, self._materials, counts, np.flatnonzero(towards))
 
     def tessellated(self, camera: Camera, tolerance: float) -> StaticTriangles:
         """Return the triangles for a camera, tessellated if its lens bends edges by more than ``tolerance``
@@ -114,20 +124,25 @@ class StaticScene:
         order = np.argsort(owner, kind="stable")
         counts = np.bincount(owner, minlength=len(self._materials)).tolist()
         buffers = TriangleBuffers(self._ctx, tessellated.attributes, tessellated.triangles[order])
-        return StaticTriangles(buffers, self._materials, counts)
+        return StaticTriangles(buffers, self._materials, counts, tessellated.parents[order])
 
 
 class StaticTriangles:
-    """Triangles of a static scene on the device; ``with`` releases them unless they are shared."""
+    """Triangles of a static scene on the device; ``with`` releases them unless they are shared.
+
+    ``parents``: (N,) number of each triangle in the scene.
+    """
 
     def __init__(
         self,
         buffers: TriangleBuffers,
         materials: Sequence[MaterialBuffers],
         counts: Sequence[int],
+        parents: Indices,
         shared: bool = False,
     ) -> None:
-        self._buffers, self._materials, self._counts, self._shared = buffers, materials, counts, shared
+        self._buffers, self._materials, self._counts = buffers, materials, counts
+        self._parents, self._shared = parents, shared
 
     def __enter__(self) -> StaticTriangles:
         return self
@@ -139,7 +154,11 @@ class StaticTriangles:
     def draw(self, program: moderngl.Program) -> None:
         """Draw all triangles whose material does not blend."""
         opaque = [not one.blends for one in self._materials]
-        self._buffers.draw(program, self._materials, self._counts, opaque)
+        self._buffers.draw(program, self._materials, self._counts, opaque, first_id=1)
+
+    def triangles(self, ids: NDArray[np.uint32]) -> Indices:
+        """(H * W,) triangle of the scene at each pixel of an image (H, W) of ids; -1 for none."""
+        return np.append(np.intp(-1), self._parents)[ids.ravel()]
 
     def draw_all(self, program: moderngl.Program, mode: int = moderngl.TRIANGLES) -> None:
         """Draw all triangles, or points at their corners."""

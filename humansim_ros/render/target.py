@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from humansim_ros.types import Float32Array
 
 #: Name -> location in the shaders, components to read, their type.
-_ATTACHMENTS = {"depth": (0, 1, "f4"), "triangle_id": (1, 1, "u4"), "rgb": (2, 3, "f1"), "rgba": (2, 4, "f1")}
+_ATTACHMENTS = {"depth": (0, 1, "f4"), "triangle_id": (1, 1, "u4"), "rgba": (2, 4, "f1")}
 
 
 @dataclass(frozen=True)
@@ -61,29 +61,23 @@ class Rectangle:
 class RenderTarget:
     """Framebuffers of one image size: colour, depth in metres, triangle id, and OpenGL's depth buffer.
 
-    Depth and triangle id are 0 where nothing is drawn. ``samples``: samples per pixel, to be averaged into
-    another target; 0 for one without multisampling.
+    Depth and triangle id are 0 where nothing is drawn.
     """
 
-    def __init__(self, ctx: moderngl.Context, size: tuple[int, int], samples: int = 0) -> None:
-        self._ctx, self.size, self.samples = ctx, size, samples
+    def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
+        self.size = size
         self._textures = [
-            ctx.texture(size, 1, dtype="f4", samples=samples),
-            ctx.texture(size, 1, dtype="u4", samples=samples),
-            ctx.texture(size, 4, samples=samples),
+            ctx.texture(size, 1, dtype="f4"),
+            ctx.texture(size, 1, dtype="u4"),
+            ctx.texture(size, 4),
         ]
-        self._depth_buffer = ctx.depth_texture(size, samples=samples)
+        self._depth_buffer = ctx.depth_texture(size)
         self._framebuffers = {
             lit: ctx.framebuffer(self._textures[: 2 + lit], self._depth_buffer) for lit in (False, True)
         }
-        self._colour = ctx.framebuffer(self._textures[2:], self._depth_buffer)
+        self._colour, self._seen = (ctx.framebuffer(self._textures[2:], self._depth_buffer) for _ in range(2))
         self._colour.depth_mask = False  # shadows change colours and hide nothing
         self._rectangle = Rectangle(0, 0, *size)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory on the device."""
-        return 16 * self.size[0] * self.size[1] * max(self.samples, 1)
 
     def start(
         self,
@@ -114,7 +108,7 @@ class RenderTarget:
 
     def _limit_to(self, rectangle: Rectangle) -> None:
         self._rectangle = rectangle
-        for framebuffer in (*self._framebuffers.values(), self._colour):
+        for framebuffer in (*self._framebuffers.values(), self._colour, self._seen):
             framebuffer.scissor = rectangle.xywh
 
     def clear(self, colour: Sequence[int]) -> None:
@@ -125,18 +119,16 @@ class RenderTarget:
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
-    def average(self, fine: RenderTarget) -> None:
-        """Copy the colours of a multisampled target, averaged per pixel."""
-        self._ctx.copy_framebuffer(self._colour, fine._colour)
-
     def write(self, rgba: NDArray[np.uint8]) -> None:
         """Replace the colours by an image (H, W, 4)."""
         self._textures[2].write(rgba.tobytes())
 
     def fill(self, image: NDArray[np.uint8]) -> None:
-        """Show an image (H, W, 3) where nothing is drawn."""
-        rgba, empty = self.read("rgba", lit=True).copy(), self.read("depth", lit=True) == 0
-        rgba[empty, :3] = image[empty]
+        """Show an image (H, W, 3) where nothing is drawn. The target is a multiple of its size."""
+        times = self.size[0] // image.shape[1]
+        larger = image.repeat(times, axis=0).repeat(times, axis=1)
+        rgba, empty = self.read("rgba", lit=True).copy(), self.read_depth_buffer() == 1
+        rgba[empty, :3] = larger[empty]
         self.write(rgba)
 
     @property
@@ -153,6 +145,10 @@ class RenderTarget:
         """Read OpenGL's depth buffer of the whole image, (H, W), 0 to 1."""
         width, height = self._depth_buffer.size
         return np.frombuffer(self._depth_buffer.read(alignment=1), np.float32).reshape(height, width)
+
+    def use_visible_colour(self) -> None:
+        """Draw into the colours and OpenGL's depth buffer, which is faster than into all images."""
+        self._seen.use()
 
     def use_colour(self) -> None:
         """Draw into the colours only."""
@@ -173,7 +169,7 @@ class RenderTarget:
 
     def release(self) -> None:
         """Free the memory on the device."""
-        for framebuffer in (*self._framebuffers.values(), self._colour):
+        for framebuffer in (*self._framebuffers.values(), self._colour, self._seen):
             framebuffer.release()
         for attachment in self._textures:
             attachment.release()

@@ -15,7 +15,7 @@ from render_scenes import EACH_RENDERER, along_x, body, box, renderer_or_skip, w
 
 from humansim_ros.render import AdjacentFrame, Lighting, Renderer, RendererName
 from humansim_ros.render.caches import LruCache, WeakCache
-from humansim_ros.render.pixel_geometry import _MAX_RAY_BYTES, _RAYS, _rays
+from humansim_ros.render.pixel_geometry import _MAX_RAY_BYTES, _RAYS, pixel_rays
 
 
 @pytest.fixture(scope="module", params=EACH_RENDERER)
@@ -164,6 +164,6 @@ def test_render_targets_of_many_image_sizes_are_bounded() -> None:
 
 def test_rays_of_many_lenses_are_bounded_and_read_only() -> None:
     for step in range(70):
-        rays = _rays(along_x((16, 8), focal=20 + step))
+        rays = pixel_rays(along_x((16, 8), focal=20 + step))
         assert not rays.flags.writeable
     assert len(_RAYS) <= 64 and sum(rays.nbytes for rays in _RAYS._values.values()) <= _MAX_RAY_BYTES

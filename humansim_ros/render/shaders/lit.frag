@@ -2,7 +2,8 @@
 // Lit colour, depth and triangle id. Light is added in linear space; x * x and sqrt(x) approximate the sRGB curve and its
 // inverse. A back face is lit as a front face that looks the same way. Features that not every scene needs are switched on
 // by name: SHADELESS, FILMIC, STATIC_SHADOWS and MOVING_SHADOWS of the static scene and of moving bodies, SKIN_AND_CLOTH,
-// AMBIENT_OCCLUSION, PBR for glTF materials, TRANSPARENT for surfaces that blend, STATIC_SCENE for static meshes.
+// AMBIENT_OCCLUSION, PBR for glTF materials, TRANSPARENT for surfaces that blend, COLOUR without depth and triangle id,
+// STATIC_SCENE for static meshes.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
@@ -15,7 +16,7 @@ uniform vec3 sun_color;
 uniform vec3 sky_color;  // from above
 uniform vec3 ground_color;
 uniform uint first_id;
-#ifdef TRANSPARENT
+#ifdef COLOUR
 out vec4 rgb;
 #else
 layout(location = 0) out float depth;
@@ -108,7 +109,8 @@ void main() {
 #endif
 #ifdef TRANSPARENT
     rgb.a = opaque;
-#else
+#endif
+#ifndef COLOUR
     depth = v_normal.w;
     triangle_id = first_id + uint(gl_PrimitiveID);
 #endif

@@ -32,8 +32,9 @@ from humansim_ros.render.target import RenderTarget
 from humansim_ros.types import Image
 
 #: Shifted images of a still camera, which are averaged: a number of Fibonacci spreads them best. And of a
-#: moving camera if surfaces are transparent.
-_OFFSETS, _MOVING_OFFSETS = 13, 4
+#: moving camera if surfaces are transparent, or if the image is so small (pixels along its longer side) that
+#: much of a room is narrower than a pixel.
+_OFFSETS, _MOVING_OFFSETS, _SMALL = 13, 4, 128
 #: Largest side of images through a lens that are drawn twice as large with a quarter of the offsets: a lens
 #: makes so many triangles that the number of draws matters.
 _MAX_LENS_SIDE = 1024
@@ -105,7 +106,7 @@ class StaticLayers:
         )
 
     def _programs(self, switches: Sequence[str], sun: bool = True) -> tuple[moderngl.Program, ...]:
-        """Programs for opaque surfaces, for their colours alone, and for transparent ones if there are any."""
+        """Programs for opaque surfaces, for their colours alone, and for transparent ones if any."""
         kinds = ((), ("COLOUR",), *((("COLOUR", "TRANSPARENT"),) if self._scene.blends else ()))
         return tuple(lit_program(self._ctx, self._lighting, (*switches, *kind), sun) for kind in kinds)
 
@@ -150,7 +151,8 @@ class StaticLayers:
         with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
             if self._light_map is not None:
                 self._light_map.use()
-            view = _View(camera, moving_camera, moving_camera and not self._scene.blends, triangles, target)
+            single = moving_camera and not self._scene.blends and max(camera.size) > _SMALL
+            view = _View(camera, moving_camera, single, triangles, target)
             rgba = self._colour(self._lit, view, behind)
             shadow_inputs = None
             if self.sun_shadows is not None:

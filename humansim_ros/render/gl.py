@@ -179,7 +179,7 @@ class GLRenderer(Renderer):
         view = camera_key(camera), moving, id(backdrop)
         frame = self._frames.get(bodies, view)
         if frame is None or not frame.passes.covers(passes):
-            layer = self._static.layer(camera, moving, backdrop)
+            layer = self._static.layer(camera, moving, backdrop, passes.lit)
             frame = self._render(bodies, camera, passes, layer)
             if self._static_bodies:
                 frame.static_labels = self._static_labels(camera, passes, moving, layer)
@@ -235,9 +235,7 @@ class GLRenderer(Renderer):
         if layer.labels is None or not layer.labels.passes.covers(passes):
             target = self._target(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
-            frame = self._render(
-                self._static_bodies, camera, passes, StaticLayer(target, target.read("rgba", lit=True))
-            )
+            frame = self._render(self._static_bodies, camera, passes, StaticLayer(target, None))
             layer.labels = StaticLabels(replace(frame, layer=layer), self._static_bodies)
         return layer.labels
 

@@ -19,8 +19,9 @@ from humansim_ros.types import Array, Float32Array
 _SIDE, _TEXELS = 12, 208
 #: Metres that the depth maps cover around the scene, and the least share of its size.
 _MARGIN, _MARGIN_SHARE = 0.1, 0.02
-#: Texture unit; 0 has the texture of the surface, 1 to 4 have shadow maps.
-UNIT = 5
+#: Texture unit; 0 has the texture of the surface, 1 to 4 have shadow maps. Units from the second on are free
+#: while the map is baked.
+UNIT, _BAKING = 5, 12
 
 
 class LightMap:
@@ -115,7 +116,7 @@ class LightMap:
         set_uniform(program, "texel", 2 * float(self._extent.max()) / _TEXELS)
         inputs = [self._ctx.texture((width, height), 4, image.tobytes(), dtype="f4") for image in surface]
         for unit, (name, image) in enumerate(
-            zip(("points", "normals", "maps"), (*inputs, maps), strict=True)
+            zip(("points", "normals", "maps"), (*inputs, maps), strict=True), _BAKING
         ):
             image.use(unit)
             set_uniform(program, name, unit)

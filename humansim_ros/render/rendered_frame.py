@@ -70,12 +70,15 @@ class TriangleIds:
 
 
 class StaticLayer:
-    """Image of the static scene from one camera, on the device and as arrays."""
+    """Image of the static scene from one camera, on the device and as arrays.
+
+    ``rgba``: (H, W, 4); None if it has depths alone.
+    """
 
     def __init__(
         self,
         target: RenderTarget,
-        rgba: NDArray[np.uint8],
+        rgba: NDArray[np.uint8] | None,
         backdrop: Backdrop | None = None,
         shadow_inputs: ShadowInputs | None = None,
     ) -> None:
@@ -83,14 +86,16 @@ class StaticLayer:
         self._backdrop = backdrop  # referenced: caches know it by its id
         #: of the static bodies, once a frame needed them
         self.labels: StaticLabels | None = None
-        self._rgb: NDArray[Any] = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
+        self._rgb = None if rgba is None else cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
         depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
         self._depth = np.where(depth > 0, depth, np.float32(np.inf))
 
     def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
         """New arrays of the channels as they are without bodies."""
-        cached = {"rgb": self._rgb, "depth": self._depth}
+        cached: dict[str, NDArray[Any]] = {"depth": self._depth}
+        if self._rgb is not None:
+            cached["rgb"] = self._rgb
         shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
         return {
             c.name: cached[c.name].copy() if c.name in cached else c.empty_image(self._depth.shape)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -95,7 +96,6 @@ class StaticLayers:
         switches = ["STATIC_SCENE", *occlusion, *self._scene.switches]
         self._lit = self._programs([*switches, *(["STATIC_SHADOWS"] if soft else [])])
         self._without_sun = self._programs(switches, sun=False) if soft else self._lit
-        self._light_map = LightMap(ctx, self._scene) if occlusion else None
         for program in (*self._lit, *self._without_sun):
             set_uniform(program, "light_map", UNIT)
         #: soft shadows, if the light has them
@@ -110,15 +110,24 @@ class StaticLayers:
         kinds = ((), ("COLOUR",), *((("COLOUR", "TRANSPARENT"),) if self._scene.blends else ()))
         return tuple(lit_program(self._ctx, self._lighting, (*switches, *kind), sun) for kind in kinds)
 
-    def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
-        """Return the image for a camera. Images of a moving camera are not cached."""
+    @cached_property
+    def _light_map(self) -> LightMap | None:
+        """The light map: baked when colours are needed first."""
+        return None if self._scene.charts is None else LightMap(self._ctx, self._scene)
+
+    def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None, lit: bool) -> StaticLayer:
+        """Return the image for a camera, with colours if ``lit``; cached unless the camera moves."""
         if moving_camera:
-            self._moving = self._render(camera, backdrop, self._moving_target(camera.size), True)
+            self._moving = self._render(camera, backdrop, self._moving_target(camera.size), True, lit)
             return self._moving
         key = camera_key(camera), id(backdrop)
-        return self._layers.get_or_make(
-            key, lambda: self._render(camera, backdrop, RenderTarget(self._ctx, camera.size), False)
-        )
+        layer = self._layers.get(key)
+        if layer is not None and (layer.rgba is not None or not lit):
+            return layer
+        if layer is not None:
+            layer.release()
+        made = self._render(camera, backdrop, RenderTarget(self._ctx, camera.size), False, lit)
+        return self._layers.put(key, made)
 
     def _moving_target(self, size: tuple[int, int]) -> RenderTarget:
         """Target of the image before, if it has the same size: memory on the device is slow to get."""
@@ -137,8 +146,17 @@ class StaticLayers:
             self._draw_depths(target, triangles, camera)
 
     def _render(
-        self, camera: Camera, backdrop: Backdrop | None, target: RenderTarget, moving_camera: bool
+        self,
+        camera: Camera,
+        backdrop: Backdrop | None,
+        target: RenderTarget,
+        moving_camera: bool,
+        lit: bool,
     ) -> StaticLayer:
+        if not lit:
+            with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
+                self._draw_depths(target, triangles, camera)
+            return StaticLayer(target, None, backdrop)
         behind = None if backdrop is None else backdrop.picture(camera)
         behind_without_sun, visibility = behind, None
         if self.sun_shadows is not None and self._lighting.shadow_catcher:

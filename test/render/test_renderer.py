@@ -12,6 +12,7 @@ from render_scenes import EACH_RENDERER, EVEN, along_x, body, box, quad, rendere
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.render import CHANNELS, Body, Lighting, Renderer, RendererName, View
+from humansim_ros.render.gl import make_renderer
 from humansim_ros.scene import Scene
 
 
@@ -340,3 +341,18 @@ def test_an_instance_given_twice_is_refused(empty: Renderer) -> None:
 def test_an_unknown_channel_is_refused(empty: Renderer) -> None:
     with pytest.raises(RenderError, match=r"no such channel: sonar; there are rgb"):
         empty.render([], along_x(), ["rgb", "sonar"])
+
+
+def test_colours_are_rendered_when_they_are_needed_first(scene: Scene) -> None:
+    """Truth alone needs no light, and leaves nothing that changes the colours after it."""
+    camera, people = Camera.look_at((3, 0, 1.5), (0, 0, 1), size=(160, 120)), walkers(scene, 0.5)
+    for moving in (False, True):
+        with make_renderer(static_meshes=[box((0, 1, 0.5), 0.5)]) as alone:
+            expected = alone.render(people, camera, ["rgb", "depth"], moving_camera=moving)
+        with make_renderer(static_meshes=[box((0, 1, 0.5), 0.5)]) as renderer:
+            first = renderer.render(people, camera, ["depth", "part"], moving_camera=moving)
+            assert "_light_map" not in vars(renderer._static)
+            both = renderer.render(people, camera, ["rgb", "depth"], moving_camera=moving)
+        for view in (first, both):
+            np.testing.assert_array_equal(view.depth, expected.depth)
+        np.testing.assert_array_equal(both.rgb, expected.rgb)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,8 @@ _SKIN, _ALL_BONES = "skin", "weights of all bones"
 _RADIUS, _OPACITY = 0.014, 0.4
 #: Where the page looks from at a person at the origin, and the point that it looks at, metres.
 _EYE, _TARGET = (2.0, 0.55, 1.2), (0.0, 0.0, 0.85)
-#: Seconds in which a browser has made the scene again.
-_SETTLED = 0.7
+#: Seconds in which most browsers have made the scene again, and how often slow ones are looked at.
+_SETTLED, _LOOKS = 0.7, 5
 _COLOURS = {
     "skin": (208, 158, 130),
     "hair": (62, 44, 34),
@@ -244,9 +244,9 @@ class HumanPanel:
         if self._source is None or self._app.source is not self._source:
             self._source = EmptySource(self._app.source.title)
             self._source.frames = 1
+            views = {number: client.camera.position for number, client in self._clients()}
             self._app.replace_source(self._source)  # draws it, as the 3D scene is made again
-            # a browser puts its view back when the scene is made again
-            threading.Timer(_SETTLED, lambda: self._app.post(self._look)).start()
+            self._look_again(views, _LOOKS)
         else:
             self._draw()
 
@@ -341,12 +341,24 @@ class HumanPanel:
             node.remove()
         self._nodes, self._lines = [], None
 
-    def _look(self) -> None:
+    def _clients(self) -> Iterable[tuple[int, Any]]:
+        """The browsers by their numbers."""
+        return self._app.server.viser.get_clients().items()
+
+    def _look_again(self, views: Mapping[int, Array], times: int) -> None:
+        """Look at the person soon: a browser puts its view back when the scene is made again."""
+        threading.Timer(_SETTLED, lambda: self._app.post(lambda: self._look(views, times))).start()
+
+    def _look(self, views: Mapping[int, Array], times: int) -> None:
+        """Look at the person from browsers that look from where they did, ``views`` (3,) by browser."""
         if self._closed or self._source is None or self._app.source is not self._source:
             return
-        for client in self._app.server.viser.get_clients().values():
-            with client.atomic():
-                client.camera.position, client.camera.look_at = _EYE, _TARGET
+        for number, client in self._clients():
+            if np.allclose(client.camera.position, views.get(number, client.camera.position), atol=1e-3):
+                with client.atomic():
+                    client.camera.position, client.camera.look_at = _EYE, _TARGET
+        if times > 1:
+            self._look_again(views, times - 1)
 
     def _show(self) -> None:
         """Show the state, and the command that does the same."""

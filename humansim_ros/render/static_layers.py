@@ -116,7 +116,14 @@ class StaticLayers:
         return None if self._scene.charts is None else LightMap(self._ctx, self._scene)
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None, lit: bool) -> StaticLayer:
-        """Return the image for a camera, with colours if ``lit``; cached unless the camera moves."""
+        """Return the image for a camera.
+
+        Args:
+            camera: The camera.
+            moving_camera: The camera moves: the image is not cached.
+            backdrop: Image behind the scene.
+            lit: Render colours, not depths alone.
+        """
         if moving_camera:
             self._moving = self._render(camera, backdrop, self._moving_target(camera.size), True, lit)
             return self._moving

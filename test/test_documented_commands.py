@@ -140,7 +140,7 @@ def run_as_printed(words: list[str], folder: Path, patch: pytest.MonkeyPatch) ->
             (folder / word).touch()  # for the commands below that use it
 
 
-@pytest.mark.daily("README", "first_ten_minutes", "motion_commands", "cameras")
+@pytest.mark.daily("README", "cameras")
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.parametrize("page", SINGLE_COMMANDS, ids=lambda page: page.stem)

@@ -153,6 +153,7 @@ def test_every_method_finds_the_heights_of_the_cameras(
     assert_allclose(heights, (1.2, 1.9, 2.3, 1.6), atol=0.06 if method == "level" else 1e-5)
 
 
+@pytest.mark.daily("board")
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["level", "board"])  # tilt and floor give the cameras of board
 def test_all_images_of_a_placed_rig_show_the_whole_person(

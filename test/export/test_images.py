@@ -44,6 +44,7 @@ def test_images_are_those_of_the_cameras(root: Path, frame: Frame, camera: str) 
     np.testing.assert_array_equal(image[..., ::-1], frame.views[camera].rgb)
 
 
+@pytest.mark.daily("bayer_rggb8")
 @pytest.mark.parametrize("encoding", ["bgr8", "mono8", "bayer_rggb8"])
 def test_images_of_other_encodings_show_the_same(tmp_path: Path, encoding: str) -> None:
     text = SCENE.replace("sensor: {noise: {read_noise: 4}}", f"sensor: {{encoding: {encoding}}}")

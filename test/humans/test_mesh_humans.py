@@ -28,7 +28,7 @@ def man() -> Human:
     return load_human(ROOT / "assets" / "humans" / "adult_man.npz")
 
 
-@pytest.mark.daily("ply", "stl")
+@pytest.mark.daily("stl")
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["ply", "stl", "off"])
 def test_a_body_of_another_format_is_rigged_like_an_obj(tmp_path: Path, man: Human, suffix: str) -> None:

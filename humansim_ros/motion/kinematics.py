@@ -83,9 +83,9 @@ class Motion(Pictured):
     unit: float | None = None
 
     def __post_init__(self) -> None:
-        refuse_cycle(self.joint_names, self.parents, self.path)
         late = np.flatnonzero(self.parents >= np.arange(len(self.parents)))
-        if len(late):
+        if len(late):  # as in each cycle
+            refuse_cycle(self.joint_names, self.parents, self.path)
             joint, parent = (self.joint_names[n] for n in (late[0], self.parents[late[0]]))
             raise MotionError(
                 f"joint {joint!r} is before its parent {parent!r}: list parents first", path=self.path

@@ -61,6 +61,15 @@ class SurfaceNormals:
         return out.reshape(shape)
 
 
+def welded(positions: NDArray[np.floating]) -> Indices:
+    """(V,) number of each place: vertices (V, 3) at the same place have the same."""
+    order = np.lexsort(positions.T)
+    new = (np.diff(positions[order], axis=0, prepend=np.nan) != 0).any(axis=1)
+    places = np.empty(len(positions), np.intp)
+    places[order] = np.cumsum(new) - 1
+    return places
+
+
 def mean_normals(face_normals: Array, faces: NDArray[np.integer], n_vertices: int) -> Array:
     """Unit vertex normals (V, 3) from weighted face normals (F, 3) of faces (F, K); zero without faces."""
     normals = np.zeros((n_vertices, 3))
@@ -91,8 +100,7 @@ def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Ar
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     area = np.cross(b - a, c - a) / 2
     size = np.maximum(np.linalg.norm(area, axis=1), 1e-30)
-    _, place = np.unique(vertices, axis=0, return_inverse=True)
-    place = place.reshape(-1)
+    place = welded(vertices)
     crowded = np.bincount(place)[place] > _MOST_AT_PLACE
     place = np.where(crowded, place.max() + 1 + np.arange(count), place)
     shape = (int(place.max()) + 1, count)

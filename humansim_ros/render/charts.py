@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.mesh.normals import welded
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Largest side of the image, and free texels on each side of a chart.
@@ -74,15 +75,6 @@ class Charts:
             owner,
             layout.texel,
         )
-
-
-def welded(positions: NDArray[np.floating]) -> Indices:
-    """(V,) number of each place: vertices at the same place have the same."""
-    order = np.lexsort(positions.T)
-    new = (np.diff(positions[order], axis=0, prepend=np.nan) != 0).any(axis=1)
-    places = np.empty(len(positions), np.intp)
-    places[order] = np.cumsum(new) - 1
-    return places
 
 
 def _connected(corners: Indices, side: Indices) -> Indices:

@@ -15,7 +15,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.mesh.mesh import Material, Mesh
+from humansim_ros.mesh.mesh import Material, Mesh, split_seams
 from humansim_ros.render.contact_shadow import ContactShadow, contact_shadow
 from humansim_ros.render.programs import set_uniform
 from humansim_ros.types import Array, Float32Array, Indices
@@ -36,17 +36,9 @@ class ExpandedMesh:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        triangles = mesh.triangles
-        uv: Array
-        if mesh.uv is None or mesh.uv_triangles is None:
-            self.source: NDArray[Any] = np.arange(len(mesh.vertices))
-            corners: NDArray[Any] = triangles
-            uv = np.zeros((len(mesh.vertices), 2))
-        else:
-            pairs = triangles.ravel().astype(np.int64) * len(mesh.uv) + mesh.uv_triangles.ravel()
-            unique, inverse = np.unique(pairs, return_inverse=True)
-            self.source = unique // len(mesh.uv)
-            corners, uv = inverse.reshape(triangles.shape), mesh.uv[unique % len(mesh.uv)]
+        self.source, uv, corners = split_seams(mesh)
+        if uv is None:
+            uv = np.zeros((len(self.source), 2))
         colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
         self.uv_colors: Float32Array = np.concatenate([uv, colors[self.source] / 255.0], axis=1).astype("f4")
         self.corners = np.ascontiguousarray(corners, dtype=np.int32)

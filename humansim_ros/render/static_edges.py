@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh, padded
-from humansim_ros.render.charts import welded
+from humansim_ros.mesh.normals import welded
 from humansim_ros.render.edge_antialiasing import EdgeCrossings, ImageEdges, edge_crossings, share_beyond
 from humansim_ros.render.lens_tessellation import LensView, near_plane
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology

@@ -162,9 +162,8 @@ def mix(image: NDArray[np.uint8], crossings: EdgeCrossings) -> None:
     which = (crossings.neighbour - crossings.pixel)[:, None] == steps
     order = np.argsort(crossings.share)
     shares = np.zeros((4, len(pixels)), np.float32)
-    shares[which.argmax(axis=1)[order], place[order]] = crossings.share[
-        order
-    ]  # the last, the largest, remains
+    # of several, the last and largest remains
+    shares[which.argmax(axis=1)[order], place[order]] = crossings.share[order]
     # a slanted edge crosses lines of both axes: the axis of the larger share is the right one
     across = shares[:2].max(axis=0) >= shares[2:].max(axis=0)
     shares *= [across, across, ~across, ~across]

@@ -131,9 +131,9 @@ class StaticLayers:
         layer = self._layers.get(key)
         if layer is not None and (layer.rgba is not None or not lit):
             return layer
+        made = self._render(camera, backdrop, RenderTarget(self._ctx, camera.size), False, lit)
         if layer is not None:
             layer.release()
-        made = self._render(camera, backdrop, RenderTarget(self._ctx, camera.size), False, lit)
         return self._layers.put(key, made)
 
     def _moving_target(self, size: tuple[int, int]) -> RenderTarget:

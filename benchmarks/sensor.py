@@ -1,7 +1,8 @@
-"""Cost of each effect of a sensor: milliseconds of one core per image, compared with a copy of the image.
+"""Cost of each effect of a sensor, and of depth sensors: milliseconds of one core per image, compared with a
+copy of the image.
 
 The images are those of the demo scene. All effects alternate in one process, so that other load affects them
-alike. The rendering of images for motion blur and rolling shutter is not included.
+alike. Rendering is not included: of images for motion blur and rolling shutter, and of exact depth.
 """
 
 from __future__ import annotations
@@ -10,15 +11,21 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from humansim_ros.render import GLRenderer
+from humansim_ros.camera import Camera
+from humansim_ros.messages import image_points_message
+from humansim_ros.render import Body, GLRenderer
+from humansim_ros.render.pixel_geometry import pixel_rays
 from humansim_ros.scene import Scene
-from humansim_ros.sensor import Sensor, SensorConfig
+from humansim_ros.sensor import DepthSensor, DepthSensorConfig, Sensor, SensorConfig
+from humansim_ros.sensor.depth import aligned, metres, points_of
 
 EFFECTS: dict[str, dict[str, Any]] = {
     "no effect": {},
@@ -54,6 +61,39 @@ EFFECTS: dict[str, dict[str, Any]] = {
 }
 
 
+#: Settings of depth sensors with the optics of the camera.
+DEPTH_SENSORS: dict[str, dict[str, Any]] = {
+    "structured light": {"model": "structured_light"},
+    "active stereo": {"model": "active_stereo"},
+    "time of flight": {"model": "time_of_flight"},
+}
+
+
+def depth_cases(
+    renderer: GLRenderer, bodies: list[Body], camera: Camera
+) -> dict[str, Callable[[int], object]]:
+    """What depth sensors compute from exact depth."""
+    view = renderer.render(bodies, camera, ("rgb", "depth"))
+    cases: dict[str, Callable[[int], object]] = {}
+    for name, keys in DEPTH_SENSORS.items():
+        config = DepthSensorConfig.model_validate({**keys, "size": camera.size, "K": camera.K.tolist()})
+        sensor = DepthSensor(config)
+        other = sensor.second_camera(camera)
+        second = None if other is None else renderer.render(bodies, other, ("depth",)).depth
+        colours = view.rgb if sensor.needs_light else None
+        cases[f"depth: {name}"] = partial(sensor.measure, view.depth, second=second, colours=colours)
+    beside = replace(camera, t=camera.t + np.array([0.03, 0, 0]))
+    millimetres = np.rint(1000 * view.depth).astype(np.uint16)
+    rays = pixel_rays(camera)
+    cases["depth: alignment"] = lambda _: aligned(millimetres, rays, camera, beside)
+    points = points_of(metres(millimetres), rays)
+    cases["depth: points"] = lambda _: image_points_message(
+        points_of(metres(millimetres), rays), None, 1, "a"
+    )
+    cases["depth: message of coloured points"] = lambda _: image_points_message(points, view.rgb, 1, "a")
+    return cases
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -66,13 +106,14 @@ def main() -> None:
     scene = Scene.load()
     name, camera = next(iter(scene.cameras.items()))
     bodies = [actor.body(actor.at(0.5).vertices) for actor in scene.actors.values()]
-    image = GLRenderer(scene.static_meshes).render(bodies, camera, ("rgb",)).rgb
-    assert image is not None
+    renderer = GLRenderer(scene.static_meshes)
+    image = renderer.render(bodies, camera, ("rgb",)).rgb
     cases: dict[str, Callable[[int], object]] = {"a copy of the image": lambda _: image.copy()}
     for effect, config in EFFECTS.items():
         sensor = Sensor(SensorConfig(**config), camera, name)
         images = [image] * len(sensor.times())
         cases[effect] = lambda stamp, sensor=sensor, images=images: sensor.expose(images, stamp)
+    cases |= depth_cases(renderer, bodies, camera)
     times: dict[str, list[float]] = {case: [] for case in cases}
     for number in range(-2, options.rounds):  # the first two warm up
         for case, run in cases.items():

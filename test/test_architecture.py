@@ -68,7 +68,7 @@ PUBLIC = {
         Panorama PyrenderRenderer Renderer RendererName View make_renderer""",
     "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera
         SceneConfig SceneObject Simulation check_scene""",
-    "sensor": "ChromaticAberration Noise Sensor SensorConfig Vignetting",
+    "sensor": "ChromaticAberration DepthSensor DepthSensorConfig Noise Sensor SensorConfig Vignetting",
     "truth": """BodyBox CameraTruth JointView KeypointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING VISIBLE
         joint_surfaces part_u_v rest_points view_boxes view_joints view_keypoints visible_vertices""",
 }

@@ -52,6 +52,8 @@ _GUIDES = {
     "cameras.*": "cameras.md",
     "cameras.*.trajectory": "rigs.md#cameras-that-move",
     "cameras.*.sensor": "sensors.md",
+    "cameras.*.depth_sensor": "depth_cameras.md",
+    "cameras.*.stereo": "depth_cameras.md#stereo-pairs",
     "cameras.*.faults": "faults.md",
     "world": "look.md#environments",
     "light": "look.md#light",
@@ -176,6 +178,7 @@ cameras:
     distortion: [-0.1, 0, 0, 0]
     trajectory: way.txt
     faults: {calibration: {translation: 0.01}}
+    depth_sensor: kinect_v1
 """
 _MOVES = """<animation startframe="0" endframe="10" rate="10"><object name="object">
 <frame number="0"><position x="0" y="0" z="1"/></frame>

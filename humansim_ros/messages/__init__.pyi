@@ -24,6 +24,7 @@ from humansim_ros.messages.cameras import read_region as read_region
 from humansim_ros.messages.cameras import read_twist as read_twist
 from humansim_ros.messages.cameras import twist_message as twist_message
 from humansim_ros.messages.headers import WORLD_FRAME as WORLD_FRAME
+from humansim_ros.messages.headers import depth_optical_frame as depth_optical_frame
 from humansim_ros.messages.headers import header as header
 from humansim_ros.messages.headers import optical_frame as optical_frame
 from humansim_ros.messages.headers import read_scene_time as read_scene_time
@@ -59,5 +60,8 @@ from humansim_ros.messages.legends import live_legend as live_legend
 from humansim_ros.messages.legends import motion_legend as motion_legend
 from humansim_ros.messages.legends import part_legend as part_legend
 from humansim_ros.messages.legends import read_legend as read_legend
+from humansim_ros.messages.points import XYZ_POINT as XYZ_POINT
+from humansim_ros.messages.points import XYZRGB_POINT as XYZRGB_POINT
+from humansim_ros.messages.points import image_points_message as image_points_message
 from humansim_ros.messages.points import point_cloud as point_cloud
 from humansim_ros.messages.points import read_points as read_points

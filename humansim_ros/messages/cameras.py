@@ -113,12 +113,16 @@ def read_pose(message: PoseStamped) -> CameraPose:
     return CameraPose.at(position, unit_quaternions(rotation))
 
 
-def extrinsics_message(camera: Camera, stamp: int, frame: str) -> TransformStamped:
+def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WORLD_FRAME) -> TransformStamped:
     """Build ``<camera>/extrinsics``: pose of the optical frame in ``map``, as tf has it.
 
-    ``frame``: optical frame of the camera.
+    Args:
+        camera: Its world is the parent frame.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+        parent: The parent frame.
     """
-    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=frame)
+    message = TransformStamped(header=header(stamp, parent), child_frame_id=frame)
     x, y, z = camera.center.tolist()
     message.transform.translation = Vector3(x=x, y=y, z=z)
     x, y, z, w = matrix_to_quaternion(camera.R.T).tolist()

@@ -15,6 +15,11 @@ def optical_frame(camera: str) -> str:
     return f"{camera}_optical_frame"
 
 
+def depth_optical_frame(optical: str) -> str:
+    """Optical frame of the depth sensor of the camera with an optical frame."""
+    return f"{optical.removesuffix('_optical_frame')}_depth_optical_frame"
+
+
 def to_time(nanoseconds: int) -> Time:
     """Message of a stamp."""
     seconds, rest = divmod(nanoseconds, _SECOND)

@@ -9,29 +9,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import RosError
+from humansim_ros.messages.headers import header
 from humansim_ros.messages.images import set_data
 from humansim_ros.messages.types import Header, PointCloud2, PointField
 
 #: Number types by datatype of sensor_msgs/PointField.
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+#: Points of depth_image_proc: PCL reads x, y, z, and rgb, as groups of 16 bytes.
+XYZ_POINT = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 16})
+XYZRGB_POINT = np.dtype(
+    {"names": ["x", "y", "z", "rgb"], "formats": ["<f4"] * 4, "offsets": [0, 4, 8, 16], "itemsize": 32}
+)
 #: Datatypes of the fields of our own clouds: unsigned integers and single floats.
 _WRITTEN = (2, 4, 6, 7)
 _NUMBERS = {np.dtype(f"<{kind}"): number for number, kind in _DATATYPES.items()}
 
 
 def point_cloud(points: NDArray[Any], head: Header) -> PointCloud2:
-    """Build a PointCloud2 with the fields of a structured array (N,)."""
-    dtype = points.dtype
+    """Build a PointCloud2 with the fields of a structured array (N,), or (H, W), which may have NaN."""
+    dtype, organized = points.dtype, points.ndim == 2
     assert dtype.fields is not None
-    message = PointCloud2(header=head, height=1, width=len(points), is_bigendian=False, is_dense=True)
+    height, width = points.shape if organized else (1, len(points))
+    message = PointCloud2(header=head, height=height, width=width, is_bigendian=False, is_dense=not organized)
     message.fields = [
         PointField(name=name, offset=field[1], datatype=_NUMBERS[field[0]], count=1)
         for name, field in dtype.fields.items()
     ]
     message.point_step = dtype.itemsize
-    message.row_step = dtype.itemsize * len(points)
+    message.row_step = dtype.itemsize * width
     set_data(message, points)
     return message
+
+
+def image_points_message(
+    points: NDArray[np.float32], colors: NDArray[np.uint8] | None, stamp: int, frame: str
+) -> PointCloud2:
+    """Build the points of an image in the layout of depth_image_proc.
+
+    Args:
+        points: (H, W, 3) metres in the optical frame; NaN where there is none.
+        colors: (H, W, 3) rgb8; without ``rgb`` if None.
+        stamp: Nanoseconds.
+        frame: Optical frame.
+    """
+    dtype = XYZ_POINT if colors is None else XYZRGB_POINT
+    rows = np.zeros((*points.shape[:2], dtype.itemsize // 4), np.float32)
+    rows[..., :3] = points
+    if colors is not None:
+        red, green, blue = (colors[..., channel].astype(np.uint32) for channel in range(3))
+        rows.view(np.uint32)[..., 4] = red << 16 | green << 8 | blue
+    return point_cloud(rows.view(dtype)[..., 0], header(stamp, frame))
 
 
 def read_points(message: PointCloud2, required: Sequence[str]) -> NDArray[Any]:

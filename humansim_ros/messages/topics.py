@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Generic, TypeVar
 
 from numpy.typing import NDArray
 
 from humansim_ros import messages
-from humansim_ros.camera import Camera
+from humansim_ros.camera import Camera, Region
+from humansim_ros.drawing.views import color_image
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
@@ -47,11 +48,13 @@ from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, Channel
 from humansim_ros.scene import HumanState, Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.scene.capture import DepthCapture
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.scene.simulation import Frame
+from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import CameraTruth
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
@@ -69,6 +72,12 @@ COMPRESSED = {
     # labels fit into a PNG as they are; a recording may have them so
     **{row.name: "compressed" for row in CHANNEL_TABLE.values() if row.encoding in ("mono8", "mono16")},
 }
+
+#: Namespaces of measured depth below a camera: in the pixels of its depth sensor, and of ``image_raw``.
+MEASURED_DEPTH = ("depth_sensor", "aligned_depth_to_color")
+_WHOLE_SENSOR = Region()
+#: Measurement of a depth sensor, and the view of its camera.
+DepthContent = tuple[DepthCapture, View]
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
@@ -274,7 +283,8 @@ class CameraTopics:
     Args:
         scene: The scene.
         camera: The camera.
-        frame: Optical frame; if None, the frame of the name of the camera.
+        frame: Optical frame; if None, the frame of the name of the camera. Images and calibrations of the
+            right camera of a stereo pair are in the frame of the left one, as image_geometry needs them.
         channels: Channels that the renderer supports; other channels have no topic.
 
     Attributes:
@@ -283,6 +293,7 @@ class CameraTopics:
         rectified: Images without lens distortion by channel; none if the camera has no distortion.
         info: Calibration, beside the colour image: image_transport takes it from the namespace of the image.
         truth_infos: True calibration, beside each other image.
+        depth_sensor: Topics of its depth sensor, if it has one.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
         keypoints: Keypoints by set.
         overlay: Joints to be drawn over the colour image by viewers.
@@ -306,6 +317,8 @@ class CameraTopics:
         self._name = name = camera.name
         self._has_faults = camera.faults is not None
         self._frame = frame = messages.optical_frame(name) if frame is None else frame
+        # P of a right camera is for points in the frame of the left camera
+        self._image_frame = frame.replace(name, camera.left) if camera.left else frame
         supported = [channel for channel in CHANNEL_TABLE.values() if channel.name in channels]
         self.images: Sequence[Topic[View]] = [
             topic for channel in supported for topic in self._channel_topics(channel)
@@ -318,23 +331,15 @@ class CameraTopics:
         ]
         self.rectified = {} if camera.rectified is None else self._rectified_topics()
         namespaces = dict.fromkeys(
-            f"{name}/{channel.topic}".rpartition("/")[0]
-            for channel in CHANNEL_TABLE.values()
-            if not channel.per_body
+            channel.topic.rpartition("/")[0] for channel in CHANNEL_TABLE.values() if not channel.per_body
         )
 
-        def info(namespace: str, whole: Camera, **settings: Any) -> Topic[Camera]:
-            return Topic(
-                f"{namespace}/camera_info",
-                CameraInfo,
-                lambda whole, stamp: messages.camera_info_message(whole, stamp, frame, camera.region),
-                lambda _: whole,
-                camera=name,
-                **settings,
-            )
-
-        self.info = info(name, camera.published, shown=True, faulty=self._has_faults)
-        self.truth_infos = [info(each, camera.whole) for each in namespaces if each != name]
+        info = partial(_info_topic, name, frame=self._image_frame, region=camera.region)
+        self.info = info(camera.published, shown=True, faulty=self._has_faults)
+        self.truth_infos = [info(camera.whole, path=f"{each}/camera_info") for each in namespaces if each]
+        self.depth_sensor: DepthSensorTopics | None = None
+        if camera.depth_sensor is not None:
+            self.depth_sensor = DepthSensorTopics(camera, camera.depth_sensor, frame)
         self.truth: dict[str, Topic[CameraTruth]] = {
             kind: Topic(
                 f"{name}/{kind}",
@@ -406,7 +411,7 @@ class CameraTopics:
 
     def compressed(self, settings: ImageCompression) -> Topic[View]:
         """Images as JPEG or PNG, in the format of image_transport's plugin ``compressed``."""
-        name, frame, encoding = self._name, self._frame, self._camera.encoding
+        name, frame, encoding = self._name, self._image_frame, self._camera.encoding
         return Topic(
             f"{name}/{CHANNEL_TABLE['rgb'].topic}/{COMPRESSED['rgb']}",
             CompressedImage,
@@ -420,7 +425,7 @@ class CameraTopics:
 
     def compressed_depth(self, settings: DepthCompression) -> Topic[View]:
         """Depth as PNG of 16 bits, in the format of image_transport's plugin ``compressedDepth``."""
-        name, frame = self._name, self._frame
+        name, frame = self._name, self._image_frame
         return Topic(
             f"{name}/{CHANNEL_TABLE['depth'].topic}/{COMPRESSED['depth']}",
             CompressedImage,
@@ -452,6 +457,7 @@ class CameraTopics:
             *rectified,
             self.info,
             *self.truth_infos,
+            *(self.depth_sensor or ()),
             *truth,
         ]
 
@@ -462,7 +468,7 @@ class CameraTopics:
         self, channel: Channel, compression: ImageCompression | None = None
     ) -> Sequence[Topic[View]]:
         """Topic of a channel, or one for each labelled body. ``compression``: none for raw images."""
-        name, frame, encoding = self._name, self._frame, self._encoding(channel)
+        name, frame, encoding = self._name, self._image_frame, self._encoding(channel)
 
         def topic(path: str, image: Callable[[View], NDArray[Any]]) -> Topic[View]:
             def message(view: View, stamp: int) -> Any:
@@ -492,7 +498,7 @@ class CameraTopics:
 
     def _rectified_topics(self) -> dict[str, Topic[NDArray[Any]]]:
         """Topics of images without lens distortion by channel."""
-        name, frame, camera = self._name, self._frame, self._camera
+        name, frame, camera = self._name, self._image_frame, self._camera
 
         def topic(channel: Channel, content: Callable[[Frame], NDArray[Any]], **needs: Any) -> Topic[Any]:
             encoding = self._encoding(channel).replace("bayer_rggb8", "rgb8")
@@ -588,6 +594,135 @@ class CameraTopics:
             camera=name,
             explains=True,
         )
+
+
+def _info_topic(
+    name: str,
+    whole: Camera,
+    frame: str,
+    region: Region = _WHOLE_SENSOR,
+    path: str = "camera_info",
+    **settings: Any,
+) -> Topic[Camera]:
+    """Topic of a calibration.
+
+    Args:
+        name: Name of the camera.
+        whole: Camera of the whole sensor.
+        frame: Optical frame.
+        region: Binning and region of interest of the images.
+        path: Name of the topic below the camera.
+        settings: Other attributes of the topic.
+    """
+    return Topic(
+        f"{name}/{path}",
+        CameraInfo,
+        lambda whole, stamp: messages.camera_info_message(whole, stamp, frame, region),
+        lambda _: whole,
+        camera=name,
+        **settings,
+    )
+
+
+class DepthSensorTopics:
+    """Topics of the depth sensor of a camera (docs/depth_cameras.md).
+
+    Args:
+        camera: The camera.
+        sensor: Its depth sensor.
+        frame: Optical frame of the camera.
+
+    Attributes:
+        optics: Its size and K, and its pose in the optical frame of the camera.
+        info: Its calibration.
+        aligned_info: Calibration beside measured depth in the pixels of ``image_raw``; None without it.
+        extrinsics: Pose of its optical frame in the optical frame of the camera.
+        measured: Measured and exact depth, and points.
+    """
+
+    def __init__(self, camera: SceneCamera, sensor: DepthSensor, frame: str) -> None:
+        self._name, self._faulty = name, faulty = camera.name, camera.faults is not None
+        own = messages.depth_optical_frame(frame)
+        self.optics = sensor.optics
+        self.info = _info_topic(
+            name, sensor.optics, own, path="depth_sensor/camera_info", shown=True, faulty=faulty
+        )
+        self.aligned_info: Topic[Camera] | None = None
+        self.extrinsics: Topic[Camera] = Topic(
+            f"{name}/depth_sensor/extrinsics",
+            TransformStamped,
+            lambda optics, stamp: messages.extrinsics_message(optics, stamp, own, frame),
+            lambda _: sensor.optics,
+            latched=True,
+            per_frame=False,
+            camera=name,
+        )
+        self.measured = [
+            self._image("depth_sensor/image_raw", "16UC1", own, lambda each: each.measured, shown=True),
+            self._image("depth_sensor/image", "32FC1", own, lambda each: each.depth),
+            self._image("depth_sensor/image_truth", "32FC1", own, lambda each: each.exact, faulty=False),
+            self._topic(
+                "depth_sensor/points",
+                PointCloud2,
+                lambda each, _, stamp: messages.image_points_message(each.points, None, stamp, own),
+            ),
+        ]
+        if sensor.config.aligned:
+            self._add_aligned(camera, frame)
+
+    def _add_aligned(self, camera: SceneCamera, frame: str) -> None:
+        def points(capture: DepthCapture, view: View, stamp: int) -> PointCloud2:
+            colors = color_image(view.rgb, camera.encoding)
+            return messages.image_points_message(capture.color_points, colors, stamp, frame)
+
+        self.aligned_info = _info_topic(
+            self._name,
+            camera.published,
+            frame,
+            camera.region,
+            "aligned_depth_to_color/camera_info",
+            faulty=self._faulty,
+        )
+        self.measured += [
+            self._image("aligned_depth_to_color/image_raw", "16UC1", frame, lambda each: each.aligned),
+            self._topic("points", PointCloud2, points, channels=frozenset({"rgb"})),
+        ]
+
+    def _image(
+        self,
+        path: str,
+        encoding: str,
+        frame: str,
+        image: Callable[[DepthCapture], NDArray[Any]],
+        **settings: Any,
+    ) -> Topic[DepthContent]:
+        def message(capture: DepthCapture, _: View, stamp: int) -> Image:
+            return messages.image_message(image(capture), encoding, stamp, frame)
+
+        return self._topic(path, Image, message, **settings)
+
+    def _topic(
+        self,
+        path: str,
+        kind: type[Any],
+        build: Callable[[DepthCapture, View, int], Any],
+        faulty: bool | None = None,
+        **settings: Any,
+    ) -> Topic[DepthContent]:
+        name = self._name
+        return Topic(
+            f"{name}/{path}",
+            kind,
+            lambda content, stamp: build(*content, stamp),
+            lambda simulated: (simulated.depth_sensors[name], simulated.views[name]),
+            camera=name,
+            faulty=self._faulty if faulty is None else faulty,
+            **settings,
+        )
+
+    def __iter__(self) -> Iterator[Topic[Any]]:
+        infos = [self.info] if self.aligned_info is None else [self.info, self.aligned_info]
+        return iter([self.extrinsics, *infos, *self.measured])
 
 
 def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:

@@ -98,7 +98,9 @@ class FrameSynchronizer:
         for name in moving:
             self._subscribe(TwistStamped, f"{name}/twist", messages.read_twist)
         self._frames = PacedFrames(self._topics, self._scene.period * 1e9)
-        noisy = any(camera.sensor.config.noise for camera in self._scene.scene_cameras.values())
+        noisy = any(
+            camera.sensor.config.noise or camera.depth_sensor for camera in self._scene.scene_cameras.values()
+        )
         #: Whether a publisher of the scene time is known.
         self._has_scene_time = False
         self._require_scene_time(noisy)

@@ -29,7 +29,8 @@ from humansim_ros.scene.environment import load_backdrop
 from humansim_ros.scene.faults import CalibrationError, FaultSchedule, FrameFaults
 from humansim_ros.scene.randomise import random_numbers
 from humansim_ros.scene.source import SceneSource
-from humansim_ros.sensor import Sensor
+from humansim_ros.scene.stereo import right_camera
+from humansim_ros.sensor import DepthSensor, Sensor
 from humansim_ros.types import Array, Float32Array
 
 if TYPE_CHECKING:
@@ -81,6 +82,15 @@ class CameraPose:
         r = self.R @ turn.as_matrix()
         return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
 
+    def beside(self, offset: Array) -> CameraPose:
+        """Pose of the same rotation at an offset (3,) metres in the optical frame, fixed to this one."""
+        turned = self.R.T @ offset
+        velocity = self.velocity
+        if velocity is not None:
+            linear = velocity.linear + np.cross(velocity.angular, turned)
+            velocity = replace(velocity, linear=linear)
+        return CameraPose.at(self.position + turned, self.rotation, velocity)
+
     def toward(self, other: CameraPose, share: float) -> CameraPose:
         """Interpolate to another pose: 0 is this one, 1 the other; linear position, slerp rotation."""
         if share == 0 or (np.array_equal(self.R, other.R) and np.array_equal(self.t, other.t)):
@@ -105,6 +115,9 @@ class SceneCamera:
         speed: Seconds of the trajectory per second.
         backdrop: Image behind everything; a plain colour if None.
         faults: Its faults over time; None if it has none.
+        depth_sensor: Depth sensor beside it; None if it has none.
+        left: Name of the left camera if it is the right one of a stereo pair; else empty.
+        beside_left: Its position (3,) in the optical frame of that camera, metres.
     """
 
     name: str
@@ -116,6 +129,9 @@ class SceneCamera:
     speed: float = 1.0
     backdrop: Backdrop | None = None
     faults: FaultSchedule | None = None
+    depth_sensor: DepthSensor | None = None
+    left: str = ""
+    beside_left: Array = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def build(cls, name: str, config: CameraConfig, source: SceneSource) -> SceneCamera:
@@ -136,7 +152,32 @@ class SceneCamera:
             if config.background is not None:
                 with in_section("background"):
                     backdrop = load_backdrop(source.find(config.background))
-        return cls(name, whole, region, sensor, path, offset, speed, backdrop)
+            with in_section("depth_sensor"), _scene_keys():
+                depth = None if config.depth_sensor is None else DepthSensor(config.depth_sensor, name)
+        return cls(name, whole, region, sensor, path, offset, speed, backdrop, depth_sensor=depth)
+
+    def right(self, baseline: float) -> SceneCamera:
+        """Right camera of a stereo pair, with P of CameraInfo as image_geometry's StereoCameraModel needs it.
+
+        ``baseline``: distance along the rows of the rectified images, metres. Raises CameraError if the
+        camera has a baseline of its own.
+        """
+        p = self.whole.rectified_projection.copy()
+        if p[:, 3].any():
+            raise CameraError("stereo sets the baseline: P of the left camera has none", key="rectified")
+        p[0, 3] = -p[0, 0] * baseline
+        name = right_camera(self.name)
+        whole = replace(self.whole, rectified=p)
+        sensor = Sensor(self.sensor.config, self.region.of(whole), name)
+        offset = self.whole.rectification_matrix.T @ np.array([baseline, 0, 0])
+        camera = replace(
+            self, name=name, whole=whole, sensor=sensor, depth_sensor=None, left=self.name, beside_left=offset
+        )
+        return camera.placed_beside(self)
+
+    def placed_beside(self, left: SceneCamera) -> SceneCamera:
+        """The same right camera beside the left camera at its initial pose."""
+        return replace(self, whole=replace(self.whole, R=left.whole.R, t=left.whole.t - self.beside_left))
 
     def with_calibration(self, calibrated: Camera) -> SceneCamera:
         """The same camera at its pose with the lens, K and size of another."""
@@ -175,7 +216,8 @@ class SceneCamera:
         early, late = self.path.difference_times(time, VELOCITY_STEP * max(self.speed, 1e-6))
         positions, rotations = zip(self.path.in_map(early), self.path.in_map(late), strict=True)
         velocity = Velocity.between(np.array(positions), np.array(rotations), late - early)
-        return CameraPose.at(*self.path.in_map(time), velocity.scaled(self.speed))
+        pose = CameraPose.at(*self.path.in_map(time), velocity.scaled(self.speed))
+        return pose.beside(self.beside_left) if self.left else pose
 
     def camera_at(self, pose: CameraPose) -> Camera:
         """Camera of ``image_raw`` at a pose."""
@@ -379,11 +421,18 @@ def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCa
             if name in cameras:
                 raise SceneError("the rig has a camera of this name already", key=name)
             cameras[name] = SceneCamera.build(name, camera, source)
+            if camera.stereo is None:
+                continue
+            with in_section(name):
+                right = cameras[name].right(camera.stereo.baseline)
+                if right.name in cameras or right.name in config.cameras:
+                    raise SceneError(f"there is another camera {right.name}, its second camera", key="stereo")
+                cameras[right.name] = right
     return {name: _with_faults(camera, config) for name, camera in cameras.items()}
 
 
 def _with_faults(camera: SceneCamera, config: SceneConfig) -> SceneCamera:
-    section = config.cameras.get(camera.name, config.rig)
+    section = config.cameras.get(camera.left or camera.name, config.rig)
     if section is None or section.faults is None:
         return camera
     return replace(camera, faults=FaultSchedule(section.faults, camera.name, config.rate))
@@ -499,7 +548,11 @@ def random_cameras(cameras: Mapping[str, SceneCamera], randomise: RandomiseConfi
     jitter = randomise.camera_jitter
     if not jitter.position and not jitter.rotation_deg:
         return dict(cameras)
-    return {name: camera if camera.moves else _jitter(camera, randomise) for name, camera in cameras.items()}
+    moved = {name: camera if camera.moves else _jitter(camera, randomise) for name, camera in cameras.items()}
+    return {
+        name: camera.placed_beside(moved[camera.left]) if camera.left and not camera.moves else camera
+        for name, camera in moved.items()
+    }
 
 
 def _jitter(camera: SceneCamera, randomise: RandomiseConfig) -> SceneCamera:

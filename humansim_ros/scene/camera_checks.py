@@ -44,7 +44,7 @@ def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Itera
     """Check all cameras. ``obstacles``: what a camera must not be inside of."""
     scene = samples.scene
     of_rig: dict[str, list[tuple[str, Finding]]] = {}
-    for name in scene.scene_cameras:
+    for name in (name for name, camera in scene.scene_cameras.items() if not camera.left):
         for kind, finding in _check_camera(name, samples, obstacles):
             if finding.key.startswith("rig."):
                 of_rig.setdefault(kind, []).append((name, finding))
@@ -58,7 +58,7 @@ def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Itera
         cameras = {
             name: camera.camera
             for name, camera in scene.scene_cameras.items()
-            if name not in scene.config.cameras
+            if name not in scene.config.cameras and not camera.left
         }
         for message in check_rig(cameras):
             yield Finding("warning", "rig.file", message)
@@ -353,6 +353,8 @@ def check_faults(samples: SceneSamples) -> Iterator[Finding]:
     """Check the faults of all cameras; the faults of a rig once for all of its cameras."""
     of_rig: dict[str, tuple[Finding, list[str]]] = {}
     for name, camera in samples.scene.scene_cameras.items():
+        if camera.left:
+            continue  # it has the faults of the left camera
         for finding in _check_camera_faults(camera, samples):
             if finding.key.startswith("rig."):
                 of_rig.setdefault(finding.key + finding.text, (finding, []))[1].append(name)

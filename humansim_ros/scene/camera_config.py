@@ -10,6 +10,7 @@ from pydantic_core import CoreSchema
 
 from humansim_ros.io.schema import Axis, FileName, Section, Share, ShortSection
 from humansim_ros.sensor.config import SensorConfig
+from humansim_ros.sensor.depth_config import DepthSensorConfig
 
 #: Longest delay, and longest random event, seconds: the schedule looks back as far.
 MAX_DELAY, MAX_EVENT = 5.0, 60.0
@@ -305,6 +306,17 @@ class TrajectoryConfig(ShortSection):
     speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
 
 
+class StereoConfig(_NumberSection):
+    """Second camera to the right of a camera, of the same kind."""
+
+    number_key: ClassVar[str] = "baseline"
+    other_words: ClassVar[dict[str, str]] = {"baseline": "distance offset"}
+
+    baseline: float = Field(
+        gt=0, le=100, description="distance between the two cameras along the rows of their images, metres"
+    )
+
+
 class RegionConfig(Section):
     """Region of interest in pixels of the sensor."""
 
@@ -392,11 +404,18 @@ class CameraConfig(Section):
         default=None, description="P of CameraInfo, with the baseline of a stereo camera"
     )
     trajectory: TrajectoryConfig | None = Field(default=None, description="moves the camera")
+    stereo: StereoConfig | None = Field(
+        default=None,
+        description="with a second camera: right for a camera that is named left, else <name>_right",
+    )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
     roi: RegionConfig | None = Field(default=None, description="region of interest of the sensor")
     sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensor")
+    depth_sensor: DepthSensorConfig | None = Field(
+        default=None, description="depth sensor beside the colour sensor; none if absent"
+    )
     faults: FaultsConfig | None = Field(default=None, description="faults of the camera; none if absent")
     background: FileName | None = Field(
         default=None, description="image behind everything; the background of the world if absent"

@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import AdjacentFrame, Body, Renderer, View
+from humansim_ros.render.pixel_geometry import pixel_rays
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
+from humansim_ros.sensor import DepthSensor
+from humansim_ros.sensor.depth import Millimetres, aligned, metres, points_of
 from humansim_ros.truth import CameraTruth
 from humansim_ros.types import Array, Float32Array, Image
 
@@ -116,6 +119,66 @@ def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: E
     seen = camera.rectified_at(pose)
     depth = renderer.render(exposure.bodies_at(0.0), seen, ("depth",), exposure.moving).depth
     return depth if camera.rectified is None else camera.rectified.without_border(depth)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCapture:
+    """What the depth sensor of a camera sees and measures at a stamp.
+
+    Attributes:
+        camera: Camera of the depth image at its true pose.
+        exact: (h, w) metres, as the channel ``depth`` of that camera; inf where nothing is.
+        measured: (h, w) millimetres; 0 where nothing is measured.
+        color: Camera of ``image_raw``.
+    """
+
+    camera: Camera
+    exact: Float32Array
+    measured: Millimetres
+    color: Camera
+
+    @property
+    def depth(self) -> Float32Array:
+        """Measured depth (h, w) in metres; NaN where nothing is measured."""
+        return metres(self.measured)
+
+    @property
+    def points(self) -> Float32Array:
+        """Measured points (h, w, 3) in the optical frame of the sensor, metres; NaN without depth."""
+        return points_of(self.depth, pixel_rays(self.camera))
+
+    @cached_property
+    def aligned(self) -> Millimetres:
+        """Measured depth (H, W) in the pixels of ``image_raw``, millimetres along its axis; 0 without."""
+        return aligned(self.measured, pixel_rays(self.camera), self.camera, self.color)
+
+    @property
+    def color_points(self) -> Float32Array:
+        """Points (H, W, 3) of the pixels of ``image_raw`` in its optical frame, metres; NaN without depth."""
+        return points_of(metres(self.aligned), pixel_rays(self.color))
+
+
+def capture_depth(
+    renderer: Renderer, camera: SceneCamera, sensor: DepthSensor, exposure: Exposure, scene_time: int
+) -> DepthCapture:
+    """Render what the depth sensor of a camera sees at the stamp, and measure it.
+
+    Args:
+        renderer: Renderer of the scene.
+        camera: The camera.
+        sensor: Its depth sensor.
+        exposure: Bodies and camera pose around the stamp.
+        scene_time: Nanoseconds; the errors depend on it.
+    """
+    bodies, pose = exposure.bodies_at(0.0), exposure.pose_at(0.0)
+    own = sensor.camera_at(pose.R, pose.t)
+    channels = ("rgb", "depth") if sensor.needs_light else ("depth",)
+    view = renderer.render(bodies, own, channels, exposure.moving)
+    other = sensor.second_camera(own)
+    second = None if other is None else renderer.render(bodies, other, ("depth",), exposure.moving).depth
+    colours = view.rgb if sensor.needs_light else None
+    measured = sensor.measure(view.depth, scene_time, second, colours)
+    return DepthCapture(own, view.depth, measured, camera.camera_at(pose))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 
 from humansim_ros.errors import SceneError, located
 from humansim_ros.io.yaml import read_yaml
+from humansim_ros.scene.stereo import right_camera
 
 #: Node that plays the motions of a scene.
 PLAYER_NODE = "motion_player"
@@ -44,7 +45,9 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
     content, _ = read_yaml(path, SceneError, "scene")
     if not isinstance(content, dict):
         raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
-    cameras = (*_rig_names(content, path), *_section_names(content, "cameras", path))
+    own = _section_names(content, "cameras", path)
+    pairs = (name for name in own if _is_stereo(content["cameras"][name]))
+    cameras = (*_rig_names(content, path), *own, *map(right_camera, pairs))
     humans = (*_section_names(content, "humans", path), *_variety_names(content, path))
     with located(path=path):
         check_node_names(humans, cameras)
@@ -86,6 +89,10 @@ def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
     from humansim_ros.scene.camera import rig_camera_names  # imports more libraries
 
     return rig_camera_names(path)
+
+
+def _is_stereo(camera: Any) -> bool:
+    return isinstance(camera, dict) and camera.get("stereo") is not None
 
 
 def _section_names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:

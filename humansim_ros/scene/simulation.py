@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import count
 from typing import TYPE_CHECKING
 
@@ -24,16 +24,19 @@ from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_cha
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
+    DepthCapture,
     Exposure,
     JointMotion,
     SceneState,
     capture,
+    capture_depth,
     capture_rectified_depth,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
+from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
 
@@ -58,6 +61,8 @@ class Frame(Pictured):
         cameras: Cameras of ``views`` at their poses by name: the true ones.
         published_cameras: The same as topics publish them, with the errors of ``faults.calibration``.
         encodings: Encodings of ``rgb`` by camera, such as ``rgb8``, as the sensors have them.
+        depth_sensors: What depth sensors measure, by camera that has one. It is rendered on first access,
+            which is possible until the simulation is closed.
         bodies: All bodies, humans first.
         labels: Instance labels of humans and labelled objects by name.
         scene_time: Nanoseconds from the start of the scene.
@@ -87,6 +92,7 @@ class Frame(Pictured):
     faults: Mapping[str, FrameFaults] = field(default_factory=dict)
     published_cameras: Mapping[str, Camera] = field(default_factory=dict)
     encodings: Mapping[str, str] = field(default_factory=dict)
+    depth_sensors: Mapping[str, DepthCapture] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -283,7 +289,18 @@ class Simulation:
             published_cameras={
                 name: camera.published_at(state.calibrated_pose(camera)) for name, camera in chosen.items()
             },
+            depth_sensors=_OnAccess(
+                {
+                    name: partial(self._measured, camera, camera.depth_sensor, state)
+                    for name, camera in chosen.items()
+                    if camera.depth_sensor is not None
+                }
+            ),
         )
+
+    def _measured(self, camera: SceneCamera, sensor: DepthSensor, state: SceneState) -> DepthCapture:
+        self.renderer.check_usable()
+        return capture_depth(self.renderer, camera, sensor, state.exposure(camera), state.scene_time)
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
         known = self.scene.scene_cameras
@@ -331,6 +348,25 @@ class Simulation:
         if any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
             self._recent.append((elapsed, actors, (poses, humans, state)))
         return poses, humans, state
+
+
+class _OnAccess(Mapping[str, DepthCapture]):
+    """Values by name, each computed on first access."""
+
+    def __init__(self, compute: Mapping[str, Callable[[], DepthCapture]]) -> None:
+        self._compute = compute
+        self._values: dict[str, DepthCapture] = {}
+
+    def __getitem__(self, name: str) -> DepthCapture:
+        if name not in self._values:
+            self._values[name] = self._compute[name]()
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._compute)
+
+    def __len__(self) -> int:
+        return len(self._compute)
 
 
 def _exposure(

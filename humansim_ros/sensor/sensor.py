@@ -40,7 +40,7 @@ def add_noise(electrons: Float32Array, read_noise: float, random: np.random.Gene
     Shot noise is Poisson distributed; read noise is normal with standard deviation ``read_noise``. Results
     may be negative.
     """
-    normal = _normals(electrons.shape, random)
+    normal = normal_numbers(electrons.shape, random)
     out = np.sqrt(electrons + np.float32(read_noise**2))
     out *= normal
     out += electrons
@@ -50,7 +50,7 @@ def add_noise(electrons: Float32Array, read_noise: float, random: np.random.Gene
     return np.asarray(out, dtype=np.float32)
 
 
-def _normals(shape: tuple[int, ...], random: np.random.Generator) -> Float32Array:
+def normal_numbers(shape: tuple[int, ...], random: np.random.Generator) -> Float32Array:
     """Standard normal numbers from a table of quantiles, in a fifth of the time of ``standard_normal``."""
     count = int(np.prod(shape))
     uniform = np.frombuffer(random.bytes(2 * count), "<u2")
@@ -203,7 +203,7 @@ class Sensor:
         """Light (H, W, 3) behind the lens during the exposure; 1 is white."""
         if self._weights.shape[1] == 1:
             (image,) = images
-            light = np.asarray(cv2.LUT(image, _srgb_table()), dtype=np.float32)
+            light = srgb_to_light(image)
         else:
             light = self._accumulated(images)
         aberration = self.config.chromatic_aberration
@@ -215,7 +215,7 @@ class Sensor:
         for image, weight in zip(images, self._weights.T, strict=True):
             for rows in _blocks(light):
                 if weight[rows].any():
-                    part = _flat(np.asarray(cv2.LUT(image[rows], _srgb_table()), dtype=np.float32))
+                    part = _flat(srgb_to_light(image[rows]))
                     part *= weight[rows, None]
                     _flat(light)[rows] += part
         return light
@@ -289,6 +289,11 @@ class Sensor:
     @property
     def _channels(self) -> int:
         return 3 if self.config.encoding in ("rgb8", "bgr8") else 1
+
+
+def srgb_to_light(image: Image) -> Float32Array:
+    """Linear light of an image of sRGB values; 1 is white."""
+    return np.asarray(cv2.LUT(image, _srgb_table()), dtype=np.float32)
 
 
 @cache

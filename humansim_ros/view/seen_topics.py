@@ -15,7 +15,7 @@ from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
 from humansim_ros.keypoints import KeypointSet
 from humansim_ros.messages.people import MESSAGE_TYPES
-from humansim_ros.messages.topics import COMPRESSED
+from humansim_ros.messages.topics import COMPRESSED, MEASURED_DEPTH
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.types import Array
@@ -31,7 +31,7 @@ _COMPRESSED = tuple(dict.fromkeys(f"/{end}" for end in COMPRESSED.values()))
 #: Channels by their topic below a camera; channels of single bodies have a topic for each.
 _CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.per_body}
 #: Namespaces below a camera that repeat its ``camera_info``.
-_BELOW = frozenset(topic.rpartition("/")[0] for topic in _CHANNELS) - {""}
+_BELOW = frozenset(topic.rpartition("/")[0] for topic in _CHANNELS) - {""} | {*MEASURED_DEPTH}
 #: Topics of other programs that are the image of a camera if it has no ``image_raw``, the best first.
 _PICTURES = ("image_color", "image", "image_rect_color", "image_rect", "image_mono", "image_rect_raw")
 _HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh|vertices)")

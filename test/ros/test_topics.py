@@ -37,7 +37,13 @@ cameras:
     position: [3, 0.4, 1.4]
     look_at: [0, 0, 1]
     sensor: {encoding: bayer_rggb8}
-  moving: {size: [64, 48], trajectory: way.txt}
+  moving: {size: [64, 48], trajectory: way.txt, depth_sensor: {preset: realsense_d435, size: [64, 48]}}
+  left:
+    size: [64, 48]
+    position: [3, 0.4, 1.4]
+    look_at: [0, 0, 1]
+    stereo: 0.1
+    depth_sensor: {model: structured_light, size: [64, 48], aligned: false}
 """
 MOVES = """\
 <animation startframe="0" endframe="400" rate="100">
@@ -78,7 +84,10 @@ def frames(scene: Scene) -> list[Frame]:
     channels = sorted(frozenset().union(*(topic.channels for topic in topics)))
     rectified = {topic.camera for topic in topics if topic.rectified_depth}
     with Simulation(scene, channels) as simulation:
-        return [simulation.frame(3, rectified_depth=rectified) for _ in range(2)]
+        frames = [simulation.frame(3, rectified_depth=rectified) for _ in range(2)]
+        for frame in frames:
+            assert set(frame.depth_sensors.values())  # rendered now
+        return frames
 
 
 def topics_of(scene: Scene) -> dict[str, Topic[Any]]:
@@ -113,11 +122,20 @@ def test_the_table_has_every_kind_of_topic_once(scene: Scene) -> None:
         "fixed/projection",
         "fixed/alpha/anna/image",
         "fixed/amodal/seat/image",
+        "moving/depth_sensor/image_raw",
+        "moving/depth_sensor/camera_info",
+        "moving/depth_sensor/extrinsics",
+        "moving/depth_sensor/points",
+        "moving/aligned_depth_to_color/image_raw",
+        "moving/points",
+        "left/depth_sensor/image",
+        "right/image_raw",
         "moving/pose",
         "moving/twist",
     ):
         assert name in names
-    assert not {"humans/ben/motion", "fixed/pose", "moving/image_rect"} & set(names)
+    absent = {"humans/ben/motion", "fixed/pose", "moving/image_rect", "fixed/points", "left/points"}
+    assert not {*absent, "right/depth_sensor/image"} & set(names)
 
 
 def fields(message: Any) -> Any:
@@ -208,7 +226,12 @@ def test_the_nodes_publish_the_topics_of_the_table(scene: Scene, nodes: list[Any
 def test_a_camera_has_the_optical_frame_that_it_is_given(scene: Scene, frames: list[Frame]) -> None:
     for topic in CameraTopics(scene, scene.scene_cameras["moving"], "lab/eye"):
         message = topic.message(frames[0])
-        if topic.name.endswith(("pose", "twist", "extrinsics")):
+        if topic.name.endswith("depth_sensor/extrinsics"):
+            parent_and_child = message.header.frame_id, message.child_frame_id
+            assert parent_and_child == ("lab/eye", "lab/eye_depth_optical_frame")
+        elif topic.name.endswith(("pose", "twist", "extrinsics")):
             assert message.header.frame_id == "map"
+        elif "depth_sensor/" in topic.name:
+            assert message.header.frame_id == "lab/eye_depth_optical_frame"
         elif hasattr(message, "header"):
             assert message.header.frame_id == "lab/eye", topic.name

@@ -1,6 +1,8 @@
-"""Render each effect of a sensor (docs/images/sensors.jpg), and measure the error of constant velocities.
+"""Render each effect of a sensor (docs/images/sensors.jpg), what depth sensors measure
+(docs/images/depth_cameras.jpg), and measure the error of constant velocities.
 
 python tools/figures/sensor_figures.py picture OUTPUT
+python tools/figures/sensor_figures.py depth OUTPUT
 python tools/figures/sensor_figures.py velocity [MILLISECONDS ...]
 """
 
@@ -14,15 +16,17 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
+from humansim_ros.drawing.views import color_depth
 from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.render import GLRenderer
 from humansim_ros.rotations import moved
-from humansim_ros.scene import Scene
+from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import SceneConfig, load_config
 from humansim_ros.scene.scene import DEMO_SCENE
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor, SensorConfig
+from humansim_ros.sensor.depth import metres
 from humansim_ros.types import Image
 
 _SIZE = (400, 300)
@@ -85,6 +89,30 @@ def picture(output: Path) -> None:
     cv2.imwrite(str(output), np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 75])
 
 
+def depth(output: Path) -> None:
+    """One view of the scene with depth cameras, measured by three sensors with the same optics."""
+    path = resource_path("config/scenes/depth_camera.yaml")
+    view = {"size": _SIZE, "position": (2.3, 0.3, 1.3), "look_at": (0, 0.1, 0.9), "fov_deg": 62}
+    optics = {"size": _SIZE, "fov_deg": 62, "rotation_deg": (0, 0, 0), "range": (0.5, 4.5)}
+    presets = ("kinect_v1", "realsense_d435", "azure_kinect_nfov")
+    cameras = {name: {**view, "depth_sensor": {"preset": name, **optics}} for name in presets}
+    config = load_config(path).model_dump() | {"cameras": cameras}
+    scene = Scene.from_config(SceneConfig.model_validate(config), SceneSource.of_file(path))
+    with Simulation(scene, ("rgb", "depth")) as simulation:
+        frame = simulation.frame(45)
+        kinect, stereo, flight = (frame.depth_sensors[name] for name in presets)
+        tiles = [
+            tile(frame.views["kinect_v1"].rgb, "image_raw", None),
+            tile(color_depth(kinect.exact), "depth_sensor/image_truth", None),
+            tile(color_depth(metres(kinect.aligned)), "aligned_depth_to_color (kinect_v1)", None),
+            tile(color_depth(kinect.depth), "structured light (kinect_v1)", None),
+            tile(color_depth(stereo.depth), "active stereo (realsense_d435)", None),
+            tile(color_depth(flight.depth), "time of flight (azure_kinect_nfov)", None),
+        ]
+    rows = [np.concatenate(tiles[i : i + 3], axis=1) for i in range(0, len(tiles), 3)]
+    cv2.imwrite(str(output), np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
 def velocity_errors(actor: Actor, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Errors (N, V) of the vertices +- ``seconds`` from the stamp if joints keep their velocity, and their
     movement (N, V), metres, at sixty times of a motion.
@@ -120,6 +148,8 @@ def velocity(milliseconds: list[float]) -> None:
 def main() -> int:
     if sys.argv[1:2] == ["picture"] and len(sys.argv) == 3:
         picture(Path(sys.argv[2]))
+    elif sys.argv[1:2] == ["depth"] and len(sys.argv) == 3:
+        depth(Path(sys.argv[2]))
     elif sys.argv[1:2] == ["velocity"]:
         velocity([float(value) for value in sys.argv[2:]] or [4.0, 8.0])
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import os
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
 from humansim_ros.errors import CameraError, HumansimError, RosError, printable
 from humansim_ros.messages import DepthCompression, ImageCompression, read_camera_info
-from humansim_ros.messages.topics import CameraTopics, Content, Topic
+from humansim_ros.messages.topics import CameraTopics, Content, DepthContent, DepthSensorTopics, Topic
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.node import SceneNode
@@ -317,17 +317,39 @@ class InfoPublishers:
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
-        self._own = topics.info
-        self._publishers = [
-            (topic, node.topic_publisher(topic)) for topic in (topics.info, *topics.truth_infos)
+        infos: list[tuple[Topic[Camera], Callable[[PublishedCalibration], Camera]]] = [
+            (topics.info, lambda each: each.published),
+            *((topic, lambda each: each.beside_truth) for topic in topics.truth_infos),
         ]
+        if (depth := topics.depth_sensor) is not None:
+            infos.append((depth.info, lambda _: depth.optics))
+            if depth.aligned_info is not None:
+                infos.append((depth.aligned_info, lambda each: each.published))
+        self._publishers = [(topic, node.topic_publisher(topic), camera) for topic, camera in infos]
 
     def publish(self, calibration: PublishedCalibration, stamp: int) -> None:
         """Publish the calibration of the whole sensor on all topics with subscribers."""
-        for topic, publisher in self._publishers:
+        for topic, publisher, camera in self._publishers:
             if _has_subscribers(publisher):
-                camera = calibration.published if topic is self._own else calibration.beside_truth
-                self._driver.send(topic, publisher, camera, stamp)
+                self._driver.send(topic, publisher, camera(calibration), stamp)
+
+
+class DepthSensorPublishers:
+    """Publishers of what the depth sensor of a camera measures."""
+
+    def __init__(self, node: SceneNode, topics: DepthSensorTopics, driver: CameraDriver) -> None:
+        self._driver = driver
+        self._publishers = [(topic, node.topic_publisher(topic)) for topic in topics.measured]
+
+    def subscribed(self) -> list[Topic[DepthContent]]:
+        """Topics with subscribers."""
+        return [topic for topic, publisher in self._publishers if _has_subscribers(publisher)]
+
+    def publish(self, topics: Collection[Topic[DepthContent]], content: DepthContent, stamp: int) -> None:
+        """Publish some topics of one frame."""
+        for topic, publisher in self._publishers:
+            if topic in topics:
+                self._driver.send(topic, publisher, content, stamp)
 
 
 class FaultsPublisher:

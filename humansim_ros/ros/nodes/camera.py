@@ -23,6 +23,7 @@ from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros.camera.publishers import (
     CameraDriver,
+    DepthSensorPublishers,
     FaultsPublisher,
     ImagePublishers,
     InfoPublishers,
@@ -36,7 +37,14 @@ from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import CameraFrame, Exposure, SceneState, capture, capture_rectified_depth
+from humansim_ros.scene.capture import (
+    CameraFrame,
+    Exposure,
+    SceneState,
+    capture,
+    capture_depth,
+    capture_rectified_depth,
+)
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.types import Image
 
@@ -71,6 +79,11 @@ class CameraPosePublisher:
         self._start = self._last = CameraPose.of(camera.camera)
         self._last_stamp = self._last_motion = 0
         self._extrinsics, self._projection = map(node.topic_publisher, (topics.extrinsics, topics.projection))
+        #: Transforms that never change: from the camera to its depth sensor.
+        self._fixed: list[TransformStamped] = []
+        if (depth := topics.depth_sensor) is not None:
+            self._fixed.append(depth.extrinsics.build(depth.optics, node.now()))
+            node.publish_latched(self._fixed[0], depth.extrinsics.name)
         self._true_extrinsics = topics.true_extrinsics
         if self._true_extrinsics is not None:
             self._true_publisher = node.topic_publisher(self._true_extrinsics)
@@ -81,9 +94,10 @@ class CameraPosePublisher:
         transform = self._publish(self._last, node.now())
         if not camera.moves:
             node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
-            if TFMessage is not None:
-                self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
-                self._tf_static.publish(TFMessage(transforms=[transform]))
+        if TFMessage is not None and (self._fixed or not camera.moves):
+            self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
+            resting = [] if camera.moves else [transform]
+            self._tf_static.publish(TFMessage(transforms=[*resting, *self._fixed]))
 
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
@@ -153,7 +167,8 @@ class CameraPosePublisher:
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
         if not self._poses and self._tf_static is not None:
-            self._tf_static.publish(TFMessage())  # late joiners must not get the old pose
+            # late joiners must not get the old pose
+            self._tf_static.publish(TFMessage(transforms=self._fixed))
         if self._poses and stamp <= self._poses[-1][0]:
             self._start = self._last
             self._poses.clear()  # the clock was set back
@@ -198,6 +213,9 @@ class CameraNode(SceneNode):
         self._infos = InfoPublishers(self, self._topics, self._driver)
         self._truth = TruthPublishers(self, self._topics)
         self._faults = FaultsPublisher(self, self._topics)
+        self._depth: DepthSensorPublishers | None = None
+        if self._topics.depth_sensor is not None:
+            self._depth = DepthSensorPublishers(self, self._topics.depth_sensor, self._driver)
         schedule = self._camera.faults
         self._freezes = schedule is not None and schedule.config.freeze is not None
         #: Colours of the last frame that was not frozen, if the camera may freeze.
@@ -301,9 +319,11 @@ class CameraNode(SceneNode):
         stamp = state.stamp
         truth_topics = self._truth.subscribed()
         rectified = self._images.rectified_subscribed()
+        depth_topics = [] if self._depth is None else self._depth.subscribed()
         rendered = channels | self._truth.needed(truth_topics) | (rectified & {"rgb"})
+        rendered = rendered.union(*(topic.channels for topic in depth_topics))
         self._infos.publish(self._calibration, stamp)
-        if not rendered and not rectified:
+        if not rendered and not rectified and not depth_topics:
             return
         captured = self._captured(state, exposure, rendered, faults)
         view = captured.view
@@ -313,6 +333,10 @@ class CameraNode(SceneNode):
         if "depth" in rectified:
             depth = capture_rectified_depth(self._renderer, self._camera, exposure)
             self._images.publish_rectified("depth", depth, stamp)
+        sensor = self._camera.depth_sensor
+        if self._depth is not None and sensor is not None and depth_topics:
+            measured = capture_depth(self._renderer, self._camera, sensor, exposure, state.scene_time)
+            self._depth.publish(depth_topics, (measured, view), stamp)
         self._truth.publish(truth_topics, captured.truth, stamp)
         self.count("frames")
         self.report_lateness(stamp)

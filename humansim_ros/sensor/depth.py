@@ -156,12 +156,12 @@ class DepthSensor:
             depth: Exact depth (H, W) of :meth:`camera_at`, metres; inf where nothing is.
             stamp: Scene time, nanoseconds; the random errors depend on it.
             second: Exact depth of :meth:`second_camera`.
-            colours: (H, W, 3) sRGB of :meth:`camera_at`: their luminance is the reflectivity. White if None.
+            colours: (H, W, 3) sRGB of :meth:`camera_at`. Surfaces are white if None.
         """
         config = self.config
         surfaces = Surfaces.of(depth, self.optics.K, self._rays)
         random = generator(config.seed, f"{self.name} depth", stamp)
-        reflectivity = np.float32(1) if colours is None else luminance(srgb_to_light(colours))
+        reflectivity = np.float32(1) if colours is None else infrared_reflectivity(colours)
         model = {
             "structured_light": self._structured_light,
             "active_stereo": self._active_stereo,
@@ -264,6 +264,14 @@ class DepthSensor:
         width, height = self.optics.size
         columns, rows = np.meshgrid(np.arange(width), np.arange(height))
         return self.optics.rays(np.dstack([columns, rows]))[..., :2].astype(np.float32)
+
+
+def infrared_reflectivity(colours: Image) -> Float32Array:
+    """Reflectivity (H, W) at the wavelength of depth sensors, of sRGB colours (H, W, 3).
+
+    It is the square root of the luminance: dyes of cloth and carpets absorb less in the near infrared.
+    """
+    return np.sqrt(luminance(srgb_to_light(colours)))
 
 
 def axial_noise(depth: Float32Array, angle: Float32Array) -> Float32Array:

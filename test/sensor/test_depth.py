@@ -41,7 +41,8 @@ def plane(distance: float, degrees: float = 0.0, around: float = 30.0) -> tuple[
 
 
 def reflecting(light: float, shape: tuple[int, int] = SIZE[::-1]) -> NDArray[np.uint8]:
-    """Grey image of a linear light."""
+    """Grey image with a reflectivity in the infrared, which is the square root of its linear light."""
+    light = light**2
     value = 12.92 * light if light <= 0.0031308 else 1.055 * light ** (1 / 2.4) - 0.055
     return np.full((*shape, 3), np.rint(255 * value), np.uint8)
 
@@ -243,6 +244,7 @@ def camera(k: Any = K, size: tuple[int, int] = SIZE, x: float = 0.0, **lens: Any
 RAYS = np.stack([X.ravel(), Y.ravel()])
 
 
+@pytest.mark.daily("0.6", "1.0")
 @pytest.mark.parametrize("scale", [0.6, 1.0, 2.3])
 def test_aligned_depth_of_a_plane_is_its_depth_in_the_other_camera(scale: float) -> None:
     """With any ratio of the resolutions, a surface that faces the cameras has no gaps."""

@@ -93,7 +93,7 @@ def depth(output: Path) -> None:
     """One view of the scene with depth cameras, measured by three sensors with the same optics."""
     path = resource_path("config/scenes/depth_camera.yaml")
     view = {"size": _SIZE, "position": (2.3, 0.3, 1.3), "look_at": (0, 0.1, 0.9), "fov_deg": 62}
-    optics = {"size": _SIZE, "fov_deg": 62, "rotation_deg": (0, 0, 0), "range": (0.5, 4.5)}
+    optics = {"size": _SIZE, "fov_deg": 62, "rotation_deg": (0, 0, 0), "range": (0.5, 7.0)}
     presets = ("kinect_v1", "realsense_d435", "azure_kinect_nfov")
     cameras = {name: {**view, "depth_sensor": {"preset": name, **optics}} for name in presets}
     config = load_config(path).model_dump() | {"cameras": cameras}

@@ -61,7 +61,11 @@ SCENE: dict[str, Any] = {
                 "dirt": {"spots": 3},
             },
         },
-        "right": {"trajectory": {"file": "path.txt"}},
+        "right": {
+            "trajectory": {"file": "path.txt"},
+            "depth_sensor": {"preset": "realsense_d435"},
+            "stereo": {"baseline": 0.1},
+        },
     },
     "world": {"meshes": [{"file": "ball.obj"}], "background": "photo.png", "environment": "sky.png"},
     "light": {"strength": 0.9},
@@ -152,7 +156,7 @@ def test_the_scene_has_all_keys_that_name_files(folder: Path) -> None:
     path = folder / "complete.yaml"
     path.write_text(yaml.safe_dump(SCENE, sort_keys=False))
     scene = Scene.load(path)
-    assert list(scene.cameras) == ["a", "b", "left", "right"]
+    assert list(scene.cameras) == ["a", "b", "left", "right", "right_right"]
     found: list[str] = []
     map_files(load_config(path).model_dump(exclude_unset=True), lambda name: found.append(name) or name)
     assert len(found) == len(FILE_KEYS)

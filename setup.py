@@ -15,6 +15,7 @@ COMMANDS = [
     "humansim = humansim_ros.cli.__main__:main",
     "motion_player = humansim_ros.ros.nodes.__main__:motion_player",
     "skinner = humansim_ros.ros.nodes.__main__:skinner",
+    "scanner = humansim_ros.ros.nodes.__main__:scanner",
     "camera = humansim_ros.ros.nodes.__main__:camera",
     "camera_rig = humansim_ros.ros.nodes.__main__:camera_rig",
     "evaluator = humansim_ros.ros.nodes.__main__:evaluator",

@@ -31,7 +31,7 @@ LAYERS = (
     ("photographs",),
     ("drawing",),
     ("scene",),
-    ("truth",),
+    ("truth", "scanner"),
     ("sensor", "render"),
     ("keypoints",),
     ("humans",),

@@ -167,34 +167,39 @@ class Trajectory:
         rotation = quaternion_to_matrix(quaternion).T
         return rotation, -rotation @ position
 
-    def in_map(self, seconds: float) -> tuple[Array, Array]:
-        """Position (3,) and quaternion (4,) xyzw of the optical frame at a time after the first pose.
+    def in_map(self, seconds: float | Array) -> tuple[Array, Array]:
+        """Positions (..., 3) and quaternions (..., 4) xyzw of the optical frame.
+
+        ``seconds``: times (...) after the first pose.
 
         Positions are interpolated linearly, rotations by slerp. Before the first pose, ``clamp`` stays there;
         ``loop`` and ``ping_pong`` continue backwards.
         """
         time = self.times[0] + self._time_in_trajectory(seconds)
-        after = int(np.clip(np.searchsorted(self.times, time, side="right"), 1, max(len(self.times) - 1, 1)))
         if len(self.times) == 1:
-            return self.positions[0], self.rotations[0]
+            after = np.zeros(time.shape, dtype=int)
+            return self.positions[after], self.rotations[after]
+        after = np.clip(np.searchsorted(self.times, time, side="right"), 1, len(self.times) - 1)
         start, end = self.times[after - 1], self.times[after]
-        part = np.clip((time - start) / (end - start), 0.0, 1.0)
-        position = (1 - part) * self.positions[after - 1] + part * self.positions[after]
-        return position, slerp(self.rotations[after - 1], self.rotations[after], np.asarray(part))
+        part = np.asarray(np.clip((time - start) / (end - start), 0.0, 1.0))
+        along = part[..., None]
+        position = (1 - along) * self.positions[after - 1] + along * self.positions[after]
+        return position, slerp(self.rotations[after - 1], self.rotations[after], part)
 
     def difference_times(self, seconds: float, step: float) -> tuple[float, float]:
         """Times one step before and after a time, for finite differences; not beyond the ends of a loop."""
         before, after = seconds - step, seconds + step
         if self.end != "loop":
             return before, after
-        start = seconds - self._time_in_trajectory(seconds)
+        start = seconds - float(self._time_in_trajectory(seconds))
         return max(before, start), min(after, start + self.duration * (1 - 1e-9))
 
-    def _time_in_trajectory(self, seconds: float) -> float:
-        """Time within the trajectory, seconds since the first pose."""
+    def _time_in_trajectory(self, seconds: float | Array) -> Array:
+        """Times within the trajectory, seconds since the first pose."""
+        seconds = np.asarray(seconds, dtype=float)
         if self.end == "clamp" or self.duration == 0:
-            return float(np.clip(seconds, 0.0, self.duration))
+            return np.asarray(np.clip(seconds, 0.0, self.duration))
         if self.end == "loop":
-            return float(seconds % self.duration)
-        back = seconds % (2 * self.duration)
-        return float(min(back, 2 * self.duration - back))
+            return np.asarray(np.mod(seconds, self.duration))
+        back = np.mod(seconds, 2 * self.duration)
+        return np.asarray(np.minimum(back, 2 * self.duration - back))

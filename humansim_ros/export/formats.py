@@ -24,6 +24,7 @@ from humansim_ros.export.images import (
     LabelWriter,
     VideoWriter,
 )
+from humansim_ros.export.kitti import KittiWriter
 from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
@@ -36,8 +37,8 @@ from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 #: The format that writes the tree of colour images; others that name images need it.
 IMAGES = "images"
 #: What formats may need of a frame beside channels: boxes of bodies, keypoints in the images, keypoints in
-#: ``map``, and bodies with vertices and bones.
-BOXES, KEYPOINTS, POSITIONS, BODIES = "boxes", "keypoints", "positions", "bodies"
+#: ``map``, bodies with vertices and bones, and sweeps of laser scanners.
+BOXES, KEYPOINTS, POSITIONS, BODIES, SWEEPS = "boxes", "keypoints", "positions", "bodies", "sweeps"
 #: Channels that a renderer needs for them.
 _CHANNELS_OF = {BOXES: REQUIRED_CHANNELS["boxes"], KEYPOINTS: REQUIRED_CHANNELS["joints"]}
 
@@ -51,7 +52,7 @@ class ExportFormat:
         title: One line for people.
         writer: Class of its writer.
         content: What it needs of a frame: channels of all cameras, and of :data:`BOXES`, :data:`KEYPOINTS`,
-            :data:`POSITIONS` and :data:`BODIES`.
+            :data:`POSITIONS`, :data:`BODIES` and :data:`SWEEPS`.
         keypoints: Keypoint set that it always has; empty if there is a choice.
         images: Its files name colour images: the tree of images is written, too.
         needs: Python modules that it needs beyond the dependencies of the package.
@@ -111,6 +112,13 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ),
         ExportFormat(
             "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, _BODIES, images=True
+        ),
+        ExportFormat(
+            "kitti",
+            "sweeps of laser scanners with boxes of people, KITTI",
+            KittiWriter,
+            frozenset({BOXES, BODIES, SWEEPS}),
+            images=True,
         ),
         ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
         ExportFormat(

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from humansim_ros import __version__
-from humansim_ros.export.formats import ExportFormat, needed_channels
+from humansim_ros.errors import ExportError
+from humansim_ros.export.formats import SWEEPS, ExportFormat, needed_channels
 from humansim_ros.export.writer import ExportScene
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Frame, Scene, Simulation
@@ -99,8 +100,11 @@ class SimulatedSource:
         return context.device
 
     def open(self) -> FrameReader:
-        """Load the renderer."""
-        return _SimulatedFrames(self.simulated, needed_channels(self.formats))
+        """Load the renderer. Raises ExportError if a format needs a laser scanner and there is none."""
+        sweeping = [row.name for row in self.formats if SWEEPS in row.content]
+        if sweeping and not self.simulated.scanners:
+            raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
+        return _SimulatedFrames(self.simulated, needed_channels(self.formats), None if sweeping else ())
 
     def provenance(self, frames: range) -> dict[str, Any]:
         """Scene, seeds, versions, and the faults of cameras that have any."""
@@ -130,15 +134,18 @@ def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
 
 
 class _SimulatedFrames:
-    """Frames of a scene; nothing is rendered without channels."""
+    """Frames of a scene; nothing is rendered without channels. ``scanners``: see :meth:`Simulation.frame`."""
 
-    def __init__(self, scene: Scene, channels: Collection[str]) -> None:
+    def __init__(
+        self, scene: Scene, channels: Collection[str], scanners: Collection[str] | None = ()
+    ) -> None:
+        self._scanners = scanners
         self._cameras = None if channels else ()
         self._simulation = Simulation(scene, channels)
 
     def frame(self, index: int) -> Frame:
         """A frame, rendered now."""
-        return self._simulation.frame(index, self._cameras)
+        return self._simulation.frame(index, self._cameras, scanners=self._scanners)
 
     def close(self) -> None:
         """Free the renderer."""

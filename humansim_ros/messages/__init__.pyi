@@ -65,3 +65,11 @@ from humansim_ros.messages.points import XYZRGB_POINT as XYZRGB_POINT
 from humansim_ros.messages.points import image_points_message as image_points_message
 from humansim_ros.messages.points import point_cloud as point_cloud
 from humansim_ros.messages.points import read_points as read_points
+from humansim_ros.messages.scanners import SCANNER_POINTS as SCANNER_POINTS
+from humansim_ros.messages.scanners import SCANNER_TRUTH as SCANNER_TRUTH
+from humansim_ros.messages.scanners import points_message as points_message
+from humansim_ros.messages.scanners import read_scanner_truth as read_scanner_truth
+from humansim_ros.messages.scanners import scan_message as scan_message
+from humansim_ros.messages.scanners import scanner_frame as scanner_frame
+from humansim_ros.messages.scanners import scanner_pose_message as scanner_pose_message
+from humansim_ros.messages.scanners import scanner_truth_message as scanner_truth_message

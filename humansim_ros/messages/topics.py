@@ -30,6 +30,7 @@ from humansim_ros.messages.types import (
     Header,
     Image,
     ImageMarker,
+    LaserScan,
     Marker,
     MarkerArray,
     MultiDOFJointState,
@@ -53,7 +54,9 @@ from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.simulation import Frame
+from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import CameraTruth
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
@@ -103,6 +106,7 @@ class Topic(Generic[Content]):
         explains: Others cannot be understood without it: it is recorded with them.
         faulty: Faults of the camera change its stamp, and when and how often it is sent.
         raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
+        scanner: Name of the laser scanner of whose sweeps it is; empty otherwise.
     """
 
     name: str
@@ -119,6 +123,7 @@ class Topic(Generic[Content]):
     explains: bool = False
     faulty: bool = False
     raw: str = ""
+    scanner: str = ""
 
     @property
     def type_name(self) -> str:
@@ -133,10 +138,13 @@ class Topic(Generic[Content]):
     @property
     def recorded(self) -> bool:
         """Whether it is recorded unless topics are named."""
-        return self.shown or self.explains or (self.latched and not self.optional)
+        return self.shown or self.explains or bool(self.scanner) or (self.latched and not self.optional)
 
     def sent(self, frame: Frame) -> list[tuple[int, Any]]:
-        """Times in nanoseconds at which the message of a frame of a simulation is sent, and the message."""
+        """Messages of a frame of a simulation, each after the time in nanoseconds at which it is sent."""
+        if self.scanner:
+            content: Any = frame.sweeps[self.scanner]
+            return [(frame.stamp, self.build(sweep, sweep.stamp)) for sweep in content]
         sent = self._faults(frame).sent
         message = self.message(frame) if sent else None
         return [(frame.stamp + after, message) for after in sent]
@@ -742,10 +750,86 @@ def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose
     return twist, pose
 
 
+class ScannerTopics:
+    """Topics of one laser scanner, ``<scanner>/…``.
+
+    Args:
+        scene: The scene.
+        scanner: The scanner.
+        frame: Its frame; if None, the frame of its name.
+
+    Attributes:
+        points: Points, or a LaserScan.
+        truth: Ground truth of each point.
+        extrinsics: Pose of its frame in ``map``; for each frame of the scene if it moves.
+        legends: Meaning of the labels of the truth.
+    """
+
+    def __init__(self, scene: Scene, scanner: SceneScanner, frame: str | None = None) -> None:
+        name, layout = scanner.name, scanner.layout
+        frame = messages.scanner_frame(name) if frame is None else frame
+        self.frame = frame
+
+        def last(simulated: Frame) -> Sweep:
+            return simulated.sweeps[name][-1]
+
+        if layout == "scan":
+            self.points: Topic[Sweep] = Topic(
+                f"{name}/scan",
+                LaserScan,
+                lambda sweep, _: messages.scan_message(sweep, scanner, frame),
+                last,
+                scanner=name,
+            )
+        else:
+            self.points = Topic(
+                f"{name}/points",
+                PointCloud2,
+                lambda sweep, _: messages.points_message(sweep, layout, frame),
+                last,
+                scanner=name,
+            )
+        self.truth: Topic[Sweep] = Topic(
+            f"{name}/truth/points",
+            PointCloud2,
+            lambda sweep, _: messages.scanner_truth_message(sweep, layout, frame),
+            last,
+            scanner=name,
+        )
+        self.extrinsics: Topic[float] = Topic(
+            f"{name}/extrinsics",
+            TransformStamped,
+            lambda seconds, stamp: messages.scanner_pose_message(scanner, seconds, stamp, frame),
+            lambda simulated: simulated.scene_time * 1e-9,
+            latched=True,
+            per_frame=scanner.moves,
+        )
+        actors = list(scene.actors.values())
+        legends: dict[str, Callable[[], String]] = {
+            "instance": lambda: messages.instance_legend(scene.labels)
+        }
+        if actors:
+            legends["part"] = lambda: messages.part_legend(actors[0].human.skeleton)
+        self.legends: Sequence[Topic[None]] = [
+            Topic(
+                f"{name}/{kind}/legend",
+                String,
+                lambda *_, build=build: build(),
+                lambda _: None,
+                latched=True,
+                per_frame=False,
+            )
+            for kind, build in legends.items()
+        ]
+
+    def __iter__(self) -> Iterator[Topic[Any]]:
+        return iter((*self.legends, self.extrinsics, self.points, self.truth))
+
+
 def scene_topics(
     scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION, png_labels: bool = False
 ) -> list[Topic[Any]]:
-    """All topics of a scene: the scene time, humans, moving objects, cameras.
+    """All topics of a scene: the scene time, humans, moving objects, cameras, laser scanners.
 
     Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not among them.
 
@@ -764,4 +848,6 @@ def scene_topics(
         topics += own.all(compression)
         if png_labels:
             topics += own.png_labels
+    for scanner in scene.scanners.values():
+        topics += ScannerTopics(scene, scanner)
     return topics

@@ -26,8 +26,8 @@ _PACKAGES = {
         "diagnostic_msgs": "DiagnosticArray DiagnosticStatus KeyValue",
         "geometry_msgs": """Point Pose PoseStamped Quaternion Transform TransformStamped Twist TwistStamped
             Vector3""",
-        "sensor_msgs": """CameraInfo CompressedImage Image MultiDOFJointState PointCloud2 PointField
-            TimeReference""",
+        "sensor_msgs": """CameraInfo CompressedImage Image LaserScan MultiDOFJointState PointCloud2
+            PointField TimeReference""",
         "shape_msgs": "Mesh MeshTriangle",
         "std_msgs": "ColorRGBA Float64MultiArray Header MultiArrayDimension String",
         "visualization_msgs": "ImageMarker Marker MarkerArray",

@@ -338,6 +338,7 @@ class RecordingWorker:
             self._parts.setdefault(topic.camera, []).append((index, topic))
         self._cameras = [name for name in self._parts if name]
         self._rectified = {topic.camera for topic in recording.table if topic.rectified_depth}
+        self._scanners = {topic.scanner for topic in recording.table if topic.scanner}
         channels = frozenset[str]().union(*(topic.channels for topic in recording.table))
         self._simulation = Simulation(recording.scene, sorted(channels), renderer=renderer)
         self._started = False
@@ -356,7 +357,7 @@ class RecordingWorker:
             HumansimError: The frame cannot be rendered.
         """
         start = time.process_time()
-        frame = self._simulation.frame(index, self._cameras, self._rectified)
+        frame = self._simulation.frame(index, self._cameras, self._rectified, self._scanners)
         self.costs.add(RENDERING, start)
         chunks = [self._chunk(frame, topics) for topics in self._parts.values()]
         if not self._started:

@@ -16,6 +16,7 @@ from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.render.lighting import Lighting, RendererName
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
+from humansim_ros.scene.scanner_config import ScannerConfig
 
 if TYPE_CHECKING:
     import yaml
@@ -421,6 +422,7 @@ class SceneConfig(Section):
         "rate": "fps framerate frame_rate hz frequency",
         "humans": "people persons actors human",
         "variety": "random crowd",
+        "scanners": "lidars lidar lasers scanner laser",
         "license": "licence",
     }
 
@@ -434,6 +436,7 @@ class SceneConfig(Section):
     objects: dict[_Name, ObjectConfig] = Field(default_factory=dict)
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
     cameras: dict[_Name, CameraConfig] = Field(default_factory=dict)
+    scanners: dict[_Name, ScannerConfig] = Field(default_factory=dict, description="laser scanners")
     world: WorldConfig = Field(default=WorldConfig.model_construct(), description="mesh files and background")
     light: LightConfig = Field(default=LightConfig.model_construct(), description="light and shadows")
     randomise: RandomiseConfig | None = Field(default=None, description="random looks")

@@ -30,16 +30,17 @@ def skinner_node(human: str) -> str:
 
 @dataclass(frozen=True)
 class SceneNames:
-    """Names of the humans, and of all cameras with the rig; whether the scene plays in lockstep."""
+    """Names of humans, of all cameras with the rig, and of scanners; whether the scene plays in lockstep."""
 
     humans: tuple[str, ...]
     cameras: tuple[str, ...]
     lockstep: bool = False
+    scanners: tuple[str, ...] = ()
 
 
 def read_names(path: str | os.PathLike[str]) -> SceneNames:
     """Read the names of a scene file. Raises SceneError for names that ROS does not accept, and for cameras
-    with the name of another node.
+    and scanners with the name of another node.
     """
     path = Path(path)
     content, _ = read_yaml(path, SceneError, "scene")
@@ -49,25 +50,29 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
     pairs = (name for name in own if _is_stereo(content["cameras"][name]))
     cameras = (*_rig_names(content, path), *own, *map(right_camera, pairs))
     humans = (*_section_names(content, "humans", path), *_variety_names(content, path))
+    scanners = _section_names(content, "scanners", path)
     with located(path=path):
-        check_node_names(humans, cameras)
+        check_node_names(humans, cameras, scanners)
     time = content.get("time")
-    return SceneNames(humans, cameras, isinstance(time, dict) and time.get("mode") == LOCKSTEP)
+    lockstep = isinstance(time, dict) and time.get("mode") == LOCKSTEP
+    return SceneNames(humans, cameras, lockstep, tuple(scanners))
 
 
-def check_node_names(humans: Iterable[str], cameras: Iterable[str]) -> None:
-    """Raise SceneError with the key if a camera has the name of another node of its scene."""
+def check_node_names(humans: Iterable[str], cameras: Iterable[str], scanners: Iterable[str] = ()) -> None:
+    """Raise SceneError with the key if a camera or scanner has the name of another node of its scene."""
     nodes = {
         PLAYER_NODE: "the motion player",
         **{skinner_node(name): f"the skinner of {name}" for name in humans},
     }
-    for name in cameras:
-        if name in nodes:
-            raise SceneError(
-                f"the node of a camera has its name, and {name} is the node of {nodes[name]}: "
-                "give the camera another name",
-                key=f"cameras.{name}",
-            )
+    for kind, names in (("camera", cameras), ("scanner", scanners)):
+        for name in names:
+            if name in nodes:
+                raise SceneError(
+                    f"the node of a {kind} has its name, and {name} is the node of {nodes[name]}: "
+                    f"give the {kind} another name",
+                    key=f"{kind}s.{name}",
+                )
+            nodes[name] = f"the {kind} {name}"
 
 
 def variety_names(prefix: str, count: int) -> list[str]:

@@ -40,6 +40,7 @@ from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_looks, random_numbers
+from humansim_ros.scene.scanner import SceneScanner, build_scanners
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.variety import with_variety
 from humansim_ros.truth import joint_surfaces
@@ -204,6 +205,7 @@ class Scene(Pictured):
         objects: Objects by name.
         environment: Static surroundings.
         random_humans: Names of the humans from ``variety``.
+        scanners: Laser scanners by name.
 
     Example:
         >>> scene = Scene.from_dict(
@@ -226,6 +228,7 @@ class Scene(Pictured):
     objects: dict[str, SceneObject] = field(default_factory=dict)
     environment: Environment = field(default_factory=Environment)
     random_humans: frozenset[str] = frozenset()
+    scanners: dict[str, SceneScanner] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -309,7 +312,8 @@ class Scene(Pictured):
             name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
             for name, camera in build_cameras(config, source).items()
         }
-        check_node_names(actors, cameras)
+        scanners = build_scanners(config, source)
+        check_node_names(actors, cameras, scanners)
         if config.randomise is not None:
             cameras = random_cameras(cameras, config.randomise)
         if config.randomise is not None and config.randomise.clutter:
@@ -326,7 +330,7 @@ class Scene(Pictured):
                 key="renderer",
             )
         random = config.humans.keys() - named
-        return cls(source, config, actors, cameras, objects, environment, frozenset(random))
+        return cls(source, config, actors, cameras, objects, environment, frozenset(random), scanners)
 
     def __repr__(self) -> str:
         parts: dict[str, Iterable[str]] = {

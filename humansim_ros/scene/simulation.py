@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,10 +33,12 @@ from humansim_ros.scene.capture import (
     capture_depth,
     capture_rectified_depth,
 )
+from humansim_ros.scene.config import frame_at
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
+from humansim_ros.scene.sweeps import Scanning, Sweep
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
@@ -73,6 +76,7 @@ class Frame(Pictured):
         models: Humans without pose by name.
         faults: Faults of cameras that have any, by camera. ``views`` show the faults of the image; ``sent``
             says whether and when it is sent.
+        sweeps: Sweeps of laser scanners that end with this frame, or since the frame before, by scanner.
     """
 
     index: int
@@ -93,6 +97,7 @@ class Frame(Pictured):
     published_cameras: Mapping[str, Camera] = field(default_factory=dict)
     encodings: Mapping[str, str] = field(default_factory=dict)
     depth_sensors: Mapping[str, DepthCapture] = field(default_factory=dict)
+    sweeps: Mapping[str, Sequence[Sweep]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -207,7 +212,11 @@ class Simulation:
         self.channels: tuple[str, ...] = (channels,) if isinstance(channels, str) else tuple(channels)
         check_channels(self.channels)
         self.start = start
-        self._recent: deque[tuple[int, tuple[Actor, ...], _Snapshot]] = deque(maxlen=3)
+        self._scanning = {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
+        longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
+        # the adjacent frames, and the frames of a sweep
+        size = 3 + bool(longest) + math.ceil(longest * 1e-9 / scene.period)
+        self._recent: deque[tuple[int, tuple[Actor, ...], _Snapshot]] = deque(maxlen=size)
         self.renderer: Renderer = renderer or scene.make_renderer()
 
     def __repr__(self) -> str:
@@ -227,7 +236,11 @@ class Simulation:
         return (self.frame(index) for index in range(count))
 
     def frame(
-        self, index: int, cameras: Collection[str] | None = None, rectified_depth: Collection[str] = ()
+        self,
+        index: int,
+        cameras: Collection[str] | None = None,
+        rectified_depth: Collection[str] = (),
+        scanners: Collection[str] | None = None,
     ) -> Frame:
         """Frame ``index``; its stamp is ``start + round(index * period)``.
 
@@ -235,9 +248,10 @@ class Simulation:
             index: Number of the frame, from 0.
             cameras: Names of the cameras to render; all if None.
             rectified_depth: Names of the cameras whose depth without lens distortion is rendered, too.
+            scanners: Names of the laser scanners whose sweeps are made; all if None.
 
         Raises:
-            SceneError: There is no camera of a name.
+            SceneError: There is no camera or scanner of a name.
             RenderError: The simulation belongs to another thread, or to the process that this one was forked
                 from, or has been closed; or OpenGL failed.
         """
@@ -254,6 +268,7 @@ class Simulation:
             for name, faulty in faults.items()
             if faulty.picture and "rgb" in self.channels
         }
+        sweeps = {name: self._sweeps(name, index) for name in self._chosen_scanners(scanners)}
         poses, humans, state = self._at(self.scene.frame_time(index))
         captured = {
             name: state.camera_frame(
@@ -296,11 +311,30 @@ class Simulation:
                     if camera.depth_sensor is not None
                 }
             ),
+            sweeps=sweeps,
         )
 
     def _measured(self, camera: SceneCamera, sensor: DepthSensor, state: SceneState) -> DepthCapture:
         self.renderer.check_usable()
         return capture_depth(self.renderer, camera, sensor, state.exposure(camera), state.scene_time)
+
+    def _chosen_scanners(self, names: Collection[str] | None) -> list[str]:
+        if unknown := set(names or ()) - self._scanning.keys():
+            raise SceneError(f"no scanner {min(unknown)!r}; the scanners are {', '.join(self._scanning)}")
+        return [name for name in self._scanning if names is None or name in names]
+
+    def _sweeps(self, scanner: str, index: int) -> list[Sweep]:
+        """Sweeps of a scanner that end after the frame before, and not after frame ``index``."""
+        if index == 0:
+            return []
+        scanning, frame_time = self._scanning[scanner], self.scene.frame_time
+        sweeps = []
+        for number in scanning.due(frame_time(index - 1), frame_time(index)):
+            first = frame_at(scanning.scanner.pattern.start(number), self.scene.config.rate)
+            first -= frame_time(first) > scanning.scanner.pattern.start(number)
+            states = [self._at(frame_time(each))[2] for each in range(first, index + 1)]
+            sweeps.append(scanning.sweep(number, states, self.start))
+        return sweeps
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
         known = self.scene.scene_cameras
@@ -345,7 +379,7 @@ class Simulation:
             objects=poses.objects,
             cameras=poses.cameras,
         )
-        if any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
+        if self._scanning or any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
             self._recent.append((elapsed, actors, (poses, humans, state)))
         return poses, humans, state
 

@@ -79,7 +79,7 @@ class SceneGraph:
         #: Number of frames of the test.
         self._frames = 0
         #: Newest stamp that each camera has finished.
-        self._finished = dict.fromkeys(scene.cameras, -1)
+        self._finished = dict.fromkeys([*scene.cameras, *scene.scanners], -1)
         #: By topic: number of messages before the frame in flight.
         self._before: dict[str, int] = {}
         self._stack = ExitStack()

@@ -145,10 +145,10 @@ def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], des
 class LockstepPlaying(Playing):
     """Sends ``/clock``, then the frame, and waits until all members have finished it.
 
-    Members: the cameras of the scene, the names and topics of ``wait_for``, and everybody who reports on
-    ``frame_done``. A frame is sent at least once; the same stamp is sent again for nodes that have joined.
-    A player that is started again goes on with the frame that was in flight, or, without a file for the
-    summary, with the newest frame that a camera has finished.
+    Members: the cameras and scanners of the scene, the names and topics of ``wait_for``, and everybody who
+    reports on ``frame_done``. A frame is sent at least once; the same stamp is sent again for nodes that
+    have joined. A player that is started again goes on with the frame that was in flight, or, without a file
+    for the summary, with the newest frame that a camera has finished.
 
     Args:
         player: The node.
@@ -160,7 +160,7 @@ class LockstepPlaying(Playing):
         self._settings = settings
         self._last_look = time.monotonic()
         self._now = 0.0
-        cameras = list(player.scene.cameras)
+        cameras = [*player.scene.cameras, *player.scene.scanners]
         names = [*cameras, *(self._name(each) for each in settings.names), *settings.topics]
         starting = [*cameras, settings.recorder] if settings.recorder else cameras
         self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)

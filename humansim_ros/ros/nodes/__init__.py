@@ -1,1 +1,3 @@
-"""The executables of the package: motion_player, skinner, camera, camera_rig, recorder, evaluator."""
+"""The executables of the package: motion_player, skinner, camera, camera_rig, scanner, recorder and
+evaluator.
+"""

@@ -10,19 +10,20 @@ from rclpy.parameter import Parameter
 from humansim_ros.errors import RosError
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.nodes.scanner import ScannerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.scene import Scene
 from humansim_ros.scene.names import skinner_node
 
 
 class InProcessNodes:
-    """Motion player, skinners and cameras of a scene, for the executor of this process.
+    """Motion player, skinners, cameras and scanners of a scene, for the executor of this process.
 
     Args:
         scene: The scene.
         namespace: ROS namespace of the nodes.
         player: Parameters of the motion player, such as the mode.
-        is_simulated: Skinners and cameras take the time from ``/clock``.
+        is_simulated: All but the motion player take the time from ``/clock``.
     """
 
     def __init__(
@@ -36,6 +37,8 @@ class InProcessNodes:
                 self._add(SkinnerNode, skinner_node(name), use_sim_time=is_simulated, human=name)
             if scene.cameras:
                 self._add(CameraRigNode, None, use_sim_time=is_simulated, start_scene=False)
+            for name in scene.scanners:
+                self._add(ScannerNode, name, use_sim_time=is_simulated, scanner=name, start_scene=False)
             # last, so that all others know its topics when it sends the first frame
             self._add(MotionPlayerNode, None, **player)
         except BaseException:

@@ -22,7 +22,7 @@ RIG_NODE = "_camera_rig"
 #: Exit code of a node that has reported wrong input: another start would report it again.
 WRONG_INPUT = 2
 #: Names for several nodes of a scene, or for one without its name.
-_PLAYER, _SKINNERS, _CAMERAS = "player", "skinners", "cameras"
+_PLAYER, _SKINNERS, _CAMERAS, _SCANNERS = "player", "skinners", "cameras", "scanners"
 #: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
 TIMED_OUT = 3
 #: Exit code of a motion player that was asked to quit: all other nodes end with it.
@@ -185,16 +185,16 @@ def scene_processes(
     record: RecordOptions | None = None,
     evaluate: EvaluateOptions | None = None,
 ) -> list[NodeProcess]:
-    """List the processes of a scene: motion player, one skinner per human, camera processes, a recorder, an
-    evaluator.
+    """List the processes of a scene: motion player, one skinner per human, camera processes, one per laser
+    scanner, a recorder, an evaluator.
 
     Args:
         scene_path: Scene file.
         processes: Number of processes that share the cameras; one per core if None.
         namespace: ROS namespace of all nodes.
-        frame_prefix: Text before the optical frames of all cameras.
-        only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras`` and names of nodes;
-            empty: all nodes.
+        frame_prefix: Text before the frames of all cameras and scanners.
+        only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras``, ``scanners`` and
+            names of nodes; empty: all nodes.
         time: How time goes on; as the scene says if None.
         record: What is recorded; nothing if None.
         evaluate: Estimate that is evaluated; none if None.
@@ -221,6 +221,10 @@ def scene_processes(
         NodeProcess("motion_player", PLAYER_NODE, {**scene_file, **time.parameters, **recorder}),
         *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
         *_camera_processes(cameras, cores() if processes is None else processes, of_cameras),
+        *(
+            NodeProcess("scanner", name, {**of_cameras, "scanner": name, "start_scene": False})
+            for name in names.scanners
+        ),
     ]
     here = [process for process in listed if process.node_name in chosen or process.renders]
     if record is not None:
@@ -236,6 +240,7 @@ def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
         _PLAYER: [PLAYER_NODE],
         _SKINNERS: [skinner_node(name) for name in names.humans],
         _CAMERAS: list(names.cameras),
+        _SCANNERS: list(names.scanners),
     }
     nodes = {name: [name] for group in groups.values() for name in group}
     known = {**groups, **nodes}  # a camera may be called cameras: the node of a name has priority

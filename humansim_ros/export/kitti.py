@@ -1,0 +1,135 @@
+"""Sweeps of laser scanners with boxes of people, as the 3D benchmark of KITTI has them [Geiger 2012]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import ExportError
+from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.scene.actor import HumanState
+from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.truth import BodyBox
+from humansim_ros.types import Array
+
+#: Least visible share of people that are fully visible, and partly occluded; the others are largely occluded.
+_VISIBLE, _PARTLY = 0.9, 0.5
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class KittiWriter(FormatWriter):
+    """``<scanner>/velodyne``, and by camera ``image_2``, ``calib`` and ``label_2``.
+
+    A file is of the frame with which a sweep ends, or of the first frame after it. Labels are those of this
+    frame. KITTI's boxes are upright in the frame of the rectified camera. Here it has the centre of the
+    camera, z horizontal and y down, so that boxes are exact for cameras that look down, too: ``R0_rect``
+    turns the camera into it, and ``P2`` turns it back.
+    """
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        """Write the files of the sweeps that end with a frame; return the names of their scanners."""
+        for scanner, sweeps in frame.frame.sweeps.items():
+            if not sweeps:
+                continue
+            sweep, name = sweeps[-1], frame.name
+            cloud = np.column_stack([sweep.points, np.minimum(sweep.returns.intensities, 1.0)])
+            folder.write(f"{scanner}/velodyne/{name}.bin", cloud.astype("<f4").tobytes())
+            for camera, posed in frame.frame.cameras.items():
+                root = f"{scanner}/{camera}"
+                folder.write(f"{root}/calib/{name}.txt", calibration_text(posed, sweep))
+                folder.write(f"{root}/label_2/{name}.txt", self._labels(frame, camera, posed))
+        return [scanner for scanner, sweeps in frame.frame.sweeps.items() if sweeps]
+
+    def _labels(self, frame: ExportFrame, camera: str, posed: Camera) -> str:
+        boxes = frame.frame.truth[camera].boxes
+        return "".join(
+            label_line(person_box(state), boxes[name], posed)
+            for name, state in frame.frame.humans.items()
+            if boxes[name].truncation < 1 and boxes[name].pixels
+        )
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Link the images, and list the frames. Raises ExportError if no sweep has ended."""
+        frames: dict[str, list[int]] = {}
+        for index, scanners in records:
+            for scanner in scanners:
+                frames.setdefault(scanner, []).append(index)
+        if not frames:
+            raise ExportError("no sweep of a scanner ends within these frames", key="--frames")
+        for scanner, indices in frames.items():
+            lines = "".join(f"{index:06d}\n" for index in indices)
+            folder.write(f"{scanner}/ImageSets/trainval.txt", lines)
+            for camera in self.settings.cameras:
+                for index in indices:
+                    link = f"{scanner}/{camera}/image_2/{index:06d}{self.settings.image_suffix}"
+                    folder.link(link, self.settings.image(camera, index))
+
+
+def levelled(camera: Camera) -> Array:
+    """Rotation (3, 3) from ``map`` to the frame with z in the horizontal direction of view, and y down."""
+    forward = camera.R[2] * (1, 1, 0)
+    if np.linalg.norm(forward) < 1e-6:  # it looks straight down or up
+        forward = camera.R[1] * (-1, -1, 0) * np.sign(-camera.R[2, 2])
+    forward = forward / np.linalg.norm(forward)
+    return np.stack([np.cross(forward, _UP), -_UP, forward])
+
+
+def calibration_text(camera: Camera, sweep: Sweep) -> str:
+    """Text of ``calib``: from a point x of the scanner, P2 R0_rect Tr_velo_to_cam x is its pixel."""
+    level = levelled(camera)
+    rectify = level @ camera.R.T
+    projection = np.column_stack([camera.K @ rectify.T, np.zeros(3)])
+    turn = quaternion_to_matrix(sweep.rotation)
+    to_camera = np.column_stack([camera.R @ turn, camera.R @ sweep.position + camera.t])
+    rows = {
+        **{f"P{number}": projection for number in range(4)},
+        "R0_rect": rectify,
+        "Tr_velo_to_cam": to_camera,
+        "Tr_imu_to_velo": np.eye(4)[:3],
+    }
+    return "".join(
+        f"{name}: {' '.join(f'{value:.12e}' for value in matrix.ravel())}\n" for name, matrix in rows.items()
+    )
+
+
+def person_box(state: HumanState) -> tuple[Array, Array, float]:
+    """Upright box of a body.
+
+    Returns:
+        Middle of its bottom (3,) in ``map``; length, width and height (3,), metres; and yaw of the direction
+        that the hips face, radians from x to y.
+    """
+    names = {name: state.positions[number] for number, name in enumerate(state.joint_names)}
+    left = names["l_hip"] - names["r_hip"]
+    yaw = float(np.arctan2(-left[0], left[1]))
+    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    vertices = state.vertices @ turn.T
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle = np.array([*(low[:2] + high[:2]) / 2, low[2]])
+    return turn.T @ middle, high - low, yaw
+
+
+def label_line(box: tuple[Array, Array, float], seen: BodyBox, camera: Camera) -> str:
+    """Line of ``label_2`` for a person.
+
+    Args:
+        box: See :func:`person_box`.
+        seen: Box in the image.
+        camera: The camera at its pose.
+    """
+    middle, (length, width, height), yaw = box
+    level = levelled(camera)
+    x, y, z = level @ (middle - camera.center)
+    ahead = level @ (np.cos(yaw), np.sin(yaw), 0.0)
+    # about y, which points down, from x towards -z
+    rotation = float(np.arctan2(-ahead[2], ahead[0]))
+    alpha = float(np.mod(rotation - np.arctan2(x, z) + np.pi, 2 * np.pi) - np.pi)
+    columns, rows = camera.size
+    left, top, right, bottom = np.clip(seen.whole, 0, [columns - 1, rows - 1] * 2)
+    occluded = 0 if seen.visible_fraction >= _VISIBLE else 1 if seen.visible_fraction >= _PARTLY else 2
+    numbers = (alpha, left, top, right, bottom, height, width, length, x, y, z, rotation)
+    words = [f"{seen.truncation:.2f}", str(occluded), *(f"{number:.4f}" for number in numbers)]
+    return f"Pedestrian {' '.join(words)}\n"

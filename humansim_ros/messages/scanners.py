@@ -1,0 +1,204 @@
+"""Messages of laser scanners: points in the layouts of drivers, LaserScan, and their ground truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.messages.points import point_cloud, read_points
+from humansim_ros.messages.types import LaserScan, PointCloud2, Quaternion, TransformStamped, Vector3
+from humansim_ros.scanner.models import Layout
+from humansim_ros.scene.scanner import SceneScanner
+from humansim_ros.scene.sweeps import Sweep
+
+#: Intensity of a white surface at a right angle, in the layouts of drivers.
+WHITE = 255.0
+
+
+def _packed(*fields: tuple[str, str]) -> np.dtype[Any]:
+    return np.dtype([(name, f"<{kind}") for name, kind in fields])
+
+
+_XYZ = (("x", "f4"), ("y", "f4"), ("z", "f4"))
+#: One point of ``<scanner>/points`` by layout, as the ROS 2 driver of the maker has it: velodyne_pointcloud
+#: (PointXYZIRT), ouster_ros (Point), livox_ros_driver2 (PointXYZRTLT), nebula and Autoware (PointXYZIRCAEDT).
+SCANNER_POINTS: dict[Layout, np.dtype[Any]] = {
+    "velodyne": _packed(*_XYZ, ("intensity", "f4"), ("ring", "u2"), ("time", "f4")),
+    "ouster": np.dtype(
+        {
+            "names": ["x", "y", "z", "intensity", "t", "reflectivity", "ring", "ambient", "range"],
+            "formats": ["<f4", "<f4", "<f4", "<f4", "<u4", "<u2", "<u2", "<u2", "<u4"],
+            "offsets": [0, 4, 8, 16, 20, 24, 26, 28, 32],
+            "itemsize": 48,
+        }
+    ),
+    "livox": _packed(*_XYZ, ("intensity", "f4"), ("tag", "u1"), ("line", "u1"), ("timestamp", "f8")),
+    "autoware": _packed(
+        *_XYZ,
+        ("intensity", "u1"),
+        ("return_type", "u1"),
+        ("channel", "u2"),
+        ("azimuth", "f4"),
+        ("elevation", "f4"),
+        ("distance", "f4"),
+        ("time_stamp", "u4"),
+    ),
+    "xyzi": _packed(*_XYZ, ("intensity", "f4")),
+}
+#: One point of ``<scanner>/truth/points``: the true point and distance, and the labels of what is there.
+SCANNER_TRUTH = _packed(
+    *_XYZ, ("range", "f4"), ("time", "f4"), ("instance", "u2"), ("part", "u1"), ("ring", "u1")
+)
+
+
+def scanner_frame(scanner: str) -> str:
+    """Frame of a scanner: x forward, y left, z up (REP-103)."""
+    return f"{scanner}_frame"
+
+
+def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
+    """Build ``<scanner>/points``. ``ouster`` has a table of rings and columns, NaN where nothing is measured.
+
+    Args:
+        sweep: The sweep.
+        layout: Name of the layout.
+        frame: Frame of the scanner.
+    """
+    returns, rays = sweep.returns, sweep.rays
+    points = np.zeros(len(returns.rays), SCANNER_POINTS[layout])
+    _put(points, "xyz", sweep.points)
+    names, time = points.dtype.names or (), sweep.times + (sweep.start - sweep.stamp)
+    rings, white = rays.rings[returns.rays], WHITE * returns.intensities
+    values: dict[str, Any] = {
+        "ring": lambda: rings,
+        "channel": lambda: rings,
+        "line": lambda: rings,
+        "time": lambda: time * 1e-9,
+        "t": lambda: np.maximum(time, 0),
+        "time_stamp": lambda: np.maximum(time, 0),
+        "timestamp": lambda: (sweep.start + sweep.times).astype(float),
+        "range": lambda: np.rint(returns.measured * 1e3),
+        "reflectivity": lambda: np.minimum(white, 65535),
+        "return_type": lambda: returns.kinds,
+        "distance": lambda: returns.measured,
+        "azimuth": lambda: np.arctan2(points["y"], points["x"]),
+        "elevation": lambda: np.arctan2(points["z"], np.hypot(points["x"], points["y"])),
+    }
+    for name in names:
+        if name in values:
+            points[name] = values[name]()
+    points["intensity"] = white if points["intensity"].dtype.kind == "f" else np.minimum(np.rint(white), 255)
+    head = header(sweep.stamp, frame)
+    if layout != "ouster" or rays.grid is None or not _one_each(returns.rays):
+        return point_cloud(points, head)
+    return _table(sweep, points, head)
+
+
+def _one_each(rays: NDArray[np.intp]) -> bool:
+    return bool((np.diff(rays) > 0).all())
+
+
+def _table(sweep: Sweep, points: NDArray[Any], head: Any) -> PointCloud2:
+    """Cloud of rings, the highest first, and columns, with a point for each ray."""
+    assert sweep.rays.grid is not None
+    rings, columns = sweep.rays.grid
+    table = np.zeros((rings, columns), points.dtype)
+    for axis in "xyz":
+        table[axis] = np.nan
+    place = rings - 1 - sweep.rays.rings.astype(int), np.arange(len(sweep.rays)) // rings
+    table["ring"][place] = place[0]
+    table["t"][place] = np.maximum(sweep.rays.times + (sweep.start - sweep.stamp), 0)
+    chosen = sweep.returns.rays
+    points["ring"] = place[0][chosen]
+    table[place[0][chosen], place[1][chosen]] = points
+    message = point_cloud(table.ravel(), head)
+    message.height, message.width = rings, columns
+    message.row_step = message.point_step * columns
+    message.is_dense = False
+    return message
+
+
+def _put(points: NDArray[Any], names: str, values: NDArray[Any]) -> None:
+    for number, name in enumerate(names):
+        points[name] = values[:, number]
+
+
+def scan_message(sweep: Sweep, scanner: SceneScanner, frame: str) -> LaserScan:
+    """Build ``<scanner>/scan``: infinite where nothing is within range (REP-117)."""
+    rays, returns = sweep.rays, sweep.returns
+    assert rays.azimuths is not None
+    first, step = rays.azimuths
+    low, high = scanner.measuring.range
+    ranges, intensities = np.full(len(rays), np.inf, np.float32), np.zeros(len(rays), np.float32)
+    ranges[returns.rays], intensities[returns.rays] = returns.measured, WHITE * returns.intensities
+    message = LaserScan(header=header(sweep.stamp, frame))
+    message.angle_min, message.angle_increment = first, step
+    message.angle_max = first + step * (len(rays) - 1)
+    message.time_increment = float(rays.times[1] * 1e-9) if len(rays) > 1 else 0.0
+    message.scan_time = (sweep.end - sweep.start) * 1e-9
+    message.range_min, message.range_max = float(low), float(high)
+    message.ranges, message.intensities = ranges.tolist(), intensities.tolist()
+    return message
+
+
+def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
+    """Build ``<scanner>/truth/points``: as many points as the message of the layout has, in the same order.
+
+    A ray of a LaserScan, or of a table of Ouster, that has no return has a point of NaN.
+    """
+    returns, rays = sweep.returns, sweep.rays
+    points = np.zeros(len(returns.rays), SCANNER_TRUTH)
+    _put(points, "xyz", sweep.true_points)
+    points["range"], points["time"] = returns.ranges, (sweep.times + (sweep.start - sweep.stamp)) * 1e-9
+    points["instance"], points["part"] = sweep.instances, sweep.parts
+    points["ring"] = np.minimum(rays.rings[returns.rays], 255)
+    head = header(sweep.stamp, frame)
+    table = layout == "ouster" and rays.grid is not None and _one_each(returns.rays)
+    if layout != "scan" and not table:
+        return point_cloud(points, head)
+    every = np.zeros(len(rays), SCANNER_TRUTH)
+    for name in ("x", "y", "z", "range"):
+        every[name] = np.nan
+    every["time"] = (rays.times + (sweep.start - sweep.stamp)) * 1e-9
+    every["ring"] = np.minimum(rays.rings, 255)
+    every[returns.rays] = points
+    if table:
+        assert rays.grid is not None
+        rings, columns = rays.grid
+        ordered = np.zeros((rings, columns), SCANNER_TRUTH)
+        ordered[rings - 1 - rays.rings.astype(int), np.arange(len(rays)) // rings] = every
+        every = ordered.ravel()
+    message = point_cloud(every, head)
+    message.is_dense = False
+    if table and rays.grid is not None:
+        message.height, message.width = rays.grid
+        message.row_step = message.point_step * message.width
+    return message
+
+
+def read_scanner_truth(message: PointCloud2) -> NDArray[Any]:
+    """Read ``<scanner>/truth/points`` as a structured array (P,) of :data:`SCANNER_TRUTH`. Raises RosError
+    for another layout.
+    """
+    return read_points(message, SCANNER_TRUTH.names or ())
+
+
+def scanner_pose_message(scanner: SceneScanner, seconds: float, stamp: int, frame: str) -> TransformStamped:
+    """Build ``<scanner>/extrinsics``: pose of the frame of the scanner in ``map``, as tf has it.
+
+    Args:
+        scanner: The scanner.
+        seconds: Scene time.
+        stamp: Stamp of the scene time, nanoseconds.
+        frame: Frame of the scanner.
+    """
+    poses = scanner.poses(np.array([seconds]))
+    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=frame)
+    x, y, z = poses.positions[0].tolist()
+    message.transform.translation = Vector3(x=x, y=y, z=z)
+    x, y, z, w = poses.rotations[0].tolist()
+    message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
+    return message

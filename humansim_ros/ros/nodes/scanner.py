@@ -1,0 +1,87 @@
+"""Node ``scanner``: one laser scanner of a scene.
+
+In a running scene the node has the name of its scanner.
+
+Subscribes to ``humans/<id>/vertices`` and ``joints`` of every human and to ``objects/<name>/marker`` and
+``twist`` of every moving object, synchronized by exact stamp. When a sweep has ended, it publishes
+``<scanner>/points`` or ``scan``, and ``<scanner>/truth/points``. Nothing is computed for topics without
+subscribers.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from humansim_ros.errors import SceneError
+from humansim_ros.messages.topics import ScannerTopics
+from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.ros.runtime import run_node
+from humansim_ros.scene import Scene
+from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.sweeps import LiveScanning
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not on PyPI
+    TFMessage = None
+
+
+class ScannerNode(SceneNode):
+    """One laser scanner with its ground truth."""
+
+    def __init__(self, name: str = "", scene: Scene | None = None, **options: Any) -> None:
+        super().__init__(name or "scanner", scene, **options)
+        chosen = name or self.text_parameter("scanner", "", "Scanner of the scene; empty: the first")
+        scanners = self.scene.scanners
+        if not scanners or (chosen and chosen not in scanners):
+            listed = f"the scene has {', '.join(scanners)}" if scanners else "the scene has none"
+            text = f"no scanner {chosen!r}; {listed}" if chosen else "the scene has no scanner"
+            raise SceneError(text, path=self.scene.path, key="scanners")
+        self._scanner = scanners[chosen or next(iter(scanners))]
+        prefix = self.text_parameter("frame_prefix", "", "Text before the frame of the scanner, such as lab/")
+        frame = f"{prefix}{self._scanner.name}_frame"
+        self._topics = ScannerTopics(self.scene, self._scanner, frame)
+        self._scanning = LiveScanning(self.scene, self._scanner)
+        self._publishers = {
+            topic: self.topic_publisher(topic) for topic in (self._topics.points, self._topics.truth)
+        }
+        self._extrinsics = self.topic_publisher(self._topics.extrinsics)
+        self._tf = None
+        if TFMessage is not None:
+            topic, qos = ("/tf", DATA) if self._scanner.moves else ("/tf_static", LATCHED)
+            self._tf = self.create_publisher(TFMessage, topic, qos)
+        self._publish_pose(0.0, self.now())
+        for legend in self._topics.legends:
+            self.publish_latched(legend.build(None, 0), legend.name)
+        self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self])
+        pattern = self._scanner.pattern
+        self.get_logger().info(
+            f"{self._scanner.name}: {pattern.count} rays, {1e9 / pattern.period:g} sweeps/s"
+        )
+
+    def publish_frame(self, state: SceneState) -> None:
+        """Publish the sweeps that have ended with a frame."""
+        start = time.monotonic()
+        if self._scanner.moves:
+            self._publish_pose(state.scene_time * 1e-9, state.stamp)
+        wanted = [topic for topic, sender in self._publishers.items() if sender.get_subscription_count()]
+        for sweep in self._scanning.sweeps(state, bool(wanted)):
+            for topic in wanted:
+                self._publishers[topic].publish(topic.build(sweep, sweep.stamp))
+        self.count("frames")
+        self.report_lateness(state.stamp)
+        self.report_time(1e3 * (time.monotonic() - start), "scan")
+
+    def _publish_pose(self, seconds: float, stamp: int) -> None:
+        transform = self._topics.extrinsics.build(seconds, stamp)
+        self._extrinsics.publish(transform)
+        if self._tf is not None:
+            self._tf.publish(TFMessage(transforms=[transform]))
+
+
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: ScannerNode(scene=scene))

@@ -1,0 +1,177 @@
+"""Rays by direction, and the rays that may meet each triangle.
+
+Rays are in rows of like elevation, and by azimuth in each row. A triangle, or the space that it passes while
+it moves, has bounds in both angles; the rays within are a few runs of this order. No tree is built.
+
+Along an arc between two directions the tangent of the elevation is A cos(azimuth - a), so that it exceeds its
+larger end by at most the factor 1 / cos(half of the azimuths between them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.types import Array, FloatArray, Indices
+
+#: Rows of rays, unless there are so many elevations; and columns of a turn.
+_ROWS, _MOST_ROWS, _COLUMNS = 128, 256, 2048
+#: Radians by which bounds are enlarged for rounding of single floats.
+_MARGIN = 1e-5
+#: Azimuths between the corners of a triangle from which all azimuths are tried.
+_WIDE = 2.4
+#: Pairs of ray and triangle that are tested at once.
+_BATCH = 1 << 17
+_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Angles:
+    """Azimuth in radians, and tangent of the elevation, of points (V,) seen from the origin of a scanner.
+
+    A point on the axis of the scanner has no azimuth: its tangent is infinite.
+    """
+
+    azimuth: FloatArray
+    tangent: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray) -> Angles:
+        """Angles of points (V, 3) in the scanner's frame."""
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        flat = np.sqrt(x * x + y * y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return cls(np.arctan2(y, x), z / flat)
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds of triangles (T,): first azimuth and azimuths from there, lowest and highest bounded tangent."""
+
+    azimuth: FloatArray
+    width: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, corners: NDArray[np.integer], moments: tuple[Angles, ...], margin: float = 0.0) -> Bounds:
+        """Bounds of all that lies between some points at several moments.
+
+        Args:
+            corners: (T, K) indices of the points of each triangle or other convex body.
+            moments: The points at the moments between which they move in straight lines.
+            margin: Radians by which directions may deviate from that.
+        """
+        first = moments[0].azimuth[corners[:, 0]]
+        low = high = None
+        left, right = np.zeros_like(first), np.zeros_like(first)
+        for angles in moments:
+            for corner in corners.T:
+                tangent = angles.tangent[corner]
+                low = tangent if low is None else np.minimum(low, tangent)
+                high = tangent if high is None else np.maximum(high, tangent)
+                offset = angles.azimuth[corner] - first
+                offset -= np.float32(_TURN) * np.rint(offset * np.float32(1 / _TURN))
+                np.minimum(left, offset, out=left)
+                np.maximum(right, offset, out=right)
+        assert low is not None and high is not None
+        width = right - left
+        bulge = 1 / np.cos(np.minimum(width, _WIDE) / 2)
+        with np.errstate(invalid="ignore", over="ignore"):
+            steep = np.maximum(np.abs(low), np.abs(high))
+            tolerance = (_MARGIN + margin) * (1 + steep * steep)
+            low = np.where(low < 0, low * bulge, low) - tolerance
+            high = np.where(high > 0, high * bulge, high) + tolerance
+            sideways = (_MARGIN + margin) * np.sqrt(1 + steep * steep)
+        # around the axis, or at the origin: any ray may meet it
+        wide = ~(width + 2 * sideways < _WIDE)
+        return cls(
+            np.where(wide, -np.pi, first + left - sideways),
+            np.where(wide, _TURN, width + 2 * sideways),
+            np.where(wide, -1.0, _bounded(low)),
+            np.where(wide, 1.0, _bounded(high)),
+        )
+
+
+def _bounded(tangent: FloatArray) -> FloatArray:
+    """Tangents of elevations as numbers from -1 to 1, in the same order."""
+    return tangent / (1 + np.abs(tangent))
+
+
+class RayIndex:
+    """Rays by direction.
+
+    Args:
+        directions: (N, 3) in the scanner's frame.
+        numbers: (N,) numbers of the rays; 0 to N - 1 if None.
+    """
+
+    def __init__(self, directions: Array, numbers: Indices | None = None) -> None:
+        angles = Angles.of(directions)
+        steep = np.isinf(angles.tangent)
+        height = np.where(steep, np.sign(directions[:, 2]), _bounded(np.where(steep, 0.0, angles.tangent)))
+        row = _rows(height)
+        count = int(row.max()) + 1 if len(row) else 0
+        column = np.minimum(
+            (np.mod(angles.azimuth, _TURN) * (_COLUMNS / _TURN)).astype(np.int64), _COLUMNS - 1
+        )
+        # two turns, so that a range of azimuths is always one run
+        cell = np.concatenate([row, row]) * (2 * _COLUMNS) + np.concatenate([column, column + _COLUMNS])
+        order = np.argsort(cell, kind="stable")
+        chosen = np.arange(len(directions)) if numbers is None else numbers
+        self._rays: Indices = np.concatenate([chosen, chosen])[order].astype(np.intp)
+        counts = np.bincount(cell, minlength=count * 2 * _COLUMNS)
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        self._low, self._high = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(self._low, row, height)
+        np.maximum.at(self._high, row, height)
+
+    def pairs(self, bounds: Bounds) -> Iterator[tuple[Indices, Indices]]:
+        """Batches of numbers of rays, and of the triangles that they may meet."""
+        triangle, start, count = self._runs(bounds)
+        ends = np.cumsum(count)
+        begin = 0
+        while begin < len(count):
+            before = ends[begin - 1] if begin else 0
+            end = max(begin + 1, int(np.searchsorted(ends, before + _BATCH, side="right")))
+            counts, total = count[begin:end], int(ends[end - 1] - before)
+            run = np.repeat(np.arange(begin, end), counts)
+            place = start[run] + np.arange(total) - (ends[run] - count[run] - before)
+            yield self._rays[place], triangle[run]
+            begin = end
+
+    def meets(self, bounds: Bounds) -> bool:
+        """Whether any ray is within any of the bounds."""
+        return len(self._runs(bounds)[0]) > 0
+
+    def _runs(self, bounds: Bounds) -> tuple[Indices, Indices, Indices]:
+        """Triangle, start and number of the rays of each run of rays within the bounds."""
+        first = np.searchsorted(self._high, bounds.low, side="left")
+        rows = np.searchsorted(self._low, bounds.high, side="right") - first
+        triangle = np.flatnonzero(rows > 0)
+        rows = rows[triangle]
+        scale = _COLUMNS / _TURN
+        azimuth, width = bounds.azimuth[triangle], bounds.width[triangle]
+        left = np.floor(azimuth * scale).astype(np.int64)
+        right = np.minimum(np.floor((azimuth + width) * scale).astype(np.int64), left + _COLUMNS - 1)
+        right -= left
+        left = np.mod(left, _COLUMNS)
+        run = np.repeat(np.arange(len(triangle)), rows)
+        row = first[triangle][run] + np.arange(len(run)) - np.repeat(np.cumsum(rows) - rows, rows)
+        cell = row * (2 * _COLUMNS) + left[run]
+        start = self._starts[cell]
+        count = self._starts[cell + right[run] + 1] - start
+        some = count > 0
+        return triangle[run[some]], start[some], count[some]
+
+
+def _rows(height: Array) -> Indices:
+    """Row (N,) of each ray: one for each elevation, or for a range of them if there are many."""
+    _, row = np.unique(np.rint(height * 1e7).astype(np.int64), return_inverse=True)
+    if row.size and row.max() >= _MOST_ROWS:
+        low, high = height.min(), height.max()
+        _, row = np.unique(((height - low) / (high - low) * (_ROWS - 1e-6)).astype(int), return_inverse=True)
+    return np.asarray(row.ravel(), dtype=np.intp)

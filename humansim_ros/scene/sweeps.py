@@ -1,0 +1,270 @@
+"""Sweeps of laser scanners: what a scanner measures of the states of a scene (docs/scanners.md)."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.scanner.casting import Hits, Poses, Shot, Surface
+from humansim_ros.scanner.pattern import Rays
+from humansim_ros.scanner.reflectivity import reflectivity
+from humansim_ros.scanner.returns import SINGLE_STRONGEST, Returns, measure
+from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.scanner import SceneScanner
+from humansim_ros.scene.scene import Scene
+from humansim_ros.sensor.sensor import generator
+from humansim_ros.types import Array, FloatArray, Indices
+
+#: Poses of a scanner at times (N,) in nanoseconds from the start of a sweep.
+_PosesAt: TypeAlias = Callable[[NDArray[np.int64]], Poses]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What a scanner measures in one sweep. Its P points are in the order in which they are fired.
+
+    Each point is in the frame of the scanner at its own firing, as drivers publish it.
+
+    Attributes:
+        number: Number of the sweep, from 0.
+        start: Stamp of its start, nanoseconds.
+        end: Stamp of its end, at which the next one starts.
+        stamp: Stamp of its message: one of the two.
+        rays: All its rays.
+        returns: Returns of rays that measure something.
+        instances: (P,) uint16 instance labels; 0 for surfaces without.
+        parts: (P,) uint8 part labels; 0 without a part.
+        position: (3,) of the scanner in ``map`` at ``stamp``, metres.
+        rotation: (4,) quaternion xyzw.
+    """
+
+    number: int
+    start: int
+    end: int
+    stamp: int
+    rays: Rays
+    returns: Returns
+    instances: NDArray[np.uint16]
+    parts: NDArray[np.uint8]
+    position: Array
+    rotation: Array
+
+    @property
+    def points(self) -> Array:
+        """(P, 3) measured points, metres."""
+        return np.asarray(self.rays.directions[self.returns.rays] * self.returns.measured[:, None])
+
+    @property
+    def true_points(self) -> Array:
+        """(P, 3) points of the surfaces, without noise."""
+        return np.asarray(self.rays.directions[self.returns.rays] * self.returns.ranges[:, None])
+
+    @property
+    def times(self) -> NDArray[np.int64]:
+        """(P,) nanoseconds from the start of the sweep to the firing of each point."""
+        return self.rays.times[self.returns.rays]
+
+
+class Scanning:
+    """Makes the sweeps of one scanner from the states of a scene.
+
+    Between the frames of the scene, vertices of humans and objects move in straight lines, and the scanner
+    follows its trajectory. What stands still is met once, and cached, if the scanner stands still, too.
+
+    Args:
+        scene: The scene.
+        scanner: One of its scanners.
+    """
+
+    def __init__(self, scene: Scene, scanner: SceneScanner) -> None:
+        self.scene, self.scanner = scene, scanner
+        #: Rays of the last sweep and of its beams; what these meet that stands still, and the light of it.
+        self._beams: tuple[Rays, Rays] | None = None
+        self._static: tuple[Rays, Hits, Array] | None = None
+
+    def due(self, after: int, until: int) -> range:
+        """Numbers of the sweeps that end after one scene time, and not after another, nanoseconds."""
+        pattern = self.scanner.pattern
+        first = max(0, int(after / pattern.period) - 1)
+        while pattern.start(first + 1) <= after:
+            first += 1
+        last = first
+        while pattern.start(last + 1) <= until:
+            last += 1
+        return range(first, last)
+
+    def sweep(self, number: int, states: Sequence[SceneState], origin: int) -> Sweep:
+        """Make a sweep.
+
+        Args:
+            number: Number of the sweep.
+            states: States of the scene in order, the first one at or before its start, the last at or after
+                its end.
+            origin: Stamp of the start of sweep 0, nanoseconds.
+        """
+        scanner, pattern = self.scanner, self.scanner.pattern
+        start, end = origin + pattern.start(number), origin + pattern.start(number + 1)
+        rays = pattern.rays(number)
+        beams = self._spread(rays)
+        stamps = np.array([state.stamp - start for state in states], dtype=float)
+        seconds = np.array([state.scene_time for state in states]) * 1e-9
+
+        def poses(times: NDArray[np.int64]) -> Poses:
+            return scanner.poses(np.interp(times, stamps, seconds))
+
+        hits = self._meet(beams, poses, states, start)
+        light = self._light(beams, hits, states[0])
+        random = generator(scanner.seed, scanner.name, pattern.start(number))
+        returns = measure(_echoes(hits, light), len(beams) // len(rays), scanner.measuring, random)
+        instances, parts = _labels(returns, states[0])
+        stamp = end if scanner.stamp == "end" else start
+        here = poses(np.array([stamp - start]))
+        return Sweep(
+            *(number, start, end, stamp, rays, returns, instances, parts),
+            here.positions[0],
+            here.rotations[0],
+        )
+
+    def _spread(self, rays: Rays) -> Rays:
+        """Rays of the beams of a sweep."""
+        if not self.scanner.measuring.beams:
+            return rays
+        if self._beams is None or self._beams[0] is not rays:
+            self._beams = rays, rays.spread(self.scanner.measuring.divergence)
+        return self._beams[1]
+
+    def _meet(self, rays: Rays, poses: _PosesAt, states: Sequence[SceneState], start: int) -> Hits:
+        """Nearest surfaces of all rays."""
+        moves = self.scanner.moves
+        bodies = states[0].bodies
+        first_static = len(bodies) - len(self.scene.static_bodies)
+        still: list[tuple[Mesh, FloatArray]] = [
+            (body.mesh, body.vertices) for body in self.scene.static_bodies
+        ]
+        still += [(mesh, mesh.vertices) for mesh in self.scene.static_meshes]
+        static = [
+            Surface(number, mesh.triangles, vertices, vertices)
+            for number, (mesh, vertices) in enumerate(still, first_static)
+        ]
+        meshes = [*(body.mesh for body in bodies), *self.scene.static_meshes]
+        hits = Hits.none(len(rays)) if moves else self._static_hits(rays, poses, static, meshes)
+        for before, after in pairwise(states):
+            ends = np.array([before.stamp - start, after.stamp - start])
+            first, last = np.searchsorted(rays.times, ends).tolist()
+            if first == last:
+                continue
+            chosen = slice(first, last)
+            times = rays.times[chosen]
+            shares = (times - ends[0]) / (ends[1] - ends[0])
+            shot = Shot(rays.directions[chosen], shares, poses(times), poses(ends), rays.index(chosen))
+            moving = [
+                Surface(number, body.mesh.triangles, body.vertices, after.bodies[number].vertices)
+                for number, body in enumerate(before.bodies[:first_static])
+            ]
+            shot.cast([*moving, *static] if moves else moving, hits.take(chosen))
+        return hits
+
+    def _static_hits(
+        self, rays: Rays, poses: _PosesAt, static: Sequence[Surface], meshes: Sequence[Mesh]
+    ) -> Hits:
+        """Surfaces that stand still, as a scanner that stands still meets them."""
+        if self._static is None or self._static[0] is not rays:
+            hits, here = Hits.none(len(rays)), poses(rays.times[:1])
+            whole = slice(0, len(rays))
+            shot = Shot(rays.directions, np.zeros(len(rays)), here, here, rays.index(whole))
+            shot.cast(static, hits)
+            self._static = rays, hits, _reflected(meshes, hits, np.arange(len(rays)))
+        return self._static[1].copy()
+
+    def _light(self, rays: Rays, hits: Hits, state: SceneState) -> Array:
+        """Share of the light (N,) that the surfaces reflect back along the rays."""
+        meshes = [*(body.mesh for body in state.bodies), *self.scene.static_meshes]
+        if self._static is None or self._static[0] is not rays:
+            return _reflected(meshes, hits, np.arange(len(rays)))
+        _, static, light = self._static
+        light = light.copy()
+        changed = np.flatnonzero(hits.ranges != static.ranges)
+        light[changed] = _reflected(meshes, hits, changed)
+        return light
+
+
+def _reflected(meshes: Sequence[Mesh], hits: Hits, rays: Indices) -> Array:
+    """Share of the light that comes back along some rays; 0 for rays that meet nothing."""
+    light = np.zeros(len(rays))
+    order = np.argsort(hits.surfaces[rays], kind="stable")
+    numbers, starts = np.unique(hits.surfaces[rays][order], return_index=True)
+    for number, group in zip(numbers.tolist(), np.split(order, starts[1:]), strict=False):
+        if number >= 0:
+            found = hits.take(rays[group])
+            light[group] = reflectivity(meshes[number], found.triangles, found.weights)
+            light[group] *= found.cosines
+    return light
+
+
+def _echoes(hits: Hits, light: Array) -> Returns:
+    """A return for each ray that meets a surface."""
+    rays = np.flatnonzero(hits.surfaces >= 0)
+    kinds = np.full(len(rays), SINGLE_STRONGEST, np.uint8)
+    ranges = hits.ranges[rays]
+    return Returns(rays, kinds, ranges, ranges, light[rays], hits.surfaces[rays], hits.triangles[rays])
+
+
+class LiveScanning:
+    """Makes the sweeps of a scanner while the states of a scene arrive.
+
+    Sweeps are counted in stamps: sweep 0 starts with the scene. After a jump of the stamps it starts anew.
+
+    Args:
+        scene: The scene.
+        scanner: One of its scanners.
+    """
+
+    def __init__(self, scene: Scene, scanner: SceneScanner) -> None:
+        self._scanning = Scanning(scene, scanner)
+        self._longest_gap = round(1e9 * max(1.0, 3 * scene.period))
+        self._states: deque[SceneState] = deque()
+        self._origin = 0
+
+    def sweeps(self, state: SceneState, wanted: bool = True) -> Iterator[Sweep]:
+        """Sweeps that have ended with a state, the newest one of the scene.
+
+        ``wanted``: whether anybody needs them; they are not made otherwise.
+        """
+        last = self._states[-1] if self._states else None
+        gap = 0 if last is None else state.stamp - last.stamp
+        if last is not None and gap == 0:
+            return  # the same frame again
+        if last is None or not 0 < gap < self._longest_gap or last.is_preview != state.is_preview:
+            self._states.clear()
+            self._states.append(state)
+            # the stamp of the start of the scene; live, speed and jumps of the scene do not change the turns
+            self._origin = state.stamp - state.scene_time
+            return
+        self._states.append(state)
+        pattern, origin = self._scanning.scanner.pattern, self._origin
+        for number in self._scanning.due(last.stamp - origin, state.stamp - origin):
+            start = origin + pattern.start(number)
+            if self._states[0].stamp <= start and wanted:
+                first = max(i for i, each in enumerate(self._states) if each.stamp <= start)
+                yield self._scanning.sweep(number, list(self._states)[first:], origin)
+        oldest = state.stamp - pattern.period
+        while len(self._states) > 1 and self._states[1].stamp <= oldest:
+            self._states.popleft()
+
+
+def _labels(returns: Returns, state: SceneState) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """Labels of the instance and of the part of each return."""
+    instances = np.zeros(len(returns.rays), np.uint16)
+    parts = np.zeros(len(returns.rays), np.uint8)
+    for number, body in enumerate(state.bodies):
+        chosen = returns.surfaces == number
+        instances[chosen] = body.instance
+        parts[chosen] = body.parts[returns.triangles[chosen]]
+    return instances, parts

@@ -54,6 +54,7 @@ _GUIDES = {
     "cameras.*.sensor": "sensors.md",
     "cameras.*.depth_sensor": "depth_cameras.md",
     "cameras.*.stereo": "depth_cameras.md#stereo-pairs",
+    "scanners.*": "scanners.md",
     "cameras.*.faults": "faults.md",
     "world": "look.md#environments",
     "light": "look.md#light",
@@ -179,6 +180,9 @@ cameras:
     trajectory: way.txt
     faults: {calibration: {translation: 0.01}}
     depth_sensor: kinect_v1
+scanners:
+  scanner: {model: velodyne_vlp16, trajectory: way.txt}
+  plane: {model: hokuyo_utm30lx, trajectory: way.txt}
 """
 _MOVES = """<animation startframe="0" endframe="10" rate="10"><object name="object">
 <frame number="0"><position x="0" y="0" z="1"/></frame>
@@ -207,6 +211,7 @@ def _pattern(name: str) -> str:
     name = re.sub(r"^humans/\w+", "humans/<id>", name)
     name = re.sub(r"^objects/\w+", "objects/<name>", name)
     name = re.sub(r"^camera\b", "<camera>", name)
+    name = re.sub(r"^(scanner|plane)\b", "<scanner>", name)
     name = re.sub(r"(alpha|amodal)/\w+", r"\1/<name>", name)
     return re.sub(rf"keypoints/({'|'.join(KEYPOINT_SETS)})$", "keypoints/<set>", name)
 
@@ -220,7 +225,7 @@ def described_topics() -> dict[str, tuple[str, str]]:
     for names, kind, meaning in rows:
         meaning = re.sub(r"\]\((\w+\.md)", r"](../\1", meaning)
         for name in re.findall(r"`(.*?)`", names):
-            root = "" if name.startswith("/") else "<camera>/"
+            root = "" if name.startswith("/") else f"{names.split('/')[1]}/"
             found[root + name.lstrip("/")] = kind, meaning
     return found
 
@@ -245,8 +250,14 @@ def topics_page() -> str:
         "Humans": {},
         "Objects": {},
         "Cameras": {},
+        "Laser scanners": {},
     }
-    titles = {"humans": "Humans", "objects": "Objects", "<camera>": "Cameras"}
+    titles = {
+        "humans": "Humans",
+        "objects": "Objects",
+        "<camera>": "Cameras",
+        "<scanner>": "Laser scanners",
+    }
     shown: set[str] = set()
     for topic in _all_topics():
         name = _pattern(topic.name)
@@ -258,7 +269,9 @@ def topics_page() -> str:
             raise KeyError(f"docs/topics.md lacks /{name}")
         sent = "each frame" if topic.per_frame else "once"
         if topic.latched and topic.per_frame:
-            sent = "each frame, if the camera moves"
+            sent = f"each frame, if the {'scanner' if name.startswith('<scanner>') else 'camera'} moves"
+        if topic.scanner:
+            sent = "each sweep"
         recorded = "; recorded on request" if topic.optional else "; recorded" if topic.recorded else ""
         what = (topic.type_name.replace("/msg/", "/"), sent + recorded, images.get(name, known[place][1]))
         groups[titles.get(name.split("/")[0], "Scene")].setdefault(what, []).append(f"`{name}`")
@@ -290,6 +303,7 @@ def _clouds() -> Iterator[str]:
         "<camera>/keypoints/<set>": (messages.JOINT_POINT, messages.read_joint_view),
         "<camera>/boxes": (messages.BOX_POINT, messages.read_boxes),
         "<camera>/visible_vertices": (messages.VISIBLE_VERTEX, messages.read_visible_vertices),
+        "<scanner>/truth/points": (messages.SCANNER_TRUTH, messages.read_scanner_truth),
     }
     yield from table(
         ("topic", "fields (type, first byte)", "bytes", "reader"),

@@ -20,7 +20,7 @@ _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)], dtype=float
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class MovingTriangles:
     """Triangles that move in straight lines from one moment to another.
 
     Attributes:
@@ -132,13 +132,13 @@ class Shot:
     ends: Poses
     index: RayIndex
 
-    def cast(self, surfaces: Iterable[Surface], hits: Hits) -> None:
+    def cast(self, surfaces: Iterable[MovingTriangles], hits: Hits) -> None:
         """Find surfaces that are nearer than ``hits`` (N), which are replaced in place."""
         vectors = self.poses.to_map(self.directions)
         for surface in surfaces:
             self._cast(surface, vectors, hits)
 
-    def _cast(self, surface: Surface, vectors: Array, hits: Hits) -> None:
+    def _cast(self, surface: MovingTriangles, vectors: Array, hits: Hits) -> None:
         margin = self._margin(surface)
         boxes = replace(surface, start=_box(surface.start), end=_box(surface.end))
         whole = Bounds.of(np.arange(8)[None], self._seen(boxes), margin)
@@ -150,7 +150,7 @@ class Shot:
             if found is not None:
                 _keep_nearest(hits, *found)
 
-    def _seen(self, surface: Surface) -> tuple[Angles, ...]:
+    def _seen(self, surface: MovingTriangles) -> tuple[Angles, ...]:
         """Directions of the vertices at both moments, once if neither they nor the scanner move."""
         moments = (
             [surface.start]
@@ -166,7 +166,7 @@ class Shot:
             for i, vertices in enumerate(moments)
         )
 
-    def _margin(self, surface: Surface) -> float:
+    def _margin(self, surface: MovingTriangles) -> float:
         """Radians by which directions differ from straight paths in the scanner's frame, because it moves."""
         if self.poses.still:
             return 0.0
@@ -185,7 +185,7 @@ class Shot:
         return float(2 * (off / near + turn + coupled))
 
     def _test(
-        self, surface: Surface, vectors: Array, rays: Indices, triangles: Indices
+        self, surface: MovingTriangles, vectors: Array, rays: Indices, triangles: Indices
     ) -> tuple[Indices, Hits] | None:
         """Rays of some pairs that meet the triangle, and where [Moller 1997]."""
         corners = surface.triangles[triangles]

@@ -154,7 +154,14 @@ def spinning(
 
 
 def raster(rate: float, elevations: Sequence[float], columns: int, azimuth: tuple[float, float]) -> Pattern:
-    """Pattern of a solid-state scanner: a table of rays, fired row after row; see :func:`spinning`."""
+    """Pattern of a solid-state scanner: a table of rays, fired row after row.
+
+    Args:
+        rate: Sweeps per second.
+        elevations: Degrees of each row, in the order in which they are fired.
+        columns: Rays of a row.
+        azimuth: Azimuth in degrees of the first and of the last column.
+    """
     rows = len(elevations)
     azimuths = np.radians(np.linspace(*azimuth, columns))
     row, column = np.divmod(np.arange(rows * columns), columns)

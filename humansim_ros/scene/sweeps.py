@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.scanner.casting import Hits, Poses, Shot, Surface
+from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
 from humansim_ros.scanner.pattern import Rays
 from humansim_ros.scanner.reflectivity import reflectivity
 from humansim_ros.scanner.returns import SINGLE_STRONGEST, Returns, measure
@@ -150,7 +150,7 @@ class Scanning:
         ]
         still += [(mesh, mesh.vertices) for mesh in self.scene.static_meshes]
         static = [
-            Surface(number, mesh.triangles, vertices, vertices)
+            MovingTriangles(number, mesh.triangles, vertices, vertices)
             for number, (mesh, vertices) in enumerate(still, first_static)
         ]
         meshes = [*(body.mesh for body in bodies), *self.scene.static_meshes]
@@ -165,14 +165,14 @@ class Scanning:
             shares = (times - ends[0]) / (ends[1] - ends[0])
             shot = Shot(rays.directions[chosen], shares, poses(times), poses(ends), rays.index(chosen))
             moving = [
-                Surface(number, body.mesh.triangles, body.vertices, after.bodies[number].vertices)
+                MovingTriangles(number, body.mesh.triangles, body.vertices, after.bodies[number].vertices)
                 for number, body in enumerate(before.bodies[:first_static])
             ]
             shot.cast([*moving, *static] if moves else moving, hits.take(chosen))
         return hits
 
     def _static_hits(
-        self, rays: Rays, poses: _PosesAt, static: Sequence[Surface], meshes: Sequence[Mesh]
+        self, rays: Rays, poses: _PosesAt, static: Sequence[MovingTriangles], meshes: Sequence[Mesh]
     ) -> Hits:
         """Surfaces that stand still, as a scanner that stands still meets them."""
         if self._static is None or self._static[0] is not rays:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from humansim_ros.scanner.casting import Hits, Poses, Shot, Surface
+from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
 from humansim_ros.scanner.pattern import Rays, oscillating, raster, rosette, spinning
 from humansim_ros.scanner.ray_index import RayIndex
 from humansim_ros.types import Array
@@ -64,7 +64,7 @@ def test_rays_meet_what_embree_says(name: str) -> None:
         position, turn = random.normal(size=3), random.normal(size=4)
         here = Poses(position[None], (turn / np.linalg.norm(turn))[None])
         hits = Hits.none(len(rays))
-        shot(rays, here, here).cast([Surface(0, triangles, vertices, vertices)], hits)
+        shot(rays, here, here).cast([MovingTriangles(0, triangles, vertices, vertices)], hits)
         vectors = here.to_map(rays.directions)
         origins = np.broadcast_to(position, vectors.shape)
         agree(hits.ranges, embree(origins, vectors, vertices.astype(float), triangles), 4)
@@ -77,7 +77,7 @@ def test_moving_triangles_are_met_where_they_are_when_the_ray_is_fired() -> None
     rays = spinning(10.0, (-20.0, -4.0, 3.0, 25.0), 40).rays(0)
     here = Poses(np.zeros((1, 3)), IDENTITY)
     hits, each = Hits.none(len(rays)), shot(rays, here, here)
-    each.cast([Surface(0, triangles, start, end)], hits)
+    each.cast([MovingTriangles(0, triangles, start, end)], hits)
     theirs = []
     for share in np.unique(each.shares):
         chosen = each.shares == share
@@ -104,7 +104,7 @@ def test_a_moving_scanner_meets_what_it_would_meet_if_it_stood_at_each_pose() ->
 
     each = poses(shares)
     hits = Hits.none(len(rays))
-    shot(rays, each, poses(np.array([0.0, 1.0]))).cast([Surface(0, triangles, start, end)], hits)
+    shot(rays, each, poses(np.array([0.0, 1.0]))).cast([MovingTriangles(0, triangles, start, end)], hits)
     vectors = each.to_map(rays.directions)
     theirs = np.empty(len(rays))
     for share in np.unique(shares):
@@ -121,7 +121,7 @@ def test_distance_of_a_wall_that_comes_nearer() -> None:
     rays = spinning(20.0, (-10.0, 0.0, 10.0), 181, (45.0, -45.0)).rays(0)
     here, hits = Poses(np.zeros((1, 3)), IDENTITY), Hits.none(len(rays))
     each = shot(rays, here, here)
-    each.cast([Surface(0, triangles, corners, end)], hits)
+    each.cast([MovingTriangles(0, triangles, corners, end)], hits)
     np.testing.assert_allclose(hits.ranges, (5 - each.shares) / rays.directions[:, 0], rtol=1e-9)
     np.testing.assert_allclose(hits.cosines, rays.directions[:, 0], rtol=1e-9)
 
@@ -130,7 +130,7 @@ def test_the_nearest_of_two_surfaces_is_met_in_either_order() -> None:
     near = np.array([(2, -9, -9), (2, 9, -9), (2, 0, 9)], np.float32)
     triangles, rays = np.array([(0, 1, 2)], np.int32), spinning(10.0, (0.0,), 9, (10.0, -10.0)).rays(0)
     here = Poses(np.zeros((1, 3)), IDENTITY)
-    surfaces = [Surface(4, triangles, near, near), Surface(7, triangles, 2 * near, 2 * near)]
+    surfaces = [MovingTriangles(4, triangles, near, near), MovingTriangles(7, triangles, 2 * near, 2 * near)]
     for order in (surfaces, surfaces[::-1]):
         hits = Hits.none(len(rays))
         shot(rays, here, here).cast(order, hits)
@@ -143,5 +143,5 @@ def test_no_rays_have_no_pairs() -> None:
     here = Poses(np.zeros((1, 3)), IDENTITY)
     triangle = np.eye(3, dtype=np.float32)
     Shot(np.zeros((0, 3)), np.zeros(0), here, here, index).cast(
-        [Surface(0, np.array([[0, 1, 2]], np.int32), triangle, triangle)], hits
+        [MovingTriangles(0, np.array([[0, 1, 2]], np.int32), triangle, triangle)], hits
     )

@@ -67,6 +67,10 @@ SCENE: dict[str, Any] = {
             "stereo": {"baseline": 0.1},
         },
     },
+    "scanners": {
+        "lidar": {"model": "velodyne_vlp16", "trajectory": {"file": "path.txt"}},
+        "own": {"pattern": {"columns": 90}, "rate": 10, "range": [0.1, 30], "position": [0, 0, 1]},
+    },
     "world": {"meshes": [{"file": "ball.obj"}], "background": "photo.png", "environment": "sky.png"},
     "light": {"strength": 0.9},
     "randomise": {"camera_jitter": {"position": 0.1}},
@@ -86,6 +90,7 @@ FILE_KEYS = (
     "cameras.left.calibration",
     "cameras.left.background",
     "cameras.right.trajectory.file",
+    "scanners.lidar.trajectory.file",
     "world.meshes.0.file",
     "world.background",
     "world.environment",
@@ -160,7 +165,7 @@ def test_the_scene_has_all_keys_that_name_files(folder: Path) -> None:
     found: list[str] = []
     map_files(load_config(path).model_dump(exclude_unset=True), lambda name: found.append(name) or name)
     assert len(found) == len(FILE_KEYS)
-    kinds = {re.sub(r"\.(anna|ball|left|right|a|0)\b", "", key) for key in FILE_KEYS}
+    kinds = {re.sub(r"\.(anna|ball|left|right|lidar|a|0)\b", "", key) for key in FILE_KEYS}
     # extrinsics need a file of intrinsics beside them: test_scene_cameras.py
     kinds |= {"rig.extrinsics", "cameras.extrinsics"}
     assert kinds == {re.sub(r"\.\*", "", key) for key in file_keys(SceneConfig)}

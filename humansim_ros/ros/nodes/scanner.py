@@ -45,7 +45,7 @@ class ScannerNode(SceneNode):
         frame = f"{prefix}{self._scanner.name}_frame"
         self._topics = ScannerTopics(self.scene, self._scanner, frame)
         self._scanning = LiveScanning(self.scene, self._scanner)
-        self._publishers = {
+        self._sweep_publishers = {
             topic: self.topic_publisher(topic) for topic in (self._topics.points, self._topics.truth)
         }
         self._extrinsics = self.topic_publisher(self._topics.extrinsics)
@@ -67,10 +67,12 @@ class ScannerNode(SceneNode):
         start = time.monotonic()
         if self._scanner.moves:
             self._publish_pose(state.scene_time * 1e-9, state.stamp)
-        wanted = [topic for topic, sender in self._publishers.items() if sender.get_subscription_count()]
+        wanted = [
+            topic for topic, sender in self._sweep_publishers.items() if sender.get_subscription_count()
+        ]
         for sweep in self._scanning.sweeps(state, bool(wanted)):
             for topic in wanted:
-                self._publishers[topic].publish(topic.build(sweep, sweep.stamp))
+                self._sweep_publishers[topic].publish(topic.build(sweep, sweep.stamp))
         self.count("frames")
         self.report_lateness(state.stamp)
         self.report_time(1e3 * (time.monotonic() - start), "scan")

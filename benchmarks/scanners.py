@@ -60,7 +60,9 @@ def states(scene: Scene, count: int) -> list[SceneState]:
                 scene=scene,
                 actors=playback.actors,
                 vertices={name: human.vertices for name, human in humans.items()},
-                joints_of=lambda name, humans=humans: JointMotion(humans[name].joints, None, None),
+                joints_of={
+                    name: JointMotion(human.joints, None, None) for name, human in humans.items()
+                }.__getitem__,
                 objects=poses.objects,
             )
         )

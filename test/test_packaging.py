@@ -30,7 +30,9 @@ from humansim_ros.ros.processes.node_processes import NodeProcess, scene_process
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
-EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"}
+EXECUTABLES = {
+    *("humansim", "motion_player", "skinner", "camera", "camera_rig", "scanner", "recorder", "evaluator")
+}
 SOURCES = ("LICENSES", "humansim_ros", "resource", *SHARED_FOLDERS)
 SOURCE_FILES = (
     "LICENSE",

@@ -28,6 +28,7 @@ BENCHMARKS = {
     "recorder": ("--seconds", "1"),
     "rigging": ("--rounds", "1"),
     "scaling": ("--rounds", "2"),
+    "scanners": ("--rounds", "1", "--people", "1", "--models", "velodyne_vlp16", "livox_mid360"),
     "sensor": ("--rounds", "2"),
     "skinning": (),
     "texture": ("--rounds", "1", "--size", "160", "120"),

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.errors import SceneError
 from humansim_ros.types import Array, FloatArray, Indices
 
 #: Rows of rays, unless there are so many elevations; and columns of a turn.
@@ -25,6 +26,8 @@ _MARGIN = 1e-5
 _WIDE = 2.4
 #: Pairs of ray and triangle that are tested at once.
 _BATCH = 1 << 17
+#: Most pairs of the rays between two frames and the triangles of a surface.
+_MAX_PAIRS = 30_000_000
 _TURN = 2 * np.pi
 
 
@@ -130,9 +133,15 @@ class RayIndex:
         np.maximum.at(self._high, row, height)
 
     def pairs(self, bounds: Bounds) -> Iterator[tuple[Indices, Indices]]:
-        """Batches of numbers of rays, and of the triangles that they may meet."""
+        """Batches of numbers of rays, and of the triangles that they may meet.
+
+        Raises:
+            SceneError: There are too many of both, so that it would take seconds.
+        """
         triangle, start, count = self._runs(bounds)
         ends = np.cumsum(count)
+        if len(ends) and ends[-1] > _MAX_PAIRS:
+            raise SceneError("too many triangles are around a laser scanner: is it within a mesh?")
         begin = 0
         while begin < len(count):
             before = ends[begin - 1] if begin else 0

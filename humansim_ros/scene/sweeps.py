@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.renderer import check_bodies
 from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
 from humansim_ros.scanner.pattern import Rays
 from humansim_ros.scanner.reflectivity import reflectivity
@@ -108,7 +109,13 @@ class Scanning:
             states: States of the scene in order, the first one at or before its start, the last at or after
                 its end.
             origin: Stamp of the start of sweep 0, nanoseconds.
+
+        Raises:
+            RenderError: A vertex is not finite.
+            SceneError: The scanner is within a mesh of many triangles.
         """
+        for state in states:
+            check_bodies(state.bodies)
         scanner, pattern = self.scanner, self.scanner.pattern
         start, end = origin + pattern.start(number), origin + pattern.start(number + 1)
         rays = pattern.rays(number)

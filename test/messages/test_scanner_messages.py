@@ -16,6 +16,7 @@ from humansim_ros.scanner.pattern import Pattern, Rays, spinning
 from humansim_ros.scanner.returns import Measuring, Returns
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.sweeps import Sweep
+from humansim_ros.types import Array
 
 #: Name, offset and datatype (sensor_msgs/PointField) of each field, and bytes of a point.
 FIELDS: dict[Layout, tuple[str, int]] = {
@@ -45,7 +46,7 @@ def sweep(rays: Rays, stamp: int = START) -> Sweep:
     """Every second ray has a return."""
     chosen = np.arange(0, len(rays), 2)
     count = len(chosen)
-    ranges = 2 + 0.01 * np.arange(count)
+    ranges: Array = 2 + 0.01 * np.arange(count, dtype=float)
     returns = Returns(
         chosen,
         np.full(count, 1, np.uint8),

@@ -116,7 +116,7 @@ def test_a_moving_scanner_meets_what_it_would_meet_if_it_stood_at_each_pose() ->
 
 def test_distance_of_a_wall_that_comes_nearer() -> None:
     corners = np.array([(5, -50, -50), (5, 50, -50), (5, 50, 50), (5, -50, 50)], np.float32)
-    end = corners - np.float32([1, 0, 0])
+    end = (corners - np.array([1, 0, 0])).astype(np.float32)
     triangles = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
     rays = spinning(20.0, (-10.0, 0.0, 10.0), 181, (45.0, -45.0)).rays(0)
     here, hits = Poses(np.zeros((1, 3)), IDENTITY), Hits.none(len(rays))

@@ -149,7 +149,7 @@ def test_several_sweeps_may_end_with_one_frame() -> None:
 
 def test_live_sweeps_are_those_of_a_simulation() -> None:
     loaded = scene({**SPARSE, "noise": 0.02, "dropout": 0.1, "rate": 25, "position": [2.5, 0.2, 1.1]})
-    live, sweeps = LiveScanning(loaded, loaded.scanners["lidar"]), []
+    live, sweeps = LiveScanning(loaded, loaded.scanners["lidar"]), list[Sweep]()
     with simulation(loaded) as played:
         expected = [each for index in range(7) for each in frame(played, index).sweeps["lidar"]]
         for index in range(7):

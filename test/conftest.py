@@ -256,9 +256,9 @@ def interfaces(built_interfaces: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
-    """Messages of cameras on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
-    from humansim_ros.ros.nodes import camera as camera_pose
-    from humansim_ros.ros.nodes.camera import CameraNode
+    """Messages of nodes on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
+    from humansim_ros.ros import transforms
+    from humansim_ros.ros.node import SceneNode
 
     sent: dict[str, list[Any]] = defaultdict(list)
 
@@ -273,13 +273,13 @@ def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
         def __init__(self, transforms: Any = ()) -> None:
             self.transforms = list(transforms)
 
-    publisher = CameraNode.create_publisher
+    publisher = SceneNode.create_publisher
 
-    def create(node: Any, kind: Any, topic: str, qos: Any) -> Any:
-        return Recorder(topic) if kind is Transforms else publisher(node, kind, topic, qos)
+    def create(node: Any, kind: Any, topic: str, qos: Any, **options: Any) -> Any:
+        return Recorder(topic) if kind is Transforms else publisher(node, kind, topic, qos, **options)
 
-    monkeypatch.setattr(camera_pose, "TFMessage", Transforms)
-    monkeypatch.setattr(CameraNode, "create_publisher", create)
+    monkeypatch.setattr(transforms, "TFMessage", Transforms)
+    monkeypatch.setattr(SceneNode, "create_publisher", create)
     return sent
 
 

@@ -248,6 +248,7 @@ def load_or_scene(
     from humansim_ros.camera.formats.scene import SCENE
     from humansim_ros.scene.camera import build_cameras
     from humansim_ros.scene.config import load_config
+    from humansim_ros.scene.robot import Robot
     from humansim_ros.scene.source import SceneSource
 
     if any(option is not None for option in (size, image, unit, up)):
@@ -255,7 +256,8 @@ def load_or_scene(
         raise CameraError(message, path=file)
     config, source = load_config(file), SceneSource.of_file(file)
     with source.locating_errors():
-        cameras = {name: camera.camera for name, camera in build_cameras(config, source).items()}
+        robot = Robot.of_scene(config, source)
+        cameras = {name: camera.camera for name, camera in build_cameras(config, source, robot).items()}
     sizes = {name: camera.size for name, camera in cameras.items()}
     return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
 

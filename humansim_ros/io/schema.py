@@ -92,6 +92,14 @@ Axis = Annotated[
 ]
 
 
+#: Name of a ROS topic, absolute or relative.
+TopicName = Annotated[
+    str,
+    StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
+    Expected("the name of a topic, such as /tracker/poses"),
+]
+
+
 class NamedFile(str):
     """Value of a key that names a file."""
 

@@ -22,6 +22,7 @@ from humansim_ros.messages.cameras import read_object as read_object
 from humansim_ros.messages.cameras import read_pose as read_pose
 from humansim_ros.messages.cameras import read_region as read_region
 from humansim_ros.messages.cameras import read_twist as read_twist
+from humansim_ros.messages.cameras import transform_message as transform_message
 from humansim_ros.messages.cameras import twist_message as twist_message
 from humansim_ros.messages.headers import WORLD_FRAME as WORLD_FRAME
 from humansim_ros.messages.headers import depth_optical_frame as depth_optical_frame
@@ -65,6 +66,10 @@ from humansim_ros.messages.points import XYZRGB_POINT as XYZRGB_POINT
 from humansim_ros.messages.points import image_points_message as image_points_message
 from humansim_ros.messages.points import point_cloud as point_cloud
 from humansim_ros.messages.points import read_points as read_points
+from humansim_ros.messages.robot import in_odometry as in_odometry
+from humansim_ros.messages.robot import odometry_message as odometry_message
+from humansim_ros.messages.robot import read_command as read_command
+from humansim_ros.messages.robot import read_odometry as read_odometry
 from humansim_ros.messages.scanners import SCANNER_POINTS as SCANNER_POINTS
 from humansim_ros.messages.scanners import SCANNER_TRUTH as SCANNER_TRUTH
 from humansim_ros.messages.scanners import points_message as points_message

@@ -29,6 +29,7 @@ from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.rotations import matrix_to_quaternion, unit_quaternions
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import FURNITURE, ObjectPose, SceneObject
+from humansim_ros.types import Array
 
 _WHOLE_SENSOR = Region()
 #: Most distortion coefficients of any lens model, and most characters of its name.
@@ -122,10 +123,25 @@ def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WOR
         frame: Optical frame of the camera.
         parent: The parent frame.
     """
-    message = TransformStamped(header=header(stamp, parent), child_frame_id=frame)
-    x, y, z = camera.center.tolist()
+    return transform_message(camera.center, matrix_to_quaternion(camera.R.T), stamp, parent, frame)
+
+
+def transform_message(
+    position: Array, rotation: Array, stamp: int, frame: str, child: str
+) -> TransformStamped:
+    """Build a transform as tf has it.
+
+    Args:
+        position: Position (3,) of the child frame in the frame, metres.
+        rotation: Rotation (4,) xyzw of the child frame.
+        stamp: Nanoseconds.
+        frame: The frame.
+        child: The child frame.
+    """
+    message = TransformStamped(header=header(stamp, frame), child_frame_id=child)
+    x, y, z = position.tolist()
     message.transform.translation = Vector3(x=x, y=y, z=z)
-    x, y, z, w = matrix_to_quaternion(camera.R.T).tolist()
+    x, y, z, w = rotation.tolist()
     message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
     return message
 

@@ -34,6 +34,7 @@ from humansim_ros.messages.types import (
     Marker,
     MarkerArray,
     MultiDOFJointState,
+    Odometry,
     PointCloud2,
     PoseStamped,
     String,
@@ -54,6 +55,7 @@ from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.robot import Robot
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.scene.sweeps import Sweep
@@ -283,6 +285,25 @@ class ObjectTopics:
 
     def __iter__(self) -> Iterator[Topic[Any]]:
         return iter((self.twist, self.marker))
+
+
+class RobotTopics:
+    """Topics of the robot: ``odom``. Its body has the topics of a moving object.
+
+    ``robot``: one that no other node moves.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.odom: Topic[ObjectPose] = Topic(
+            "odom",
+            Odometry,
+            lambda base, stamp: messages.odometry_message(robot, base, stamp),
+            lambda frame: frame.robot,  # type: ignore[arg-type,return-value]  # the scene has a robot
+            shown=True,
+        )
+
+    def __iter__(self) -> Iterator[Topic[Any]]:
+        return iter((self.odom,))
 
 
 class CameraTopics:
@@ -843,6 +864,8 @@ def scene_topics(
         topics += HumanTopics(actor, scene.config.humans[name].motion.file == LIVE)
     for item in scene.moving_objects.values():
         topics += ObjectTopics(item)
+    if scene.robot is not None and scene.robot.config.odometry is None:
+        topics += RobotTopics(scene.robot)
     for camera in scene.scene_cameras.values():
         own = CameraTopics(scene, camera)
         topics += own.all(compression)

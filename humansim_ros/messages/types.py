@@ -26,6 +26,7 @@ _PACKAGES = {
         "diagnostic_msgs": "DiagnosticArray DiagnosticStatus KeyValue",
         "geometry_msgs": """Point Pose PoseStamped Quaternion Transform TransformStamped Twist TwistStamped
             Vector3""",
+        "nav_msgs": "Odometry",
         "sensor_msgs": """CameraInfo CompressedImage Image LaserScan MultiDOFJointState PointCloud2
             PointField TimeReference""",
         "shape_msgs": "Mesh MeshTriangle",

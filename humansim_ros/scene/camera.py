@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 from humansim_ros.camera.camera import Camera, Region
 from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.placement import RigPlacement, common_point
-from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
-from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
+from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.config import RandomiseConfig, SceneConfig, load_config
 from humansim_ros.scene.environment import load_backdrop
 from humansim_ros.scene.faults import CalibrationError, FaultSchedule, FrameFaults
+from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.randomise import random_numbers
+from humansim_ros.scene.robot import Robot, Route, carried
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
 from humansim_ros.sensor import DepthSensor, Sensor
@@ -74,6 +75,11 @@ class CameraPose:
         """Pose of a camera that does not move."""
         return cls(camera.R, camera.t)
 
+    @classmethod
+    def of_object(cls, pose: ObjectPose) -> CameraPose:
+        """Pose and velocity of an optical frame that is an object."""
+        return cls.at(pose.position, pose.rotation, pose.velocity)
+
     def moved(self, seconds: float) -> CameraPose:
         """Pose ``seconds`` later at constant velocity."""
         if self.velocity is None or seconds == 0:
@@ -110,9 +116,8 @@ class SceneCamera:
         whole: Camera of the whole sensor at its initial pose.
         region: Binning and region of interest.
         sensor: Sensor model.
-        path: Trajectory that moves the camera, if any.
-        offset: Time that the trajectory is ahead of the scene, seconds.
-        speed: Seconds of the trajectory per second.
+        route: Trajectory that moves the camera, if any.
+        mount: Pose of the optical frame in the robot's base_link, and the robot; None if it stands elsewhere.
         backdrop: Image behind everything; a plain colour if None.
         faults: Its faults over time; None if it has none.
         depth_sensor: Depth sensor beside it; None if it has none.
@@ -124,9 +129,8 @@ class SceneCamera:
     whole: Camera
     region: Region
     sensor: Sensor
-    path: Trajectory | None = None
-    offset: float = 0.0
-    speed: float = 1.0
+    route: Route | None = None
+    mount: tuple[ObjectPose, Robot] | None = None
     backdrop: Backdrop | None = None
     faults: FaultSchedule | None = None
     depth_sensor: DepthSensor | None = None
@@ -137,14 +141,13 @@ class SceneCamera:
     def build(cls, name: str, config: CameraConfig, source: SceneSource) -> SceneCamera:
         """Create a camera from its section. Raises HumansimError; ``key`` is relative to ``cameras``."""
         with in_section(name), _scene_keys():
-            path, offset, speed = None, 0.0, 1.0
+            route = None
             whole = _camera(name, config, source)
             if config.trajectory is not None:
-                with in_section("trajectory.file"):
-                    path = Trajectory.read(source.find_url(config.trajectory.file), config.trajectory.end)
-                offset, speed = config.trajectory.offset, config.trajectory.speed
-                r, t = path.pose(speed * offset)
-                whole = replace(whole, R=r, t=t)
+                with in_section("trajectory"):
+                    route = Route.read(config.trajectory, source)
+                start = CameraPose.of_object(route.at(0.0))
+                whole = replace(whole, R=start.R, t=start.t)
             roi = config.roi
             region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
             sensor = Sensor(config.sensor, region.of(whole), name)
@@ -154,7 +157,7 @@ class SceneCamera:
                     backdrop = load_backdrop(source.find(config.background))
             with in_section("depth_sensor"), _scene_keys():
                 depth = None if config.depth_sensor is None else DepthSensor(config.depth_sensor, name)
-        return cls(name, whole, region, sensor, path, offset, speed, backdrop, depth_sensor=depth)
+        return cls(name, whole, region, sensor, route, None, backdrop, depth_sensor=depth)
 
     def right(self, baseline: float) -> SceneCamera:
         """Right camera of a stereo pair, with P of CameraInfo as image_geometry's StereoCameraModel needs it.
@@ -178,6 +181,14 @@ class SceneCamera:
     def placed_beside(self, left: SceneCamera) -> SceneCamera:
         """The same right camera beside the left camera at its initial pose."""
         return replace(self, whole=replace(self.whole, R=left.whole.R, t=left.whole.t - self.beside_left))
+
+    def mounted_on(self, robot: Robot) -> SceneCamera:
+        """The same camera on a robot: its pose in ``map`` becomes its pose in ``base_link``."""
+        pose = CameraPose.of(self.whole)
+        place = ObjectPose(pose.position, pose.rotation, np.ones(3))
+        start = CameraPose.of_object(carried(robot.body_at(0.0), place))
+        whole = replace(self.whole, R=start.R, t=start.t)
+        return replace(self, whole=whole, mount=(place, robot))
 
     def with_calibration(self, calibrated: Camera) -> SceneCamera:
         """The same camera at its pose with the lens, K and size of another."""
@@ -205,18 +216,20 @@ class SceneCamera:
 
     @property
     def moves(self) -> bool:
-        """Whether a trajectory moves it. The topic ``<camera>/pose`` can move any other camera."""
-        return self.path is not None
+        """Whether a trajectory or the robot moves it; ``<camera>/pose`` can move any other camera."""
+        return self.route is not None or self.mount is not None
 
-    def pose(self, seconds: float) -> CameraPose:
-        """Pose and velocity at a scene time in seconds."""
-        if self.path is None:
+    def pose(self, seconds: float, robot: ObjectPose | None = None) -> CameraPose:
+        """Pose and velocity at a scene time in seconds.
+
+        ``robot``: pose of the body of the robot then; as its settings say if None.
+        """
+        if self.mount is not None:
+            place, carrier = self.mount
+            return CameraPose.of_object(carried(robot or carrier.body_at(seconds), place))
+        if self.route is None:
             return CameraPose.of(self.camera)
-        time = self.speed * (seconds + self.offset)
-        early, late = self.path.difference_times(time, VELOCITY_STEP * max(self.speed, 1e-6))
-        positions, rotations = zip(self.path.in_map(early), self.path.in_map(late), strict=True)
-        velocity = Velocity.between(np.array(positions), np.array(rotations), late - early)
-        pose = CameraPose.at(*self.path.in_map(time), velocity.scaled(self.speed))
+        pose = CameraPose.of_object(self.route.at(seconds))
         return pose.beside(self.beside_left) if self.left else pose
 
     def camera_at(self, pose: CameraPose) -> Camera:
@@ -410,8 +423,13 @@ def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:
     return Camera.look_at((0, 0, 0), (1, 0, 0), size, fov).K
 
 
-def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCamera]:
-    """Create the cameras of a scene by name, its rig first. Raises HumansimError with the key."""
+def build_cameras(
+    config: SceneConfig, source: SceneSource, robot: Robot | None = None
+) -> dict[str, SceneCamera]:
+    """Create the cameras of a scene by name, its rig first. Raises HumansimError with the key.
+
+    ``robot``: carries the cameras that are mounted on it.
+    """
     cameras: dict[str, SceneCamera] = {}
     if config.rig is not None:
         with in_section("rig"):
@@ -428,11 +446,17 @@ def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCa
                 if right.name in cameras or right.name in config.cameras:
                     raise SceneError(f"there is another camera {right.name}, its second camera", key="stereo")
                 cameras[right.name] = right
-    return {name: _with_faults(camera, config) for name, camera in cameras.items()}
+    return {name: _completed(camera, config, robot) for name, camera in cameras.items()}
 
 
-def _with_faults(camera: SceneCamera, config: SceneConfig) -> SceneCamera:
+def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) -> SceneCamera:
+    """Camera with its mount and its faults."""
     section = config.cameras.get(camera.left or camera.name, config.rig)
+    if section is not None and section.mount is not None:
+        if robot is None:
+            key = "rig" if section is config.rig else f"cameras.{camera.name}"
+            raise SceneError("the scene has no robot: give it a section 'robot'", key=f"{key}.mount")
+        camera = camera.mounted_on(robot)
     if section is None or section.faults is None:
         return camera
     return replace(camera, faults=FaultSchedule(section.faults, camera.name, config.rate))

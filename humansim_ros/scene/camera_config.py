@@ -21,6 +21,8 @@ _Row4 = tuple[float, float, float, float]
 #: Metres or degrees; values beyond are mistakes.
 Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
 BoundedVector3 = tuple[Bounded, Bounded, Bounded]
+#: Object of the scene that a camera is mounted on.
+Mount = Literal["robot"]
 #: Name of a camera in a calibration file, which may be a number (``coerce_numbers_to_str``).
 _CameraOfFile = Annotated[str, WithJsonSchema({"type": ["string", "number"]})]
 _Delay = Annotated[float, Field(ge=0, le=MAX_DELAY)]
@@ -39,7 +41,7 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-class _NumberSection(Section):
+class NumberSection(Section):
     """Section that a number alone can stand for: the value of one of its keys."""
 
     number_key: ClassVar[str] = "probability"
@@ -61,7 +63,7 @@ class _NumberSection(Section):
         return {"anyOf": [number, section]}
 
 
-class DropFault(_NumberSection):
+class DropFault(NumberSection):
     """Frames that are lost."""
 
     probability: Share = Field(description="probability that a loss begins at a frame")
@@ -72,7 +74,7 @@ class DropFault(_NumberSection):
     _check_frames = field_validator("frames")(_ordered)
 
 
-class _EventFault(_NumberSection):
+class _EventFault(NumberSection):
     """Something that lasts for a time, at random or given times."""
 
     probability: Share = Field(default=0.0, description="probability that it begins at a frame")
@@ -124,7 +126,7 @@ class LateFault(Section):
     _check_delay = field_validator("delay")(_ordered)
 
 
-class OutOfOrderFault(_NumberSection):
+class OutOfOrderFault(NumberSection):
     """Images that are sent after later ones."""
 
     probability: Share = Field(description="probability that a frame is held back")
@@ -133,13 +135,13 @@ class OutOfOrderFault(_NumberSection):
     )
 
 
-class DuplicateFault(_NumberSection):
+class DuplicateFault(NumberSection):
     """Images that are sent twice."""
 
     probability: Share = Field(description="probability that a frame is sent twice")
 
 
-class ClockFault(_NumberSection):
+class ClockFault(NumberSection):
     """The camera's clock is wrong: the stamps of its images and of their camera_info."""
 
     number_key: ClassVar[str] = "offset"
@@ -155,7 +157,7 @@ class ClockFault(_NumberSection):
     )
 
 
-class TriggerDelayFault(_NumberSection):
+class TriggerDelayFault(NumberSection):
     """The camera is triggered late: its picture is of another instant than its stamp."""
 
     number_key: ClassVar[str] = "delay"
@@ -230,7 +232,7 @@ class FlickerFault(Section):
     )
 
 
-class ExposureStepsFault(_NumberSection):
+class ExposureStepsFault(NumberSection):
     """The exposure changes in steps, as with an automatic exposure."""
 
     probability: Share = Field(description="probability that the exposure steps at a frame")
@@ -241,7 +243,7 @@ class ExposureStepsFault(_NumberSection):
     _check_stops = field_validator("stops")(_ordered)
 
 
-class DirtFault(_NumberSection):
+class DirtFault(NumberSection):
     """Spots on the lens, out of focus."""
 
     number_key: ClassVar[str] = "spots"
@@ -408,6 +410,9 @@ class CameraConfig(Section):
         default=None,
         description="with a second camera: right for a camera that is named left, else <name>_right",
     )
+    mount: Mount | None = Field(
+        default=None, description="robot: the camera moves with it, and its pose is in base_link, not in map"
+    )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
@@ -423,6 +428,8 @@ class CameraConfig(Section):
 
     @model_validator(mode="after")
     def _one_way(self) -> CameraConfig:
+        if self.mount is not None and self.trajectory is not None:
+            raise ValueError("a camera with a mount cannot have a trajectory: the robot moves it")
         whole = self.calibration is not None or self.P is not None
         seeing = {"fov_deg": self.fov_deg, "K": self.K, "P": self.P, "calibration": self.calibration}
         given = [key for key, value in seeing.items() if value is not None]
@@ -481,6 +488,9 @@ class RigConfig(ShortSection):
     look_at: BoundedVector3 | None = Field(
         default=None,
         description="in place of position: point of map where the optical axes of the cameras meet",
+    )
+    mount: Mount | None = Field(
+        default=None, description="robot: the cameras move with it, and base_link takes the place of map"
     )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"

@@ -11,11 +11,12 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from humansim_ros.errors import MAX_FRAMES, SceneError, printable
 from humansim_ros.io.motion_formats import MOTION_TITLES
-from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection
+from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection, TopicName
 from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.render.lighting import Lighting, RendererName
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
+from humansim_ros.scene.robot_config import ROBOT, RobotConfig
 from humansim_ros.scene.scanner_config import ScannerConfig
 
 if TYPE_CHECKING:
@@ -42,12 +43,6 @@ _Name = Annotated[
 ]
 
 
-#: Name of a ROS topic, absolute or relative.
-_Topic = Annotated[
-    str,
-    StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
-    Expected("the name of a topic, such as /tracker/poses"),
-]
 #: Name of a ROS node, with or without its namespace.
 _NodeName = Annotated[
     str,
@@ -357,7 +352,7 @@ class MemberConfig(ShortSection):
     short_key: ClassVar[str] = "node"
 
     node: _NodeName | None = Field(default=None, description="name of a node that reports on frame_done")
-    topic: _Topic | None = Field(
+    topic: TopicName | None = Field(
         default=None, description="topic of any message type that begins with a header"
     )
 
@@ -434,6 +429,7 @@ class SceneConfig(Section):
     humans: dict[_Name, HumanConfig] = Field(default_factory=dict)
     variety: VarietyConfig | None = Field(default=None, description="random humans besides these")
     objects: dict[_Name, ObjectConfig] = Field(default_factory=dict)
+    robot: RobotConfig | None = Field(default=None, description="a robot that carries cameras")
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
     cameras: dict[_Name, CameraConfig] = Field(default_factory=dict)
     scanners: dict[_Name, ScannerConfig] = Field(default_factory=dict, description="laser scanners")
@@ -455,6 +451,10 @@ class SceneConfig(Section):
             )
         labels = len(self.humans) + (self.variety.count if self.variety else 0)
         labels += sum(item.label for item in self.objects.values())
+        if self.robot is not None:
+            if ROBOT in self.objects:
+                raise ValueError(f"the robot is an object named {ROBOT}: give objects.{ROBOT} another name")
+            labels += self.robot.label
         if self.randomise is not None and self.randomise.clutter_label:
             labels += self.randomise.clutter
         if labels > 65535:

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.objects import SceneObject
+from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array, Indices
 
@@ -181,11 +182,10 @@ class SceneSamples:
     def duration(self) -> float:
         """Seconds that are checked: a minute, or a longer cycle of a motion or trajectory."""
         cycles = [actor.motion.duration for actor in self.scene.actors.values()]
-        cycles += [
-            camera.path.duration / camera.speed
-            for camera in self.scene.scene_cameras.values()
-            if camera.path is not None and camera.speed
-        ]
+        routes = [camera.route for camera in self.scene.scene_cameras.values()]
+        if self.scene.robot is not None:
+            routes.append(self.scene.robot.route)
+        cycles += [route.duration for route in routes if route is not None]
         finite = [cycle for cycle in cycles if np.isfinite(cycle)]
         return float(np.clip(max(finite, default=0.0), _SHORTEST, _LONGEST))
 
@@ -207,11 +207,9 @@ class SceneSamples:
         """Extrinsics R (N, 3, 3) and t (N, 3) by camera; N is 1 for a camera that does not move."""
         poses = {}
         for name, camera in self.scene.scene_cameras.items():
-            if camera.path is None:
-                poses[name] = camera.camera.R[None], camera.camera.t[None]
-            else:
-                pairs = [camera.path.pose(camera.speed * (t + camera.offset)) for t in self.times.tolist()]
-                poses[name] = np.array([r for r, _ in pairs]), np.array([t for _, t in pairs])
+            times = self.times.tolist() if camera.moves else [0.0]
+            moments = [camera.pose(time) for time in times]
+            poses[name] = np.array([each.R for each in moments]), np.array([each.t for each in moments])
         return poses
 
     def centers(self, name: str) -> Array:
@@ -328,6 +326,7 @@ def find_obstacles(scene: Scene, room: bool = True) -> list[Obstacle]:
         found.append(Obstacle(key, "a mesh of world.meshes", mesh, _FURNITURE))
     for name, item in scene.objects.items():
         key = f"objects.{name}" if name in scene.config.objects else "randomise.clutter"
+        key = ROBOT if name == ROBOT else key
         largest = np.inf if item.shape in ("box", "sphere", "cylinder") else _FURNITURE
         mesh = item.mesh if item.moves else item.static_mesh()
         found.append(Obstacle(key, f"the object {name}", mesh, largest, moving=item if item.moves else None))

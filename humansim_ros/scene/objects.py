@@ -7,7 +7,7 @@ sharp in shading. The colour of a scene replaces the main colour.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -86,6 +86,7 @@ class SceneObject:
         initial_pose: Pose without keyframes.
         keyframes: Keyframes that move the object; None if it is static.
         instance: Instance label; 0 for none.
+        pose_at: Pose and velocity at a scene time in seconds of an object that something else moves.
     """
 
     name: str
@@ -95,6 +96,7 @@ class SceneObject:
     initial_pose: ObjectPose
     keyframes: KeyframeTrack | None = None
     instance: int = 0
+    pose_at: Callable[[float], ObjectPose] | None = None
 
     @classmethod
     def build(
@@ -141,11 +143,13 @@ class SceneObject:
 
     @property
     def moves(self) -> bool:
-        """Whether keyframes move it; a static object otherwise."""
-        return self.keyframes is not None
+        """Whether keyframes, or something else, move it; a static object otherwise."""
+        return self.keyframes is not None or self.pose_at is not None
 
     def at(self, seconds: float) -> ObjectPose:
         """Pose and velocity at a time since the start of the scene."""
+        if self.pose_at is not None:
+            return self.placed(self.pose_at(seconds))
         if self.keyframes is None:
             return self.initial_pose
         times, key = self.keyframes.around(seconds)
@@ -155,12 +159,20 @@ class SceneObject:
         velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
         return ObjectPose(position[1], rotation[1], key.size[1] * self.initial_pose.size, velocity)
 
+    def placed(self, pose: ObjectPose) -> ObjectPose:
+        """A pose with the size of the object."""
+        return replace(pose, size=self.initial_pose.size)
+
     def to_mesh(self, points: Array, times: Array) -> Array:
         """Transform points (N, P, 3) in ``map`` at scene times (N,) to the mesh at size 1."""
         pose = self.initial_pose
         position, size = np.tile(pose.position, (len(times), 1)), np.tile(pose.size, (len(times), 1))
         turn = scipy.spatial.transform.Rotation.from_quat(np.tile(pose.rotation, (len(times), 1)))
-        if self.keyframes is not None:
+        if self.pose_at is not None:
+            poses = [self.pose_at(time) for time in times.tolist()]
+            position = np.array([each.position for each in poses])
+            turn = scipy.spatial.transform.Rotation.from_quat(np.array([each.rotation for each in poses]))
+        elif self.keyframes is not None:
             key = self.keyframes.at(times)
             moved = scipy.spatial.transform.Rotation.from_quat(key.quaternion)
             position = key.position + moved.apply(key.size * position)
@@ -431,6 +443,16 @@ def _books(levels: Sequence[float], width: float, board: float) -> list[_Part]:
     return books
 
 
+def _robot() -> list[_Part]:
+    dark: Color = (44, 46, 50)
+    wheels = [_Part((0, j * 0.21, 0.08), (0.16, 0.04, 0.16), dark) for j in (-1, 1)]
+    casters = [_Part((i * 0.17, 0, 0.025), (0.05, 0.03, 0.05), dark) for i in (-1, 1)]
+    mast = [_Part((-0.1, j * 0.12, 0.6), (0.025, 0.025, 0.7), _METAL) for j in (-1, 1)]
+    bumper = _Part((0.215, 0, 0.12), (0.03, 0.3, 0.06), dark)
+    head = _Part((-0.1, 0, 0.965), (0.06, 0.3, 0.03), dark)
+    return [_Part((0, 0, 0.15), (0.42, 0.36, 0.2)), *wheels, *casters, bumper, *mast, head]
+
+
 #: Built-in furniture by name.
 FURNITURE: dict[str, Furniture] = {
     "table": Furniture("table, 1.6 m wide, 0.8 m deep, 0.74 m high", (150, 112, 78), 0.5, tuple(_table())),
@@ -443,6 +465,9 @@ FURNITURE: dict[str, Furniture] = {
     ),
     "shelf": Furniture(
         "shelf with books, 0.9 m wide, 0.3 m deep, 1.8 m high", (196, 172, 138), 0.6, tuple(_shelf())
+    ),
+    "robot": Furniture(
+        "robot with two wheels and a mast, 0.46 m wide, 0.98 m high", (196, 198, 202), 0.5, tuple(_robot())
     ),
 }
 #: Descriptions of all built-in meshes by name.

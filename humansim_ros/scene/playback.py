@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
-from humansim_ros.errors import MotionError, in_section
+from humansim_ros.errors import MotionError, SceneError, in_section
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
@@ -22,6 +22,8 @@ from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.robot import CommandedDrive
+from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -158,11 +160,15 @@ class PlaybackClock:
 
 @dataclass(frozen=True)
 class ScenePoses:
-    """Joint poses (N = 1) by human, and poses of moving objects and moving cameras, at one scene time."""
+    """Joint poses (N = 1) by human, and poses of moving objects and moving cameras, at one scene time.
+
+    ``robot``: pose of its ``base_link``, without vibration; None without a robot.
+    """
 
     poses: dict[str, JointPoses]
     objects: dict[str, ObjectPose]
     cameras: dict[str, CameraPose]
+    robot: ObjectPose | None = None
 
 
 @dataclass(frozen=True)
@@ -193,6 +199,7 @@ class Playback:
         actors: Humans as they are now, by name.
         elapsed: Scene time that was shown last, nanoseconds. Changes apply from there.
         version: Number of changes: poses that were computed before one are out of date.
+        drive: Commands of the robot, if it takes any.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -204,6 +211,8 @@ class Playback:
         self.elapsed = self.version = 0
         #: Rotation and translation of each object that was put somewhere else than its keyframes do.
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
+        robot = scene.robot
+        self.drive = CommandedDrive(robot) if robot is not None and robot.takes_commands else None
 
     def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
@@ -215,9 +224,59 @@ class Playback:
         poses = {name: _paced(actor.joint_poses(seconds), pace) for name, actor in self.actors.items()}
         objects = {name: self._object_at(name, seconds) for name in self.scene.moving_objects}
         objects = {name: replace(place, velocity=_velocity(place, pace)) for name, place in objects.items()}
-        cameras = {name: camera.pose(seconds) for name, camera in self.scene.moving_cameras.items()}
+        cameras = {
+            name: camera.pose(seconds)
+            for name, camera in self.scene.moving_cameras.items()
+            if camera.mount is None
+        }
         cameras = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in cameras.items()}
-        return ScenePoses(poses, objects, cameras)
+        shown = ScenePoses(poses, objects, cameras)
+        robot = self.scene.robot
+        if robot is None:
+            return shown
+        base = robot.base_at(seconds) if self.drive is None else self.drive.at(seconds)
+        return self.with_robot(shown, base, pace)
+
+    def with_robot(self, shown: ScenePoses, base: ObjectPose, pace: float = 1.0) -> ScenePoses:
+        """Poses of the scene time that was shown last, with the robot and its cameras somewhere else.
+
+        Args:
+            shown: The other poses.
+            base: Pose of ``base_link`` in ``map``, with its velocity per second of the scene.
+            pace: Seconds of the scene per second of the wall clock.
+        """
+        robot = self.scene.robot
+        assert robot is not None
+        seconds = self.elapsed * 1e-9
+        body = robot.body_at(seconds, base)
+        carried = {
+            name: camera.pose(seconds, body)
+            for name, camera in self.scene.moving_cameras.items()
+            if camera.mount is not None
+        }
+        carried = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in carried.items()}
+        body = replace(self.scene.objects[ROBOT].placed(body), velocity=_velocity(body, pace))
+        return replace(
+            shown,
+            objects={**shown.objects, ROBOT: body},
+            cameras={**shown.cameras, **carried},
+            robot=replace(base, velocity=_velocity(base, pace)),
+        )
+
+    def command(self, speed: float, turn: float) -> None:
+        """Let the robot drive from the scene time that was shown last.
+
+        Args:
+            speed: Metres per second of the scene, forwards.
+            turn: Radians per second of the scene, leftwards.
+
+        Raises:
+            SceneError: The scene has no robot that takes commands.
+        """
+        if self.drive is None:
+            raise SceneError("the scene has no robot that takes commands", key=ROBOT)
+        self.version += 1
+        self.drive.command(self.elapsed * 1e-9, speed, turn)
 
     def change(self, name: str, **settings: Any) -> None:
         """Change the motion of a human from the scene time that was shown last.
@@ -293,6 +352,11 @@ class Playback:
             position: (3,) in ``map``, metres.
             rotation: (4,) quaternion xyzw.
         """
+        if name == ROBOT and self.drive is not None:
+            yaw = scipy.spatial.transform.Rotation.from_quat(rotation).as_euler("xyz")[2]
+            self.drive.place(self.elapsed * 1e-9, float(position[0]), float(position[1]), float(yaw))
+            self.version += 1
+            return
         pose = self.scene.moving_objects[name].at(self.elapsed * 1e-9)
         rotate = scipy.spatial.transform.Rotation.from_quat
         turn = rotate(rotation) * rotate(pose.rotation).inv()
@@ -300,13 +364,17 @@ class Playback:
         self.version += 1
 
     def reset_objects(self) -> None:
-        """Put all moving objects where their keyframes do."""
+        """Put all moving objects where their keyframes do, and the robot at its start."""
         self._shifts = {}
+        if self.drive is not None:
+            self.drive.reset()
         self.version += 1
 
     def object_pose(self, name: str) -> ObjectPose:
         """Pose of an object, static or moving, at the scene time that was shown last."""
         item = self.scene.objects[name]
+        if name == ROBOT and self.drive is not None:
+            return item.placed(self.drive.at(self.elapsed * 1e-9))
         return self._object_at(name, self.elapsed * 1e-9) if item.moves else item.initial_pose
 
     def human_pose(self, name: str) -> EntityPose:
@@ -329,8 +397,12 @@ class Playback:
         return {"position": tuple(anchor.tolist()), "yaw_deg": settings.yaw_deg + float(np.degrees(turn))}
 
     def rewind(self) -> None:
-        """Play all motions as if they had their present settings from the start of the scene."""
+        """Play all motions as if they had their present settings from the start of the scene; the robot
+        forgets its commands.
+        """
         self.version += 1
+        if self.drive is not None:
+            self.drive.reset()
         for name, actor in self.actors.items():
             self.actors[name] = replace(actor, ahead=0.0)
 

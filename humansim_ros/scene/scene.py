@@ -40,6 +40,8 @@ from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_looks, random_numbers
+from humansim_ros.scene.robot import Robot, robot_object
+from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, build_scanners
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.variety import with_variety
@@ -206,6 +208,7 @@ class Scene(Pictured):
         environment: Static surroundings.
         random_humans: Names of the humans from ``variety``.
         scanners: Laser scanners by name.
+        robot: What moves the object ``robot``; None without a robot.
 
     Example:
         >>> scene = Scene.from_dict(
@@ -229,6 +232,7 @@ class Scene(Pictured):
     environment: Environment = field(default_factory=Environment)
     random_humans: frozenset[str] = frozenset()
     scanners: dict[str, SceneScanner] = field(default_factory=dict)
+    robot: Robot | None = None
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -307,10 +311,15 @@ class Scene(Pictured):
             actors[name] = Actor.load(name, number, human, source, tracks.get(("humans", name)))
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
+        robot = Robot.of_scene(config, source)
+        if robot is not None:
+            with in_section(ROBOT):
+                label = _next_label(actors, objects) if robot.config.label else 0
+                objects[ROBOT] = robot_object(robot, source, label)
         environment = Environment.load(config, source)
         cameras = {
             name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
-            for name, camera in build_cameras(config, source).items()
+            for name, camera in build_cameras(config, source, robot).items()
         }
         scanners = build_scanners(config, source)
         check_node_names(actors, cameras, scanners)
@@ -330,7 +339,7 @@ class Scene(Pictured):
                 key="renderer",
             )
         random = config.humans.keys() - named
-        return cls(source, config, actors, cameras, objects, environment, frozenset(random), scanners)
+        return cls(source, config, actors, cameras, objects, environment, frozenset(random), scanners, robot)
 
     def __repr__(self) -> str:
         parts: dict[str, Iterable[str]] = {
@@ -426,14 +435,16 @@ def _add_objects(
     actors: Mapping[str, Actor],
 ) -> None:
     """Add objects; their labels continue the labels of humans and objects."""
-    last = len(actors) + sum(item.instance > 0 for item in objects.values())
     for name, config in configs.items():
         with in_section(f"objects.{name}"):
             if config.label and name in actors:
                 raise SceneError("a human has this name: a labelled object needs a name of its own")
-            last += config.label
-            label = last if config.label else 0
+            label = _next_label(actors, objects) if config.label else 0
             objects[name] = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)
+
+
+def _next_label(actors: Mapping[str, Actor], objects: Mapping[str, SceneObject]) -> int:
+    return len(actors) + sum(item.instance > 0 for item in objects.values()) + 1
 
 
 def scene_hash(scene: Scene) -> str:

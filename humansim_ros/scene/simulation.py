@@ -22,7 +22,7 @@ from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.pictures import Pictured, drawing
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
-from humansim_ros.scene.actor import Actor, HumanState
+from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
     DepthCapture,
@@ -70,7 +70,8 @@ class Frame(Pictured):
         labels: Instance labels of humans and labelled objects by name.
         scene_time: Nanoseconds from the start of the scene.
         motions: Joints of the motions (N = 1) by human, with the names that they have in the motion.
-        camera_poses: Poses and velocities by name of the cameras that a trajectory moves.
+        camera_poses: Poses and velocities by name of the cameras that a trajectory or the robot moves.
+        robot: Pose and velocity of the robot's ``base_link``, as its odometry has it; None without a robot.
         rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
             requested.
         models: Humans without pose by name.
@@ -98,6 +99,7 @@ class Frame(Pictured):
     encodings: Mapping[str, str] = field(default_factory=dict)
     depth_sensors: Mapping[str, DepthCapture] = field(default_factory=dict)
     sweeps: Mapping[str, Sequence[Sweep]] = field(default_factory=dict)
+    robot: ObjectPose | None = None
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -216,7 +218,7 @@ class Simulation:
         longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
         # the adjacent frames, and the frames of a sweep
         size = 3 + bool(longest) + math.ceil(longest * 1e-9 / scene.period)
-        self._recent: deque[tuple[int, tuple[Actor, ...], _Snapshot]] = deque(maxlen=size)
+        self._recent: deque[tuple[int, int, _Snapshot]] = deque(maxlen=size)
         self.renderer: Renderer = renderer or scene.make_renderer()
 
     def __repr__(self) -> str:
@@ -294,6 +296,7 @@ class Simulation:
             scene_time=state.scene_time,
             motions=poses.poses,
             camera_poses=poses.cameras,
+            robot=poses.robot,
             models={name: actor.human for name, actor in state.actors.items()},
             rectified_depth={
                 name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
@@ -358,9 +361,9 @@ class Simulation:
 
         The last ones are cached: with flow a frame is adjacent to others, and renderers reuse its bodies.
         """
-        actors = tuple(self.playback.actors.values())
-        for time, cached_actors, snapshot in self._recent:
-            if time == elapsed and all(a is b for a, b in zip(actors, cached_actors, strict=True)):
+        version = self.playback.version
+        for time, cached_version, snapshot in self._recent:
+            if time == elapsed and version == cached_version:
                 self.playback.elapsed = elapsed
                 return snapshot
         poses = self.playback.show(elapsed)
@@ -380,7 +383,7 @@ class Simulation:
             cameras=poses.cameras,
         )
         if self._scanning or any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
-            self._recent.append((elapsed, actors, (poses, humans, state)))
+            self._recent.append((elapsed, version, (poses, humans, state)))
         return poses, humans, state
 
 

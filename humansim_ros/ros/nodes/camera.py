@@ -33,8 +33,9 @@ from humansim_ros.ros.camera.publishers import (
 )
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
+from humansim_ros.ros.qos import NEWEST
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
@@ -48,11 +49,6 @@ from humansim_ros.scene.capture import (
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.types import Image
 
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # not on PyPI
-    TFMessage = None
-
 #: Received poses that are held: frames are a little older than the newest pose.
 _MAX_POSES = 200
 #: Nanoseconds from which a pose ahead of a frame has a stamp of another clock.
@@ -64,10 +60,11 @@ _MOVING_FOR = 1_000_000_000
 class CameraPosePublisher:
     """Publishes ``<camera>/extrinsics`` and ``projection``, both latched, and tf.
 
-    A static camera has them once, a moving one with the stamp of every frame. ``<camera>/pose`` (optical
-    frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one. A pose
-    far ahead of a frame has a stamp of another clock: it holds from that frame on. With a wrong calibration
-    these are wrong, and ``<camera>/truth/extrinsics`` has the true pose.
+    A static camera has them once, a moving one with the stamp of every frame. tf has a camera on a robot once,
+    in ``base_link``. ``<camera>/pose`` (optical frame in ``map``) moves any other camera: poses are
+    interpolated, and the camera stays at the last one. A pose far ahead of a frame has a stamp of another
+    clock: it holds from that frame on. With a wrong calibration these are wrong, and
+    ``<camera>/truth/extrinsics`` has the true pose.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera, topics: CameraTopics) -> None:
@@ -88,16 +85,18 @@ class CameraPosePublisher:
         if self._true_extrinsics is not None:
             self._true_publisher = node.topic_publisher(self._true_extrinsics)
             self._publish_true(CameraPose.of(camera.camera), node.now())
-        self._tf = self._tf_static = None
-        if TFMessage is not None:
-            self._tf = node.create_publisher(TFMessage, "/tf", DATA)
+        self._transforms = TransformSender(node)
         transform = self._publish(self._last, node.now())
         if not camera.moves:
             node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
-        if TFMessage is not None and (self._fixed or not camera.moves):
-            self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
-            resting = [] if camera.moves else [transform]
-            self._tf_static.publish(TFMessage(transforms=[*resting, *self._fixed]))
+        resting = [] if camera.moves else [transform]
+        if camera.mount is not None:
+            place, robot = camera.mount
+            frames = robot.config.base_frame, transform.child_frame_id
+            stamp = node.now()
+            self._fixed.append(messages.transform_message(place.position, place.rotation, stamp, *frames))
+        if resting or self._fixed:
+            self._transforms.send_static(*resting, *self._fixed)
 
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
@@ -121,8 +120,8 @@ class CameraPosePublisher:
         if self._camera.moves or self._poses:
             # a lookup in tf at the stamp of a frame needs a transform with that stamp
             transform = self._publish(pose, state.stamp)
-            if self._tf is not None:
-                self._tf.publish(TFMessage(transforms=[transform]))
+            if self._camera.mount is None:
+                self._transforms.send(transform)
         if self._camera.moves or self._poses or self._camera.drifts:
             self._publish_true(exposure.pose_at(0.0), state.stamp)
         return exposure
@@ -166,9 +165,8 @@ class CameraPosePublisher:
             )
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
-        if not self._poses and self._tf_static is not None:
-            # late joiners must not get the old pose
-            self._tf_static.publish(TFMessage(transforms=self._fixed))
+        if not self._poses:
+            self._transforms.send_static(*self._fixed)  # late joiners must not get the old pose
         if self._poses and stamp <= self._poses[-1][0]:
             self._start = self._last
             self._poses.clear()  # the clock was set back

@@ -44,6 +44,7 @@ from humansim_ros.ros.player.motions import (
 )
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer, StampedSteps
 from humansim_ros.ros.player.realtime import RealtimePlaying
+from humansim_ros.ros.player.robot import RobotPort
 from humansim_ros.ros.player.simulation_services import serve_simulation
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
@@ -94,6 +95,8 @@ class MotionPlayerNode(FramePlayer):
             name: [(topic, self.topic_publisher(topic)) for topic in moving_camera_topics(name)]
             for name in self.scene.moving_cameras
         }
+        robot = self.scene.robot
+        self._robot = None if robot is None else RobotPort(self, self.playback, robot)
         self._human_topics = {name: HumanTopics(actor) for name, actor in self.scene.actors.items()}
         self._legends = {
             name: self.topic_publisher(topics.legend) for name, topics in self._human_topics.items()
@@ -118,6 +121,9 @@ class MotionPlayerNode(FramePlayer):
 
     def send_frame(self, tick: Tick, scene_poses: ScenePoses) -> None:
         """Publish one frame."""
+        if self._robot is not None:
+            scene_poses = self._robot.placed(tick, scene_poses)
+            self._robot.publish(scene_poses.robot, tick.stamp)
         self._scene_time.publish(SCENE_TIME_TOPIC.build(tick.elapsed, tick.stamp))
         for name, publisher in self._motions.items():
             motion = self._human_topics[name].motion

@@ -1,0 +1,94 @@
+"""Messages of the robot: odometry and commands."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from humansim_ros.errors import RosError, printable, within_bounds
+from humansim_ros.messages.headers import header, to_nanoseconds
+from humansim_ros.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
+from humansim_ros.motion.kinematics import Velocity
+from humansim_ros.rotations import multiply_quaternions, quaternion_to_matrix, unit_quaternions
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.robot import Robot, carried
+from humansim_ros.types import Array
+
+
+def odometry_message(robot: Robot, base: ObjectPose, stamp: int) -> Odometry:
+    """Build ``odom``: pose of ``base_link`` since the start of the robot, and its velocity in its own axes.
+
+    It is exact: the covariances are 0.
+
+    Args:
+        robot: The robot.
+        base: Pose and velocity of ``base_link`` in ``map``.
+        stamp: Nanoseconds.
+    """
+    config, pose = robot.config, in_odometry(robot, base)
+    message = Odometry(header=header(stamp, config.odom_frame), child_frame_id=config.base_frame)
+    x, y, z = pose.position.tolist()
+    qx, qy, qz, qw = pose.rotation.tolist()
+    message.pose.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    if base.velocity is not None:
+        turn = quaternion_to_matrix(base.rotation).T
+        message.twist.twist = Twist(
+            linear=_vector(turn @ base.velocity.linear), angular=_vector(turn @ base.velocity.angular)
+        )
+    return message
+
+
+def in_odometry(robot: Robot, base: ObjectPose) -> ObjectPose:
+    """Pose of ``base_link`` in the frame of its odometry. ``base``: its pose in ``map``."""
+    start = robot.start
+    back = start.rotation * (-1, -1, -1, 1)
+    position = quaternion_to_matrix(back) @ (base.position - start.position)
+    return ObjectPose(position, multiply_quaternions(back, base.rotation), np.ones(3))
+
+
+def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
+    """Stamp, and pose and velocity of ``base_link`` in ``map``, of a message of another node.
+
+    Raises:
+        RosError: A number is not finite or out of range, the orientation is no rotation, or the message is of
+            another frame.
+    """
+    config = robot.config
+    if message.child_frame_id not in ("", config.base_frame):
+        raise RosError(
+            f"odometry of the frame {printable(message.child_frame_id, 80)!r}: robot.base_frame is "
+            f"{config.base_frame!r}"
+        )
+    pose, twist = message.pose.pose, message.twist.twist
+    position, linear, angular = map(_array, (pose.position, twist.linear, twist.angular))
+    q = pose.orientation
+    rotation = np.array([q.x, q.y, q.z, q.w])
+    if not within_bounds([*position, *rotation, *linear, *angular]):
+        raise RosError("a number of the odometry is not finite, or above 1000 km")
+    if not abs(np.linalg.norm(rotation) - 1) < 1e-3:
+        raise RosError("the orientation of the odometry is no quaternion of length 1")
+    rotation = unit_quaternions(rotation)
+    turn = quaternion_to_matrix(rotation)
+    moving = ObjectPose(position, rotation, np.ones(3), Velocity(turn @ linear, turn @ angular))
+    start = ObjectPose(
+        robot.start.position, robot.start.rotation, np.ones(3), Velocity(np.zeros(3), np.zeros(3))
+    )
+    return to_nanoseconds(message.header.stamp), carried(start, moving)
+
+
+def read_command(message: Twist) -> tuple[float, float]:
+    """Forward speed (m/s) and turn to the left (rad/s) of a command; RosError unless they are finite."""
+    speed, turn = float(message.linear.x), float(message.angular.z)
+    if not (math.isfinite(speed) and math.isfinite(turn)):
+        raise RosError(f"linear.x is {speed:g} and angular.z is {turn:g}: both must be finite")
+    return speed, turn
+
+
+def _array(vector: Vector3 | Point) -> Array:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def _vector(values: Array) -> Vector3:
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)

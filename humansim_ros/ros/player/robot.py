@@ -1,0 +1,122 @@
+"""The robot of a motion player: commands or odometry come in, odometry and tf go out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import qos_profile_sensor_data
+
+from humansim_ros import messages
+from humansim_ros.errors import HumansimError
+from humansim_ros.messages.topics import RobotTopics
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import NEWEST
+from humansim_ros.ros.transforms import TransformSender
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.playback import Playback, ScenePoses, Tick
+from humansim_ros.scene.robot import Robot
+
+#: Most seconds over which a robot is moved at the velocity of its newest odometry.
+_MOST_AHEAD = 0.3
+#: Metres, besides its velocity times the time between them, between two poses of a robot that has not jumped.
+_JUMP = 0.5
+
+
+class RobotPort:
+    """Moves the robot of a scene by commands or by the odometry of another node, and publishes where it is.
+
+    Args:
+        node: The motion player.
+        playback: Its playback.
+        robot: The robot.
+    """
+
+    def __init__(self, node: SceneNode, playback: Playback, robot: Robot) -> None:
+        self._node, self._playback, self._robot = node, playback, robot
+        self._odom: Any = None
+        #: Stamp and pose of the newest odometry of another node, and of the one before it.
+        self._newest: tuple[int, ObjectPose] | None = None
+        self._before: tuple[int, ObjectPose] | None = None
+        config = robot.config
+        if config.odometry is not None:
+            node.create_subscription(Odometry, config.odometry, self._on_odometry, qos_profile_sensor_data)
+            return
+        if robot.takes_commands:
+            kind = TwistStamped if config.stamped else Twist
+            node.create_subscription(kind, config.cmd_vel, self._on_command, NEWEST)
+        self._topic = RobotTopics(robot).odom
+        self._odom = node.topic_publisher(self._topic)
+        self._transforms = TransformSender(node)
+        start = robot.start
+        frames = messages.WORLD_FRAME, config.odom_frame
+        self._transforms.send_static(
+            messages.transform_message(start.position, start.rotation, node.now(), *frames)
+        )
+
+    def placed(self, tick: Tick, shown: ScenePoses) -> ScenePoses:
+        """Poses of a frame with the robot where the odometry of another node has it."""
+        if self._robot.config.odometry is None:
+            return shown
+        if self._newest is None:
+            self._node.get_logger().warn(
+                f"no odometry on {self._robot.config.odometry}: the robot stands at its start",
+                throttle_duration_sec=5.0,
+            )
+            return shown
+        return self._playback.with_robot(shown, self._base_at(tick.stamp), tick.pace)
+
+    def publish(self, base: ObjectPose, stamp: int) -> None:
+        """Publish odometry and the transform of a frame, unless another node does."""
+        if self._odom is None:
+            return
+        self._odom.publish(self._topic.build(base, stamp))
+        config, pose = self._robot.config, messages.in_odometry(self._robot, base)
+        frames = config.odom_frame, config.base_frame
+        self._transforms.send(messages.transform_message(pose.position, pose.rotation, stamp, *frames))
+
+    def _base_at(self, stamp: int) -> ObjectPose:
+        """Pose of ``base_link`` at a stamp, from the odometry around it."""
+        assert self._newest is not None
+        if self._before is not None and self._before[0] <= stamp < self._newest[0]:
+            (since, pose), (until, _) = self._before, self._newest
+            return pose.moved(min(stamp - since, until - since) * 1e-9)
+        since, pose = self._newest
+        late = (stamp - since) * 1e-9
+        if late > _MOST_AHEAD:
+            self._node.get_logger().warn(
+                f"the newest odometry on {self._robot.config.odometry} is {late:.2f} s old: the robot stands",
+                throttle_duration_sec=5.0,
+            )
+            return replace(pose.moved(_MOST_AHEAD), velocity=None)
+        return pose.moved(max(late, -_MOST_AHEAD))
+
+    def _on_odometry(self, message: Odometry) -> None:
+        try:
+            stamp, pose = messages.read_odometry(message, self._robot)
+        except HumansimError as error:
+            self._node.report_skipped(f"{self._robot.config.odometry}: {error}")
+            return
+        self._playback.version += 1
+        before, self._newest = self._newest, (stamp, pose)
+        self._before = before if before is not None and before[0] < stamp else None
+        if self._before is None:
+            return
+        seconds = (stamp - self._before[0]) * 1e-9
+        away = float(abs(self._before[1].moved(min(seconds, _MOST_AHEAD)).position - pose.position).max())
+        if away > _JUMP:
+            self._before = None  # nothing is between two places
+            self._node.get_logger().warn(
+                f"the odometry on {self._robot.config.odometry} jumps by {away:.1f} m, and the robot with it",
+                throttle_duration_sec=5.0,
+            )
+
+    def _on_command(self, message: Any) -> None:
+        try:
+            command = messages.read_command(message.twist if self._robot.config.stamped else message)
+        except HumansimError as error:
+            self._node.report_skipped(f"{self._robot.config.cmd_vel}: {error}")
+        else:
+            self._playback.command(*command)

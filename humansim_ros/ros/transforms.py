@@ -1,0 +1,44 @@
+"""Transforms of tf2."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+from geometry_msgs.msg import TransformStamped
+
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import DATA, LATCHED
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not on PyPI
+    TFMessage = None
+
+
+class TransformSender:
+    """Publishes transforms on ``/tf`` and ``/tf_static``, or nowhere without the package tf2_msgs.
+
+    ``node``: the node that publishes.
+    """
+
+    def __init__(self, node: SceneNode) -> None:
+        self._node = node
+
+    def send(self, *transforms: TransformStamped) -> None:
+        """Publish transforms of one stamp."""
+        if TFMessage is not None:
+            self._dynamic.publish(TFMessage(transforms=transforms))
+
+    def send_static(self, *transforms: TransformStamped) -> None:
+        """Publish all static transforms of the node: late subscribers get the last call."""
+        if TFMessage is not None:
+            self._static.publish(TFMessage(transforms=transforms))
+
+    @cached_property
+    def _dynamic(self) -> Any:
+        return self._node.create_publisher(TFMessage, "/tf", DATA)
+
+    @cached_property
+    def _static(self) -> Any:
+        return self._node.create_publisher(TFMessage, "/tf_static", LATCHED)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -68,7 +68,9 @@ def test_commands_move_the_robot_and_its_camera(start: Any) -> None:
         np.testing.assert_allclose(position(odom.at(stamp)), base, atol=1e-9)
         c, s = math.cos(yaw), math.sin(yaw)
         np.testing.assert_allclose(
-            position(pose.at(stamp)), base + [0.1 * c - 0.2 * s, 0.1 * s + 0.2 * c, 0.9], atol=1e-9
+            position(pose.at(stamp)),
+            [base[0] + 0.1 * c - 0.2 * s, base[1] + 0.1 * s + 0.2 * c, 0.9],
+            atol=1e-9,
         )
         assert odom.at(stamp).twist.twist.linear.x == pytest.approx(0.6)
 
@@ -92,9 +94,7 @@ def test_images_on_a_path_are_the_images_of_simulation(start: Any) -> None:
             np.testing.assert_allclose(base.position, frame.robot.position, atol=1e-9)
 
 
-def test_tf_leads_from_the_map_over_the_robot_to_its_camera(
-    start: Any, tf: dict[str, list[Any]]
-) -> None:
+def test_tf_leads_from_the_map_over_the_robot_to_its_camera(start: Any, tf: dict[str, list[Any]]) -> None:
     graph = start({"path": {"points": [[-2, 1], [0, 3]], "speed": 1.2}})
     extrinsics = graph.subscribe("front/extrinsics")
     stamp = graph.play(3)[-1]
@@ -116,7 +116,7 @@ def matrix(transform: Any) -> np.ndarray:
 
 
 class TestOdometryOfAnotherNode:
-    ROBOT = {"odometry": "state", "position": [1.0, 0.0], "yaw_deg": 90}
+    ROBOT: ClassVar = {"odometry": "state", "position": [1.0, 0.0], "yaw_deg": 90}
 
     def odometry(self, stamp: int, x: float, speed: float = 0.0) -> Odometry:
         message = Odometry(header=messages.header(stamp, "odom"), child_frame_id="base_link")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.messages import in_odometry, odometry_message, read_command, read_odometry
 from humansim_ros.messages.types import Twist, Vector3
 from humansim_ros.scene import Scene
+from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback
+from humansim_ros.scene.robot import Robot
 
 #: A camera in base_link: 0.1 m forward, 0.9 m up, looking forward; 0.2 m to the left.
 MOUNT = {"mount": "robot", "position": [0.1, 0.2, 0.9], "look_at": [1.1, 0.2, 0.9], "size": [64, 48]}
@@ -24,13 +26,25 @@ def scene(robot: dict[str, Any], **camera: Any) -> Scene:
     return Scene.from_dict({"room": None, "humans": {}, "rate": 10, "robot": robot, "cameras": cameras})
 
 
+def robot(settings: dict[str, Any]) -> Robot:
+    built = scene(settings).robot
+    assert built is not None
+    return built
+
+
+def base_at(playback: Playback, seconds: float) -> ObjectPose:
+    base = playback.show(round(seconds * 1e9)).robot
+    assert base is not None
+    return base
+
+
 def heading(rotation: np.ndarray) -> float:
     return float(scipy.spatial.transform.Rotation.from_quat(rotation).as_euler("xyz")[2])
 
 
 class TestPath:
     #: One second to the corner, one second of turn, one second to the second point.
-    PATH = {"points": [[0, 0], [1, 0], [1, 1]], "speed": 1.0, "turn_deg": 90, "end": "clamp"}
+    PATH: ClassVar = {"points": [[0, 0], [1, 0], [1, 1]], "speed": 1.0, "turn_deg": 90, "end": "clamp"}
 
     @pytest.mark.parametrize(
         ("seconds", "place", "yaw"),
@@ -39,20 +53,21 @@ class TestPath:
     def test_it_drives_lines_and_turns_on_the_spot(
         self, seconds: float, place: tuple[float, float], yaw: float
     ) -> None:
-        base = scene({"path": self.PATH}).robot.base_at(seconds)
+        base = robot({"path": self.PATH}).base_at(seconds)
         np.testing.assert_allclose(base.position, [*place, 0], atol=1e-9)
         assert math.degrees(heading(base.rotation)) == pytest.approx(yaw, abs=1e-6)
 
     def test_its_velocity_is_along_its_heading(self) -> None:
-        base = scene({"path": self.PATH}).robot.base_at(2.5)
+        base = robot({"path": self.PATH}).base_at(2.5)
         np.testing.assert_allclose(base.velocity.linear, [0, 1, 0], atol=1e-6)
-        turning = scene({"path": self.PATH}).robot.base_at(1.5)
+        turning = robot({"path": self.PATH}).base_at(1.5)
         np.testing.assert_allclose(turning.velocity.angular, [0, 0, math.pi / 2], atol=1e-6)
 
     def test_a_loop_returns_to_its_start_and_a_turn_back_takes_two_quarters(self) -> None:
-        robot = scene({"path": {"points": [[0, 0], [2, 0]], "speed": 1, "turn_deg": 90}}).robot
-        assert robot.route.duration == pytest.approx(2 + 2 + 2 + 2)
-        np.testing.assert_allclose(robot.base_at(8.5).position, [0.5, 0, 0], atol=1e-9)
+        route = robot({"path": {"points": [[0, 0], [2, 0]], "speed": 1, "turn_deg": 90}}).route
+        assert route is not None
+        assert route.duration == pytest.approx(2 + 2 + 2 + 2)
+        np.testing.assert_allclose(route.at(8.5).position, [0.5, 0, 0], atol=1e-9)
 
 
 class TestCommands:
@@ -69,7 +84,7 @@ class TestCommands:
 
         start = [0.3, -0.2, math.radians(20)]
         wanted = scipy.integrate.solve_ivp(derivative, (0, 3), start, max_step=1e-3, rtol=1e-10, atol=1e-12)
-        base = playback.show(3_000_000_000).robot
+        base = base_at(playback, 3.0)
         np.testing.assert_allclose(base.position[:2], wanted.y[:2, -1], atol=1e-4)
         assert heading(base.rotation) == pytest.approx(wanted.y[2, -1], abs=1e-4)
 
@@ -77,7 +92,7 @@ class TestCommands:
         playback = Playback(scene({"timeout": 0.5, "max_speed": 1.0}))
         playback.show(0)
         playback.command(50.0, 0.0)
-        base = playback.show(2_000_000_000).robot
+        base = base_at(playback, 2.0)
         np.testing.assert_allclose(base.position, [0.5, 0, 0])
         assert not base.velocity.linear.any()
 
@@ -85,11 +100,11 @@ class TestCommands:
         playback = Playback(scene({}))
         playback.show(100_000_000)
         playback.command(1.0, 0.5)
-        later = playback.show(400_000_000).robot.position
-        assert not playback.show(50_000_000).robot.position.any()
-        np.testing.assert_array_equal(playback.show(400_000_000).robot.position, later)
+        later = base_at(playback, 0.4).position
+        assert not base_at(playback, 0.05).position.any()
+        np.testing.assert_array_equal(base_at(playback, 0.4).position, later)
         playback.rewind()
-        assert not playback.show(400_000_000).robot.position.any()
+        assert not base_at(playback, 0.4).position.any()
 
     def test_a_robot_with_a_path_takes_no_commands(self) -> None:
         playback = Playback(scene({"path": TestPath.PATH}))
@@ -98,7 +113,7 @@ class TestCommands:
 
 
 class TestMount:
-    VIBRATION = {"position": 0.004, "rotation_deg": 0.5, "frequency": 9}
+    VIBRATION: ClassVar = {"position": 0.004, "rotation_deg": 0.5, "frequency": 9}
 
     def test_a_camera_is_where_the_product_of_the_transforms_puts_it(self) -> None:
         made = scene({"path": TestPath.PATH})
@@ -123,10 +138,11 @@ class TestMount:
 
     def test_vibration_has_its_deviation_and_odometry_does_not_show_it(self) -> None:
         made = scene({"vibration": self.VIBRATION})
-        shown = [Playback(made).show(round(t * 1e9)) for t in np.arange(0, 20, 0.037)]
+        playback = Playback(made)
+        shown = [playback.show(round(t * 1e9)) for t in np.arange(0, 20, 0.037)]
         bodies = np.array([each.objects["robot"].position for each in shown])
         np.testing.assert_allclose(bodies.std(axis=0), 0.004, rtol=0.1)
-        assert not np.ptp([each.robot.position for each in shown], axis=0).any()
+        assert not any(each.robot.position.any() for each in shown if each.robot is not None)
 
     def test_a_rig_is_carried_as_a_whole(self, tmp_path: Any) -> None:
         (tmp_path / "rig.toml").write_text(
@@ -144,14 +160,14 @@ class TestMount:
 
 class TestMessages:
     def test_odometry_is_read_as_it_was_written(self) -> None:
-        robot = scene({"path": {**TestPath.PATH, "points": [[1, 2], [1, 5]]}}).robot
-        base = robot.base_at(1.7)
-        np.testing.assert_allclose(in_odometry(robot, base).position, [1.7, 0, 0], atol=1e-9)
-        message = odometry_message(robot, base, 17)
+        carrier = robot({"path": {**TestPath.PATH, "points": [[1, 2], [1, 5]]}})
+        base = carrier.base_at(1.7)
+        np.testing.assert_allclose(in_odometry(carrier, base).position, [1.7, 0, 0], atol=1e-9)
+        message = odometry_message(carrier, base, 17)
         assert message.header.frame_id == "odom"
         assert message.child_frame_id == "base_link"
         assert message.twist.twist.linear.x == pytest.approx(1.0, abs=1e-6)
-        stamp, read = read_odometry(message, robot)
+        stamp, read = read_odometry(message, carrier)
         assert stamp == 17
         np.testing.assert_allclose(read.position, base.position, atol=1e-9)
         np.testing.assert_allclose(read.velocity.linear, base.velocity.linear, atol=1e-9)
@@ -167,11 +183,11 @@ class TestMessages:
         ],
     )
     def test_hostile_odometry_is_refused(self, change: Any, message: str) -> None:
-        robot = scene({}).robot
-        odometry = odometry_message(robot, robot.base_at(0), 17)
+        carrier = robot({})
+        odometry = odometry_message(carrier, carrier.base_at(0), 17)
         change(odometry)
         with pytest.raises(RosError, match=message):
-            read_odometry(odometry, robot)
+            read_odometry(odometry, carrier)
 
     def test_a_command_that_is_not_finite_is_refused(self) -> None:
         assert read_command(Twist(linear=Vector3(x=0.5), angular=Vector3(z=-1.0))) == (0.5, -1.0)

@@ -60,8 +60,8 @@ _MOVING_FOR = 1_000_000_000
 class CameraPosePublisher:
     """Publishes ``<camera>/extrinsics`` and ``projection``, both latched, and tf.
 
-    A static camera has them once, a moving one with the stamp of every frame. tf has a camera on a robot once,
-    in ``base_link``. ``<camera>/pose`` (optical frame in ``map``) moves any other camera: poses are
+    A static camera has them once, a moving one with the stamp of every frame. tf has a camera on a robot
+    once, in ``base_link``. ``<camera>/pose`` (optical frame in ``map``) moves any other camera: poses are
     interpolated, and the camera stays at the last one. A pose far ahead of a frame has a stamp of another
     clock: it holds from that frame on. With a wrong calibration these are wrong, and
     ``<camera>/truth/extrinsics`` has the true pose.

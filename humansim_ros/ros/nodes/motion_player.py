@@ -123,7 +123,7 @@ class MotionPlayerNode(FramePlayer):
         """Publish one frame."""
         if self._robot is not None:
             scene_poses = self._robot.placed(tick, scene_poses)
-            self._robot.publish(scene_poses.robot, tick.stamp)
+            self._robot.publish(scene_poses, tick.stamp)
         self._scene_time.publish(SCENE_TIME_TOPIC.build(tick.elapsed, tick.stamp))
         for name, publisher in self._motions.items():
             motion = self._human_topics[name].motion

@@ -68,9 +68,10 @@ class RobotPort:
             return shown
         return self._playback.with_robot(shown, self._base_at(tick.stamp), tick.pace)
 
-    def publish(self, base: ObjectPose, stamp: int) -> None:
+    def publish(self, shown: ScenePoses, stamp: int) -> None:
         """Publish odometry and the transform of a frame, unless another node does."""
-        if self._odom is None:
+        base = shown.robot
+        if self._odom is None or base is None:
             return
         self._odom.publish(self._topic.build(base, stamp))
         config, pose = self._robot.config, messages.in_odometry(self._robot, base)

@@ -171,7 +171,7 @@ class ObjectConfig(ShortSection):
 
     mesh: FileName = Field(
         default="box",
-        description="box, sphere, cylinder, table, chair, door, screen, shelf, "
+        description="box, sphere, cylinder, table, chair, door, screen, shelf, robot, "
         "or a mesh file: .obj (z up, metres), .glb, .ply, .stl, .dae …",
     )
     color: ByteColor = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")

@@ -34,7 +34,14 @@ _MOST_COMMANDS = 20_000
 
 
 def planar_pose(x: float, y: float, yaw: float, velocity: Velocity | None = None) -> ObjectPose:
-    """Pose on the floor: metres in ``map``, and a heading in radians from +x to the left."""
+    """Pose on the floor.
+
+    Args:
+        x: Metres in ``map``.
+        y: Metres in ``map``.
+        yaw: Heading in radians from +x to the left.
+        velocity: Its velocity; None if it stands, or if it is unknown.
+    """
     rotation = np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
     return ObjectPose(np.array([x, y, 0.0]), rotation, np.ones(3), velocity)
 
@@ -234,7 +241,14 @@ class CommandedDrive:
         self._add(_Command(seconds, *self._place(seconds), speed, turn))
 
     def place(self, seconds: float, x: float, y: float, yaw: float) -> None:
-        """Stand somewhere else from a scene time on: metres in ``map``, and a heading in radians."""
+        """Stand somewhere else from a scene time on.
+
+        Args:
+            seconds: The scene time.
+            x: Metres in ``map``.
+            y: Metres in ``map``.
+            yaw: Heading in radians from +x to the left.
+        """
         self._add(_Command(seconds, x, y, yaw, 0.0, 0.0))
 
     def at(self, seconds: float) -> ObjectPose:

@@ -308,7 +308,7 @@ class TrajectoryConfig(ShortSection):
     speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
 
 
-class StereoConfig(_NumberSection):
+class StereoConfig(NumberSection):
     """Second camera to the right of a camera, of the same kind."""
 
     number_key: ClassVar[str] = "baseline"

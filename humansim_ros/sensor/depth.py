@@ -20,7 +20,7 @@ from humansim_ros.camera.camera import MAX_SIZE, Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.sensor.depth_config import MAX_DEPTH, DepthSensorConfig
 from humansim_ros.sensor.sensor import generator, luminance, normal_numbers, srgb_to_light
-from humansim_ros.types import Array, Float32Array, Image
+from humansim_ros.types import Array, Float32Array, Image, Indices
 
 #: Millimetres of depth, (H, W); 0 where nothing is measured (REP-118).
 Millimetres = NDArray[np.uint16]
@@ -47,7 +47,7 @@ class Surfaces:
         inverse: (H, W) its inverse, 0 where nothing is.
         slope_x: (H, W) change of the inverse per pixel to the right.
         slope_y: (H, W) change of the inverse per pixel downward.
-        rays: (H, W, 2) x and y of the rays of the pixels, whose z is 1.
+        rays: (3, H, W) x and y of the rays of the pixels, whose z is 1, and their length.
         cosine: (H, W) cosine of the angle between ray and normal.
     """
 
@@ -66,8 +66,8 @@ class Surfaces:
         slope_x, slope_y = _slope(inverse, 1), _slope(inverse, 0)
         # the normal n of n . X = 1
         x, y = np.float32(K[0, 0]) * slope_x, np.float32(K[0, 1]) * slope_x + np.float32(K[1, 1]) * slope_y
-        z = inverse - x * rays[..., 0] - y * rays[..., 1]
-        length = np.sqrt((x * x + y * y + z * z) * (1 + (rays * rays).sum(axis=-1)))
+        z = inverse - x * rays[0] - y * rays[1]
+        length = np.sqrt(x * x + y * y + z * z) * rays[2]
         cosine = np.divide(inverse, length, out=np.zeros_like(inverse), where=length > 0)
         return cls(depth, inverse, slope_x, slope_y, rays, np.clip(cosine, 0, 1))
 
@@ -206,7 +206,7 @@ class DepthSensor:
     ) -> Measurement:
         """Phase of the light that returns from all surfaces of a pixel, with noise [Lange 2001]."""
         config = self.config
-        along = np.sqrt(1 + (surfaces.rays**2).sum(axis=-1))
+        along = surfaces.rays[2]
         distance = np.where(surfaces.inverse > 0, surfaces.depth * along, np.float32(0))
         signal = np.where(distance > 0, reflectivity * surfaces.cosine / distance**2, np.float32(0))
         # without ambiguity, all that is measured is within half a turn
@@ -263,7 +263,8 @@ class DepthSensor:
     def _rays(self) -> Float32Array:
         width, height = self.optics.size
         columns, rows = np.meshgrid(np.arange(width), np.arange(height))
-        return self.optics.rays(np.dstack([columns, rows]))[..., :2].astype(np.float32)
+        x, y = np.moveaxis(self.optics.rays(np.dstack([columns, rows])), -1, 0)[:2]
+        return np.stack([x, y, np.sqrt(1 + x * x + y * y)]).astype(np.float32)
 
 
 def infrared_reflectivity(colours: Image) -> Float32Array:
@@ -296,16 +297,16 @@ def _moved(surfaces: Surfaces, lateral: Float32Array, random: np.random.Generato
     """
     height, width = surfaces.inverse.shape
     across, down = (lateral * normal_numbers(lateral.shape, random) for _ in range(2))
-    columns, rows = np.arange(width), np.arange(height)[:, None]
-    x = np.clip(np.rint(columns + across).astype(np.intp), 0, width - 1)
-    y = np.clip(np.rint(rows + down).astype(np.intp), 0, height - 1)
-    places = y * width + x
+    columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+    x = np.clip(np.rint(columns + across), 0, width - 1)
+    y = np.clip(np.rint(rows + down), 0, height - 1)
+    places = y.astype(np.int32) * np.int32(width) + x.astype(np.int32)
     inverse, slope_x, slope_y = (
         part.reshape(-1).take(places) for part in (surfaces.inverse, surfaces.slope_x, surfaces.slope_y)
     )
-    moved = inverse + slope_x * (columns - x).astype(np.float32) + slope_y * (rows - y).astype(np.float32)
+    moved = inverse + slope_x * (columns - x) + slope_y * (rows - y)
     # where the plane would be behind the sensor, the depth of the displaced pixel
-    return np.float32(1) / np.where(moved > 0, moved, inverse)
+    return np.asarray(1 / np.where(moved > 0, moved, inverse), dtype=np.float32)
 
 
 def metres(depth: Millimetres) -> Float32Array:
@@ -340,31 +341,57 @@ def aligned(depth: Millimetres, rays: Array, camera: Camera, other: Camera) -> M
         (H, W) along the axis of ``other``.
     """
     width, height = other.size
-    out = np.full(width * height, np.iinfo(np.uint16).max, np.uint16)
     seen = np.flatnonzero(depth)
-    z = 0.001 * depth.reshape(-1)[seen]
-    turn = other.R @ camera.R.T
-    points = np.stack([rays[0][seen] * z, rays[1][seen] * z, z], axis=1) @ turn.T
-    pixels, distance = other.project_optical(points + (other.t - turn @ camera.t))
+    z = depth.reshape(-1)[seen] * np.float32(0.001)
+    points = _in_frame_of(other, camera, np.stack([*rays.astype(np.float32)[:, seen] * z, z]))
     with np.errstate(all="ignore"):
-        # width and height of the footprints
-        sides = (z / distance)[:, None] * (other.K.diagonal()[:2] / camera.K.diagonal()[:2])
-        first, last = np.ceil(pixels - sides / 2), np.ceil(pixels + sides / 2)
-        levels = np.rint(1000 * distance)
-        inside = (last > 0).all(axis=1) & (first < other.size).all(axis=1) & (levels < MAX_DEPTH * 1000)
-        inside &= (levels > 0) & (sides < _WIDEST).all(axis=1)
-    order = np.flatnonzero(inside)
-    # from far to near: of equal places, NumPy keeps the last
-    order = order[np.argsort(-levels[order], kind="stable")]
-    levels, (x, y) = levels[order].astype(np.uint16), first[order].T.astype(np.intp)
-    columns, rows = (last - first)[order].T.astype(np.intp)
+        # half of the footprint, which faces the other camera
+        half = z / points[2] / 2
+        spans = [
+            _span(pixels, half * np.float32(other.K[axis, axis] / camera.K[axis, axis]), size)
+            for axis, (pixels, size) in enumerate(zip(_pixels(other, points), other.size, strict=True))
+        ]
+        levels = np.rint(1000 * points[2])
+    (first, columns), (top, rows) = spans
+    inside = (columns > 0) & (rows > 0) & (levels > 0) & (levels <= MAX_DEPTH * 1000)
+    first, columns, top, rows = (part[inside] for part in (first, columns, top, rows))
+    levels = levels[inside].astype(np.uint16)
+    out = np.full(width * height, np.iinfo(np.uint16).max, np.uint16)
     for right in range(columns.max(initial=0)):
         for below in range(rows.max(initial=0)):
-            column, row = x + right, y + below
-            covered = (right < columns) & (below < rows) & (column >= 0) & (row >= 0)
-            covered &= (column < width) & (row < height)
-            layer = np.full_like(out, np.iinfo(np.uint16).max)
-            layer[(row * width + column)[covered]] = levels[covered]
-            np.minimum(out, layer, out=out)
+            covered = np.flatnonzero((right < columns) & (below < rows))
+            places = (top[covered] + below) * width + first[covered] + right
+            np.minimum.at(out, places, levels[covered])
     out[out == np.iinfo(np.uint16).max] = 0
     return out.reshape(height, width)
+
+
+def _in_frame_of(other: Camera, camera: Camera, points: Float32Array) -> Float32Array:
+    """Points (3, N) of the optical frame of a camera in the optical frame of another one."""
+    turn = other.R @ camera.R.T
+    shift = other.t - turn @ camera.t
+    return np.asarray(turn.astype(np.float32) @ points + shift.astype(np.float32)[:, None])
+
+
+def _pixels(camera: Camera, points: Float32Array) -> Float32Array:
+    """Pixels (2, N) of points (3, N) in the optical frame."""
+    if camera.distorted:
+        return camera.project_optical(points.T)[0].T.astype(np.float32)
+    plane = points[:2] / points[2]
+    return camera.K[:2, :2].astype(np.float32) @ plane + camera.K[:2, 2:].astype(np.float32)
+
+
+def _span(centre: Float32Array, half: Float32Array, size: int) -> tuple[Indices, Indices]:
+    """First pixel (N,) and number (N,) of the pixels along one axis that footprints cover.
+
+    Args:
+        centre: (N,) middles of the footprints, pixels; NaN for none.
+        half: (N,) half of their width, pixels.
+        size: Number of pixels of the image.
+    """
+    half = np.minimum(half, np.float32(_WIDEST / 2))
+    # fmin makes NaN the end of the image, too
+    first, last = (
+        np.fmax(np.fmin(np.ceil(end), size), 0).astype(np.intp) for end in (centre - half, centre + half)
+    )
+    return first, last - first

@@ -55,7 +55,8 @@ def errors(depth: Values, measured: NDArray[np.uint16]) -> Values:
 @pytest.mark.parametrize("degrees", [0, 30, 60, 75])
 def test_the_angle_to_a_plane_is_exact(degrees: float) -> None:
     depth, angle = plane(2.0, degrees)
-    found = Surfaces.of(depth, np.array(K), np.dstack([X, Y]).astype(np.float32)).angle
+    rays = np.stack([X, Y, np.sqrt(1 + X**2 + Y**2)]).astype(np.float32)
+    found = Surfaces.of(depth, np.array(K), rays).angle
     near = np.isfinite(depth) & (depth < 8)
     np.testing.assert_allclose(found[near], angle[near], atol=0.01)
 

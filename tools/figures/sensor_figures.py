@@ -99,7 +99,7 @@ def depth(output: Path) -> None:
     config = load_config(path).model_dump() | {"cameras": cameras}
     scene = Scene.from_config(SceneConfig.model_validate(config), SceneSource.of_file(path))
     with Simulation(scene, ("rgb", "depth")) as simulation:
-        frame = simulation.frame(45)
+        frame = simulation.frame(22)
         kinect, stereo, flight = (frame.depth_sensors[name] for name in presets)
         tiles = [
             tile(frame.views["kinect_v1"].rgb, "image_raw", None),

@@ -118,6 +118,8 @@ def _check_camera(
         unseen = _sees_nobody(name, samples)
         if unseen:
             yield "nobody", Finding("error", key, unseen)
+        elif unmeasured := _measures_nobody(name, samples):
+            yield "depth", Finding("warning", f"cameras.{name}.depth_sensor", unmeasured)
     for kind, option, text in _check_intrinsics(name, scene):
         severity: Severity = "warning"
         yield kind, Finding(severity, intrinsics_key(scene, name, option), text)
@@ -248,6 +250,28 @@ def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
     if config is not None and config.look_at is not None:
         remedy = f"set look_at: {target}, or a wider fov_deg" if angle < 60 else f"set look_at: {target}"
     return f"{text}: {how}; {remedy}"
+
+
+def _measures_nobody(name: str, samples: SceneSamples) -> str | None:
+    """Finding about a depth sensor in whose view and range nobody ever is."""
+    scene = samples.scene
+    sensor = scene.scene_cameras[name].depth_sensor
+    if sensor is None or len(samples.joints) < max(1, len(scene.actors)):
+        return None
+    optics, (rotations, translations) = sensor.optics, samples.camera_poses[name]
+    rotations, translations = optics.R @ rotations, translations @ optics.R.T + optics.t
+    nearest, farthest = sensor.config.range
+    depths = []
+    for joints in samples.joints.values():
+        depth = np.einsum("nj,npj->np", rotations[:, 2], joints) + translations[:, None, 2]
+        depths.append(depth[visible(optics, rotations, translations, joints)])
+        if ((depths[-1] >= nearest) & (depths[-1] <= farthest)).any():
+            return None
+    seen = np.concatenate(depths)
+    text = f"the depth sensor of camera {name} measures nobody in the first {samples.duration:.0f} s"
+    if not len(seen):
+        return f"{text}: they are outside its view; change its fov_deg, position (metres) or rotation_deg"
+    return f"{text}: they are {seen.min():.1f} to {seen.max():.1f} m away; change its range"
 
 
 def _other_poses(camera: Camera) -> Iterator[tuple[str, tuple[Array, Array]]]:

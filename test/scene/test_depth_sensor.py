@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, RenderError
 from humansim_ros.messages.topics import scene_topics
-from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene import Scene, Simulation, check_scene
 from humansim_ros.scene.simulation import Frame
 
 Values = NDArray[Any]
@@ -220,6 +221,23 @@ def test_clouds_have_the_layout_of_depth_image_proc(frame: Frame) -> None:
     np.testing.assert_array_equal(xyz, frame.depth_sensors["light"].color_points)
 
 
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ({}, ""),
+        ({"range": [0.3, 0.4]}, r"they are \d\.\d to \d\.\d m away; change its range"),
+        ({"rotation_deg": [0, 90, 0]}, "they are outside its view"),
+    ],
+)
+def test_a_sensor_that_measures_nobody_is_found(keys: dict[str, Any], text: str) -> None:
+    sensor = {"model": "active_stereo", **keys}
+    camera = {"position": [2.2, 0.1, 1.1], "look_at": [0, 0, 0.9], "depth_sensor": sensor}
+    scene = Scene.from_dict({**SCENE, "objects": {}, "cameras": {"eye": camera}})
+    found = [finding for finding in check_scene(scene) if finding.key == "cameras.eye.depth_sensor"]
+    assert len(found) == bool(text)
+    assert all(re.search(text, finding.text) for finding in found)
+
+
 # --- stereo
 
 
@@ -283,6 +301,20 @@ def test_a_moving_pair_stays_a_pair(tmp_path: Any) -> None:
         later = scene.scene_cameras["head_right"].pose(time + 1e-4).position
         assert left.velocity is not None and right.velocity is not None
         np.testing.assert_allclose((later - right.position) / 1e-4, right.velocity.linear, atol=2e-3)
+
+
+def test_a_pair_and_a_sensor_stay_on_their_robot() -> None:
+    camera = {"position": [0.2, 0, 1.2], "look_at": [1.2, 0.1, 1.1], "mount": "robot"}
+    camera |= {"stereo": 0.1, "depth_sensor": {**SMALL, **ASIDE, "model": "time_of_flight"}}
+    robot = {"path": {"points": [[0, 0], [2, 1], [3, 0]]}}
+    scene = Scene.from_dict({**SCENE, "robot": robot, "cameras": {"left": camera}})
+    eyes = [scene.scene_cameras[name] for name in ("left", "right")]
+    for time in (0.0, 0.7, 1.9):
+        left, right = (eye.pose(time) for eye in eyes)
+        np.testing.assert_allclose(left.R @ (right.position - left.position), [0.1, 0, 0], atol=1e-12)
+        assert eyes[0].depth_sensor is not None
+        sensor = eyes[0].depth_sensor.camera_at(left.R, left.t)
+        np.testing.assert_allclose(left.R @ (sensor.center - left.position), ASIDE["position"], atol=1e-12)
 
 
 def test_random_poses_move_a_pair_together() -> None:

@@ -18,6 +18,7 @@ from humansim_ros.errors import HumansimError, RenderError
 from humansim_ros.messages.topics import scene_topics
 from humansim_ros.scene import Scene, Simulation, check_scene
 from humansim_ros.scene.simulation import Frame
+from humansim_ros.view.seen_topics import seen_topics
 
 Values = NDArray[Any]
 SMALL: dict[str, Any] = {"size": [160, 120], "noise": 0}
@@ -204,6 +205,14 @@ def test_topics_have_the_images_and_calibrations_of_drivers(frame: Frame) -> Non
     assert (pose.header.frame_id, pose.child_frame_id) == ("light_optical_frame", own)
     offset = pose.transform.translation
     assert [offset.x, offset.y, offset.z] == pytest.approx(ASIDE["position"])
+
+
+def test_depth_sensors_are_no_cameras_of_the_page() -> None:
+    """Their ``camera_info`` is beside their images, as the page finds cameras."""
+    types = {f"/{topic.name}": topic.type_name for topic in scene_topics(Scene.from_dict(SCENE))}
+    seen = seen_topics(types)
+    assert list(seen.cameras) == ["light", "stereo", "flight"]
+    assert seen.cameras["light"].images["depth"] == "/light/depth/image"
 
 
 def test_clouds_have_the_layout_of_depth_image_proc(frame: Frame) -> None:

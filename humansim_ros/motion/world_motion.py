@@ -387,10 +387,11 @@ class WorldMotion:
     def _mirrored(self, positions: Array, rotations: Array) -> tuple[Array, Array]:
         """Positions (N, J, 3) and rotations (N, J, 3, 3) with left and right swapped."""
         yaw = _yaw_matrix(self.placement.yaw)
-        mirror = yaw @ np.diag([1.0, -1.0, 1.0]) @ yaw.T
+        at_rest = np.diag([1.0, -1.0, 1.0])  # rotations count from a body that faces +x
+        mirror = yaw @ at_rest @ yaw.T
         center = np.array([*self.placement.position, 0.0])
         pairs = self._opposite_joints
-        return (positions[:, pairs] - center) @ mirror + center, mirror @ rotations[:, pairs] @ mirror
+        return (positions[:, pairs] - center) @ mirror + center, mirror @ rotations[:, pairs] @ at_rest
 
     @cached_property
     def _opposite_joints(self) -> Indices:

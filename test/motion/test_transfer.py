@@ -255,9 +255,21 @@ def test_a_mirrored_motion_is_the_reflection_with_swapped_sides(loop: Any) -> No
     np.testing.assert_allclose(mirrored.positions, expected, atol=1e-9)
     turns = Rotation.from_quat(plain.rotations[:, order].reshape(-1, 4)).as_matrix()
     got = Rotation.from_quat(mirrored.rotations.reshape(-1, 4)).as_matrix()
-    np.testing.assert_allclose(got, plane @ turns @ plane, atol=1e-9)
+    # rotations count from a body at rest that faces +x, also in the mirror
+    np.testing.assert_allclose(got, plane @ turns @ np.diag([1.0, -1, 1]), atol=1e-9)
     assert mirrored.angular is not None and plain.angular is not None
     np.testing.assert_allclose(mirrored.angular, -plain.angular[:, order] @ plane, atol=1e-6)
+
+
+def test_heading_turns_a_mirrored_motion_as_a_whole() -> None:
+    ahead, turned = (
+        replace(in_world(read("walk"), "none", Placement((0.0, 0.0), yaw)), mirror=True).sample([0.4])
+        for yaw in (0.0, 0.7)
+    )
+    turn = Rotation.from_euler("z", 0.7)
+    np.testing.assert_allclose(turned.positions[0], turn.apply(ahead.positions[0]), atol=1e-9)
+    between = (turn * Rotation.from_quat(ahead.rotations[0])).inv() * Rotation.from_quat(turned.rotations[0])
+    np.testing.assert_allclose(between.magnitude(), 0.0, atol=1e-9)
 
 
 @settings(max_examples=25, deadline=None)

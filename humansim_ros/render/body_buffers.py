@@ -46,7 +46,7 @@ class BodyCache:
         return len(self._meshes)
 
     def pose(self, body: Body) -> PosedBody:
-        """Upload a body. It must be drawn before another body with its mesh and instance is uploaded."""
+        """A body in its pose, which is uploaded when it is drawn."""
         buffers = self._meshes.get(body.mesh)
         if buffers is None:
             buffers = self._meshes.put(body.mesh, _MeshBuffers(self._ctx, body.mesh, self._programs))
@@ -111,22 +111,23 @@ class _BodyBuffers:
         self._depths: moderngl.VertexArray | None = None
         self._all: moderngl.Buffer | None = None
         self._poses: LruCache[int, tuple[weakref.ref[Body], PosedMesh]] = LruCache(_MAX_POSES)
-        self._uploaded: PosedMesh | None = None
+        self._positions_of: PosedMesh | None = None
         self._normals_of: PosedMesh | None = None
 
     def pose(self, body: Body) -> PosedBody:
-        """Upload the positions of a body."""
+        """The body in its pose, cached."""
         key = id(body)
         entry = self._poses.get(key)
         if entry is None or entry[0]() is not body:
             poses = self._poses
             reference = weakref.ref(body, lambda _: poses.discard(key))
             entry = poses.put(key, (reference, PosedMesh(self.mesh.topology, body.vertices)))
-        posed = entry[1]
-        if posed is not self._uploaded:
+        return PosedBody(body, entry[1], self)
+
+    def upload_positions(self, posed: PosedMesh) -> None:
+        if self._positions_of is not posed:
             self._upload(self.positions, posed.vertices)
-            self._uploaded = posed
-        return PosedBody(body, posed, self)
+            self._positions_of = posed
 
     def upload_normals(self, posed: PosedMesh) -> None:
         if self._normals_of is not posed:
@@ -135,8 +136,6 @@ class _BodyBuffers:
 
     def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
         corners = self.mesh.expanded.corners.take(triangles, axis=0)
-        if not len(corners):
-            return
         self._index.orphan()
         self._index.write(corners)
         self.mesh.material.texture.use(0)
@@ -163,7 +162,7 @@ class _BodyBuffers:
 
 @dataclass(frozen=True, eq=False)
 class PosedBody:
-    """A body whose pose is on the device, for the duration of one draw."""
+    """A body in its pose, with its buffers on the device."""
 
     body: Body
     posed: PosedMesh
@@ -196,12 +195,16 @@ class PosedBody:
 
     def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
         """Draw the triangles of some indices (M,)."""
+        if not len(triangles):
+            return
+        self._buffers.upload_positions(self.posed)
         if lit:
             self._buffers.upload_normals(self.posed)
         self._buffers.draw(lit, triangles)
 
     def draw_depths(self, program: moderngl.Program) -> None:
         """Draw all triangles with a program that needs positions only. It must be the same in each call."""
+        self._buffers.upload_positions(self.posed)
         self._buffers.draw_depths(program)
 
     def tessellated(self, camera: Camera, angle: float) -> TessellatedMesh | None:
@@ -249,6 +252,8 @@ class PosedBody:
 #: Pixels of tolerance when a triangle is tested for pixel centers: projections are in single precision, and
 #: the device rounds them to 1/256 of a pixel.
 _ROUNDING = np.float32(1 / 64)
+#: Share of its depth by which a surface is behind others beyond doubt.
+_BEHIND = 0.999
 
 
 class ProjectedPoints:
@@ -278,17 +283,47 @@ class ProjectedPoints:
         x, y = camera.K[:2, :2] @ camera.lens.distort(np.stack(self.plane, axis=1)).T + camera.K[:2, 2:]
         return x.astype(np.float32), y.astype(np.float32)
 
+    @cached_property
+    def _cells(self) -> NDArray[np.int64]:
+        """(N,) cells of a grid through the pixel centers, two numbers of 32 bits: column and row.
+
+        The first and the last ones have no end. A point on a line of the grid, or beyond the field of view,
+        has a cell of its own.
+        """
+        cells = np.empty((len(self.depth), 2), np.int32)
+        own = -1 - np.arange(len(self.depth), dtype=np.int32)
+        for axis, (places, size) in enumerate(zip(self.pixels, self.camera.size, strict=True)):
+            low, high = np.ceil(places - _ROUNDING), np.floor(places + _ROUNDING)
+            on_line = ~((high < low) | (high < 0) | (low >= size))  # true for NaN
+            cell = np.clip(np.nan_to_num(low, copy=False), 0, size).astype(np.int32)
+            np.copyto(cell, own, where=on_line)
+            cells[:, axis] = cell
+        return cells.view(np.int64)[:, 0]
+
     def covering(self, corners: Sequence[NDArray[np.intp]]) -> NDArray[np.bool_]:
         """(M,) whether each triangle may cover a pixel center; ``corners``: its vertices, three of (M,).
 
-        The other triangles, half of the triangles of a human, leave no trace in the image.
+        The others, most triangles of a human, leave no trace in the image: no column of pixel centers is
+        between their corners, or no row.
         """
-        covering: NDArray[np.bool_] = np.ones(len(corners[0]), bool)
-        for positions in self.pixels:
-            a, b, c = (positions.take(corner) for corner in corners)
-            low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-            covering &= ~(np.floor(high + _ROUNDING) < np.ceil(low - _ROUNDING))  # true for NaN
-        return covering
+        first, second, third = (self._cells.take(corner) for corner in corners)
+        different = ((first ^ second) | (first ^ third)).view(np.int32).reshape(-1, 2)
+        return np.asarray((different[:, 0] != 0) & (different[:, 1] != 0))
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether a surface between the points leaves no trace in the image."""
+        return image_bounds([self], self.camera).empty
+
+    def is_hidden(self, static: Float32Array) -> bool:
+        """Whether a surface between the points is outside the image, or all of it is behind the static scene.
+
+        ``static``: (H, W) depth of the static scene, metres.
+        """
+        rectangle = image_bounds([self], self.camera)
+        if rectangle.empty or rectangle.near:
+            return rectangle.empty
+        return float(static[rectangle.slices].max()) < _BEHIND * float(self.depth.min())
 
 
 def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle:

@@ -190,17 +190,18 @@ class GLRenderer(Renderer):
         self, bodies: Sequence[Body], camera: Camera, passes: Passes, layer: StaticLayer
     ) -> RenderedFrame:
         posed = [self._bodies.pose(body) for body in bodies]
+        projected = [ProjectedPoints(body.posed.points, camera) for body in posed]
+        drawn = [not points.is_hidden(layer.depth) for points in projected]
         shadows = []
         if passes.lit and self._static.contact_shadows:
-            shadows = [body.contact_shadow for body in posed if body.near_floor]
+            casting = (body.contact_shadow for body in posed if body.near_floor)
+            shadows = [each for each in casting if not ProjectedPoints(each.corners.T, camera).is_outside]
         shaded = [shadow.corners.T for shadow in shadows]
         sun = self._static.sun_shadows if passes.lit else None
         if sun is not None and posed:
             shaded += sun.update(posed)
-        projected = [ProjectedPoints(body.posed.points, camera) for body in posed]
-        rectangle = image_bounds(
-            [*projected, *(ProjectedPoints(points, camera) for points in shaded)], camera
-        )
+        clouds = [points for points, draw in zip(projected, drawn, strict=True) if draw]
+        rectangle = image_bounds([*clouds, *(ProjectedPoints(points, camera) for points in shaded)], camera)
         target = self._target(camera.size)
         target.start(rectangle, layer.depth_buffer, layer.rgba)
         ids, outline = TriangleIds(), None
@@ -209,12 +210,16 @@ class GLRenderer(Renderer):
             if sun is not None and layer.shadow_inputs is not None:
                 sun.apply(layer.shadow_inputs, layer.target, target, camera)
             target.use(passes.lit)
-            facing = [body.posed.facing(camera.center) for body in posed]
+            each = zip(posed, drawn, strict=True)
+            facing = [body.posed.facing(camera.center) if draw else None for body, draw in each]
             ids = self._draw(posed, projected, facing, rectangle, passes.lit)
-            if passes.outlined:
+            if passes.outlined and clouds:
                 angle = straight_angle(camera, rectangle)
-                each = zip(posed, projected, facing, strict=True)
-                edges = [contour(body.posed, points, front, angle) for body, points, front in each]
+                edges = [
+                    contour(body.posed, points, front, angle)
+                    for body, points, front in zip(posed, projected, facing, strict=True)
+                    if front is not None
+                ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
         triangle_ids, depth = (target.read(name, passes.lit) for name in ("triangle_id", "depth"))
         rgba = target.read("rgba", True) if passes.lit else None
@@ -257,13 +262,14 @@ class GLRenderer(Renderer):
         self,
         bodies: Sequence[PosedBody],
         projected: Sequence[ProjectedPoints],
-        facing: Sequence[NDArray[np.bool_]],
+        facing: Sequence[NDArray[np.bool_] | None],
         rectangle: Rectangle,
         lit: bool,
     ) -> TriangleIds:
         """Draw the triangles that may be visible of one body or more, each with its own id.
 
-        ``facing``: of each body, (N,) whether a triangle shows its front. ``lit``: draw colours too.
+        ``facing``: of each body, (N,) whether a triangle shows its front; None for a hidden body. ``lit``:
+        draw colours too.
         """
         ids = TriangleIds()
         if not bodies:
@@ -273,6 +279,9 @@ class GLRenderer(Renderer):
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         straight = straight_angle(camera, rectangle)
         for body, points, front in zip(bodies, projected, facing, strict=True):
+            if front is None:
+                ids.add(body.body, np.zeros(0, np.intp))
+                continue
             set_uniform(program, "first_id", ids.count)
             set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
             tessellated = body.tessellated(camera, straight) if camera.distorted else None

@@ -89,16 +89,17 @@ class StaticLayer:
         self._rgb = None if rgba is None else cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
         depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
-        self._depth = np.where(depth > 0, depth, np.float32(np.inf))
+        #: (H, W) metres, +inf where nothing is
+        self.depth = np.where(depth > 0, depth, np.float32(np.inf))
 
     def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
         """New arrays of the channels as they are without bodies."""
-        cached: dict[str, NDArray[Any]] = {"depth": self._depth}
+        cached: dict[str, NDArray[Any]] = {"depth": self.depth}
         if self._rgb is not None:
             cached["rgb"] = self._rgb
         shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
         return {
-            c.name: cached[c.name].copy() if c.name in cached else c.empty_image(self._depth.shape)
+            c.name: cached[c.name].copy() if c.name in cached else c.empty_image(self.depth.shape)
             for c in shared
         }
 

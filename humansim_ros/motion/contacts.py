@@ -159,8 +159,7 @@ class FootContacts:
         """Joints with the ankles of the retargeted body moved by ``shift`` (N, 2, 3), metres in ``map``."""
         skeleton = self.retargeter.skeleton
         posed = self.retargeter.pose(poses)
-        old, rotations = poses.positions, quaternion_to_matrix(poses.rotations)
-        new = np.array(old)
+        new, rotations = np.array(poses.positions), quaternion_to_matrix(poses.rotations)
         for foot, leg in enumerate(self._legs):
             hip, knee, ankle = (
                 posed[:, skeleton.bone(f"{_SIDES[foot][1]}_{part}"), :3, 3]
@@ -169,28 +168,18 @@ class FootContacts:
             goal = ankle + shift[:, foot] * correction_share(hip, knee, ankle)
             thigh, shin = two_bone(hip, knee, ankle, goal)
             # the source's leg rotates as the skeleton's leg; its foot keeps its orientation
-            new_knee = old[:, leg.hip] + rotate(thigh, old[:, leg.knee] - old[:, leg.hip])
-            new_ankle = new_knee + rotate(shin, old[:, leg.ankle] - old[:, leg.knee])
-            identity = np.broadcast_to(np.eye(3), thigh.shape)
-            for joints, before, after, rotation in (
-                (leg.thigh, old[:, leg.hip], old[:, leg.hip], thigh),
-                (leg.shin, old[:, leg.knee], new_knee, shin),
-                (leg.foot, old[:, leg.ankle], new_ankle, identity),
-            ):
-                offsets = old[:, joints] - before[:, None]
-                new[:, joints] = after[:, None] + offsets @ np.swapaxes(rotation, -1, -2)
-                rotations[:, joints] = rotation[:, None] @ rotations[:, joints]
+            leg.turn(new, rotations, thigh, shin)
         return JointPoses(poses.names, new, matrix_to_quaternion(rotations))
 
     @cached_property
-    def _legs(self) -> tuple[_Leg, _Leg]:
-        left, right = (_Leg.of(side, self.motion, self.retargeter.match.roles) for side, _ in _SIDES)
+    def _legs(self) -> tuple[Leg, Leg]:
+        left, right = (Leg.of(side, self.motion, self.retargeter.match.roles) for side, _ in _SIDES)
         return left, right
 
 
 @dataclass(frozen=True)
-class _Leg:
-    """Joints of a leg: the three main ones, and all joints that move with thigh, shin and foot."""
+class Leg:
+    """Joints of a leg of a motion: the three main ones, and those that move with thigh, shin and foot."""
 
     hip: int
     knee: int
@@ -200,7 +189,8 @@ class _Leg:
     foot: list[int]
 
     @classmethod
-    def of(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> _Leg:
+    def of(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> Leg:
+        """The leg on a side, ``Left`` or ``Right``. Raises MotionError if its ankle is unknown."""
         if (ankle := roles.get(f"{side}Ankle")) is None:
             raise MotionError("feet cannot be pinned: the joint table knows no ankles", path=motion.path)
         main = (roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
@@ -210,6 +200,40 @@ class _Leg:
                 part[joint] = part[int(parent)]
         thigh, shin, foot = ([j for j, number in part.items() if number == k] for k in range(3))
         return cls(*main, thigh, shin, foot)
+
+    def stretch(self, positions: Array, thigh: float, shin: float) -> None:
+        """Give thigh and shin of joints (N, J, 3) these lengths in metres, in place."""
+        for joints, start, end, length in (
+            ([*self.shin, *self.foot], self.hip, self.knee, thigh),
+            (self.foot, self.knee, self.ankle, shin),
+        ):
+            line = positions[:, end] - positions[:, start]
+            longer = length / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9) - 1
+            positions[:, joints] += (longer * line)[:, None]
+
+    def turn(
+        self, positions: Array, rotations: Array, thigh: Array, shin: Array, foot: Array | None = None
+    ) -> None:
+        """Turn the leg about hip, knee and ankle, in place.
+
+        Args:
+            positions: Joints, (N, J, 3).
+            rotations: Rotations of the joints, (N, J, 3, 3).
+            thigh: Rotations of the thigh, (N, 3, 3).
+            shin: Rotations of the shin, (N, 3, 3).
+            foot: Rotations of the foot, (N, 3, 3); it keeps its orientation if None.
+        """
+        hip, knee, ankle = (positions[:, joint].copy() for joint in (self.hip, self.knee, self.ankle))
+        new_knee = hip + rotate(thigh, knee - hip)
+        new_ankle = new_knee + rotate(shin, ankle - knee)
+        for joints, before, after, rotation in (
+            (self.thigh, hip, hip, thigh),
+            (self.shin, knee, new_knee, shin),
+            (self.foot, ankle, new_ankle, np.broadcast_to(np.eye(3), thigh.shape) if foot is None else foot),
+        ):
+            offsets = positions[:, joints] - before[:, None]
+            positions[:, joints] = after[:, None] + offsets @ np.swapaxes(rotation, -1, -2)
+            rotations[:, joints] = rotation[:, None] @ rotations[:, joints]
 
 
 def _posed_legs(

@@ -14,12 +14,13 @@ from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
 from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix, transform
 from humansim_ros.scene.config import HumanConfig, MotionConfig
-from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.source import STANDING, SceneSource
 from humansim_ros.types import Array
 
 
@@ -131,7 +132,7 @@ class Actor:
         )
         for warning in playing_warnings(world):
             warn_about(motion.path, warning)
-        retargeter = Retargeter.fit(world, human.skeleton, config.retarget, config.root_scale, config.clamp)
+        retargeter = cls._fit(world, human, config, source)
         if config.pin_feet:
             world = replace(world, correction=FootContacts.detect(world, retargeter))
         return cls(name, instance, human, world, retargeter, config.offset)
@@ -144,6 +145,7 @@ class Actor:
         config: HumanConfig,
         source: SceneSource,
         keyframes: KeyframeTrack | None = None,
+        path: FloorPath | None = None,
     ) -> Actor:
         """Load a human of a scene with its motion.
 
@@ -153,6 +155,7 @@ class Actor:
             config: Section of the human.
             source: Finds its files.
             keyframes: Keyframes that move it, if any.
+            path: Path that its walk follows, if any.
 
         Raises:
             HumansimError: With the key.
@@ -161,12 +164,44 @@ class Actor:
             human = source.human(config.body, config.outfit, config.skinning)
             with in_section("motion"):
                 actor = cls.build(name, instance, human, config.motion, source)
+                if path is not None:
+                    actor = actor._along(path, config.motion, source)
         return replace(actor, keyframes=keyframes)
 
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
         return replace(changed, keyframes=self.keyframes)
+
+    @staticmethod
+    def _fit(world: WorldMotion, human: Human, config: MotionConfig, source: SceneSource) -> Retargeter:
+        """Retargeting of a motion, which is fitted once for all humans with a skeleton and a motion."""
+
+        def fit() -> Retargeter:
+            origin = replace(world, placement=Placement())  # wherever the first of these humans is
+            return Retargeter.fit(origin, human.skeleton, config.retarget, config.root_scale, config.clamp)
+
+        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet"}
+        fitted = source.once(fit, "fit", id(human.skeleton), config.model_dump_json(exclude=placed))
+        x, y = world.placement.position
+        return replace(fitted, origin=(float(x), float(y)))
+
+    def _along(self, path: FloorPath, config: MotionConfig, source: SceneSource) -> Actor:
+        """The same human whose walk follows a path on the floor."""
+
+        def make() -> Gait:
+            with in_section("file"):
+                standing = source.motion(STANDING, "auto")
+                match = match_motion(standing)
+                return Gait.of(walk, WorldMotion(standing, match, detect_file_frame(standing, match)))
+
+        walk = self.motion
+        gait = source.once(make, "gait", config.file)
+        # the gait has the size of the body, so that its stride is the distance on the path
+        motion = PathMotion(
+            walk.motion, walk.match, walk.frame, gait=gait, path=path, size=self.retargeter.scale
+        )
+        return replace(self, motion=motion, retargeter=replace(self.retargeter, scale=1.0, origin=(0.0, 0.0)))
 
     def joint_poses(self, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""

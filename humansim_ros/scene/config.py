@@ -207,6 +207,10 @@ class RoomConfig(Section):
         return self
 
 
+#: x, y of two corners.
+_Area = tuple[Bounded, Bounded, Bounded, Bounded]
+
+
 class VarietyConfig(Section):
     """Random humans from a seed."""
 
@@ -221,7 +225,7 @@ class VarietyConfig(Section):
     motions: tuple[FileName, ...] | None = Field(
         default=None, min_length=1, description="motions to choose from; built-in motions if absent"
     )
-    area: tuple[Bounded, Bounded, Bounded, Bounded] | None = Field(
+    area: _Area | None = Field(
         default=None,
         description="area of the middles of their paths: x, y of two corners; the middle of the room if "
         "absent",
@@ -232,6 +236,89 @@ class VarietyConfig(Section):
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
         default=(0.9, 1.1), description="least and greatest factor of the motion's speed"
     )
+
+
+class FlowConfig(Section):
+    """People who walk from an area to another one, and back."""
+
+    other_words: ClassVar[dict[str, str]] = {"start": "from source", "goal": "to end target destination"}
+
+    start: _Area = Field(description="area that they come from: x, y of two corners")
+    goal: _Area = Field(description="area that they walk to: x, y of two corners")
+    share: float = Field(default=1.0, gt=0, le=1e6, description="how many, relative to the other flows")
+
+
+class QueueConfig(Section):
+    """People who stand in line; the first one is served, and walks back to the end of the line."""
+
+    position: tuple[Bounded, Bounded] = Field(description="place of the first one: x, y in map, metres")
+    direction_deg: float = Field(
+        default=0.0, description="direction from the first to the last one, degrees from +x to the left"
+    )
+    count: int = Field(ge=1, le=1000, description="number of people in line")
+    spacing: float = Field(default=0.8, ge=0.5, le=10, description="metres from one to the next")
+    service: float = Field(default=5.0, ge=0, le=1e4, description="seconds that one is served")
+
+
+class CrowdConfig(Section):
+    """People who walk among each other without touching (docs/crowds.md)."""
+
+    other_words: ClassVar[dict[str, str]] = {"count": "number n", "duration": "seconds length"}
+
+    count: int = Field(ge=0, le=1000, description="number of people")
+    seed: int = Field(default=1, ge=0, description="the same seed gives the same crowd")
+    name: _Name = Field(default="walker", description="prefix of their names: walker_1, walker_2 …")
+    bodies: tuple[FileName, ...] | None = Field(
+        default=None, min_length=1, description="bodies to choose from; the built-in humans if absent"
+    )
+    motions: tuple[FileName, ...] = Field(
+        default=("walk_straight",),
+        min_length=1,
+        description="motions to choose from, which walk straight ahead",
+    )
+    area: _Area | None = Field(
+        default=None,
+        description="floor of the crowd: x, y of two corners; the room if absent, or 10 x 10 m without one",
+    )
+    flows: tuple[FlowConfig, ...] = Field(
+        default=(), max_length=100, description="where they walk; to places at random in the area if absent"
+    )
+    groups: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="share of the people who walk in groups of two to four, side by side",
+    )
+    queues: tuple[QueueConfig, ...] = Field(
+        default=(), max_length=100, description="lines in which some stand"
+    )
+    speed: tuple[Annotated[float, Field(ge=0.2, le=2.0)], Annotated[float, Field(ge=0, le=1)]] = Field(
+        default=(1.34, 0.26), description="mean and standard deviation of their speeds, m/s [Weidmann 1993]"
+    )
+    pause: tuple[Annotated[float, Field(ge=0, le=1e4)], Annotated[float, Field(ge=0, le=1e4)]] = Field(
+        default=(0.0, 2.0), description="shortest and longest stay at a goal, seconds"
+    )
+    radius: float = Field(
+        default=0.3,
+        ge=0.15,
+        le=1.0,
+        description="radius of a person seen from above, metres: the middles of two people keep twice as far",
+    )
+    duration: float = Field(
+        default=60.0,
+        ge=10,
+        le=3600,
+        description="seconds after which everybody is back at the start and the crowd repeats",
+    )
+
+    @model_validator(mode="after")
+    def _has_room_in_queues(self) -> CrowdConfig:
+        for queue in self.queues:
+            if queue.spacing < 2 * self.radius:
+                raise ValueError(
+                    f"a radius of {self.radius:g} m needs a spacing of {2 * self.radius:g} m in queues"
+                )
+        return self
 
 
 class LightConfig(Section):
@@ -416,7 +503,7 @@ class SceneConfig(Section):
     other_words: ClassVar[dict[str, str]] = {
         "rate": "fps framerate frame_rate hz frequency",
         "humans": "people persons actors human",
-        "variety": "random crowd",
+        "variety": "random",
         "scanners": "lidars lidar lasers scanner laser",
         "license": "licence",
     }
@@ -428,6 +515,7 @@ class SceneConfig(Section):
     )
     humans: dict[_Name, HumanConfig] = Field(default_factory=dict)
     variety: VarietyConfig | None = Field(default=None, description="random humans besides these")
+    crowd: CrowdConfig | None = Field(default=None, description="people who walk among each other")
     objects: dict[_Name, ObjectConfig] = Field(default_factory=dict)
     robot: RobotConfig | None = Field(default=None, description="a robot that carries cameras")
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
@@ -449,7 +537,7 @@ class SceneConfig(Section):
             raise ValueError(
                 "a scene needs at least one camera: in 'cameras', or in a calibration file as 'rig'"
             )
-        labels = len(self.humans) + (self.variety.count if self.variety else 0)
+        labels = len(self.humans) + sum(part.count for part in (self.variety, self.crowd) if part)
         labels += sum(item.label for item in self.objects.values())
         if self.robot is not None:
             if ROBOT in self.objects:

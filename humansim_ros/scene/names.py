@@ -49,7 +49,7 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
     own = _section_names(content, "cameras", path)
     pairs = (name for name in own if _is_stereo(content["cameras"][name]))
     cameras = (*_rig_names(content, path), *own, *map(right_camera, pairs))
-    humans = (*_section_names(content, "humans", path), *_variety_names(content, path))
+    humans = (*_section_names(content, "humans", path), *_random_names(content, path))
     scanners = _section_names(content, "scanners", path)
     with located(path=path):
         check_node_names(humans, cameras, scanners)
@@ -76,16 +76,20 @@ def check_node_names(humans: Iterable[str], cameras: Iterable[str], scanners: It
 
 
 def variety_names(prefix: str, count: int) -> list[str]:
-    """Names of the random humans of a ``variety`` section: person_1, person_2 …"""
+    """Names of the random humans of a ``variety`` or ``crowd`` section: person_1, person_2 …"""
     return [f"{prefix}_{number}" for number in range(1, count + 1)]
 
 
-def _variety_names(content: Mapping[str, Any], path: Path) -> list[str]:
-    section = content.get("variety") or {}
-    try:
-        return variety_names(str(section.get("name", "person")), min(int(section.get("count", 0)), 1000))
-    except (AttributeError, TypeError, ValueError):
-        raise SceneError("must have count, a number of people", path=path, key="variety") from None
+def _random_names(content: Mapping[str, Any], path: Path) -> list[str]:
+    names: list[str] = []
+    for key, prefix in (("variety", "person"), ("crowd", "walker")):
+        section = content.get(key) or {}
+        try:
+            count = min(int(section.get("count", 0)), 1000)
+            names += variety_names(str(section.get("name", prefix)), count)
+        except (AttributeError, TypeError, ValueError):
+            raise SceneError("must have count, a number of people", path=path, key=key) from None
+    return names
 
 
 def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:

@@ -36,6 +36,7 @@ from humansim_ros.scene.config import (
     load_config,
     map_files,
 )
+from humansim_ros.scene.crowd import with_crowd
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
@@ -206,7 +207,7 @@ class Scene(Pictured):
         scene_cameras: Cameras with sensor and trajectory by name; ``cameras`` has their geometry only.
         objects: Objects by name.
         environment: Static surroundings.
-        random_humans: Names of the humans from ``variety``.
+        random_humans: Names of the humans from ``variety`` and ``crowd``.
         scanners: Laser scanners by name.
         robot: What moves the object ``robot``; None without a robot.
 
@@ -304,11 +305,12 @@ class Scene(Pictured):
     @classmethod
     def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
         named = frozenset(config.humans)
-        config = with_variety(config, source)
+        config, paths = with_crowd(with_variety(config, source), source)
         tracks = load_tracks(config, source)
         actors: dict[str, Actor] = {}
         for number, (name, human) in enumerate(config.humans.items(), 1):
-            actors[name] = Actor.load(name, number, human, source, tracks.get(("humans", name)))
+            track = tracks.get(("humans", name))
+            actors[name] = Actor.load(name, number, human, source, track, paths.get(name))
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
         robot = Robot.of_scene(config, source)

@@ -28,7 +28,7 @@ from humansim_ros.scene.config import LIVE
 T = TypeVar("T")
 
 #: Motion whose first frame is a person who stands with hanging arms.
-_STANDING = "wave"
+STANDING = "wave"
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class SceneSource:
         if motion is not None:
             return motion
         if name == LIVE:
-            standing = read_motion(_STANDING)
+            standing = read_motion(STANDING)
             return replace(standing, values=standing.values[:1], path=LIVE)
         path = find_motion(name, self.folder, SceneError)
         return self.once(lambda: read_motion(path, positions), "motion", name, positions)

@@ -1,0 +1,357 @@
+"""Walks along a planned path: the phase of the gait follows the distance, so that feet do not slide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.interpolate
+import scipy.ndimage
+import scipy.spatial
+from numpy.typing import ArrayLike
+
+from humansim_ros.errors import MotionError
+from humansim_ros.motion.contacts import Leg, two_bone
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.soles import true_runs
+from humansim_ros.motion.world_motion import Placement, WorldMotion
+from humansim_ros.rotations import (
+    matrix_to_quaternion,
+    multiply_quaternions,
+    quaternion_to_matrix,
+    rotate,
+    rotation_vector_to_matrix,
+    rotation_vector_to_quaternion,
+    slerp,
+)
+from humansim_ros.types import Array
+
+#: Poses of a gait in one cycle.
+_PHASES = 120
+#: Shortest stride of a walk, metres, and largest turn in a cycle, radians.
+_LEAST_STRIDE, _MOST_TURN = 0.3, 0.1
+#: Points of heading, phase and stride between two points of a path.
+_FINE = 4
+#: Seconds (standard deviation) over which speed and direction are smoothed.
+_SMOOTH_SPEED, _SMOOTH_DIRECTION = 0.25, 0.3
+#: Speed, m/s, above which a person faces where it goes, and radians per second of a turn on the spot.
+_FACING, _TURN = 0.15, 1.6
+#: Metres per radian of a turn: steps on the spot are those of a walk of that way.
+_TURN_ARM = 0.35
+#: Speed of a foot, relative to the walk, below which it stands; share of the stride from which it is kept in
+#: its place; largest corrections, metres and radians.
+_SLOW, _PINNED, _MAX_SHIFT, _MAX_FOOT_TURN = 1.0, 0.15, 0.25, 0.7
+#: Shortest time of a foot on the floor, as a share of the cycle.
+_SHORTEST_STANCE = 0.08
+#: Smallest share of the stride with which somebody steps: slower people take fewer steps.
+_LEAST_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A walk on the spot, and the pose of somebody who stands: joints about a point of the floor, facing +x.
+
+    Attributes:
+        stride: Metres of a cycle of two steps.
+        seconds: Seconds of a cycle.
+        positions: (P + 1, J, 3) metres, from phase 0 to 1.
+        rotations: (P + 1, J, 4) quaternions xyzw from rest.
+        standing: (J, 3) and (J, 4), the pose of somebody who stands.
+        legs: Left and right leg.
+        leg_lengths: Thigh and shin of both, metres.
+        stances: For each foot, (S, 2) phases at which it comes to the floor and leaves it; those at which it
+            leaves it may be above 1.
+    """
+
+    stride: float
+    seconds: float
+    positions: Array
+    rotations: Array
+    standing: tuple[Array, Array]
+    legs: tuple[Leg, Leg]
+    leg_lengths: Array
+    stances: tuple[Array, Array]
+
+    @classmethod
+    def of(cls, walk: WorldMotion, standing: WorldMotion | None = None) -> Gait:
+        """Gait of a cycle of a walk.
+
+        Args:
+            walk: The motion of somebody who walks straight ahead.
+            standing: A motion with the same joints whose first frame stands; the middle of the gait if None.
+
+        Raises:
+            MotionError: The motion does not go ahead, or turns.
+        """
+        cycle = replace(walk, placement=Placement(), loop="continue", speed=1.0, correction=None)
+        hips = walk.match.roles["Hips"]
+        phases = np.linspace(0.0, 1.0, _PHASES + 1)
+        # the second cycle, into which the end of the first has faded
+        poses = cycle.sample((1 + phases * (1 - 1e-9)) * cycle.cycle_length)
+        way = poses.positions[-1, hips, :2] - poses.positions[0, hips, :2]
+        stride, turn = float(np.linalg.norm(way)), cycle.cycle_rotations(np.ones(1))[0]
+        if stride < _LEAST_STRIDE or abs(turn[1, 0]) > _MOST_TURN:
+            raise MotionError(
+                "people of a crowd need a motion that walks straight ahead, such as walk_straight: this one "
+                + ("stays in place" if stride < _LEAST_STRIDE else "turns"),
+                path=walk.motion.path,
+            )
+        ahead = poses.positions.copy()
+        ahead[..., :2] -= poses.positions[0, hips, :2] + phases[:, None, None] * way
+        ahead[..., :2] -= ahead[:-1, hips, :2].mean(axis=0)
+        positions, rotations = turned(
+            ahead, poses.rotations, np.full(len(ahead), -np.arctan2(way[1], way[0]))
+        )
+        if standing is None or standing.names != walk.names:
+            each = rotations[:-1].swapaxes(0, 1)
+            mean = [scipy.spatial.transform.Rotation.from_quat(one).mean().as_quat() for one in each]
+            still = positions[:-1].mean(axis=0), np.array(mean)
+        else:
+            pose = replace(standing, placement=Placement(), loop="none", speed=1.0).sample(0.0)
+            still = pose.positions[0], pose.rotations[0]
+        left, right = (Leg.of(side, walk.motion, walk.match.roles) for side in ("Left", "Right"))
+        stances = tuple(_stances(positions[:, leg.ankle, 0] / stride) for leg in (left, right))
+        joints = np.array([(leg.hip, leg.knee, leg.ankle) for leg in (left, right)])
+        lengths = np.linalg.norm(np.diff(positions[0, joints], axis=1), axis=-1)
+        gait = stride, cycle.duration, positions, rotations, still
+        return cls(*gait, (left, right), lengths, (stances[0], stances[1]))
+
+    def at(self, phases: Array, shares: Array) -> tuple[Array, Array]:
+        """Positions (N, J, 3) and rotations (N, J, 4) at phases (N,) with shares (N,) of the stride."""
+        place = (phases % 1.0) * _PHASES
+        before = np.minimum(place.astype(int), _PHASES - 1)
+        part = (place - before)[:, None]
+        positions = self.positions[before] + part[..., None] * (
+            self.positions[before + 1] - self.positions[before]
+        )
+        rotations = slerp(self.rotations[before], self.rotations[before + 1], part)
+        still, upright = self.standing
+        share = shares[:, None]
+        positions = still + share[..., None] * (positions - still)
+        return positions, slerp(np.broadcast_to(upright, rotations.shape), rotations, share)
+
+    def ankle(self, foot: int, phases: Array, shares: Array) -> Array:
+        """Ankle (N, 3) of a foot (0 left, 1 right), as in :meth:`at`."""
+        path, still = self.positions[:, self.legs[foot].ankle], self.standing[0][self.legs[foot].ankle]
+        known = np.linspace(0.0, 1.0, len(path))
+        moved = np.stack([np.interp(phases % 1.0, known, axis) for axis in path.T], axis=-1)
+        return np.asarray(still + shares[:, None] * (moved - still))
+
+
+def _stances(path: Array) -> Array:
+    """Phases (S, 2) between which a foot on the floor is slow, from its place (P + 1,) in strides."""
+    slow = 1 + np.gradient(path, 1 / _PHASES)[:-1] < _SLOW
+    if slow.all() or not slow.any():
+        return np.array([[0.0, 0.5]])
+    start = int(np.flatnonzero(~slow)[0])
+    runs = np.array(
+        [run for run in true_runs(np.roll(slow, -start)) if run[1] - run[0] > _SHORTEST_STANCE * _PHASES]
+    )
+    runs = runs + start
+    runs -= runs[:, :1] // _PHASES * _PHASES
+    return np.asarray(runs[np.argsort(runs[:, 0])] / _PHASES)
+
+
+def turned(positions: Array, rotations: Array, yaws: Array) -> tuple[Array, Array]:
+    """Poses (N, J, 3) and (N, J, 4) turned about the vertical axis at the origin by (N,) radians."""
+    c, s, zero = np.cos(yaws)[:, None], np.sin(yaws)[:, None], np.zeros(len(yaws))
+    x, y, z = np.moveaxis(positions, -1, 0)
+    turn = rotation_vector_to_quaternion(np.stack([zero, zero, yaws], axis=-1))[:, None]
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1), multiply_quaternions(turn, rotations)
+
+
+@dataclass(frozen=True)
+class FloorPath:
+    """A closed path of a person on the floor over time: a cubic B-spline, which has no jumps of velocity.
+
+    Attributes:
+        points: (K, 2) control points, metres in ``map``, evenly in time; the first follows the last.
+        step: Seconds between them.
+        facing: Heading of a person who never walks, radians.
+    """
+
+    points: Array
+    step: float
+    facing: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Seconds of a round."""
+        return len(self.points) * self.step
+
+    @cached_property
+    def _spline(self) -> scipy.interpolate.BSpline:
+        count = len(self.points)
+        around = self.points[np.arange(-1, count + 2) % count]
+        return scipy.interpolate.BSpline(self.step * (np.arange(count + 7) - 3.0), around, 3)
+
+    def positions(self, times: Array) -> Array:
+        """Positions (N, 2) at times (N,) in seconds."""
+        return np.asarray(self._spline(times % self.duration))
+
+    def stepping(self, gait: Gait, size: float) -> scipy.interpolate.PchipInterpolator:
+        """Heading in radians, phase and share of the stride over the time of a round.
+
+        Args:
+            gait: Gait of the person.
+            size: Size of the person relative to the motion.
+        """
+        step = self.step / _FINE
+        times = step * np.arange(_FINE * len(self.points) + 1)
+        velocity = np.asarray(self._spline(np.minimum(times, times[-1] * (1 - 1e-12)), 1))
+        heading = _headings(_smooth(velocity, _SMOOTH_DIRECTION / step), step, self.facing)
+        turn = np.gradient(heading, step)
+        # who turns on the spot steps, too
+        speed = np.hypot(np.linalg.norm(velocity, axis=-1), _TURN_ARM * turn)
+        natural = size * gait.stride / gait.seconds
+        # step length and cadence grow alike with the speed
+        share = np.minimum(1.0, np.sqrt(_smooth(speed, _SMOOTH_SPEED / step) / natural))
+        cycles = speed / (size * gait.stride * np.maximum(share, _LEAST_SHARE))
+        phase = np.concatenate([[0.0], np.cumsum((cycles[1:] + cycles[:-1]) * (step / 2))])
+        return scipy.interpolate.PchipInterpolator(times, np.stack([heading, phase, share], axis=-1))
+
+
+def _smooth(values: Array, deviation: float) -> Array:
+    """Values (K + 1, ...) of a closed path, whose last is the first, smoothed over time."""
+    inner = scipy.ndimage.gaussian_filter1d(values[:-1], deviation, axis=0, mode="wrap")
+    return np.concatenate([inner, inner[:1]])
+
+
+def _headings(velocity: Array, step: float, facing: float) -> Array:
+    """Headings (K + 1,) along velocities (K + 1, 2); who stands turns just before it goes on."""
+    count = len(velocity) - 1
+    moving = np.flatnonzero(np.linalg.norm(velocity[:count], axis=-1) > _FACING)
+    if not len(moving):
+        return np.full(count + 1, facing)
+    known = np.append(moving, moving[0] + count)
+    angles = np.unwrap(np.arctan2(velocity[known % count, 1], velocity[known % count, 0]))
+    places, headings = [float(known[0])], [angles[0]]
+    for before, after, old, new in zip(known[:-1], known[1:], angles[:-1], angles[1:], strict=True):
+        turning = max(1.0, abs(new - old) / _TURN / step)
+        if after - before > turning + 1:
+            places.append(after - turning)
+            headings.append(old)
+        places.append(float(after))
+        headings.append(new)
+    at = np.arange(count + 1)
+    # the path is closed: before the first known heading there are those of the end of the round
+    whole = angles[-1] - angles[0]
+    places = [*(place - count for place in places[:-1]), *places]
+    headings = [*(heading - whole for heading in headings[:-1]), *headings]
+    return np.interp(at, places, headings)
+
+
+@dataclass(frozen=True)
+class PathMotion(WorldMotion):
+    """A walk along a path on the floor. Its time is the time of the path; its size is the size of the person.
+
+    Attributes:
+        gait: Walk on the spot.
+        path: Path of the person.
+        size: Size of the person relative to the motion.
+    """
+
+    gait: Gait = field(kw_only=True)
+    path: FloorPath = field(kw_only=True)
+    size: float = field(default=1.0, kw_only=True)
+
+    @property
+    def cycle_length(self) -> float:
+        """Length of a round, seconds of the path."""
+        return self.path.duration
+
+    @cached_property
+    def _phases(self) -> Array:
+        """Phases at the times of ``_stepping``."""
+        return np.asarray(self._stepping(self._stepping.x)[:, 1])
+
+    @cached_property
+    def _stepping(self) -> scipy.interpolate.PchipInterpolator:
+        return self.path.stepping(self.gait, self.size)
+
+    def sample(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
+        return self._poses(self.file_times(times, file_offset))
+
+    def sample_with_velocities(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
+        t = self.file_times(times, file_offset)
+        poses = self._poses(np.concatenate([t - VELOCITY_STEP, t, t + VELOCITY_STEP]))
+        before, positions, after = np.split(poses.positions, 3)
+        rotation_before, rotations, rotation_after = np.split(poses.rotations, 3)
+        linear, angular = central_difference(
+            before, after, rotation_before, rotation_after, 2 * VELOCITY_STEP
+        )
+        return JointPoses(self.names, positions, rotations, linear * self.speed, angular * self.speed)
+
+    def _poses(self, times: Array) -> JointPoses:
+        """Poses at times (N,), seconds of the path."""
+        times = times % self.cycle_length
+        heading, phase, share = self._stepping(times).T
+        positions, rotations = turned(*self.gait.at(phase, share), heading)
+        positions *= self.size
+        positions[..., :2] += self.path.positions(times)[:, None]
+        matrices = quaternion_to_matrix(rotations)
+        for foot, leg in enumerate(self.gait.legs):
+            shift, turn = self._shift(foot, times, phase)
+            pinned = _whole(share / _PINNED)
+            shift *= np.minimum(pinned, _MAX_SHIFT / np.maximum(np.linalg.norm(shift, axis=-1), 1e-9))[
+                :, None
+            ]
+            goal = positions[:, leg.ankle] + shift
+            # a pose between two others has legs that are too short
+            leg.stretch(positions, *(self.size * length for length in self.gait.leg_lengths[foot]))
+            hip, knee, ankle = (positions[:, joint] for joint in (leg.hip, leg.knee, leg.ankle))
+            leg.turn(positions, matrices, *two_bone(hip, knee, ankle, goal), _yaw_matrices(pinned * turn))
+        return JointPoses(self.names, positions, matrix_to_quaternion(matrices))
+
+    def _shift(self, foot: int, times: Array, phases: Array) -> tuple[Array, Array]:
+        """How a foot moves (N, 3), metres, and turns (N,), radians, to stay where it stands.
+
+        Args:
+            foot: 0 left, 1 right.
+            times: Seconds of the path, (N,).
+            phases: Phases at these times, (N,).
+        """
+        stances = self.gait.stances[foot]
+        number = np.floor(phases) * len(stances) - 1
+        number += np.searchsorted(stances[:, 0], phases % 1.0, side="right")
+        (_, last), (following, _) = self._stance(foot, number), self._stance(foot, number + 1)
+        in_air = np.clip((phases - last) / np.maximum(following - last, 1e-9), 0.0, 1.0)
+        ends, starts = (np.interp(phase, self._phases, self._stepping.x) for phase in (last, following))
+        now = self._to_plant(foot, number, np.where(in_air > 0, ends, times))
+        after = self._to_plant(foot, number + 1, starts)
+        moved = now + _whole(in_air)[:, None] * (after - now)
+        return moved[:, :3], moved[:, 3]
+
+    def _stance(self, foot: int, number: Array) -> tuple[Array, Array]:
+        """Phases (N,) at which stances with numbers (N,) begin and end."""
+        stances = self.gait.stances[foot]
+        cycle, which = np.divmod(number.astype(int), len(stances))
+        return cycle + stances[which, 0], cycle + stances[which, 1]
+
+    def _to_plant(self, foot: int, number: Array, times: Array) -> Array:
+        """Way (N, 4) of a foot at times (N,) to its place in stances (N,): metres, radians of its turn."""
+        first, last = self._stance(foot, number)
+        middle = (first + last) / 2
+        both = np.concatenate([np.interp(middle, self._phases, self._stepping.x), times])
+        heading, phase, share = self._stepping(both).T
+        ankle = self.size * rotate(_yaw_matrices(heading), self.gait.ankle(foot, phase, share))
+        ankle[:, :2] += self.path.positions(both)
+        there, here = np.split(ankle, 2)
+        # the foot rolls from heel to toe, as it does straight ahead
+        count, full = len(times), np.ones(len(times))
+        roll = self.gait.ankle(foot, phase[count:], full) - self.gait.ankle(foot, middle, full)
+        roll[:, 0] += self.gait.stride * (phase[count:] - middle)
+        roll = self.size * share[:count, None] * rotate(_yaw_matrices(heading[:count]), roll)
+        turn = np.clip(heading[:count] - heading[count:], -_MAX_FOOT_TURN, _MAX_FOOT_TURN)
+        return np.concatenate([(there + roll - here) * (1, 1, 0), turn[:, None]], axis=1)
+
+
+def _yaw_matrices(yaws: Array) -> Array:
+    return rotation_vector_to_matrix(yaws[:, None] * (0.0, 0.0, 1.0))
+
+
+def _whole(share: Array) -> Array:
+    """Shares (N,) that grow smoothly from 0 to 1, where they stay."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share * share * (3 - 2 * share))

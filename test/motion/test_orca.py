@@ -1,5 +1,7 @@
 """Avoidance of collisions: the linear program against SciPy, and people who meet."""
 
+from typing import Any
+
 import numpy as np
 import scipy.optimize
 
@@ -8,7 +10,7 @@ from humansim_ros.motion.orca import Walkers, nearest_allowed
 NOWHERE = np.full((1, 1, 2), 1e6)
 
 
-def test_velocity_is_the_nearest_one_within_half_planes_and_disc():
+def test_velocity_is_the_nearest_one_within_half_planes_and_disc() -> None:
     rng = np.random.default_rng(2)
     solved = 0
     for _ in range(40):
@@ -36,7 +38,7 @@ def test_velocity_is_the_nearest_one_within_half_planes_and_disc():
     assert solved > 25
 
 
-def walk(starts, goals, seconds, waiting=None):
+def walk(starts: Any, goals: Any, seconds: float, waiting: Any = None) -> Any:
     """Paths (K, N, 2) of people who walk to their goals, without anything in their way."""
     at = np.array(starts, dtype=float)
     count = len(at)
@@ -52,13 +54,13 @@ def walk(starts, goals, seconds, waiting=None):
     return np.array(path)
 
 
-def test_two_who_meet_pass_each_other_without_touching():
+def test_two_who_meet_pass_each_other_without_touching() -> None:
     path = walk([(-4, 0), (4, 0.05)], [(4, 0), (-4, 0)], 12)
     assert np.linalg.norm(path[:, 0] - path[:, 1], axis=1).min() > 0.6 - 1e-6
     assert np.allclose(path[-1], [(4, 0), (-4, 0)], atol=0.1)
 
 
-def test_ten_on_a_circle_reach_the_opposite_side_without_touching():
+def test_ten_on_a_circle_reach_the_opposite_side_without_touching() -> None:
     angles = np.arange(10) * (2 * np.pi / 10) + 0.03 * np.arange(10)
     starts = 4 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     path = walk(starts, -starts, 25)
@@ -69,14 +71,14 @@ def test_ten_on_a_circle_reach_the_opposite_side_without_touching():
     assert np.allclose(path[-1], -starts, atol=0.2)
 
 
-def test_one_who_waits_stays_and_the_other_goes_around():
+def test_one_who_waits_stays_and_the_other_goes_around() -> None:
     path = walk([(-3, 0.02), (0, 0)], [(3, 0), (0, 0)], 8, waiting=[False, True])
     assert (path[:, 1] == 0).all()
     assert np.linalg.norm(path[:, 0], axis=1).min() > 0.6 - 1e-6
     assert np.allclose(path[-1, 0], (3, 0), atol=0.1)
 
 
-def test_nobody_walks_into_a_point_that_is_in_the_way():
+def test_nobody_walks_into_a_point_that_is_in_the_way() -> None:
     people = Walkers(np.zeros((1, 2)), np.zeros((1, 2)), np.array([0.3]), np.array([1.5]), np.array([False]))
     wall = np.stack([np.full(21, 1.0), np.linspace(-1, 1, 21)], axis=-1)[None]
     velocity = people.avoiding(np.array([[1.4, 0.3]]), wall, 0.05, 2.0, 0.1)[0]

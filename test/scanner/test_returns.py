@@ -80,12 +80,12 @@ def test_raw_intensity_falls_with_the_squared_distance() -> None:
     np.testing.assert_allclose(found.intensities, [0.2, 0.05])
 
 
-def test_reflectivity_is_the_luminance_of_the_colour() -> None:
+def test_reflectivity_is_that_of_the_colour_in_infrared() -> None:
     grey, triangles = np.array([188, 188, 188], np.uint8), np.array([[0, 1, 2, -1]], np.int32)
     mesh = Mesh(np.eye(3), triangles, colors=np.tile(grey, (3, 1)))
     inside = np.array([[0.2, 0.3]])
-    # 188 of 255 in sRGB is half of the light
-    assert reflectivity(mesh, np.zeros(1, int), inside) == pytest.approx([0.5], abs=3e-3)
+    # 188 of 255 in sRGB is half of the light; the square root of it is reflected
+    assert reflectivity(mesh, np.zeros(1, int), inside) == pytest.approx([np.sqrt(0.5)], abs=3e-3)
     texture = np.zeros((2, 2, 3), np.uint8)
     texture[0, 1] = 255  # at the top right
     uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])

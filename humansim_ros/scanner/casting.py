@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,12 @@ class MovingTriangles:
     triangles: NDArray[np.integer]
     start: FloatArray
     end: FloatArray
+
+    def at(self, share: float) -> FloatArray:
+        """Vertices (V, 3) between the two moments."""
+        if self.end is self.start:
+            return self.start
+        return self.start + np.float32(share) * (self.end - self.start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,69 +126,84 @@ class Shot:
 
     Attributes:
         directions: (N, 3) unit vectors in the scanner's frame.
-        shares: (N,) time of each ray from the first moment, as a share of the time to the second.
+        shares: (N,) time of each ray from the first moment, as a share of the time to the second; ascending.
         poses: Pose of the scanner at each ray.
-        ends: Poses at the two moments (2, …), if it moves; the pose of all rays otherwise.
         index: The rays by direction.
     """
 
     directions: Array
     shares: Array
     poses: Poses
-    ends: Poses
     index: RayIndex
 
-    def cast(self, surfaces: Iterable[MovingTriangles], hits: Hits) -> None:
-        """Find surfaces that are nearer than ``hits`` (N), which are replaced in place."""
-        vectors = self.poses.to_map(self.directions)
-        for surface in surfaces:
-            self._cast(surface, vectors, hits)
+    def cast(self, surfaces: Sequence[MovingTriangles], hits: Hits) -> None:
+        """Find surfaces that are nearer than ``hits`` (N), which are replaced in place.
 
-    def _cast(self, surface: MovingTriangles, vectors: Array, hits: Hits) -> None:
-        margin = self._margin(surface)
-        boxes = replace(surface, start=_box(surface.start), end=_box(surface.end))
-        whole = Bounds.of(np.arange(8)[None], self._seen(boxes), margin)
-        if not self.index.meets(whole):
+        Raises:
+            SceneError: There are too many triangles around the scanner.
+        """
+        if not surfaces or not len(self.shares):
             return
-        bounds = Bounds.of(surface.triangles, self._seen(surface), margin)
-        for rays, triangles in self.index.pairs(bounds):
-            found = self._test(surface, vectors, rays, triangles)
-            if found is not None:
-                _keep_nearest(hits, *found)
+        vectors = self.poses.to_map(self.directions)
+        for surface, first, last in self._near(surfaces):
+            bounds = self._bounds(surface, first, last)
+            for rays, triangles in self.index.pairs(bounds):
+                found = self._test(surface, vectors, rays, triangles)
+                if found is not None:
+                    _keep_nearest(hits, *found)
 
-    def _seen(self, surface: MovingTriangles) -> tuple[Angles, ...]:
-        """Directions of the vertices at both moments, once if neither they nor the scanner move."""
-        moments = (
-            [surface.start]
-            if surface.end is surface.start and self.poses.still
-            else [surface.start, surface.end]
+    def _near(self, surfaces: Sequence[MovingTriangles]) -> Iterator[tuple[MovingTriangles, int, int]]:
+        """Surfaces whose boxes rays meet, with the first and the last of these rays."""
+        starts, ends = (
+            np.concatenate([_box(getattr(surface, moment)) for surface in surfaces])
+            for moment in ("start", "end")
         )
-        last = len(self.ends.positions) - 1
-        return tuple(
-            Angles.of(
-                np.asarray(vertices - self.ends.positions[min(i, last)], np.float32)
-                @ quaternion_to_matrix(self.ends.rotations[min(i, last)]).astype(np.float32)
-            )
-            for i, vertices in enumerate(moments)
-        )
+        corners = np.arange(8 * len(surfaces)).reshape(-1, 8)
+        whole = 0, len(self.shares) - 1
+        margins = np.array([self._margin(surface, *whole) for surface in surfaces])
+        boxes = Bounds.of(corners, self._seen(MovingTriangles(-1, corners, starts, ends), *whole), margins)
+        first, last = np.full(len(surfaces), len(self.shares)), np.full(len(surfaces), -1)
+        for rays, numbers in self.index.pairs(boxes):
+            np.minimum.at(first, numbers, rays)
+            np.maximum.at(last, numbers, rays)
+        for number in np.flatnonzero(last >= 0).tolist():
+            yield surfaces[number], int(first[number]), int(last[number])
 
-    def _margin(self, surface: MovingTriangles) -> float:
+    def _bounds(self, surface: MovingTriangles, first: int, last: int) -> Bounds:
+        """Bounds of all triangles from the firing of one ray to that of another."""
+        margin = self._margin(surface, first, last)
+        return Bounds.of(surface.triangles, self._seen(surface, first, last), margin)
+
+    def _seen(self, surface: MovingTriangles, first: int, last: int) -> tuple[Angles, ...]:
+        """Directions of the vertices at the firing of two rays; once if nothing moves."""
+        still = surface.end is surface.start and self.poses.still
+        return tuple(self._seen_by(surface, ray) for ray in ((first,) if still else (first, last)))
+
+    def _seen_by(self, surface: MovingTriangles, ray: int) -> Angles:
+        here = self.poses.take(slice(ray, ray + 1))
+        vertices = surface.at(self.shares[ray])
+        turn = quaternion_to_matrix(here.rotations[0]).astype(np.float32)
+        return Angles.of((vertices - here.positions).astype(np.float32) @ turn)
+
+    def _margin(self, surface: MovingTriangles, first: int, last: int) -> float:
         """Radians by which directions differ from straight paths in the scanner's frame, because it moves."""
-        if self.poses.still:
+        if self.poses.still or first == last:
             return 0.0
-        share = self.shares[:, None]
-        start, end = self.ends.positions
-        off = np.linalg.norm(self.poses.positions - ((1 - share) * start + share * end), axis=1).max()
-        near = max(0.05, min(_distance(start, surface.start), _distance(end, surface.end)))
-        matrices = quaternion_to_matrix(self.poses.rotations)
-        first, last = quaternion_to_matrix(self.ends.rotations)
-        # the chord between the turned axes, and how far the axes are from it
-        chord = (1 - share[:, :, None]) * first + share[:, :, None] * last
-        turn = np.sqrt(((matrices - chord) ** 2).sum(axis=(1, 2)).max())
-        # a point that moves while the scanner turns
-        paths = max(np.abs(surface.end - surface.start).max(), np.abs(end - start).max())
-        coupled = np.abs(last - first).max() * paths / near
-        return float(2 * (off / near + turn + coupled))
+        here = self.poses.take(slice(first, last + 1))
+        shares = self.shares[first : last + 1]
+        share = ((shares - shares[0]) / max(shares[-1] - shares[0], 1e-12))[:, None]
+        start, end = here.positions[0], here.positions[-1]
+        off = np.linalg.norm(here.positions - ((1 - share) * start + share * end), axis=1).max()
+        axes = quaternion_to_matrix(here.rotations)
+        chord = (1 - share[:, :, None]) * axes[0] + share[:, :, None] * axes[-1]
+        turn = np.sqrt(((axes - chord) ** 2).sum(axis=(1, 2)).max())
+        # points that move while the axes turn
+        turned, paths = np.sqrt(((axes[-1] - axes[0]) ** 2).sum()), np.linalg.norm(end - start)
+        if surface.end is not surface.start:
+            paths += np.linalg.norm(surface.end - surface.start, axis=1).max()
+        distance = min(_distance(start, surface.start), _distance(end, surface.end)) - paths
+        near = max(0.05, float(distance))
+        return float(2 * (off / near + turn + turned * paths / near))
 
     def _test(
         self, surface: MovingTriangles, vectors: Array, rays: Indices, triangles: Indices

@@ -60,13 +60,15 @@ class Bounds:
     high: FloatArray
 
     @classmethod
-    def of(cls, corners: NDArray[np.integer], moments: tuple[Angles, ...], margin: float = 0.0) -> Bounds:
+    def of(
+        cls, corners: NDArray[np.integer], moments: tuple[Angles, ...], margin: float | Array = 0.0
+    ) -> Bounds:
         """Bounds of all that lies between some points at several moments.
 
         Args:
             corners: (T, K) indices of the points of each triangle or other convex body.
             moments: The points at the moments between which they move in straight lines.
-            margin: Radians by which directions may deviate from that.
+            margin: Radians by which directions may deviate from that; (T,) or for all.
         """
         first = moments[0].azimuth[corners[:, 0]]
         low = high = None
@@ -85,10 +87,10 @@ class Bounds:
         bulge = 1 / np.cos(np.minimum(width, _WIDE) / 2)
         with np.errstate(invalid="ignore", over="ignore"):
             steep = np.maximum(np.abs(low), np.abs(high))
-            tolerance = (_MARGIN + margin) * (1 + steep * steep)
+            tolerance = np.asarray(_MARGIN + margin, steep.dtype) * (1 + steep * steep)
             low = np.where(low < 0, low * bulge, low) - tolerance
             high = np.where(high > 0, high * bulge, high) + tolerance
-            sideways = (_MARGIN + margin) * np.sqrt(1 + steep * steep)
+            sideways = np.asarray(_MARGIN + margin, steep.dtype) * np.sqrt(1 + steep * steep)
         # around the axis, or at the origin: any ray may meet it
         wide = ~(width + 2 * sideways < _WIDE)
         return cls(
@@ -105,27 +107,21 @@ def _bounded(tangent: FloatArray) -> FloatArray:
 
 
 class RayIndex:
-    """Rays by direction.
+    """Rays by direction. ``directions``: (N, 3) in the scanner's frame."""
 
-    Args:
-        directions: (N, 3) in the scanner's frame.
-        numbers: (N,) numbers of the rays; 0 to N - 1 if None.
-    """
-
-    def __init__(self, directions: Array, numbers: Indices | None = None) -> None:
+    def __init__(self, directions: Array) -> None:
         angles = Angles.of(directions)
         steep = np.isinf(angles.tangent)
         height = np.where(steep, np.sign(directions[:, 2]), _bounded(np.where(steep, 0.0, angles.tangent)))
         row = _rows(height)
         count = int(row.max()) + 1 if len(row) else 0
-        column = np.minimum(
-            (np.mod(angles.azimuth, _TURN) * (_COLUMNS / _TURN)).astype(np.int64), _COLUMNS - 1
-        )
+        azimuth = np.mod(angles.azimuth, _TURN)
+        column = np.minimum((azimuth * (_COLUMNS / _TURN)).astype(np.int64), _COLUMNS - 1)
         # two turns, so that a range of azimuths is always one run
         cell = np.concatenate([row, row]) * (2 * _COLUMNS) + np.concatenate([column, column + _COLUMNS])
         order = np.argsort(cell, kind="stable")
-        chosen = np.arange(len(directions)) if numbers is None else numbers
-        self._rays: Indices = np.concatenate([chosen, chosen])[order].astype(np.intp)
+        self._rays: Indices = np.where(order < len(row), order, order - len(row))
+        self._azimuths, self._heights = (part[self._rays].astype(np.float32) for part in (azimuth, height))
         counts = np.bincount(cell, minlength=count * 2 * _COLUMNS)
         self._starts = np.concatenate([[0], np.cumsum(counts)])
         self._low, self._high = np.full(count, np.inf), np.full(count, -np.inf)
@@ -133,7 +129,7 @@ class RayIndex:
         np.maximum.at(self._high, row, height)
 
     def pairs(self, bounds: Bounds) -> Iterator[tuple[Indices, Indices]]:
-        """Batches of numbers of rays, and of the triangles that they may meet.
+        """Batches of numbers of rays, and of the triangles within whose bounds they are.
 
         Raises:
             SceneError: There are too many of both, so that it would take seconds.
@@ -149,12 +145,17 @@ class RayIndex:
             counts, total = count[begin:end], int(ends[end - 1] - before)
             run = np.repeat(np.arange(begin, end), counts)
             place = start[run] + np.arange(total) - (ends[run] - count[run] - before)
-            yield self._rays[place], triangle[run]
+            yield self._within(bounds, place, triangle[run])
             begin = end
 
-    def meets(self, bounds: Bounds) -> bool:
-        """Whether any ray is within any of the bounds."""
-        return len(self._runs(bounds)[0]) > 0
+    def _within(self, bounds: Bounds, place: Indices, triangle: Indices) -> tuple[Indices, Indices]:
+        """Pairs of ray and triangle whose ray is within the bounds: columns and rows are coarser."""
+        offset = self._azimuths[place] - bounds.azimuth[triangle]
+        offset -= np.float32(_TURN) * np.floor(offset * np.float32(1 / _TURN))
+        height = self._heights[place]
+        inside = offset <= bounds.width[triangle]
+        inside &= (height >= bounds.low[triangle]) & (height <= bounds.high[triangle])
+        return self._rays[place[inside]], triangle[inside]
 
     def _runs(self, bounds: Bounds) -> tuple[Indices, Indices, Indices]:
         """Triangle, start and number of the rays of each run of rays within the bounds."""

@@ -21,7 +21,7 @@ from humansim_ros.scene.capture import SceneState
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.scene import Scene
 from humansim_ros.sensor.sensor import generator
-from humansim_ros.types import Array, FloatArray, Indices
+from humansim_ros.types import Array, Indices
 
 #: Poses of a scanner at times (N,) in nanoseconds from the start of a sweep.
 _PosesAt: TypeAlias = Callable[[NDArray[np.int64]], Poses]
@@ -89,6 +89,7 @@ class Scanning:
         #: Rays of the last sweep and of its beams; what these meet that stands still, and the light of it.
         self._beams: tuple[Rays, Rays] | None = None
         self._static: tuple[Rays, Hits, Array] | None = None
+        self._triangles: dict[int, tuple[Mesh, Indices]] = {}
 
     def due(self, after: int, until: int) -> range:
         """Numbers of the sweeps that end after one scene time, and not after another, nanoseconds."""
@@ -150,18 +151,9 @@ class Scanning:
     def _meet(self, rays: Rays, poses: _PosesAt, states: Sequence[SceneState], start: int) -> Hits:
         """Nearest surfaces of all rays."""
         moves = self.scanner.moves
-        bodies = states[0].bodies
-        first_static = len(bodies) - len(self.scene.static_bodies)
-        still: list[tuple[Mesh, FloatArray]] = [
-            (body.mesh, body.vertices) for body in self.scene.static_bodies
-        ]
-        still += [(mesh, mesh.vertices) for mesh in self.scene.static_meshes]
-        static = [
-            MovingTriangles(number, mesh.triangles, vertices, vertices)
-            for number, (mesh, vertices) in enumerate(still, first_static)
-        ]
-        meshes = [*(body.mesh for body in bodies), *self.scene.static_meshes]
-        hits = Hits.none(len(rays)) if moves else self._static_hits(rays, poses, static, meshes)
+        hits = Hits.none(len(rays)) if moves else self._static_hits(rays, poses, states[0])
+        static = self._still(states[0]) if moves else []
+        moving = len(states[0].bodies) - len(self.scene.static_bodies)
         for before, after in pairwise(states):
             ends = np.array([before.stamp - start, after.stamp - start])
             first, last = np.searchsorted(rays.times, ends).tolist()
@@ -170,23 +162,49 @@ class Scanning:
             chosen = slice(first, last)
             times = rays.times[chosen]
             shares = (times - ends[0]) / (ends[1] - ends[0])
-            shot = Shot(rays.directions[chosen], shares, poses(times), poses(ends), rays.index(chosen))
-            moving = [
-                MovingTriangles(number, body.mesh.triangles, body.vertices, after.bodies[number].vertices)
-                for number, body in enumerate(before.bodies[:first_static])
+            shot = Shot(rays.directions[chosen], shares, poses(times), rays.index(chosen))
+            bodies = [
+                MovingTriangles(number, self._corners(a.mesh), a.vertices, b.vertices)
+                for number, (a, b) in enumerate(zip(before.bodies[:moving], after.bodies, strict=False))
             ]
-            shot.cast([*moving, *static] if moves else moving, hits.take(chosen))
+            shot.cast([*bodies, *static], hits.take(chosen))
         return hits
 
-    def _static_hits(
-        self, rays: Rays, poses: _PosesAt, static: Sequence[MovingTriangles], meshes: Sequence[Mesh]
-    ) -> Hits:
+    def _still(self, state: SceneState) -> list[MovingTriangles]:
+        """Surfaces that stand still."""
+        still = self.scene.static_bodies
+        first = len(state.bodies) - len(still)
+        surfaces = [
+            *((body.mesh, body.vertices) for body in still),
+            *((mesh, mesh.vertices) for mesh in self.scene.static_meshes),
+        ]
+        return [
+            MovingTriangles(number, self._corners(mesh), vertices, vertices)
+            for number, (mesh, vertices) in enumerate(surfaces, first)
+        ]
+
+    def _corners(self, mesh: Mesh) -> Indices:
+        """Triangles of a mesh as indices of the machine, in which arrays are taken in half the time."""
+        known = self._triangles.get(id(mesh))
+        if known is None or known[0] is not mesh:
+            known = self._triangles[id(mesh)] = mesh, mesh.triangles.astype(np.intp)
+        return known[1]
+
+    def _static_hits(self, rays: Rays, poses: _PosesAt, state: SceneState) -> Hits:
         """Surfaces that stand still, as a scanner that stands still meets them."""
         if self._static is None or self._static[0] is not rays:
             hits, here = Hits.none(len(rays)), poses(rays.times[:1])
             whole = slice(0, len(rays))
-            shot = Shot(rays.directions, np.zeros(len(rays)), here, here, rays.index(whole))
-            shot.cast(static, hits)
+            shot = Shot(rays.directions, np.zeros(len(rays)), here, rays.index(whole))
+            surfaces = self._still(state)
+            if surfaces:
+                joined, firsts = _joined(surfaces)
+                shot.cast([joined], hits)
+                of = np.searchsorted(firsts, hits.triangles, side="right") - 1
+                met = hits.surfaces >= 0
+                hits.surfaces[met] = of[met] + surfaces[0].number
+                hits.triangles[met] -= firsts[of[met]].astype(np.int32)
+            meshes = [*(body.mesh for body in state.bodies), *self.scene.static_meshes]
             self._static = rays, hits, _reflected(meshes, hits, np.arange(len(rays)))
         return self._static[1].copy()
 
@@ -200,6 +218,15 @@ class Scanning:
         changed = np.flatnonzero(hits.ranges != static.ranges)
         light[changed] = _reflected(meshes, hits, changed)
         return light
+
+
+def _joined(surfaces: Sequence[MovingTriangles]) -> tuple[MovingTriangles, Indices]:
+    """Surfaces that stand still as one, and the number of the first triangle of each."""
+    vertices = np.cumsum([0, *(len(surface.start) for surface in surfaces)])
+    triangles = np.concatenate([each.triangles + vertices[i] for i, each in enumerate(surfaces)])
+    corners = np.concatenate([surface.start for surface in surfaces])
+    firsts = np.cumsum([0, *(len(surface.triangles) for surface in surfaces)])
+    return MovingTriangles(0, triangles, corners, corners), firsts[:-1]
 
 
 def _reflected(meshes: Sequence[Mesh], hits: Hits, rays: Indices) -> Array:

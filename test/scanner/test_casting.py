@@ -33,9 +33,9 @@ def scene(random: np.random.Generator, count: int = 60) -> tuple[Array, NDArray[
     return corners.reshape(-1, 3).astype(np.float32), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
-def shot(rays: Rays, poses: Poses, ends: Poses) -> Shot:
+def shot(rays: Rays, poses: Poses) -> Shot:
     shares = rays.times / (rays.times.max() + 1)
-    return Shot(rays.directions, shares, poses, ends, rays.index(slice(0, len(rays))))
+    return Shot(rays.directions, shares, poses, rays.index(slice(0, len(rays))))
 
 
 def embree(origins: Array, vectors: Array, vertices: Array, triangles: NDArray[np.int32]) -> Array:
@@ -64,7 +64,7 @@ def test_rays_meet_what_embree_says(name: str) -> None:
         position, turn = random.normal(size=3), random.normal(size=4)
         here = Poses(position[None], (turn / np.linalg.norm(turn))[None])
         hits = Hits.none(len(rays))
-        shot(rays, here, here).cast([MovingTriangles(0, triangles, vertices, vertices)], hits)
+        shot(rays, here).cast([MovingTriangles(0, triangles, vertices, vertices)], hits)
         vectors = here.to_map(rays.directions)
         origins = np.broadcast_to(position, vectors.shape)
         agree(hits.ranges, embree(origins, vectors, vertices.astype(float), triangles), 4)
@@ -76,7 +76,7 @@ def test_moving_triangles_are_met_where_they_are_when_the_ray_is_fired() -> None
     end = (start + random.normal(scale=0.3, size=start.shape)).astype(np.float32)
     rays = spinning(10.0, (-20.0, -4.0, 3.0, 25.0), 40).rays(0)
     here = Poses(np.zeros((1, 3)), IDENTITY)
-    hits, each = Hits.none(len(rays)), shot(rays, here, here)
+    hits, each = Hits.none(len(rays)), shot(rays, here)
     each.cast([MovingTriangles(0, triangles, start, end)], hits)
     theirs = []
     for share in np.unique(each.shares):
@@ -104,7 +104,7 @@ def test_a_moving_scanner_meets_what_it_would_meet_if_it_stood_at_each_pose() ->
 
     each = poses(shares)
     hits = Hits.none(len(rays))
-    shot(rays, each, poses(np.array([0.0, 1.0]))).cast([MovingTriangles(0, triangles, start, end)], hits)
+    shot(rays, each).cast([MovingTriangles(0, triangles, start, end)], hits)
     vectors = each.to_map(rays.directions)
     theirs = np.empty(len(rays))
     for share in np.unique(shares):
@@ -120,7 +120,7 @@ def test_distance_of_a_wall_that_comes_nearer() -> None:
     triangles = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
     rays = spinning(20.0, (-10.0, 0.0, 10.0), 181, (45.0, -45.0)).rays(0)
     here, hits = Poses(np.zeros((1, 3)), IDENTITY), Hits.none(len(rays))
-    each = shot(rays, here, here)
+    each = shot(rays, here)
     each.cast([MovingTriangles(0, triangles, corners, end)], hits)
     np.testing.assert_allclose(hits.ranges, (5 - each.shares) / rays.directions[:, 0], rtol=1e-9)
     np.testing.assert_allclose(hits.cosines, rays.directions[:, 0], rtol=1e-9)
@@ -133,7 +133,7 @@ def test_the_nearest_of_two_surfaces_is_met_in_either_order() -> None:
     surfaces = [MovingTriangles(4, triangles, near, near), MovingTriangles(7, triangles, 2 * near, 2 * near)]
     for order in (surfaces, surfaces[::-1]):
         hits = Hits.none(len(rays))
-        shot(rays, here, here).cast(order, hits)
+        shot(rays, here).cast(order, hits)
         assert (hits.surfaces == 4).all()
 
 
@@ -142,6 +142,6 @@ def test_no_rays_have_no_pairs() -> None:
     hits = Hits.none(0)
     here = Poses(np.zeros((1, 3)), IDENTITY)
     triangle = np.eye(3, dtype=np.float32)
-    Shot(np.zeros((0, 3)), np.zeros(0), here, here, index).cast(
+    Shot(np.zeros((0, 3)), np.zeros(0), here, index).cast(
         [MovingTriangles(0, np.array([[0, 1, 2]], np.int32), triangle, triangle)], hits
     )

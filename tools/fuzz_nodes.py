@@ -65,6 +65,7 @@ from humansim_ros.ros.guarded_node import GuardedNode  # noqa: E402
 from humansim_ros.ros.nodes.camera import CameraNode  # noqa: E402
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode  # noqa: E402
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode  # noqa: E402
+from humansim_ros.ros.nodes.scanner import ScannerNode  # noqa: E402
 from humansim_ros.ros.nodes.skinner import SkinnerNode  # noqa: E402
 from humansim_ros.ros.qos import CAMERA_ALIVE  # noqa: E402
 
@@ -79,6 +80,8 @@ cameras:
   alone: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}
   left: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}
   moving: {size: [64, 48], trajectory: way.txt, sensor: {exposure_time: 0.01, samples: 2}}
+scanners:
+  lidar: {pattern: {columns: 180}, rate: 20, range: [0.1, 20], position: [2, 0, 1]}
 """
 STATIC_SCENE = "cameras: {still: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}}"
 MOVES = """\
@@ -98,6 +101,8 @@ _PERIOD = 50_000_000
 _RECOVERY = 5.0
 #: Share of messages to a camera that come within an otherwise valid frame, and of timers that are called.
 _IN_FRAMES, _TIMERS = 0.15, 0.03
+#: Nodes that join the messages of a frame.
+_OF_FRAMES = ("camera", "camera_rig", "static_camera", "scanner")
 #: Topics and services that all nodes have, and that rclpy handles alone.
 _OF_RCLPY = ("/parameter_events", "/rosout", "/clock")
 #: Texts for parameters.
@@ -302,6 +307,7 @@ class Stage:
             "camera": _node(CameraNode, scene, "alone", camera="alone"),
             "camera_rig": _node(CameraRigNode, scene, cameras=["left", "moving"]),
             "static_camera": _node(CameraNode, static, "still", camera="still"),
+            "scanner": _node(ScannerNode, scene, "lidar", scanner="lidar"),
         }
         for node in self.all_nodes():
             self.executor.add_node(node)
@@ -388,7 +394,7 @@ class Stage:
                             partial(_deliver, subscription),
                             partial(self._message, topic),
                             True,
-                            "camera" in name,
+                            name in _OF_FRAMES,
                         )
                     )
             for service in node.services:
@@ -439,7 +445,7 @@ class Stage:
 
     def measure_frames(self) -> None:
         """Measure the processor time of a valid frame of each camera node."""
-        for name in (name for name in self.nodes if "camera" in name):
+        for name in (name for name in self.nodes if name in _OF_FRAMES):
             times = []
             for _ in range(10):
                 start, watched = time.thread_time(), self.watcher.seconds

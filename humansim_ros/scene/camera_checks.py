@@ -178,29 +178,41 @@ def _in_unit(name: str, samples: SceneSamples, scale: float) -> str:
 
 def _place(name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> str | None:
     """Finding about a camera outside the room, in a wall, below the floor, or inside something."""
-    centers, room = samples.centers(name), samples.scene.environment.room
+    return misplaced(f"camera {name}", samples.centers(name), samples, obstacles)
+
+
+def misplaced(who: str, centers: Array, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> str | None:
+    """Finding about a sensor outside the room, in a wall, below the floor, or inside something.
+
+    Args:
+        who: The sensor, such as ``camera left``.
+        centers: Its places in ``map``: (N, 3) at the times of the samples, or (1, 3).
+        samples: Times and room.
+        obstacles: What it must not be inside of.
+    """
+    room = samples.scene.environment.room
     moments = [f" at {time:.1f} s" for time in samples.times] if len(centers) > 1 else [""]
     if room is not None:
         outside = _outside(centers, np.array(room.size))
         if outside is not None:
             index, text = outside
-            return f"camera {name} is at {numbers(centers[index])}{moments[index]}, {text}"
+            return f"{who} is at {numbers(centers[index])}{moments[index]}, {text}"
     elif centers[:, 2].min() < _LOWEST:
         index = int(np.argmax(centers[:, 2] < _LOWEST))
-        return f"camera {name} is below the floor{moments[index]}, at z = {centers[index, 2]:.2f} m: is z up?"
+        return f"{who} is below the floor{moments[index]}, at z = {centers[index, 2]:.2f} m: is z up?"
     for obstacle in obstacles:
         inside = obstacle.contains(centers, samples.times)
         if inside.any():
             index = int(np.argmax(inside))
             where = f"{numbers(centers[index])}{moments[index % len(moments)]}"
-            return f"camera {name} is inside {obstacle.name}, at {where}: move one of them"
+            return f"{who} is inside {obstacle.name}, at {where}: move one of them"
         if len(centers) > 1:
             # a thin wall may lie between two samples
             ways = obstacle.crossed(centers[:-1, None], centers[1:, None], samples.times[:-1])
             if ways.any():
                 index = int(np.argmax(ways))
                 where = f"{numbers(centers[index])}{moments[index]}"
-                return f"camera {name} goes through {obstacle.name} after {where}: move one of them"
+                return f"{who} goes through {obstacle.name} after {where}: move one of them"
     return None
 
 

@@ -18,6 +18,7 @@ from humansim_ros.scene.camera_checks import (
     has_gpu,
 )
 from humansim_ros.scene.findings import Finding, Obstacle, SceneSamples, find_obstacles, without_enclosures
+from humansim_ros.scene.scanner_checks import check_scanners
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
@@ -59,6 +60,7 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
     obstacles = _obstacles(samples, room=not quick)
     found = [
         *check_cameras(samples, obstacles),
+        *check_scanners(samples, obstacles),
         *check_people(samples, obstacles),
         *check_faults(samples),
         *_rate(samples, processors),

@@ -17,7 +17,7 @@ sys.path.append(str(ROOT / "tools"))
 import fuzz_nodes
 import message_mutations
 
-NODES = ("motion_player", "skinner", "live_skinner", "camera", "camera_rig", "static_camera")
+NODES = ("motion_player", "skinner", "live_skinner", "camera", "camera_rig", "static_camera", "scanner")
 
 
 @pytest.fixture(scope="module")

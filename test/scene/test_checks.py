@@ -600,3 +600,31 @@ def test_a_fault_of_a_rig_is_found_once(tmp_path: Path) -> None:
     finding = only(check_scene(Scene.from_dict(scene, folder=tmp_path), quick=True, processors=64))
     assert finding.key == "rig.faults.flicker.frequency"
     assert finding.text.endswith("(a, b)")
+
+
+# --- laser scanners
+
+
+@pytest.mark.parametrize(
+    ("scanner", "text"),
+    [
+        ({"model": "velodyne_vlp16", "position": [2, 1, 1]}, None),
+        ({"model": "hokuyo_utm30lx", "position": [2, 0.5, 0.25], "rotation_deg": [0, 0, 180]}, None),
+        ({"model": "velodyne_vlp16", "position": [3.5, 0, 1]}, "in the wall of the room"),
+        ({"model": "velodyne_vlp16", "position": [2, 0, -1]}, "outside the room"),
+        ({"model": "velodyne_vlp16", "position": [2, 0, 1.8]}, None),
+        # 15 degrees down from there is above her head
+        ({"model": "velodyne_vlp16", "position": [2, 0, 2.7]}, "never meets anybody"),
+        ({"model": "velodyne_vlp16", "position": [0, 0.3, 2.75]}, "never meets anybody"),
+        ({"model": "robosense_m1", "position": [2.5, 0, 1]}, "never meets anybody"),
+        ({"model": "robosense_m1", "position": [2.5, 0, 1], "rotation_deg": [0, 0, 180]}, None),
+        ({"model": "hokuyo_utm30lx", "position": [2, 0.5, 2.4]}, "never meets anybody"),
+    ],
+)
+def test_a_scanner_in_a_wall_or_that_meets_nobody_is_found(scanner: dict[str, Any], text: str | None) -> None:
+    found = findings(scene_with(scanners={"lidar": scanner}), quick=True)
+    if text is None:
+        assert found == []
+    else:
+        assert (only(found).severity, only(found).key) == ("error", "scanners.lidar.position")
+        assert text in only(found).text

@@ -302,6 +302,8 @@ def _clouds() -> Iterator[str]:
         "<camera>/joints": (messages.JOINT_POINT, messages.read_joint_view),
         "<camera>/keypoints/<set>": (messages.JOINT_POINT, messages.read_joint_view),
         "<camera>/boxes": (messages.BOX_POINT, messages.read_boxes),
+        "<camera>/depth_sensor/points": (messages.XYZ_POINT, messages.read_points),
+        "<camera>/points": (messages.XYZRGB_POINT, messages.read_points),
         "<camera>/visible_vertices": (messages.VISIBLE_VERTEX, messages.read_visible_vertices),
         "<scanner>/truth/points": (messages.SCANNER_TRUTH, messages.read_scanner_truth),
     }

@@ -31,7 +31,7 @@ from humansim_ros.scene.randomise import random_numbers
 from humansim_ros.scene.robot import Robot, Route, carried
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
-from humansim_ros.sensor import DepthSensor, Sensor
+from humansim_ros.sensor import DepthSensor, DepthSensorConfig, Sensor
 from humansim_ros.types import Array, Float32Array
 
 if TYPE_CHECKING:
@@ -155,8 +155,7 @@ class SceneCamera:
             if config.background is not None:
                 with in_section("background"):
                     backdrop = load_backdrop(source.find(config.background))
-            with in_section("depth_sensor"), _scene_keys():
-                depth = None if config.depth_sensor is None else DepthSensor(config.depth_sensor, name)
+            depth = _depth_sensor(name, config.depth_sensor)
         return cls(name, whole, region, sensor, route, None, backdrop, depth_sensor=depth)
 
     def right(self, baseline: float) -> SceneCamera:
@@ -476,6 +475,7 @@ def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
     region = Region(None, rig.binning)
     with in_section("background"):
         backdrops = _backdrops(rig, [original for original, _ in cameras.values()], source)
+    depth = {name: _depth_sensor(name, rig.depth_sensor) for name in cameras}
     return {
         name: SceneCamera(
             name,
@@ -483,9 +483,15 @@ def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
             region,
             Sensor(rig.sensor, region.of(whole), name),
             backdrop=backdrops.get(original),
+            depth_sensor=depth[name],
         )
         for name, (original, whole) in cameras.items()
     }
+
+
+def _depth_sensor(name: str, config: DepthSensorConfig | None) -> DepthSensor | None:
+    with in_section("depth_sensor"), _scene_keys():
+        return None if config is None else DepthSensor(config, name)
 
 
 def rig_placement(rig: RigConfig, source: SceneSource) -> RigPlacement:

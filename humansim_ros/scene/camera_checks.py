@@ -119,7 +119,8 @@ def _check_camera(
         if unseen:
             yield "nobody", Finding("error", key, unseen)
         elif unmeasured := _measures_nobody(name, samples):
-            yield "depth", Finding("warning", f"cameras.{name}.depth_sensor", unmeasured)
+            section = f"cameras.{name}" if name in scene.config.cameras else "rig"
+            yield "depth", Finding("warning", f"{section}.depth_sensor", unmeasured)
     for kind, option, text in _check_intrinsics(name, scene):
         severity: Severity = "warning"
         yield kind, Finding(severity, intrinsics_key(scene, name, option), text)

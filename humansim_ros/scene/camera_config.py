@@ -496,6 +496,9 @@ class RigConfig(ShortSection):
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
     sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensors")
+    depth_sensor: DepthSensorConfig | None = Field(
+        default=None, description="a depth sensor beside each camera; none if absent"
+    )
     faults: FaultsConfig | None = Field(default=None, description="faults of the cameras; none if absent")
     background: FileName | dict[str, FileName] | None = Field(
         default=None,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from render_scenes import cast
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from humansim_ros.camera import Camera
+from humansim_ros.camera import Camera, write_calibration
 from humansim_ros.errors import HumansimError, RenderError
 from humansim_ros.messages.topics import scene_topics
 from humansim_ros.scene import Scene, Simulation, check_scene
@@ -228,6 +228,23 @@ def test_clouds_have_the_layout_of_depth_image_proc(frame: Frame) -> None:
     assert (data[..., 18::-1][..., :3] == frame.views["light"].rgb).all()
     xyz = data[..., :12].copy().view(np.float32)
     np.testing.assert_array_equal(xyz, frame.depth_sensors["light"].color_points)
+
+
+def test_each_camera_of_a_rig_has_its_sensor(tmp_path: Any) -> None:
+    cameras = {name: Camera.look_at((3, y, 1.5), (0, 0, 1), (64, 48)) for y, name in enumerate("ab")}
+    write_calibration(tmp_path / "rig.json", cameras, "panoptic")
+    rig = {"file": str(tmp_path / "rig.json"), "depth_sensor": "azure_kinect_nfov"}
+    scene = Scene.from_dict({**SCENE, "cameras": {}, "rig": rig})
+    sensors = [scene.scene_cameras[name].depth_sensor for name in "ab"]
+    assert [sensor and (sensor.name, sensor.optics.size) for sensor in sensors] == [
+        ("a", (640, 576)),
+        ("b", (640, 576)),
+    ]
+    with pytest.raises(HumansimError) as caught:
+        Scene.from_dict(
+            {**SCENE, "cameras": {}, "rig": {**rig, "depth_sensor": {"preset": "kinect_v1", "size": [0, 9]}}}
+        )
+    assert caught.value.key == "rig.depth_sensor.size"
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ SCENE: dict[str, Any] = {
     },
     "variety": {"count": 1, "bodies": ["adult_man"], "motions": ["walk"]},
     "objects": {"ball": {"mesh": "ball.obj", "keyframes": {"file": "keys.xml"}}},
-    "rig": {"file": "rig.json", "background": {"a": "photo.png"}},
+    "rig": {"file": "rig.json", "background": {"a": "photo.png"}, "depth_sensor": {"preset": "kinect_v2"}},
     "cameras": {
         "left": {
             "calibration": "rig.json",

@@ -222,20 +222,16 @@ class PosedBody:
         starts, ends = vertices[edges.T]
         wide = wider_than(angle, starts, ends, camera)
         view, expanded = LensView(camera), self._buffers.mesh.expanded
-        if not view.bent(camera.to_optical(starts[wide]), camera.to_optical(ends[wide])).any():
+        if not view.bent(starts[wide], ends[wide]).any():
             return None
-        return view.tessellate(
-            expanded.attributes(self.posed).astype(float), expanded.corners.astype(np.intp)
-        )
+        return view.tessellate(expanded.attributes(self.posed), expanded.corners)
 
     @property
     def whole(self) -> TessellatedMesh:
         """All triangles as they are, not tessellated."""
         expanded = self._buffers.mesh.expanded
         corners = expanded.corners.astype(np.intp)
-        return TessellatedMesh(
-            expanded.attributes(self.posed).astype(float), corners, np.arange(len(corners))
-        )
+        return TessellatedMesh(expanded.attributes(self.posed), corners, np.arange(len(corners)))
 
     @property
     def material(self) -> MaterialBuffers:

@@ -1,30 +1,32 @@
 """Tessellation for lenses: OpenGL draws straight edges, a lens bends them.
 
-Edges are halved until the middle of each is within a fraction of a pixel of its correct projection. The
-decision depends on the two ends alone, so that triangles with a common edge stay connected.
+Edges are divided into pieces so short that the middle of each is within a fraction of a pixel of its correct
+projection. The number of pieces depends on the two ends alone, so that triangles with a common edge stay
+connected.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
+from humansim_ros.render.subdivision import TriangleEdges, divide_edges, divide_triangles
 from humansim_ros.types import Array, Indices
 
 #: Error of an edge in pixels from which it is tessellated, and the error that tessellation leaves. The second
 #: is smaller, because a lens bends all edges of a surface to one side, which shifts its image as a whole.
 VISIBLE, TOLERANCE = 0.03, 0.01
-#: The halves of an edge are accurate enough if its own error is below this multiple of the tolerance.
-_ERROR_RATIO = 3.5
-#: Longer edges, in pixels, are always halved: the error at the middle alone is not enough.
-_MAX_LENGTH = 48.0
+#: Edges that are longer, in pixels, or along which depth grows by a larger factor, are divided before their
+#: error is estimated.
+_MAX_LENGTH, _MAX_RATIO = 48.0, 2.0
+#: Factor of the number of pieces of an edge: edges within a divided triangle are longer than on its sides.
+_SAFETY = 1.2
 #: Pixels outside the image from which the error of an edge has no effect.
 _OUTSIDE = 16.0
 #: Tangent of the angle to the axis beyond which the tolerance grows with it: depth changes so fast there that
@@ -35,7 +37,10 @@ _WIDE_TANGENT = 4.0
 _RIM, _BEYOND = 0.01, 0.1
 #: Points along each side of the image at which the lens is sampled.
 _GRID = 65
-_ROUNDS, _MAX_TRIANGLES = 14, 4_000_000
+#: Largest number of pieces of an edge.
+_MAX_PIECES = 32
+#: Rounds in which long edges are divided, pieces in each round, and number of triangles that limits both.
+_ROUNDS, _MAX_CUT, _MAX_TRIANGLES = 8, 4, 4_000_000
 #: Near plane in metres, also for wide lenses, and the tangent of the angle to the axis from which a lens is
 #: wide: points beside the camera have a small depth at any distance.
 NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0
@@ -45,7 +50,7 @@ NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0
 class TessellatedMesh:
     """Vertex ``attributes`` (V, k), ``triangles`` (N, 3), and ``parents`` (N,): the original triangles."""
 
-    attributes: Array
+    attributes: NDArray[np.floating]
     triangles: Indices
     parents: Indices
 
@@ -112,42 +117,59 @@ class LensView:
         pixels = self.camera.lens.distort(n) @ k[:2, :2].T + k[:2, 2]
         return pixels.min(axis=0) - 1, pixels.max(axis=0) + 1
 
-    def bent(self, starts: Array, ends: Array, *, tolerance: float = VISIBLE) -> NDArray[np.bool_]:
-        """(E,) whether edges must be halved so that no error exceeds ``tolerance`` pixels.
+    def bent(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
+        """(E,) whether edges bend visibly, or are so long that they may.
 
-        ``starts``, ``ends``: (E, 3) in the optical frame.
+        ``starts``, ``ends``: (E, 3) metres in ``map``.
         """
-        points = starts, ends, (starts + ends) / 2
-        return self._bent(points, [self.camera.project_optical(p)[0] for p in points], tolerance)[0]
+        a, b = self._projected(starts), self._projected(ends)
+        return (self._cuts(a, b) > 1) | (self._pieces(a, b, VISIBLE) > 1)
 
-    def _bent(
-        self, points: Sequence[Array], pixels: Sequence[Array], tolerance: float
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(E,) whether edges must be halved, and whether their halves are accurate without a test.
+    def _projected(self, positions: NDArray[np.floating]) -> _Projected:
+        points = self.camera.to_optical(positions)
+        return _Projected(points, self.camera.project_optical(points)[0], self._sides_beyond(points))
 
-        ``points``: starts, ends and middles (E, 3), optical frame; ``pixels``: their projections (E, 2).
-        """
-        (start, end, middle), (a, b, m) = points, pixels
-        visible_a, visible_b = np.isfinite(a[:, 0]), np.isfinite(b[:, 0])
+    def _cuts(self, a: _Projected, b: _Projected) -> Indices:
+        """(E,) pieces of edges that are too long to estimate their error, 1 of the others."""
+        seen = np.isfinite(a.pixels[:, 0]).astype(np.intp) + np.isfinite(b.pixels[:, 0])
         with np.errstate(invalid="ignore", divide="ignore"):
-            za, zb = start[:, 2:], end[:, 2:]
-            error = _length(m - (a * za + b * zb) / (za + zb))
-            span = _length(a - b)
-            outside: NDArray[np.bool_] = np.zeros(len(a), bool)
-            for axis, side in enumerate(self.camera.size):
-                p, q = a[:, axis], b[:, axis]
-                outside |= (np.maximum(p, q) < -_OUTSIDE) | (np.minimum(p, q) > side + _OUTSIDE)
-            allowed = tolerance * np.maximum(1.0, _length(middle[:, :2]) / (middle[:, 2] * _WIDE_TANGENT))
-            bent = ((error > allowed) & ~outside) | (span > _MAX_LENGTH)
-            enough = (error < _ERROR_RATIO * allowed) & (span < _MAX_LENGTH)
-        if not (visible_a & visible_b).all():
-            length, distance = _length(end - start), _length(start + end) / 2
-            rim, beyond = length > _RIM * distance, length > _BEYOND * distance
-            bent = np.where(visible_a & visible_b, bent, np.where(visible_a | visible_b, rim, beyond))
-        return bent, enough
+            za, zb = a.points[:, 2], b.points[:, 2]
+            ratio = np.maximum(
+                _length(a.pixels - b.pixels) / _MAX_LENGTH, np.maximum(za / zb, zb / za) / _MAX_RATIO
+            )
+        if not (seen == 2).all():
+            distance = np.maximum(_length(a.points + b.points) / 2, 1e-9)
+            share = _length(a.points - b.points) / distance
+            ratio = np.where(seen == 2, ratio, share / np.where(seen == 1, _RIM, _BEYOND))
+        return np.ceil(np.clip(ratio, 1, _MAX_CUT)).astype(np.intp)
+
+    def _pieces(self, a: _Projected, b: _Projected, tolerance: float) -> Indices:
+        """(E,) pieces of edges that are not too long, so that no error exceeds ``tolerance`` pixels."""
+        pieces = np.ones(len(a.points), np.intp)
+        outside: NDArray[np.bool_] = np.zeros(len(a.points), bool)
+        for axis, side in enumerate(self.camera.size):
+            p, q = a.pixels[:, axis], b.pixels[:, axis]
+            outside |= (np.maximum(p, q) < -_OUTSIDE) | (np.minimum(p, q) > side + _OUTSIDE)
+        tested = np.flatnonzero(np.isfinite(a.pixels[:, 0]) & np.isfinite(b.pixels[:, 0]) & ~outside)
+        a, b = a.take(tested), b.take(tested)
+        middle = self._between(a, b)
+        wide = _length(middle.points[:, :2]) / (middle.points[:, 2] * _WIDE_TANGENT)
+        allowed = tolerance * np.maximum(1.0, wide)
+        bent = np.flatnonzero(_error(a, middle, b) > allowed)
+        a, b, middle = a.take(bent), b.take(bent), middle.take(bent)
+        half = np.maximum(*(_error(one, self._between(one, middle), middle) for one in (a, b)))
+        # the error falls with the square of the length
+        needed = np.maximum(2 * _SAFETY * np.sqrt(half / allowed[bent]), 2)
+        pieces[tested[bent]] = np.ceil(np.minimum(needed, _MAX_PIECES)).astype(np.intp)
+        return pieces
+
+    def _between(self, a: _Projected, b: _Projected) -> _Projected:
+        """Points in the middle; which sides they are beyond is not computed."""
+        points = (a.points + b.points) / 2
+        return _Projected(points, self.camera.project_optical(points)[0], a.beyond)
 
     def tessellate(
-        self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE
+        self, attributes: NDArray[np.floating], triangles: NDArray[np.integer], tolerance: float = TOLERANCE
     ) -> TessellatedMesh:
         """Tessellate triangles; those outside the image are left out.
 
@@ -155,81 +177,90 @@ class LensView:
         ``triangles``: (N, 3). ``tolerance``: largest error of an edge in pixels.
         """
         corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
-        # edges of the round: ends (E, 2), and the edges of the sides ab, bc, ca of each triangle, -1 for
-        # straight sides
-        sides = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        keys, inverse = np.unique(sides[:, 0] * len(attributes) + sides[:, 1], return_inverse=True)
-        ends = np.stack([keys // len(attributes), keys % len(attributes)], axis=1)
-        edges = inverse.reshape(-1, 3)
-        points = self.camera.to_optical(attributes[:, :3])
-        pixels, beyond = self.camera.project_optical(points)[0], self._sides_beyond(points)
-        done, count = [(corners[:0], parents[:0])], 0
+        vertices = self._projected(attributes[:, :3])
+        short = [(corners[:0], parents[:0])]
         for _ in range(_ROUNDS):
-            a, b, c = beyond[corners].T
-            inside = (a & b & c) == 0
-            straight = inside & (np.bitwise_and.reduce(edges.T) < 0)  # all of them are -1
-            done.append((corners[straight], parents[straight]))
-            inside &= ~straight
-            corners, edges, parents = corners[inside], edges[inside], parents[inside]
-            count += len(corners)
-            if not len(corners) or count > _MAX_TRIANGLES:
+            inside = np.bitwise_and.reduce(vertices.beyond[corners], axis=1) == 0
+            corners, parents = corners[inside], parents[inside]
+            edges = TriangleEdges.of(corners, len(attributes))
+            cuts = self._cuts(*vertices.ends(edges))
+            long = (cuts[edges.sides] > 1).any(axis=1)
+            short.append((corners[~long], parents[~long]))
+            corners, parents = corners[long], parents[long]
+            if not 0 < len(corners) < _MAX_TRIANGLES:
                 break
-            used = np.zeros(len(ends) + 1, bool)
-            used[edges] = True
-            tested = np.flatnonzero(used[:-1])
-            first, second = ends[tested].T
-            middles = (points[first] + points[second]) / 2
-            projected = self.camera.project_optical(middles)[0]
-            halved, enough = self._bent(
-                (points[first], points[second], middles),
-                (pixels[first], pixels[second], projected),
-                tolerance,
-            )
-            cut, further = tested[halved], ~enough[halved]
-            new = 2 * int(np.count_nonzero(further))
-            # by edge; the last entry belongs to edge -1
-            middle, half = np.full((2, len(ends) + 1), -1)
-            middle[cut] = len(points) + np.arange(len(cut))
-            half[cut[further]] = np.arange(0, new, 2)
-            halves = _halves(corners, ends[edges], half[edges])
-            pieces = _divided(corners, middle[edges], halves, new)
-            start, end = ends[cut].T
-            attributes = np.concatenate([attributes, (attributes[start] + attributes[end]) / 2])
-            points = np.concatenate([points, middles[halved]])
-            pixels = np.concatenate([pixels, projected[halved]])
-            beyond = np.concatenate([beyond, self._sides_beyond(middles[halved])])
-            between = np.repeat(middle[cut[further], None], 2, axis=1)
-            ends = np.concatenate(
-                [np.stack([ends[cut[further]], between], axis=2).reshape(-1, 2), pieces.within]
-            )
-            corners, edges, parents = pieces.corners, pieces.edges, parents[pieces.parts]
-        done.append((corners, parents))
-        return TessellatedMesh(attributes, *(np.concatenate(parts) for parts in zip(*done, strict=True)))
+            edges = edges._replace(sides=edges.sides[long])
+            attributes, corners, sources = divide_triangles(attributes, corners, edges, cuts)
+            parents = parents[sources]
+            vertices = vertices.followed_by(self._projected(attributes[len(vertices.points) :, :3]))
+        short.append((corners, parents))
+        corners, parents = (np.concatenate(parts) for parts in zip(*short, strict=True))
+        edges = TriangleEdges.of(corners, len(attributes))
+        pieces = self._pieces(*vertices.ends(edges), tolerance)
+        count = float(np.sort(pieces[edges.sides], axis=1)[:, 1:].prod(axis=1).sum())
+        if count > _MAX_TRIANGLES:
+            pieces = np.maximum(pieces * np.sqrt(_MAX_TRIANGLES / count), 1).astype(np.intp)
+        attributes, corners, sources = divide_triangles(attributes, corners, edges, pieces)
+        return TessellatedMesh(attributes, corners, parents[sources])
 
     def divide_edges(
-        self, starts: NDArray[np.floating], ends: NDArray[np.floating]
+        self, starts: NDArray[np.floating], ends: NDArray[np.floating], tolerance: float = TOLERANCE
     ) -> tuple[NDArray[np.floating], NDArray[np.floating], Indices]:
-        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that are straight in the image.
+        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that are straight in the image; those outside the
+        image are left out.
 
         Returns:
             Starts and ends of the pieces, and (P,) the edge of each.
         """
-        done: list[tuple[NDArray[Any], NDArray[Any], Indices]] = []
-        parents: Indices = np.arange(len(starts), dtype=np.intp)
-        for _ in range(_ROUNDS):
-            halved = self.bent(
-                self.camera.to_optical(starts), self.camera.to_optical(ends), tolerance=TOLERANCE
-            )
-            done.append((starts[~halved], ends[~halved], parents[~halved]))
-            starts, ends, parents = starts[halved], ends[halved], parents[halved]
-            if not len(starts) or len(starts) > _MAX_TRIANGLES:
+        divided, parents = [], np.arange(len(starts), dtype=np.intp)
+        for number in range(_ROUNDS + 1):
+            a, b = self._projected(starts), self._projected(ends)
+            inside = (a.beyond & b.beyond) == 0
+            cuts = self._cuts(a, b)
+            long = inside & (cuts > 1)
+            last = number == _ROUNDS or not long.any() or len(starts) > _MAX_TRIANGLES
+            short = np.flatnonzero(inside if last else inside & ~long)
+            pieces = self._pieces(a.take(short), b.take(short), tolerance)
+            *ends_of, edge = divide_edges(starts[short], ends[short], pieces)
+            divided.append((*ends_of, parents[short[edge]]))
+            if last:
                 break
-            middles = (starts + ends) / 2
-            starts, ends = np.concatenate([starts, middles]), np.concatenate([middles, ends])
-            parents = np.tile(parents, 2)
-        done.append((starts, ends, parents))
-        starts, ends, parents = (np.concatenate(parts) for parts in zip(*done, strict=True))
+            starts, ends, edge = divide_edges(starts[long], ends[long], cuts[long])
+            parents = parents[long][edge]
+        starts, ends, parents = (np.concatenate(parts) for parts in zip(*divided, strict=True))
         return starts, ends, parents
+
+
+class _Projected(NamedTuple):
+    """``points`` (V, 3), optical frame; their ``pixels`` (V, 2); ``beyond``: (V,) the sides of the image that
+    they are beyond.
+    """
+
+    points: Array
+    pixels: Array
+    beyond: NDArray[np.uint8]
+
+    def take(self, which: Indices) -> _Projected:
+        return _Projected(self.points[which], self.pixels[which], self.beyond[which])
+
+    def followed_by(self, other: _Projected) -> _Projected:
+        return _Projected(
+            np.concatenate([self.points, other.points]),
+            np.concatenate([self.pixels, other.pixels]),
+            np.concatenate([self.beyond, other.beyond]),
+        )
+
+    def ends(self, edges: TriangleEdges) -> tuple[_Projected, _Projected]:
+        """Starts and ends of edges."""
+        start, end = edges.ends.T
+        return self.take(start), self.take(end)
+
+
+def _error(a: _Projected, middle: _Projected, b: _Projected) -> Array:
+    """(E,) pixels between the middles of edges and the middles of the straight lines that OpenGL draws."""
+    za, zb = a.points[:, 2:], b.points[:, 2:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return _length(middle.pixels - (a.pixels * za + b.pixels * zb) / (za + zb))
 
 
 def near_plane(camera: Camera) -> float:
@@ -282,76 +313,3 @@ def _border(x: Array, y: Array) -> Array:
 def _length(vectors: Array) -> Array:
     """(N,) of (N, k)."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
-
-
-def _halves(corners: Indices, ends: Indices, half: Indices) -> Indices:
-    """(N, 3, 2) edges of the halves of the sides of triangles (N, 3), the half at the start of a side first.
-
-    ``ends``: (N, 3, 2) of the edges of the sides. ``half``: (N, 3) edge of the half at the first end;
-    the other half has the next edge; or -1.
-    """
-    turned = (ends[..., 0] != corners).astype(np.intp)
-    both = np.stack([half + turned, half + 1 - turned], axis=2)
-    return np.where(half[..., None] < 0, -1, both)
-
-
-class _Pieces(NamedTuple):
-    """``corners`` (P, 3) and ``edges`` (P, 3) of pieces; ``parts``: (P,) the triangle that each is from.
-
-    ``within``: (E, 2) ends of the edges between the pieces of a triangle.
-    """
-
-    corners: Indices
-    edges: Indices
-    parts: Indices
-    within: Indices
-
-
-#: Pieces of a triangle by the number of its halved sides: corners, edges, and ends of the inner edges.
-#: Corners: 0 1 2 (a b c), 3 4 5 (middles of ab bc ca). Edges: 0 straight, 1 to 6 halves of ab bc ca, 7 8 9
-#: inner edges.
-_CUTS: dict[int, tuple[list[tuple[int, int, int]], list[tuple[int, int, int]], list[tuple[int, int]]]] = {
-    0: ([(0, 1, 2)], [(0, 0, 0)], []),
-    # rotated so that ab is halved
-    1: ([(0, 3, 2), (3, 1, 2)], [(1, 7, 0), (2, 0, 7)], [(3, 2)]),
-    # rotated so that ca is not halved
-    2: ([(3, 1, 4), (0, 3, 4), (0, 4, 2)], [(2, 3, 7), (1, 7, 8), (8, 4, 0)], [(3, 4), (0, 4)]),
-    3: (
-        [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
-        [(1, 7, 6), (2, 3, 8), (9, 4, 5), (8, 9, 7)],
-        [(3, 5), (3, 4), (4, 5)],
-    ),
-}
-
-
-def _divided(corners: Indices, middles: Indices, halves: Indices, first: int) -> _Pieces:
-    """Divide triangles.
-
-    Args:
-        corners: (N, 3) triangles.
-        middles: (N, 3) vertices in the middle of the sides ab, bc, ca, or -1.
-        halves: (N, 3, 2) edges of the halves of the sides.
-        first: Number of the first inner edge.
-    """
-    count = (middles >= 0).sum(axis=1)
-    turns = np.zeros(len(corners), np.intp)
-    turns[count == 1] = np.argmax(middles[count == 1] >= 0, axis=1)
-    turns[count == 2] = np.argmax(middles[count == 2] < 0, axis=1) + 1
-    divided = []
-    for number, (pieces, edges, within) in _CUTS.items():
-        rows = np.flatnonzero(count == number)
-        order = (np.arange(3) + turns[rows, None]) % 3
-        at = rows[:, None]
-        six = np.concatenate([corners[at, order], middles[at, order]], axis=1)
-        new = first + np.arange(len(rows) * len(within), dtype=np.intp).reshape(len(rows), len(within))
-        first += new.size
-        ten = np.concatenate([np.full_like(at, -1), halves[at, order].reshape(-1, 6), new], axis=1)
-        divided.append(
-            _Pieces(
-                six[:, pieces].reshape(-1, 3),
-                ten[:, edges].reshape(-1, 3),
-                np.repeat(rows, len(pieces)),
-                six[:, np.reshape(within, (-1, 2)).astype(np.intp)].reshape(-1, 2),
-            )
-        )
-    return _Pieces(*(np.concatenate(parts) for parts in zip(*divided, strict=True)))

@@ -124,9 +124,6 @@ def test_the_light_of_a_ball_has_no_seams_between_its_charts() -> None:
     assert (plain - darker)[inside].max() > 8  # the roof hides the sky
     ratio = darker / plain
     rough = np.abs(ratio - cv2.blur(ratio, (5, 5)))[inside]
-    cv2.imwrite(
-        "/tmp/h3w/ball.png", np.hstack([darker, plain, 2000 * np.abs(ratio - cv2.blur(ratio, (5, 5)))])
-    )
     assert rough.max() < 0.02
 
 

@@ -15,13 +15,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import moderngl
 import numpy as np
 
 from humansim_ros.camera import Camera
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import CHANNELS, Body, GLRenderer
 from humansim_ros.render.body_buffers import ProjectedPoints
-from humansim_ros.render.lens_tessellation import VISIBLE
-from humansim_ros.render.programs import use_camera
+from humansim_ros.render.light_map import UNIT
+from humansim_ros.render.programs import lit_program, set_uniform, use_camera
 from humansim_ros.render.target import Rectangle
 from humansim_ros.scene import Scene
 
@@ -58,17 +60,26 @@ def moving(renderer: GLRenderer, lens: str) -> Draw:
     return draw
 
 
-def bare(renderer: GLRenderer) -> Draw:
-    """Draw the room and the person once, without lens and without anti-aliasing, and read the images."""
+def bare(meshes: Sequence[Mesh]) -> Draw:
+    """Draw the room and the person once, without lens and without anti-aliasing, and read the images: all
+    triangles of the room, its textures filtered in the usual way.
+    """
+    renderer = GLRenderer(meshes)
     ctx, static = renderer._ctx, renderer._static
+    with renderer._context.current():
+        program = lit_program(ctx, static._lighting, ("STATIC_SCENE", "AMBIENT_OCCLUSION"))
+        set_uniform(program, "light_map", UNIT)
+        for material in static._scene._materials:
+            material.texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
 
     def draw(body: Body, camera: Camera, number: int) -> object:
         there = replace(camera, t=camera.t + 0.01 * (number % 20))
-        with renderer._context.current(), static._scene.tessellated(there, VISIBLE) as triangles:
-            target, program = renderer._target(there.size), static._lit[0]
-            static._light_map.use()
+        with renderer._context.current():
+            target = renderer._targets.of(there.size)
+            if static._light_map is not None:
+                static._light_map.use()
             use_camera(ctx, program, there)
-            static._draw(target, triangles, program)
+            static._draw(target, static._scene.whole, program)
             posed = renderer._bodies.pose(replace(body))
             projected = ProjectedPoints(posed.posed.points, there)
             facing = posed.posed.facing(there.center)
@@ -137,7 +148,7 @@ def main() -> None:
         draws = {lens: steady(renderer, lens, channels) for lens in LENSES}
         figures[title] = compare(title, draws, shots, options.rounds)
     title = "ms: rgb, depth, instance, part, moving camera"
-    draws = {"bare draw": bare(renderer), **{lens: moving(renderer, lens) for lens in LENSES}}
+    draws = {"bare draw": bare(scene.static_meshes), **{lens: moving(renderer, lens) for lens in LENSES}}
     figures[title] = compare(title, draws, shots, max(options.rounds // 8, 1))
     title = "ms: rgb, depth, instance, part, first frame"
     draws = {lens: first(renderer, lens) for lens in LENSES}

@@ -53,14 +53,11 @@ from humansim_ros.render.rendered_frame import (
 )
 from humansim_ros.render.renderer import Body, Renderer, RenderRequest, check_bodies
 from humansim_ros.render.static_layers import StaticLayers, camera_key
-from humansim_ros.render.target import Rectangle, RenderTarget
+from humansim_ros.render.target import Rectangle, RenderTargets
 from humansim_ros.types import Indices
 
 if TYPE_CHECKING:
     from humansim_ros.render.pyrender import PyrenderRenderer
-
-#: Image sizes whose render targets are cached.
-_MAX_SIZES = 32
 
 
 class GLRenderer(Renderer):
@@ -92,6 +89,7 @@ class GLRenderer(Renderer):
         self._ctx = self._context.gl
         check_bodies(static_bodies)
         self._static_bodies = tuple(static_bodies)
+        self._targets = RenderTargets(self._ctx)
         shadows = ["STATIC_SHADOWS", "MOVING_SHADOWS"] if light.shadow == "soft" else []
         skin = ["SKIN_AND_CLOTH"] if light.materials and light.mode == "lit" else []
         with self._context.current():
@@ -100,15 +98,12 @@ class GLRenderer(Renderer):
             self._lit = lit_program(self._ctx, light, (*shadows, *skin))
             self._ids = link(self._ctx, "triangle_ids.vert", "triangle_ids.frag")
             self._static = StaticLayers(
-                self._ctx, static_meshes, self._static_bodies, light, self._ids, self._lit
+                self._ctx, static_meshes, self._static_bodies, light, self._ids, self._lit, self._targets
             )
             self._contact_shadows = ContactShadowPass(self._ctx)
             self._coverage = CoveragePass(self._ctx)
         self._bodies = BodyCache(self._ctx, self._lit, self._ids)
         self._frames = FrameCache()
-        self._targets: LruCache[tuple[int, int], RenderTarget] = LruCache(
-            _MAX_SIZES, release=lambda target: target.release()
-        )
 
     @property
     def device(self) -> str:
@@ -202,13 +197,13 @@ class GLRenderer(Renderer):
             shaded += sun.update(posed)
         clouds = [points for points, draw in zip(projected, drawn, strict=True) if draw]
         rectangle = image_bounds([*clouds, *(ProjectedPoints(points, camera) for points in shaded)], camera)
-        target = self._target(camera.size)
+        target = self._targets.of(camera.size)
         target.start(rectangle, layer.depth_buffer, layer.rgba)
         ids, outline = TriangleIds(), None
         if not rectangle.empty:
             self._contact_shadows.draw(shadows, camera)
             if sun is not None and layer.shadow_inputs is not None:
-                sun.apply(layer.shadow_inputs, layer.target, target, camera)
+                sun.apply(layer.shadow_inputs, target, camera)
             target.use(passes.lit)
             each = zip(posed, drawn, strict=True)
             facing = [body.posed.facing(camera.center) if draw else None for body, draw in each]
@@ -238,7 +233,7 @@ class GLRenderer(Renderer):
         """Cached labels of the static bodies in a layer; renders on a miss."""
         passes = Passes(lit=False, outlined=True, alone=passes.alone)
         if layer.labels is None or not layer.labels.passes.covers(passes):
-            target = self._target(camera.size)
+            target = self._targets.of(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
             frame = self._render(self._static_bodies, camera, passes, StaticLayer(target, None))
             layer.labels = StaticLabels(replace(frame, layer=layer), self._static_bodies)
@@ -250,7 +245,7 @@ class GLRenderer(Renderer):
         mask = np.zeros(camera.size[::-1], bool)
         rectangle = image_bounds([projected], camera)
         if not rectangle.empty:
-            target = self._target(camera.size)
+            target = self._targets.of(camera.size)
             target.start(rectangle)
             target.use(False)
             facing = body.posed.facing(camera.center)
@@ -297,9 +292,6 @@ class GLRenderer(Renderer):
             body.draw(lit, visible)
             ids.add(body.body, visible)
         return ids
-
-    def _target(self, size: tuple[int, int]) -> RenderTarget:
-        return self._targets.get_or_make(size, lambda: RenderTarget(self._ctx, size))
 
 
 #: Beyond all ids of triangles; single precision is exact up to here.

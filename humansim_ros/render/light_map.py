@@ -25,12 +25,17 @@ UNIT, _BAKING = 5, 12
 
 
 class LightMap:
-    """Visible share of sky and of ground on the fronts, and on the backs, of a static scene with charts."""
+    """Visible share of sky and of ground on the fronts, and on the backs, of a static scene.
+
+    Args:
+        ctx: OpenGL context.
+        static: The scene. It gets charts.
+    """
 
     def __init__(self, ctx: moderngl.Context, static: StaticScene) -> None:
         self._ctx = ctx
-        box, charts = static.box, static.charts
-        assert box is not None and charts is not None
+        box, charts = static.box, static.chart()
+        assert box is not None
         low, high = box.min(axis=1).astype(float), box.max(axis=1).astype(float)
         self._centre, extent = (low + high) / 2, (high - low) / 2
         self._extent = extent + max(_MARGIN, _MARGIN_SHARE * float(extent.max()))
@@ -40,16 +45,19 @@ class LightMap:
         maps.compare_func = ""
         self._draw_maps(static, maps)
         surface = self._surface(static, charts.size)
-        known = surface[0, ..., 3:]
-        weight = _sum(known)[..., None]
+        known = surface[0, ..., 3:].copy()
+        weight, unknown = _sum(known)[..., None], known[..., 0] == 0
         # texels around a chart repeat its border: each texel has all its neighbours
-        surface = np.where(known > 0, surface, [_sum(image) / np.maximum(weight, 1) for image in surface])
-        around = (weight > 0).astype(np.float32)
-        light = np.stack([_sum(image * around) for image in self._light(surface, maps)])
+        for image in surface:
+            image[unknown] = (_sum(image) / np.maximum(weight, 1))[unknown]
+        light = self._light(surface, maps)
+        maps.release()
+        del surface
+        for image in light:
+            image[:] = _sum(image * (weight > 0))
         shares = _shares(light)
         shares = np.where(known > 0, shares, _sum(shares * known) / np.maximum(weight, 1))
         self._texture = ctx.texture(charts.size, 4, np.rint(255 * shares).astype(np.uint8).tobytes())
-        maps.release()
 
     def use(self) -> None:
         """Bind the map to its texture unit."""
@@ -68,6 +76,7 @@ class LightMap:
         framebuffer.use()
         framebuffer.clear(depth=1.0)
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        whole = static.whole
         self._ctx.cull_face = "front"  # images are mirrored, and with them the winding of front faces
         for number, axes in enumerate(self._axes):
             row, column = divmod(number, _SIDE)
@@ -75,7 +84,7 @@ class LightMap:
             clip = np.eye(4)
             clip[:3, :3], clip[:3, 3] = axes, -axes @ self._centre
             set_uniform(depths, "clip", columns(clip))
-            static.whole.draw(depths)
+            whole.draw(depths)
         self._ctx.cull_face = "back"
         framebuffer.release()
 

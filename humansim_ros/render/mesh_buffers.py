@@ -69,7 +69,7 @@ class MaterialBuffers:
 
     @classmethod
     def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[MaterialBuffers]:
-        """Materials of several meshes; meshes with the same image and no material share one."""
+        """Materials of several static meshes; meshes with the same image and no material share one."""
         shared: dict[tuple[int, int], MaterialBuffers] = {}
         made: list[MaterialBuffers] = []
         for mesh in meshes:
@@ -79,6 +79,8 @@ class MaterialBuffers:
             made.append(known or cls(ctx, mesh))
             if mesh.material is None:
                 shared[key] = made[-1]
+            # the mean of several samples in each pixel, of one mip level each, is as smooth as of two
+            made[-1].texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
         return made
 
     @staticmethod
@@ -94,6 +96,8 @@ class MaterialBuffers:
     def use(self, program: moderngl.Program) -> None:
         """Bind the material for a program."""
         self.texture.use(0)
+        if program.get("has_material", None) is None and program.get("opacity", None) is None:
+            return
         material = self.material or Material()
         set_uniform(program, "has_material", float(self.material is not None))
         set_uniform(program, "masked", material.alpha == "mask")

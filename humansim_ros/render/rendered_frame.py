@@ -70,7 +70,7 @@ class TriangleIds:
 
 
 class StaticLayer:
-    """Image of the static scene from one camera, on the device and as arrays.
+    """Image of the static scene from one camera, as in a target that is free afterwards.
 
     ``rgba``: (H, W, 4); None if it has depths alone.
     """
@@ -82,11 +82,10 @@ class StaticLayer:
         backdrop: Backdrop | None = None,
         shadow_inputs: ShadowInputs | None = None,
     ) -> None:
-        self.target, self.rgba, self.shadow_inputs = target, rgba, shadow_inputs
+        self.rgba, self.shadow_inputs = rgba, shadow_inputs
         self._backdrop = backdrop  # referenced: caches know it by its id
         #: of the static bodies, once a frame needed them
         self.labels: StaticLabels | None = None
-        self._rgb = None if rgba is None else cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
         depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
         #: (H, W) metres, +inf where nothing is
@@ -94,22 +93,15 @@ class StaticLayer:
 
     def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
         """New arrays of the channels as they are without bodies."""
-        cached: dict[str, NDArray[Any]] = {"depth": self.depth}
-        if self._rgb is not None:
-            cached["rgb"] = self._rgb
+        make: dict[str, Callable[[], NDArray[Any]]] = {"depth": self.depth.copy}
+        if self.rgba is not None:
+            rgba = self.rgba
+            make["rgb"] = lambda: cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB)
         shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
-        return {
-            c.name: cached[c.name].copy() if c.name in cached else c.empty_image(self.depth.shape)
-            for c in shared
-        }
+        return {c.name: make[c.name]() if c.name in make else c.empty_image(self.depth.shape) for c in shared}
 
     def release(self) -> None:
         """Free the memory on the device."""
-        self.release_inputs()
-        self.target.release()
-
-    def release_inputs(self) -> None:
-        """Free the memory on the device except the target."""
         self.labels = None  # it refers to this layer
         if self.shadow_inputs is not None:
             self.shadow_inputs.release()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.mesh.normals import welded
-from humansim_ros.render.edge_antialiasing import EdgeCrossings, ImageEdges, edge_crossings, share_beyond
-from humansim_ros.render.lens_tessellation import LensView, near_plane
+from humansim_ros.render.edge_antialiasing import (
+    EdgeCrossings,
+    ImageEdges,
+    edge_crossings,
+    mix,
+    share_beyond,
+)
+from humansim_ros.render.lens_tessellation import VISIBLE, LensView, near_plane
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.render.pixel_geometry import pixel_rays
 from humansim_ros.types import Array, Float32Array, Indices
@@ -21,6 +27,10 @@ from humansim_ros.types import Array, Float32Array, Indices
 _SHARP = 0.99
 #: Difference of 1 / z, per metre, above which one surface is before another.
 _APART = 1e-6
+#: Share of the depth of the surfaces behind at which a narrow surface may be at most.
+_BEFORE = 0.999
+#: Share of a pixel from which a narrow surface counts.
+_VISIBLE = 1 / 64
 
 
 class StaticEdges:
@@ -49,44 +59,96 @@ class StaticEdges:
         flat = np.einsum("ij,ij->j", areas[:, first], areas[:, second]) > _SHARP
         return np.asarray(~flat | (self._owner[first] != self._owner[second]) | self._topology.border)
 
-    def crossings(self, camera: Camera, shown: Indices) -> EdgeCrossings:
-        """Find where edges pass between pixels, and where surfaces intersect.
+    @cached_property
+    def _forward(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(E,) whether the triangles on both sides run along their edge from its start to its end."""
+        corners = np.stack(self._topology.corners, axis=1)
+        start, end = self._topology.edges.T[..., None]
+        one, other = (
+            ((corners[side] == start) & (np.roll(corners[side], -1, axis=1) == end)).any(axis=1)
+            for side in self._topology.sides
+        )
+        return one, other
+
+    @cached_property
+    def _facets(self) -> Indices:
+        """(N + 1,) facet of each triangle: those that edges connect which are not sharp; then -1."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        first, second = (side[~self._sharp] for side in self._topology.sides)
+        count = len(self._owner)
+        graph = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(count, count))
+        return np.append(connected_components(graph, directed=False)[1], -1)
+
+    def smooth(self, image: NDArray[np.uint8], camera: Camera, shown: Indices, depth: Float32Array) -> None:
+        """Anti-alias an image in place: where edges pass between pixels, where surfaces intersect, and where
+        a surface is so narrow that it passes between pixels.
 
         Args:
+            image: (H, W, C) colours.
             camera: The camera.
             shown: (H * W,) triangle that each pixel shows, -1 for none.
+            depth: (H, W) metres, 0 where nothing is.
         """
-        edges = self._edge_crossings(camera, shown)
-        return edges + self._intersections(camera, shown, edges)
+        facets = self._facets[shown]
+        passing = self._passing(camera, facets)
+        crossings = passing.crossings
+        own = [self._facets[side[passing.edge]] for side in self._topology.sides]
+        here, there = facets[crossings.pixel], facets[crossings.neighbour]
+        shows = (here == own[0]) | (here == own[1]) | (there == own[0]) | (there == own[1])
+        z = np.where(depth > 0, depth, np.inf).ravel()
+        before = crossings.depth < _BEFORE * np.minimum(z[crossings.pixel], z[crossings.neighbour])
+        narrow = self._narrow(camera, facets, passing.take(np.flatnonzero(before & ~shows & passing.across)))
+        colours = image.reshape(len(shown), -1)[narrow.source]
+        other = shown[crossings.pixel] != shown[crossings.neighbour]
+        visible = crossings.take(np.flatnonzero(other & shows))
+        mix(image, visible + self._intersections(camera, shown, visible))
+        _add(image.reshape(len(shown), -1), narrow, colours)
 
-    def _edge_crossings(self, camera: Camera, shown: Indices) -> EdgeCrossings:
-        """Crossings of edges of a triangle that a pixel beside the edge shows."""
+    def _passing(self, camera: Camera, facets: Indices) -> _Passing:
+        """Crossings of edges of those facets that some pixel shows. ``facets``: (H * W,), -1 for none."""
         seen = np.zeros(len(self._owner) + 1, bool)
-        seen[shown] = True
+        seen[facets] = True
+        seen[-1] = False
         first, second = self._topology.sides
-        beside = np.flatnonzero(seen[first] | seen[second])
+        beside = np.flatnonzero(seen[self._facets[first]] | seen[self._facets[second]])
         facing = self._posed.facing(camera.center)
         outline = facing[first[beside]] != facing[second[beside]]
         chosen = beside[self._sharp[beside] | outline]
         starts, ends = (self._posed.vertices[ends].astype(float) for ends in self._topology.edges[chosen].T)
         if camera.distorted:
-            starts, ends, parents = LensView(camera).divide_edges(starts, ends)
+            starts, ends, parents = LensView(camera).divide_edges(starts, ends, VISIBLE)
             chosen = chosen[parents]
         starts, ends, kept = _before_camera(camera, starts, ends)
         (p, near), (q, far) = camera.project_optical(starts), camera.project_optical(ends)
         good = np.isfinite(p[:, 0]) & np.isfinite(q[:, 0])
         edges = ImageEdges((*p[good].T, near[good]), (*q[good].T, far[good]))
         crossings = edge_crossings([edges], camera.size)
-        edge = chosen[kept][good][crossings.edge]
-        here, there = shown[crossings.pixel], shown[crossings.neighbour]
-        own = [(side == first[edge]) | (side == second[edge]) for side in (here, there)]
-        return crossings.take((here != there) & (own[0] | own[1]))
+        return _Passing(crossings, chosen[kept][good][crossings.edge], (q - p)[good][crossings.edge])
+
+    def _narrow(self, camera: Camera, facets: Indices, passing: _Passing) -> _Narrow:
+        """Shares of narrow surfaces in pixels, one for each crossing of their edges: positive if the surface
+        is beyond the edge, negative if it ends there.
+        """
+        facing, sides = self._posed.facing(camera.center), self._topology.sides
+        pixel, share, facet = [], [], []
+        outline = facing[sides[0][passing.edge]] != facing[sides[1][passing.edge]]
+        for number, (side, forward) in enumerate(zip(sides, self._forward, strict=True)):
+            surface = side[passing.edge]
+            used = np.where(outline, facing[surface], True)
+            if number:
+                used &= ~self._topology.border[passing.edge]
+            sign = np.where((forward[passing.edge] == facing[surface]) == passing.left, 1.0, -1.0)
+            pixel.append(passing.crossings.pixel[used])
+            share.append((sign * passing.crossings.share)[used])
+            facet.append(self._facets[surface[used]])
+        return _Narrow.of(np.concatenate(pixel), np.concatenate(share), np.concatenate(facet), facets)
 
     def _intersections(self, camera: Camera, shown: Indices, edges: EdgeCrossings) -> EdgeCrossings:
         """Crossings between neighbours whose surfaces intersect there, where no edge passes."""
         width, height = camera.size
-        image = shown.reshape(height, width)
-        rays = pixel_rays(camera)
+        image, rays = self._facets[shown].reshape(height, width), pixel_rays(camera)
         known = np.zeros((2, height * width), bool)
         lower = np.minimum(edges.pixel, edges.neighbour)
         known[(np.abs(edges.neighbour - edges.pixel) > 1).astype(np.intp), lower] = True
@@ -122,6 +184,74 @@ class StaticEdges:
         distance = np.einsum("ij,ij->j", normals, corner - camera.center[:, None])
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(camera.R @ normals / distance)
+
+
+class _Passing(NamedTuple):
+    """Crossings of edges with pixels. ``edge``: (N,) edge of the topology; ``run``: (N, 2) along it."""
+
+    crossings: EdgeCrossings
+    edge: Indices
+    run: Array
+
+    def take(self, which: Indices) -> _Passing:
+        return _Passing(self.crossings.take(which), self.edge[which], self.run[which])
+
+    @property
+    def _step(self) -> tuple[NDArray[np.bool_], Array]:
+        """(N,) whether the neighbour is in the same row, and 1 or -1 for after and before."""
+        step = self.crossings.neighbour - self.crossings.pixel
+        return np.abs(step) == 1, np.sign(step).astype(float)
+
+    @property
+    def across(self) -> NDArray[np.bool_]:
+        """(N,) whether the edge runs rather across the line to the neighbour than along it."""
+        x, y = np.abs(self.run.T)
+        return self._step[0] == (y >= x)
+
+    @property
+    def left(self) -> NDArray[np.bool_]:
+        """(N,) whether the neighbour is to the left of the edge, seen from its start to its end."""
+        level, step = self._step
+        x, y = self.run.T
+        return np.where(level, y, -x) * step > 0
+
+
+class _Narrow(NamedTuple):
+    """Shares (N,) of surfaces in pixels (N,), and pixels ``source`` (N,) that show the same facets."""
+
+    pixel: Indices
+    share: Array
+    source: Indices
+
+    @classmethod
+    def of(cls, pixel: Indices, share: Array, facet: Indices, facets: Indices) -> _Narrow:
+        """Find the nearest pixels, in the order of rows, that show facets (N,); leave out others.
+
+        ``facets``: (H * W,) that each pixel shows, or -1.
+        """
+        wanted = np.zeros(max(int(facet.max(initial=-1)), int(facets.max(initial=-1))) + 2, bool)
+        wanted[facet] = True
+        shows = np.flatnonzero(wanted[facets])
+        shows = shows[np.argsort(facets[shows], kind="stable")]
+        if not len(shows):
+            return cls(pixel[:0], share[:0], pixel[:0])
+        after = np.searchsorted(facets[shows] * len(facets) + shows, facet * len(facets) + pixel)
+        around = shows[[np.maximum(after - 1, 0), np.minimum(after, len(shows) - 1)]]
+        distance = np.where(facets[around] == facet, np.abs(around - pixel), len(facets))
+        nearest = distance.argmin(axis=0)[None]
+        found = np.take_along_axis(distance, nearest, axis=0)[0] < len(facets)
+        return cls(pixel[found], share[found], np.take_along_axis(around, nearest, axis=0)[0, found])
+
+
+def _add(image: NDArray[np.uint8], narrow: _Narrow, colours: NDArray[np.uint8]) -> None:
+    """Mix narrow surfaces of colours (N, C) into the pixels of an image (H * W, C) in place."""
+    pixels, which = np.unique(narrow.pixel, return_inverse=True)
+    covered = np.bincount(which, narrow.share, len(pixels))
+    sums = np.stack([np.bincount(which, narrow.share * one, len(pixels)) for one in colours.T], axis=1)
+    seen = np.flatnonzero(covered > _VISIBLE)
+    colour = np.clip(sums[seen] / covered[seen, None], 0, 255)
+    part = np.minimum(covered[seen, None], 1)
+    image[pixels[seen]] = np.rint(image[pixels[seen]] * (1 - part) + colour * part).astype(np.uint8)
 
 
 def _before_camera(camera: Camera, starts: Array, ends: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

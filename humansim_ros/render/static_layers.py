@@ -1,15 +1,15 @@
 """Cached images of the static scene, one per camera and backdrop.
 
 The colours of a still camera are the mean of images that are shifted by fractions of a pixel, so that they
-need no more memory than one image.
+need no more memory than one image. Where the first few images agree, the others are not drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import moderngl
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.caches import LruCache
-from humansim_ros.render.edge_antialiasing import mix
 from humansim_ros.render.lens_tessellation import TOLERANCE, VISIBLE, LensView
 from humansim_ros.render.light_map import UNIT, LightMap
 from humansim_ros.render.lighting import Lighting
@@ -29,18 +28,19 @@ from humansim_ros.render.rendered_frame import StaticLayer
 from humansim_ros.render.renderer import Backdrop, Body
 from humansim_ros.render.static_scene import StaticScene, StaticTriangles
 from humansim_ros.render.sun_shadows import ShadowInputs, SunShadows
-from humansim_ros.render.target import RenderTarget
-from humansim_ros.types import Image
+from humansim_ros.render.target import RenderTarget, RenderTargets
+from humansim_ros.types import Float32Array, Image
 
 #: Shifted images of a still camera, which are averaged: a number of Fibonacci spreads them best. And of a
 #: moving camera if surfaces are transparent, or if the image is so small (pixels along its longer side) that
 #: much of a room is narrower than a pixel.
 _OFFSETS, _MOVING_OFFSETS, _SMALL = 13, 4, 128
-#: Largest side of images through a lens that are drawn twice as large with a quarter of the offsets: a lens
-#: makes so many triangles that the number of draws matters.
-_MAX_LENS_SIDE = 1024
-#: Mip levels by which the textures of the single image of a moving camera are finer than usual.
-_MOVING_MIP_BIAS = -1.0
+#: The images that are drawn first, evenly within a pixel, and the largest difference (of 255) of their
+#: colours, in a pixel and around it, where they suffice.
+_FEW, _ALIKE = (2, 3, 7, 11), 20
+#: Mip levels by which the textures of the single image of a moving camera are finer than usual: a pixel has
+#: two samples of them.
+_MOVING_MIP_BIAS = -1.5
 #: Largest number of cached images.
 _MAX_LAYERS = 32
 #: Blending of transparent surfaces; alpha stays.
@@ -70,6 +70,7 @@ class StaticLayers:
         lighting: Light.
         ids: Program that draws depth and triangle ids.
         lit_bodies: Program that draws bodies; it looks up soft shadows.
+        targets: Targets to draw into. They are free after each call.
     """
 
     def __init__(
@@ -80,19 +81,21 @@ class StaticLayers:
         lighting: Lighting,
         ids: moderngl.Program,
         lit_bodies: moderngl.Program,
+        targets: RenderTargets,
     ) -> None:
-        self._ctx, self._lighting, self._ids = ctx, lighting, ids
-        lit = lighting.ambient_occlusion and lighting.mode == "lit"
-        self._unlabelled = self._scene = StaticScene(ctx, tuple(meshes), lit and not bodies)
+        self._ctx, self._lighting, self._ids, self._targets = ctx, lighting, ids, targets
+        self._unlabelled = self._scene = StaticScene(ctx, tuple(meshes))
         if bodies:
             labelled = (replace(body.mesh, vertices=body.vertices.astype(float)) for body in bodies)
-            self._scene = StaticScene(ctx, (*meshes, *labelled), lit)
+            self._scene = StaticScene(ctx, (*meshes, *labelled))
         self._layers: LruCache[tuple[bytes, int], StaticLayer] = LruCache(
             _MAX_LAYERS, release=lambda layer: layer.release()
         )
         self._moving: StaticLayer | None = None
         soft = lighting.shadow == "soft"
-        occlusion = ["AMBIENT_OCCLUSION"] if self._scene.charts is not None else []
+        lit = lighting.ambient_occlusion and lighting.mode == "lit"
+        self._occluded = lit and self._scene.box is not None
+        occlusion = ["AMBIENT_OCCLUSION"] if self._occluded else []
         switches = ["STATIC_SCENE", *occlusion, *self._scene.switches]
         self._lit = self._programs([*switches, *(["STATIC_SHADOWS"] if soft else [])])
         self._without_sun = self._programs(switches, sun=False) if soft else self._lit
@@ -107,13 +110,17 @@ class StaticLayers:
 
     def _programs(self, switches: Sequence[str], sun: bool = True) -> tuple[moderngl.Program, ...]:
         """Programs for opaque surfaces, for their colours alone, and for transparent ones if any."""
-        kinds = ((), ("COLOUR",), *((("COLOUR", "TRANSPARENT"),) if self._scene.blends else ()))
+        kinds = (
+            ("SMOOTH_TEXTURES",),
+            ("COLOUR",),
+            *((("COLOUR", "TRANSPARENT"),) if self._scene.blends else ()),
+        )
         return tuple(lit_program(self._ctx, self._lighting, (*switches, *kind), sun) for kind in kinds)
 
     @cached_property
     def _light_map(self) -> LightMap | None:
         """The light map: baked when colours are needed first."""
-        return None if self._scene.charts is None else LightMap(self._ctx, self._scene)
+        return LightMap(self._ctx, self._scene) if self._occluded else None
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None, lit: bool) -> StaticLayer:
         """Return the image for a camera.
@@ -125,27 +132,18 @@ class StaticLayers:
             lit: Render colours, not depths alone.
         """
         if moving_camera:
-            self._moving = self._render(camera, backdrop, self._moving_target(camera.size), True, lit)
+            if self._moving is not None:
+                self._moving.release()
+            self._moving = self._render(camera, backdrop, True, lit)
             return self._moving
         key = camera_key(camera), id(backdrop)
         layer = self._layers.get(key)
         if layer is not None and (layer.rgba is not None or not lit):
             return layer
-        made = self._render(camera, backdrop, RenderTarget(self._ctx, camera.size), False, lit)
+        made = self._render(camera, backdrop, False, lit)
         if layer is not None:
             layer.release()
         return self._layers.put(key, made)
-
-    def _moving_target(self, size: tuple[int, int]) -> RenderTarget:
-        """Target of the image before, if it has the same size: memory on the device is slow to get."""
-        layer, self._moving = self._moving, None
-        if layer is None:
-            return RenderTarget(self._ctx, size)
-        if layer.target.size == size:
-            layer.release_inputs()
-            return layer.target
-        layer.release()
-        return RenderTarget(self._ctx, size)
 
     def draw_unlabelled(self, target: RenderTarget, camera: Camera, moving_camera: bool) -> None:
         """Draw depths of the meshes without labels."""
@@ -153,13 +151,9 @@ class StaticLayers:
             self._draw_depths(target, triangles, camera)
 
     def _render(
-        self,
-        camera: Camera,
-        backdrop: Backdrop | None,
-        target: RenderTarget,
-        moving_camera: bool,
-        lit: bool,
+        self, camera: Camera, backdrop: Backdrop | None, moving_camera: bool, lit: bool
     ) -> StaticLayer:
+        target = self._targets.of(camera.size)
         if not lit:
             with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
                 self._draw_depths(target, triangles, camera)
@@ -173,16 +167,14 @@ class StaticLayers:
             behind, behind_without_sun = (
                 self._ground(behind, camera, sun) for sun in (visibility, np.zeros_like(visibility))
             )
+        if self._light_map is not None:  # before the triangles: it gives them their places
+            self._light_map.use()
         with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
-            if self._light_map is not None:
-                self._light_map.use()
             single = moving_camera and not self._scene.blends and max(camera.size) > _SMALL
             view = _View(camera, moving_camera, single, triangles, target)
             rgba = self._colour(self._lit, view, behind)
-            shadow_inputs = None
-            if self.sun_shadows is not None:
-                shaded = self._colour(self._without_sun, view, behind_without_sun)
-                shadow_inputs = ShadowInputs(self._ctx, camera, shaded[..., :3])
+            soft = self.sun_shadows is not None
+            shaded = self._colour(self._without_sun, view, behind_without_sun)[..., :3] if soft else None
             if not view.single:
                 self._draw_depths(target, triangles, camera)
         if self.sun_shadows is None:
@@ -190,9 +182,10 @@ class StaticLayers:
         if visibility is not None:
             empty = target.read("depth", lit=True) == 0
             rgba[..., 3][empty] = np.rint(255 * visibility[empty]).astype(np.uint8)
-        if shadow_inputs is not None:
-            target.write(rgba)
-        return StaticLayer(target, rgba, backdrop, shadow_inputs)
+        inputs = None
+        if shaded is not None:
+            inputs = ShadowInputs(self._ctx, camera, rgba, shaded, target.read("depth", lit=True))
+        return StaticLayer(target, rgba, backdrop, inputs)
 
     def _colour(
         self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
@@ -204,8 +197,8 @@ class StaticLayers:
         if view.single:
             rgba = self._image(programs, view, behind, (0.0, 0.0), _MOVING_MIP_BIAS).copy()
             if self._scene.edges is not None:
-                ids = view.target.read("triangle_id", lit=True)
-                mix(rgba, self._scene.edges.crossings(view.camera, view.triangles.triangles(ids)))
+                ids, depth = (view.target.read(name, lit=True) for name in ("triangle_id", "depth"))
+                self._scene.edges.smooth(rgba, view.camera, view.triangles.triangles(ids), depth)
         else:
             rgba = self._mean(programs, view, behind)
         if view.camera.distorted and LensView(view.camera).partly_dark:
@@ -216,20 +209,27 @@ class StaticLayers:
         self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
     ) -> NDArray[np.uint8]:
         """(H, W, 4) mean of shifted images."""
-        size, count, factor = view.camera.size, _MOVING_OFFSETS if view.moving_camera else _OFFSETS, 1
-        if view.camera.distorted and max(size) <= _MAX_LENS_SIDE:
-            factor, count = 2, -(-count // 4)
-            view = view._replace(target=RenderTarget(self._ctx, (2 * size[0], 2 * size[1])))
+        count = _MOVING_OFFSETS if view.moving_camera else _OFFSETS
         # the samples of a pixel share its texels: finer ones than usual
-        mip_bias = -0.75 * float(np.log2(count * factor**2)) + factor - 1
-        total = np.zeros((*view.target.size[::-1], 4), np.uint16)
-        for x, y in offsets(count):
-            total += self._image(programs, view, behind, (x / factor, y / factor), mip_bias)
-        mean = ((total + count // 2) // count).astype(np.uint8)
-        if factor == 1:
+        mip_bias = -0.75 * float(np.log2(count))
+        shifts = offsets(count)
+        few = [shifts.pop(number) for number in reversed(_FEW)] if count > len(_FEW) else shifts
+        rest = shifts if few is not shifts else []
+        images = (self._image(programs, view, behind, shift, mip_bias) for shift in few)
+        total, low, high = _total(images)
+        mean = np.asarray(cv2.convertScaleAbs(total, alpha=1 / len(few)), dtype=np.uint8)
+        if not rest:
             return mean
-        view.target.release()
-        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        alike = cv2.inRange(cv2.subtract(high, low), np.zeros(4), np.full(4, float(_ALIKE)))
+        hidden = (cv2.erode(alike, np.ones((3, 3), np.uint8)) > 0).astype(np.float32)
+        del low, high, alike
+        pixels = np.flatnonzero(hidden == 0)
+        sums = total.reshape(-1, 4)[pixels]
+        del total
+        for shift in rest:
+            sums += self._image(programs, view, behind, shift, mip_bias, hidden).reshape(-1, 4)[pixels]
+        mean.reshape(-1, 4)[pixels] = (sums + count // 2) // count
+        return mean
 
     def _image(
         self,
@@ -238,14 +238,18 @@ class StaticLayers:
         behind: Image | None,
         offset: tuple[float, float],
         mip_bias: float,
+        hidden: Float32Array | None = None,
     ) -> NDArray[np.uint8]:
-        """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels."""
+        """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels.
+
+        ``hidden``: (H, W) 1 at pixels that are not drawn.
+        """
         camera, target = view.camera, view.target
         for program in programs:
             use_camera(self._ctx, program, camera, offset)
             set_uniform(program, "mip_bias", mip_bias)
         colour = self._lighting.background if behind is None else (0, 0, 0)
-        self._draw(target, view.triangles, programs[not view.single], colour, colours_only=not view.single)
+        self._draw(target, view.triangles, programs[not view.single], colour, not view.single, hidden)
         if behind is not None:
             target.fill(behind)
         if len(programs) > 2:
@@ -268,9 +272,12 @@ class StaticLayers:
         program: moderngl.Program,
         colour: Sequence[int] = (0, 0, 0),
         colours_only: bool = False,
+        hidden: Float32Array | None = None,
     ) -> None:
-        """Clear a target to a colour and draw the opaque triangles."""
+        """Clear a target to a colour and draw the opaque triangles, except at ``hidden`` pixels (H, W)."""
         target.clear(colour)
+        if hidden is not None:
+            target.hide(hidden)
         if colours_only:
             target.use_visible_colour()
         else:
@@ -293,6 +300,21 @@ def camera_key(camera: Camera) -> bytes:
 
 def _tolerance(moving_camera: bool) -> float:
     return VISIBLE if moving_camera else TOLERANCE
+
+
+def _total(
+    images: Iterable[NDArray[np.uint8]],
+) -> tuple[NDArray[np.uint16], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Sum, least and largest values of images of one shape."""
+    total: Any = None
+    for image in images:
+        if total is None:
+            total, low, high = image.astype(np.uint16), image.copy(), image.copy()
+            continue
+        cv2.add(total, image, dst=total, dtype=cv2.CV_16U)
+        np.minimum(low, image, out=low)
+        np.maximum(high, image, out=high)
+    return total, low, high
 
 
 def offsets(count: int) -> list[tuple[float, float]]:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh, padded
+from humansim_ros.mesh.normals import welded
 from humansim_ros.render.charts import Charts
-from humansim_ros.render.lens_tessellation import LensView
+from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
 from humansim_ros.render.mesh_buffers import (
     ExpandedMesh,
     MaterialBuffers,
@@ -36,10 +37,9 @@ class StaticScene:
     Args:
         ctx: OpenGL context.
         meshes: The meshes.
-        charted: Lay out the triangles for a light map.
     """
 
-    def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh], charted: bool = False) -> None:
+    def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
         self._materials = MaterialBuffers.of_meshes(ctx, meshes)
         attributes: list[Float32Array] = [np.zeros((0, 11), np.float32)]
@@ -54,20 +54,21 @@ class StaticScene:
             first += len(attributes[-1])
         self._attributes, self._corners = np.concatenate(attributes), np.concatenate(corners)
         self._counts = [len(mesh.triangles) for mesh in meshes]
-        #: where the triangles are in the light map
-        self.charts: Charts | None = None
-        if charted and len(self._corners):
-            self._chart()
-        self._ends: Indices = np.cumsum(self._counts, dtype=np.intp)
+        self._owner: Indices = np.repeat(np.arange(len(meshes)), self._counts)
+        self._opaque = [mesh.material is None for mesh in meshes]
         self._buffers = TriangleBuffers(ctx, self._attributes, self._corners)
 
-    def _chart(self) -> None:
+    def chart(self) -> Charts:
+        """Lay out the triangles for a light map; from then on vertices have a place in it."""
         positions = self._attributes[:, :3]
         texel = max(float(np.ptp(positions, axis=0).max()), 1e-3) / _LIGHT_TEXELS
-        self.charts = charts = Charts.of(positions, self._corners, texel)
+        charts = Charts.of(positions, self._corners, texel)
         places = charts.coordinates / np.array(charts.size, np.float32)
         self._attributes = np.concatenate([self._attributes[charts.source], places], axis=1)
         self._corners = charts.corners
+        self._buffers.release()
+        self._buffers = TriangleBuffers(self._ctx, self._attributes, self._corners)
+        return charts
 
     @property
     def box(self) -> Float32Array | None:
@@ -100,31 +101,60 @@ class StaticScene:
         """Edges of the triangles, None if there are none."""
         if not len(self._corners):
             return None
-        owner = np.repeat(np.arange(len(self._counts)), self._counts)
-        return StaticEdges(self._attributes[:, :3], self._corners, owner)
+        return StaticEdges(self._attributes[:, :3], self._corners, self._owner)
+
+    @cached_property
+    def _areas(self) -> tuple[Array, Array]:
+        """(N, 3) outward normals of the triangles, times twice their area, and a corner (N, 3) of each."""
+        a, b, c = (self._attributes[self._corners[:, i], :3].astype(float) for i in range(3))
+        return np.cross(b - a, c - a), a
+
+    @cached_property
+    def _closed_boxes(self) -> Array:
+        """(M, 2, 3) lowest and highest corners of the bounding boxes of closed meshes, NaN for others."""
+        boxes: Array = np.full((len(self._counts), 2, 3), np.nan)
+        for number, opaque in enumerate(self._opaque):
+            corners = self._corners[self._owner == number]
+            used, corners = np.unique(corners, return_inverse=True)
+            points = self._attributes[used, :3]
+            places = welded(points)
+            whole: Array = np.empty((int(places.max()) + 1, 3))
+            whole[places] = points
+            if opaque and Mesh(whole, padded(places[corners].reshape(-1, 3).astype(np.int32))).closed:
+                boxes[number] = whole.min(axis=0), whole.max(axis=0)
+        return boxes
+
+    def _visible(self, eye: Array) -> Indices:
+        """Triangles, except the backs of closed meshes, which hide them from an ``eye`` (3,) outside."""
+        low, high = self._closed_boxes.transpose(1, 0, 2)
+        outside = ((eye < low - NEAR) | (eye > high + NEAR)).any(axis=1)  # false for NaN
+        normals, corner = self._areas
+        front = np.einsum("ij,ij->i", normals, eye - corner) > 0
+        return np.flatnonzero(front | ~outside[self._owner])
 
     def facing(self, direction: Array) -> StaticTriangles:
         """Return the triangles whose front faces a direction."""
-        a, b, c = (self._attributes[self._corners[:, i], :3] for i in range(3))
-        towards = np.einsum("ij,j->i", np.cross(b - a, c - a), direction) > 0
-        owner = np.repeat(np.arange(len(self._counts)), self._counts)[towards]
-        counts = np.bincount(owner, minlength=len(self._counts)).tolist()
+        towards = np.flatnonzero(self._areas[0] @ direction > 0)
         buffers = TriangleBuffers(self._ctx, self._attributes, self._corners[towards])
-        return StaticTriangles(buffers, self._materials, counts, np.flatnonzero(towards))
+        return StaticTriangles(buffers, self._materials, self._count(towards), towards)
 
     def tessellated(self, camera: Camera, tolerance: float) -> StaticTriangles:
-        """Return the triangles for a camera, tessellated if its lens bends edges by more than ``tolerance``
-        pixels.
+        """Return the triangles that a camera may see, tessellated if its lens bends edges by more than
+        ``tolerance`` pixels.
         """
-        if not camera.distorted:
-            return self.whole
-        whole = self._attributes.astype(float), self._corners.astype(np.intp)
-        tessellated = LensView(camera).tessellate(*whole, tolerance)
-        owner: Indices = np.searchsorted(self._ends, tessellated.parents, side="right")
-        order = np.argsort(owner, kind="stable")
-        counts = np.bincount(owner, minlength=len(self._materials)).tolist()
-        buffers = TriangleBuffers(self._ctx, tessellated.attributes, tessellated.triangles[order])
-        return StaticTriangles(buffers, self._materials, counts, tessellated.parents[order])
+        visible = self._visible(camera.center)
+        mesh = TessellatedMesh(self._attributes, self._corners[visible], np.arange(len(visible)))
+        if camera.distorted:
+            mesh = LensView(camera).tessellate(mesh.attributes, mesh.triangles, tolerance)
+        parents = visible[mesh.parents]
+        order = np.argsort(self._owner[parents].astype(np.int32), kind="stable")
+        buffers = TriangleBuffers(self._ctx, mesh.attributes, mesh.triangles[order])
+        return StaticTriangles(buffers, self._materials, self._count(parents), parents[order])
+
+    def _count(self, triangles: Indices) -> list[int]:
+        """Number of triangles of each mesh."""
+        counts: list[int] = np.bincount(self._owner[triangles], minlength=len(self._materials)).tolist()
+        return counts
 
 
 class StaticTriangles:
@@ -144,6 +174,11 @@ class StaticTriangles:
         self._buffers, self._materials, self._counts = buffers, materials, counts
         self._parents, self._shared = parents, shared
 
+    @cached_property
+    def _opaque(self) -> list[bool]:
+        """Whether the material of each mesh does not blend."""
+        return [not one.blends for one in self._materials]
+
     def __enter__(self) -> StaticTriangles:
         return self
 
@@ -153,8 +188,7 @@ class StaticTriangles:
 
     def draw(self, program: moderngl.Program) -> None:
         """Draw all triangles whose material does not blend."""
-        opaque = [not one.blends for one in self._materials]
-        self._buffers.draw(program, self._materials, self._counts, opaque, first_id=1)
+        self._buffers.draw(program, self._materials, self._counts, self._opaque, first_id=1)
 
     def triangles(self, ids: NDArray[np.uint32]) -> Indices:
         """(H * W,) triangle of the scene at each pixel of an image (H, W) of ids; -1 for none."""

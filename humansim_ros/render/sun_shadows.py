@@ -32,16 +32,30 @@ _FIRST_INPUT, _RAYS_UNIT = 5, 8
 
 
 class ShadowInputs:
-    """Inputs of apply_shadows.frag on the device: the static scene without sun, and the pixels' rays."""
+    """Inputs of apply_shadows.frag on the device: images of the static scene, and the pixels' rays.
 
-    def __init__(self, ctx: moderngl.Context, camera: Camera, shaded_colour: Image) -> None:
-        self.shaded_colour = ctx.texture(camera.size, 3, shaded_colour.tobytes(), alignment=1)
-        self.rays = _ray_texture(ctx, camera)
+    Args:
+        ctx: OpenGL context.
+        camera: Camera of the images.
+        sunlit: (H, W, 4) colours, and the visible share of the sun.
+        shaded: (H, W, 3) colours without sun.
+        depth: (H, W) metres, 0 where nothing is.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, camera: Camera, sunlit: Image, shaded: Image, depth: Float32Array
+    ) -> None:
+        self.textures = (
+            ctx.texture(camera.size, 4, sunlit.tobytes()),
+            ctx.texture(camera.size, 3, shaded.tobytes(), alignment=1),
+            ctx.texture(camera.size, 1, depth.tobytes(), dtype="f4"),
+            _ray_texture(ctx, camera),
+        )
 
     def release(self) -> None:
         """Free the memory on the device."""
-        self.shaded_colour.release()
-        self.rays.release()
+        for texture in self.textures:
+            texture.release()
 
 
 class SunShadows:
@@ -134,20 +148,12 @@ class SunShadows:
             one.release()
         return visibility.reshape(camera.size[::-1])
 
-    def apply(self, inputs: ShadowInputs, static: RenderTarget, target: RenderTarget, camera: Camera) -> None:
-        """Draw the static scene with the shadows of bodies.
-
-        Args:
-            inputs: Of the static scene from this camera.
-            static: Image of the static scene with sun.
-            target: Target to draw into.
-            camera: The camera.
-        """
+    def apply(self, inputs: ShadowInputs, target: RenderTarget, camera: Camera) -> None:
+        """Draw the static scene, as ``camera`` sees it, with the shadows of bodies."""
         self._ctx.enable_only(moderngl.NOTHING)
         target.use_colour()
-        images = (static.colour, inputs.shaded_colour, static.depth, inputs.rays)
-        for unit, image in enumerate(images, _FIRST_INPUT):
-            image.use(unit)
+        for unit, texture in enumerate(inputs.textures, _FIRST_INPUT):
+            texture.use(unit)
         set_uniform(self._apply, "world_from_optical", columns(camera.world_from_optical))
         self._apply_image.render(moderngl.TRIANGLES)
 

@@ -10,7 +10,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.types import Float32Array
+from humansim_ros.render.caches import LruCache
+from humansim_ros.types import Float32Array, ImageSize
 
 #: Name -> location in the shaders, components to read, their type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "triangle_id": (1, 1, "u4"), "rgba": (2, 4, "f1")}
@@ -119,22 +120,15 @@ class RenderTarget:
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
-    def write(self, rgba: NDArray[np.uint8]) -> None:
-        """Replace the colours by an image (H, W, 4)."""
-        self._textures[2].write(rgba.tobytes())
+    def hide(self, pixels: Float32Array) -> None:
+        """Draw nothing, until the next clear, where an image (H, W) of zeros and ones is one."""
+        self._depth_buffer.write((1 - pixels).tobytes(), alignment=1)
 
     def fill(self, image: NDArray[np.uint8]) -> None:
-        """Show an image (H, W, 3) where nothing is drawn. The target is a multiple of its size."""
-        times = self.size[0] // image.shape[1]
-        larger = image.repeat(times, axis=0).repeat(times, axis=1)
+        """Show an image (H, W, 3) where nothing is drawn."""
         rgba, empty = self.read("rgba", lit=True).copy(), self.read_depth_buffer() == 1
-        rgba[empty, :3] = larger[empty]
-        self.write(rgba)
-
-    @property
-    def depth(self) -> moderngl.Texture:
-        """Depth attachment."""
-        return self._textures[0]
+        rgba[empty, :3] = image[empty]
+        self._textures[2].write(rgba.tobytes())
 
     @property
     def colour(self) -> moderngl.Texture:
@@ -174,3 +168,19 @@ class RenderTarget:
         for attachment in self._textures:
             attachment.release()
         self._depth_buffer.release()
+
+
+#: Image sizes whose render targets are cached.
+_MAX_SIZES = 32
+
+
+class RenderTargets(LruCache[ImageSize, RenderTarget]):
+    """Targets to draw into, one for each of the most recently used image sizes."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        super().__init__(_MAX_SIZES, release=lambda target: target.release())
+        self._ctx = ctx
+
+    def of(self, size: ImageSize) -> RenderTarget:
+        """Return the target of an image size, with what was drawn last."""
+        return self.get_or_make(size, lambda: RenderTarget(self._ctx, size))

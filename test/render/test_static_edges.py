@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from render_scenes import EVEN, along_x, block_means, finer, quad, renderer_or_s
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Lighting, static_layers
+from humansim_ros.render.static_edges import StaticEdges
 from humansim_ros.scene import Scene
 from humansim_ros.types import Image
 
@@ -94,10 +96,30 @@ def test_the_room_is_smooth_and_its_depth_is_that_of_a_still_camera(
     fine = replace(finer(camera, FINE), distortion=distortion)
     many = block_means(renderer.render([], fine, ("rgb",)).rgb, FINE)
     renderer.close()
-    monkeypatch.setattr(static_layers, "mix", lambda *_: None)
+    monkeypatch.setattr(StaticEdges, "smooth", lambda *_: None)
     renderer = renderer_or_skip(scene.static_meshes, Lighting())
     jagged = renderer.render([], camera, ("rgb",), moving_camera=True)
     renderer.close()
     if not distortion:
         np.testing.assert_array_equal(passing.depth, still.depth)
     assert decibels(passing.rgb, many) > max(36, decibels(jagged.rgb, many) + 1.5)
+
+
+@pytest.mark.parametrize("distortion", [(), BARREL])
+@pytest.mark.parametrize("angle", [2, 20, 45, 80])
+def test_surfaces_narrower_than_a_pixel_are_no_dashed_lines(
+    angle: float, distortion: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = replace(along_x((160, 120), focal=150.0), distortion=distortion)
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    half, x = 0.4 / 150 * 3 / 2, 3.0  # 0.4 pixels wide
+    ends = [(0.9 * along, across) for along, across in ((1, half), (1, -half), (-1, -half), (-1, half))]
+    pole = quad([(x, s * u - c * v + 0.003, c * u + s * v + 1) for u, v in ends])
+    black = replace(EVEN, background=(0, 0, 0))
+    image, many = moving([pole], camera, black)
+    monkeypatch.setattr(StaticEdges, "smooth", lambda *_: None)
+    jagged, _ = moving([pole], camera, black)
+    inside = cv2.dilate((many[..., 0] > 0).astype(np.uint8), np.ones((3, 3))) > 0
+    off, dashed = (np.abs(one[..., 0] - many[..., 0])[inside].mean() for one in (image, jagged))
+    assert off < 0.35 * dashed, (off, dashed)
+    assert abs(image.sum() / many.sum() - 1) < 0.2

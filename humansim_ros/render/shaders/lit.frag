@@ -3,7 +3,7 @@
 // inverse. A back face is lit as a front face that looks the same way. Features that not every scene needs are switched on
 // by name: SHADELESS, FILMIC, STATIC_SHADOWS and MOVING_SHADOWS of the static scene and of moving bodies, SKIN_AND_CLOTH,
 // AMBIENT_OCCLUSION, PBR for glTF materials, TRANSPARENT for surfaces that blend, COLOUR without depth and triangle id,
-// STATIC_SCENE for static meshes.
+// STATIC_SCENE for static meshes, SMOOTH_TEXTURES for two samples of their texture in each pixel.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
@@ -48,7 +48,10 @@ void main() {
     n = perturbed_normal(n, v_world, v_uv);
     if ((one_sided && !gl_FrontFacing) || (masked && opaque < cutoff)) discard;
 #endif
-#ifdef STATIC_SCENE
+#ifdef SMOOTH_TEXTURES
+    vec2 diagonal = 0.25 * (dFdx(v_uv) + dFdy(v_uv));
+    vec4 texel = 0.5 * (texture(surface, v_uv - diagonal, mip_bias) + texture(surface, v_uv + diagonal, mip_bias));
+#elif defined(STATIC_SCENE)
     vec4 texel = texture(surface, v_uv, mip_bias);
 #else
     vec4 texel = texture(surface, v_uv);

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -207,6 +208,24 @@ def test_topics_have_the_images_and_calibrations_of_drivers(frame: Frame) -> Non
     assert [offset.x, offset.y, offset.z] == pytest.approx(ASIDE["position"])
 
 
+def test_measured_depth_is_lost_with_the_frames_of_its_camera() -> None:
+    camera = {**SCENE["cameras"]["flight"], "faults": {"outage": {"at": [[0.04, 0.12]]}}}
+    scene = Scene.from_dict({**SCENE, "humans": {}, "cameras": {"eye": camera}})
+    topics = {topic.name: topic for topic in scene_topics(scene)}
+    try:
+        with Simulation(scene, ("rgb",)) as simulation:
+            frames = list(simulation.frames(4))
+            for name, expected in {
+                "eye/depth_sensor/image_raw": [1, 0, 0, 1],
+                "eye/depth_sensor/camera_info": [1, 0, 0, 1],
+                "eye/points": [1, 0, 0, 1],
+                "eye/depth_sensor/image_truth": [1, 1, 1, 1],
+            }.items():
+                assert [len(topics[name].sent(frame)) for frame in frames] == expected, name
+    except RenderError as reason:
+        pytest.skip(str(reason))
+
+
 def test_depth_sensors_are_no_cameras_of_the_page() -> None:
     """Their ``camera_info`` is beside their images, as the page finds cameras."""
     types = {f"/{topic.name}": topic.type_name for topic in scene_topics(Scene.from_dict(SCENE))}
@@ -371,6 +390,27 @@ def test_images_of_a_pair_are_shifted_by_the_disparity() -> None:
     other = right[rows, np.rint(shifted).astype(int)]
     # some points are hidden from the right camera
     assert np.mean(np.abs(other - depth) < 0.02) > 0.9
+
+
+@pytest.mark.nightly
+def test_the_stereo_matcher_of_opencv_finds_the_depth_of_a_pair() -> None:
+    """From colours and P alone; patterns of clothes and room give it something to match."""
+    camera = {"size": [640, 480], "position": [2.6, 0.4, 1.4], "look_at": [0, 0, 0.9], "stereo": 0.12}
+    humans = {"anna": {"body": "adult_woman", "motion": "wave"}}
+    scene = Scene.from_dict({"humans": humans, "cameras": {"left": camera}})
+    try:
+        with Simulation(scene, ("rgb", "depth")) as simulation:
+            frame = simulation.frame(10)
+    except RenderError as reason:
+        pytest.skip(str(reason))
+    left, right = (cv2.cvtColor(frame.views[name].rgb, cv2.COLOR_RGB2GRAY) for name in ("left", "right"))
+    matcher = cv2.StereoSGBM_create(0, 96, 5, 8 * 25, 32 * 25, 0, 0, 10, 100, 2)
+    disparity = np.asarray(matcher.compute(left, right)) / 16
+    expected = -scene.cameras["right"].rectified_projection[0, 3] / frame.views["left"].depth
+    error = np.abs(disparity - expected)[disparity > 1]
+    assert len(error) > 0.7 * left.size
+    assert np.median(error) < 0.3
+    assert (error < 1).mean() > 0.95
 
 
 @pytest.mark.parametrize(

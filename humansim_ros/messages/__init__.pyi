@@ -76,5 +76,4 @@ from humansim_ros.messages.scanners import points_message as points_message
 from humansim_ros.messages.scanners import read_scanner_truth as read_scanner_truth
 from humansim_ros.messages.scanners import scan_message as scan_message
 from humansim_ros.messages.scanners import scanner_frame as scanner_frame
-from humansim_ros.messages.scanners import scanner_pose_message as scanner_pose_message
 from humansim_ros.messages.scanners import scanner_truth_message as scanner_truth_message

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.messages.headers import header
 from humansim_ros.messages.points import point_cloud, read_points
-from humansim_ros.messages.types import LaserScan, PointCloud2, Quaternion, TransformStamped, Vector3
+from humansim_ros.messages.types import LaserScan, PointCloud2
 from humansim_ros.scanner.models import Layout
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.sweeps import Sweep
@@ -184,21 +184,3 @@ def read_scanner_truth(message: PointCloud2) -> NDArray[Any]:
     for another layout.
     """
     return read_points(message, SCANNER_TRUTH.names or ())
-
-
-def scanner_pose_message(scanner: SceneScanner, seconds: float, stamp: int, frame: str) -> TransformStamped:
-    """Build ``<scanner>/extrinsics``: pose of the frame of the scanner in ``map``, as tf has it.
-
-    Args:
-        scanner: The scanner.
-        seconds: Scene time.
-        stamp: Stamp of the scene time, nanoseconds.
-        frame: Frame of the scanner.
-    """
-    poses = scanner.poses(np.array([seconds]))
-    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=frame)
-    x, y, z = poses.positions[0].tolist()
-    message.transform.translation = Vector3(x=x, y=y, z=z)
-    x, y, z, w = poses.rotations[0].tolist()
-    message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
-    return message

@@ -56,6 +56,7 @@ from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.scene.robot import Robot
+from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.scene.sweeps import Sweep
@@ -817,11 +818,13 @@ class ScannerTopics:
             last,
             scanner=name,
         )
-        self.extrinsics: Topic[float] = Topic(
+        self.extrinsics: Topic[ObjectPose] = Topic(
             f"{name}/extrinsics",
             TransformStamped,
-            lambda seconds, stamp: messages.scanner_pose_message(scanner, seconds, stamp, frame),
-            lambda simulated: simulated.scene_time * 1e-9,
+            lambda pose, stamp: messages.transform_message(
+                pose.position, pose.rotation, stamp, messages.WORLD_FRAME, frame
+            ),
+            lambda simulated: scanner.pose(simulated.scene_time * 1e-9, simulated.objects.get(ROBOT)),
             latched=True,
             per_frame=scanner.moves,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,14 @@ import scipy
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
+from humansim_ros.rotations import multiply_quaternions, normalised
 from humansim_ros.scanner.casting import Poses
 from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
 from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning
 from humansim_ros.scanner.returns import Measuring
 from humansim_ros.scene.config import SceneConfig
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.robot import Robot, Route
 from humansim_ros.scene.scanner_config import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -29,9 +33,8 @@ class SceneScanner:
         measuring: How it measures.
         layout: Fields of its points.
         stamp: Whether stamps are of the start or of the end of a sweep.
-        path: Poses of its frame in ``map`` over time; a single one if it stands still.
-        offset: Time that the path is ahead of the scene, seconds.
-        speed: Seconds of the path per second.
+        route: Poses of its frame in ``map`` over time; a single one if it stands still or is on a robot.
+        mount: The robot that carries it; the pose of ``route`` is then in ``base_link``.
         seed: Seed of noise and drop-outs.
     """
 
@@ -40,14 +43,25 @@ class SceneScanner:
     measuring: Measuring
     layout: Layout
     stamp: StampOf
-    path: Trajectory
-    offset: float = 0.0
-    speed: float = 1.0
+    route: Route
+    mount: Robot | None = None
     seed: int = 0
 
     @classmethod
-    def build(cls, name: str, config: ScannerConfig, source: SceneSource) -> SceneScanner:
-        """Create a scanner from its section. Raises HumansimError; ``key`` is relative to ``scanners``."""
+    def build(
+        cls, name: str, config: ScannerConfig, source: SceneSource, robot: Robot | None = None
+    ) -> SceneScanner:
+        """Create a scanner from its section.
+
+        Args:
+            name: Name in the scene.
+            config: Section of a scene file.
+            source: Finds its trajectory.
+            robot: The robot of the scene, if it has one.
+
+        Raises:
+            HumansimError: ``key`` is relative to ``scanners``.
+        """
         with in_section(name):
             model = _model(config)
             rate = model.rate if config.rate is None else config.rate
@@ -66,19 +80,45 @@ class SceneScanner:
                 config.range_10,
                 config.intensity,
             )
-            path, offset, speed = _path(config, source)
+            route = _route(config, source)
+            if config.mount is not None and robot is None:
+                raise SceneError("the scene has no robot: give it a section 'robot'", key="mount")
         stamp = config.stamp or model.stamp
-        return cls(name, pattern, measuring, layout, stamp, path, offset, speed, config.seed)
+        mount = None if config.mount is None else robot
+        return cls(name, pattern, measuring, layout, stamp, route, mount, config.seed)
 
     @property
     def moves(self) -> bool:
-        """Whether a trajectory moves it."""
-        return len(self.path.times) > 1
+        """Whether a trajectory or the robot moves it."""
+        return self.mount is not None or len(self.route.path.times) > 1
 
-    def poses(self, seconds: Array) -> Poses:
-        """Poses at scene times (N,) in seconds; one for all if it does not move."""
-        times = self.speed * (seconds[: None if self.moves else 1] + self.offset)
-        return Poses(*self.path.in_map(times))
+    def poses(self, seconds: Array, robot: Poses | None = None) -> Poses:
+        """Poses at scene times (N,) in seconds; one for all if it does not move.
+
+        ``robot``: poses of the body of the robot then; as its settings say if None.
+        """
+        if self.mount is None:
+            times = self.route.speed * (seconds[: None if self.moves else 1] + self.route.offset)
+            return Poses(*self.route.path.in_map(times))
+        if robot is None:
+            robot = poses_of([self.mount.body_at(time) for time in seconds.tolist()])
+        place = self.route.path
+        arms = robot.to_map(np.repeat(place.positions, len(robot.positions), axis=0))
+        rotations = multiply_quaternions(normalised(robot.rotations), place.rotations)
+        return Poses(robot.positions + arms, rotations)
+
+    def pose(self, seconds: float, robot: ObjectPose | None = None) -> ObjectPose:
+        """Pose in ``map`` at a scene time in seconds.
+
+        ``robot``: pose of the body of the robot then; as its settings say if None.
+        """
+        here = self.poses(np.array([seconds]), None if robot is None else poses_of([robot]))
+        return ObjectPose(here.positions[0], here.rotations[0], np.ones(3))
+
+
+def poses_of(objects: Sequence[ObjectPose]) -> Poses:
+    """Poses (N,) of objects, without their sizes."""
+    return Poses(np.array([each.position for each in objects]), np.array([each.rotation for each in objects]))
 
 
 def _model(config: ScannerConfig) -> ScannerModel:
@@ -138,20 +178,26 @@ def _azimuths(pattern: Pattern) -> tuple[float, float] | None:
     return None if pattern.repeated is None else pattern.repeated.azimuths
 
 
-def _path(config: ScannerConfig, source: SceneSource) -> tuple[Trajectory, float, float]:
-    """Path of a scanner, and its offset and speed."""
+def _route(config: ScannerConfig, source: SceneSource) -> Route:
     if config.trajectory is not None:
-        with in_section("trajectory.file"):
-            path = Trajectory.read(source.find_url(config.trajectory.file), config.trajectory.end)
-        return path, config.trajectory.offset, config.trajectory.speed
+        with in_section("trajectory"):
+            return Route.read(config.trajectory, source)
     turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
-    return Trajectory(np.zeros(1), np.array([config.position]), turn.as_quat()[None]), 0.0, 1.0
+    return Route(Trajectory(np.zeros(1), np.array([config.position]), turn.as_quat()[None]))
 
 
-def build_scanners(config: SceneConfig, source: SceneSource) -> dict[str, SceneScanner]:
-    """Create the scanners of a scene by name. Raises HumansimError with the key."""
+def build_scanners(
+    config: SceneConfig, source: SceneSource, robot: Robot | None = None
+) -> dict[str, SceneScanner]:
+    """Create the scanners of a scene by name. Raises HumansimError with the key.
+
+    ``robot``: carries the scanners that are mounted on it.
+    """
     with in_section("scanners"):
         for name in config.scanners:
             if name in config.cameras:
                 raise SceneError("a camera has this name already", key=name)
-        return {name: SceneScanner.build(name, section, source) for name, section in config.scanners.items()}
+        return {
+            name: SceneScanner.build(name, section, source, robot)
+            for name, section in config.scanners.items()
+        }

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from humansim_ros.io.schema import Section, Share
-from humansim_ros.scene.camera_config import BoundedVector3, TrajectoryConfig
+from humansim_ros.scene.camera_config import BoundedVector3, Mount, TrajectoryConfig
 
 #: Most rays of a sweep, and of a second: more keep no pace, and need much memory.
 MAX_RAYS, MAX_RAYS_PER_SECOND = 1 << 19, 6_000_000
@@ -100,6 +100,9 @@ class ScannerConfig(Section):
     trajectory: TrajectoryConfig | None = Field(
         default=None, description="moves the scanner: poses of its frame (x forward, z up) in map"
     )
+    mount: Mount | None = Field(
+        default=None, description="robot: the scanner moves with it, and its pose is in base_link, not in map"
+    )
     rate: float | None = Field(default=None, ge=0.1, le=200, description="sweeps per second")
     range: tuple[_Distance, _Distance] | None = Field(
         default=None, description="least and greatest distance, metres"
@@ -138,6 +141,8 @@ class ScannerConfig(Section):
             raise ValueError("give a model, such as velodyne_vlp16, or a pattern")
         if (self.position is None) == (self.trajectory is None):
             raise ValueError("give a position or a trajectory")
+        if self.mount is not None and self.trajectory is not None:
+            raise ValueError("a scanner with a mount cannot have a trajectory: the robot moves it")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError("range is the least and the greatest distance, such as [0.4, 100]")
         if self.pattern is not None and self.rate is None:

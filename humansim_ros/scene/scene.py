@@ -323,7 +323,7 @@ class Scene(Pictured):
             name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
             for name, camera in build_cameras(config, source, robot).items()
         }
-        scanners = build_scanners(config, source)
+        scanners = build_scanners(config, source, robot)
         check_node_names(actors, cameras, scanners)
         if config.randomise is not None:
             cameras = random_cameras(cameras, config.randomise)

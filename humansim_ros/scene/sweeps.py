@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.renderer import check_bodies
 from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
@@ -18,7 +19,8 @@ from humansim_ros.scanner.pattern import Rays
 from humansim_ros.scanner.reflectivity import reflectivity
 from humansim_ros.scanner.returns import SINGLE_STRONGEST, Returns, measure
 from humansim_ros.scene.capture import SceneState
-from humansim_ros.scene.scanner import SceneScanner
+from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.scanner import SceneScanner, poses_of
 from humansim_ros.scene.scene import Scene
 from humansim_ros.sensor.sensor import generator
 from humansim_ros.types import Array, Indices
@@ -76,8 +78,9 @@ class Sweep:
 class Scanning:
     """Makes the sweeps of one scanner from the states of a scene.
 
-    Between the frames of the scene, vertices of humans and objects move in straight lines, and the scanner
-    follows its trajectory. What stands still is met once, and cached, if the scanner stands still, too.
+    Between the frames of the scene, vertices of humans and objects move in straight lines, and so does a
+    robot. The scanner follows its trajectory, or the robot. What stands still is met once, and cached, if the
+    scanner stands still, too.
 
     Args:
         scene: The scene.
@@ -124,8 +127,11 @@ class Scanning:
         stamps = np.array([state.stamp - start for state in states], dtype=float)
         seconds = np.array([state.scene_time for state in states]) * 1e-9
 
+        robot = None if scanner.mount is None else _robot_path(states, stamps)
+
         def poses(times: NDArray[np.int64]) -> Poses:
-            return scanner.poses(np.interp(times, stamps, seconds))
+            carrier = None if robot is None else Poses(*robot.in_map((times - stamps[0]) * 1e-9))
+            return scanner.poses(np.interp(times, stamps, seconds), carrier)
 
         hits = self._meet(beams, poses, states, start)
         light = self._light(beams, hits, states[0])
@@ -227,6 +233,15 @@ def _joined(surfaces: Sequence[MovingTriangles]) -> tuple[MovingTriangles, Indic
     corners = np.concatenate([surface.start for surface in surfaces])
     firsts = np.cumsum([0, *(len(surface.triangles) for surface in surfaces)])
     return MovingTriangles(0, triangles, corners, corners), firsts[:-1]
+
+
+def _robot_path(states: Sequence[SceneState], stamps: Array) -> Trajectory:
+    """Path of the body of the robot between states; ``stamps``: (S,) nanoseconds from a start.
+
+    As tf2 interpolates: positions linearly, rotations by slerp.
+    """
+    bodies = poses_of([state.objects[ROBOT] for state in states])
+    return Trajectory(stamps * 1e-9, bodies.positions, bodies.rotations)
 
 
 def _reflected(meshes: Sequence[Mesh], hits: Hits, rays: Indices) -> Array:

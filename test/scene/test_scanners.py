@@ -131,6 +131,39 @@ def test_a_sweep_of_a_moving_scanner_is_what_embree_finds_at_each_pose(tmp_path:
         check(played, 6, 3)
 
 
+#: Drives along x at 1.5 m/s.
+ROBOT = {"path": {"points": [[-1, 0.3], [9, 0.3]], "speed": 1.5, "end": "clamp"}}
+
+
+def test_a_scanner_on_a_robot_is_where_its_trajectory_would_have_it(tmp_path: Path) -> None:
+    ends = [[0, -1 + 0.2, 0.3 - 0.1, 1.1, 0, 0, 0, 1], [2, 2 + 0.2, 0.3 - 0.1, 1.1, 0, 0, 0, 1]]
+    np.savetxt(tmp_path / "path.tum", ends)
+    carried, free = (
+        scene({**SPARSE, **place}, robot=ROBOT)
+        for place in (
+            {"mount": "robot", "position": [0.2, -0.1, 1.1]},
+            {"trajectory": str(tmp_path / "path.tum")},
+        )
+    )
+    with simulation(carried) as ours, simulation(free) as theirs:
+        a, b = sweep(ours, 6), sweep(theirs, 6)
+    np.testing.assert_allclose(a.position, b.position, atol=1e-9)
+    np.testing.assert_array_equal(a.returns.rays, b.returns.rays)
+    np.testing.assert_allclose(a.returns.ranges, b.returns.ranges, atol=1e-6)
+    np.testing.assert_array_equal(a.instances, b.instances)
+    assert 1 in a.instances
+
+
+def test_a_commanded_robot_carries_its_scanner() -> None:
+    loaded = scene({**SPARSE, "mount": "robot", "position": [0, 0, 1.1]}, robot={"timeout": 9.0})
+    with simulation(loaded) as played:
+        frame(played, 0)
+        played.playback.command(1.0, 0.0)
+        seen = sweep(played, 6)
+    share = (seen.stamp - 1) * 1e-9
+    np.testing.assert_allclose(seen.position, [share, 0, 1.1], atol=1e-9)
+
+
 def test_sweeps_follow_each_other_without_gaps() -> None:
     with simulation(scene({**SPARSE, "rate": 12.5, "position": [2.5, 0.2, 1.1]})) as played:
         sweeps = [each for index in range(10) for each in frame(played, index).sweeps["lidar"]]
@@ -187,6 +220,8 @@ def test_noise_depends_on_seed_and_name_only() -> None:
         ({**SPARSE, **HERE, "pattern": {"columns": 90, "firing_us": 5000}}, "pattern.columns", "sweep takes"),
         ({**SPARSE, **HERE, "rate": 0}, "rate", "0.1"),
         ({**SPARSE, "trajectory": "nowhere.tum"}, "trajectory.file", "nowhere.tum"),
+        ({**SPARSE, "trajectory": "nowhere.tum", "mount": "robot"}, "lidar", "cannot have a trajectory"),
+        ({**SPARSE, **HERE, "mount": "robot"}, "mount", "no robot"),
     ],
 )  # fmt: skip
 def test_impossible_scanners_are_errors_with_their_key(keys: dict[str, Any], key: str, words: str) -> None:

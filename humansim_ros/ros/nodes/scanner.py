@@ -13,20 +13,18 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from humansim_ros import messages
 from humansim_ros.errors import SceneError
 from humansim_ros.messages.topics import ScannerTopics
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.sweeps import LiveScanning
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # not on PyPI
-    TFMessage = None
 
 
 class ScannerNode(SceneNode):
@@ -49,11 +47,8 @@ class ScannerNode(SceneNode):
             topic: self.topic_publisher(topic) for topic in (self._topics.points, self._topics.truth)
         }
         self._extrinsics = self.topic_publisher(self._topics.extrinsics)
-        self._tf = None
-        if TFMessage is not None:
-            topic, qos = ("/tf", DATA) if self._scanner.moves else ("/tf_static", LATCHED)
-            self._tf = self.create_publisher(TFMessage, topic, qos)
-        self._publish_pose(0.0, self.now())
+        self._transforms, self._has_static = TransformSender(self), False
+        self._publish_pose(self._scanner.pose(0.0), self.now())
         for legend in self._topics.legends:
             self.publish_latched(legend.build(None, 0), legend.name)
         self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self])
@@ -66,7 +61,8 @@ class ScannerNode(SceneNode):
         """Publish the sweeps that have ended with a frame."""
         start = time.monotonic()
         if self._scanner.moves:
-            self._publish_pose(state.scene_time * 1e-9, state.stamp)
+            pose = self._scanner.pose(state.scene_time * 1e-9, state.objects.get(ROBOT))
+            self._publish_pose(pose, state.stamp)
         wanted = [
             topic for topic, sender in self._sweep_publishers.items() if sender.get_subscription_count()
         ]
@@ -77,11 +73,21 @@ class ScannerNode(SceneNode):
         self.report_lateness(state.stamp)
         self.report_time(1e3 * (time.monotonic() - start), "scan")
 
-    def _publish_pose(self, seconds: float, stamp: int) -> None:
-        transform = self._topics.extrinsics.build(seconds, stamp)
+    def _publish_pose(self, pose: ObjectPose, stamp: int) -> None:
+        """Publish the pose in ``map``; tf has a scanner on a robot once, in ``base_link``."""
+        transform, scanner = self._topics.extrinsics.build(pose, stamp), self._scanner
         self._extrinsics.publish(transform)
-        if self._tf is not None:
-            self._tf.publish(TFMessage(transforms=[transform]))
+        if scanner.mount is not None:
+            if not self._has_static:
+                self._has_static = True
+                place, frames = scanner.route.at(0.0), (scanner.mount.config.base_frame, self._topics.frame)
+                self._transforms.send_static(
+                    messages.transform_message(place.position, place.rotation, stamp, *frames)
+                )
+        elif scanner.moves:
+            self._transforms.send(transform)
+        else:
+            self._transforms.send_static(transform)
 
 
 def main(scene: Scene | None = None) -> int:

@@ -9,8 +9,9 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 
 from humansim_ros import HumansimError, messages
-from humansim_ros.messages.topics import ScannerTopics
+from humansim_ros.messages.topics import ScannerTopics, scene_topics
 from humansim_ros.record.recording import SceneRecording, record
+from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
@@ -102,6 +103,12 @@ def test_a_recording_has_the_sweeps_of_a_simulation(scene: Scene, tmp_path: Path
         ]
     scans = [values(scan) for scan, _ in expected(scene, "plane", 5)]
     assert [each.ranges.tolist() for each in found["/plane/scan"]] == scans
+
+
+def test_a_recorder_in_lockstep_does_not_wait_for_a_sweep_in_each_frame(scene: Scene) -> None:
+    topics = [topic for topic in scene_topics(scene) if topic.scanner]
+    assert {topic.name for topic in topics} >= {"lidar/points", "lidar/truth/points", "plane/scan"}
+    assert not any(map(has_message_per_frame, topics))
 
 
 def test_each_scanner_has_a_process_of_its_own(scene: Scene) -> None:

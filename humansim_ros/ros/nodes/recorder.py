@@ -419,10 +419,11 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
     """Whether a topic has exactly one message for each frame when the frame has been shown.
 
     Not those that compare a frame with the next or the previous one, because a camera that was started again
-    lacks that; nor those without a stamp, nor those that a camera with faults may lose.
+    lacks that; nor those without a stamp, those that a camera with faults may lose, and sweeps of scanners.
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
-    return topic.per_frame and not compared and not topic.faulty and begins_with_stamp(topic.type)
+    of_frames = topic.per_frame and not topic.scanner and not topic.faulty
+    return of_frames and not compared and begins_with_stamp(topic.type)
 
 
 def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:

@@ -59,6 +59,7 @@ TOOLS = {
     "figures/motion_sheet": (f"{SHARED_DATA}/bvh", "-o", "OUT/sheet.jpg"),
     "figures/rigging_figures": ("joints",),
     "figures/sensor_figures": ("picture", "OUT/sensor.jpg"),
+    "figures/scanner_picture": ("OUT/scanners.jpg",),
     "figures/skinning_picture": ("OUT/skinning.jpg",),
     "figures/snapshot_picture": ("OUT/snapshot.jpg",),
 }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.renderer import check_bodies
+from humansim_ros.render.renderer import Body, check_bodies
 from humansim_ros.scanner.casting import Hits, MovingTriangles, Poses, Shot
 from humansim_ros.scanner.pattern import Rays
 from humansim_ros.scanner.reflectivity import reflectivity
@@ -23,8 +23,10 @@ from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, poses_of
 from humansim_ros.scene.scene import Scene
 from humansim_ros.sensor.sensor import generator
-from humansim_ros.types import Array, Indices
+from humansim_ros.types import Array, Float32Array, Indices
 
+#: Speed in m/s above which a body has jumped, and the step of the vertices by which it is measured.
+_FASTEST, _SAMPLED = 25.0, 64
 #: Poses of a scanner at times (N,) in nanoseconds from the start of a sweep.
 _PosesAt: TypeAlias = Callable[[NDArray[np.int64]], Poses]
 
@@ -169,8 +171,9 @@ class Scanning:
             times = rays.times[chosen]
             shares = (times - ends[0]) / (ends[1] - ends[0])
             shot = Shot(rays.directions[chosen], shares, poses(times), rays.index(chosen))
+            reach = _FASTEST * (after.stamp - before.stamp) * 1e-9
             bodies = [
-                MovingTriangles(number, self._corners(a.mesh), a.vertices, b.vertices)
+                MovingTriangles(number, self._corners(a.mesh), a.vertices, _end_of(a, b, reach))
                 for number, (a, b) in enumerate(zip(before.bodies[:moving], after.bodies, strict=False))
             ]
             shot.cast([*bodies, *static], hits.take(chosen))
@@ -224,6 +227,14 @@ class Scanning:
         changed = np.flatnonzero(hits.ranges != static.ranges)
         light[changed] = _reflected(meshes, hits, changed)
         return light
+
+
+def _end_of(before: Body, after: Body, reach: float) -> Float32Array:
+    """Vertices at the end of an interval; those at its start if the body has jumped, such as to the start of
+    its motion. ``reach``: metres that a body moves at most.
+    """
+    moved = np.abs(after.vertices[::_SAMPLED] - before.vertices[::_SAMPLED]).max()
+    return after.vertices if moved <= reach else before.vertices
 
 
 def _joined(surfaces: Sequence[MovingTriangles]) -> tuple[MovingTriangles, Indices]:

@@ -180,6 +180,27 @@ def test_several_sweeps_may_end_with_one_frame() -> None:
         assert frame(played, 0).sweeps["lidar"] == []
 
 
+def test_a_person_who_jumps_to_the_start_of_its_motion_is_not_smeared() -> None:
+    there = {"body": "child", "motion": {"file": "run", "end": 0.55}}
+    loaded = Scene.from_dict(
+        {
+            "room": None,
+            "humans": {"anna": there},
+            "cameras": {"front": FRONT},
+            "scanners": {
+                "lidar": {"model": "velodyne_vlp16", "rate": 30, "noise": 0, "position": [0.6, 2.5, 0.8]}
+            },
+        }
+    )
+    with simulation(loaded) as played:
+        places = [played._at(loaded.frame_time(i))[2].vertices["anna"].mean(axis=0) for i in range(20)]
+        (jump,) = np.flatnonzero(np.linalg.norm(np.diff(places, axis=0), axis=1) > 1).tolist()
+        seen = sweep(played, jump + 1)
+    found = seen.true_points[seen.instances == 1] + (0.6, 2.5, 0.8)
+    assert len(found)
+    assert np.abs(found[:, :2] - places[jump][:2]).max() < 0.8
+
+
 def test_live_sweeps_are_those_of_a_simulation() -> None:
     loaded = scene({**SPARSE, "noise": 0.02, "dropout": 0.1, "rate": 25, "position": [2.5, 0.2, 1.1]})
     live, sweeps = LiveScanning(loaded, loaded.scanners["lidar"]), list[Sweep]()

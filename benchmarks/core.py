@@ -100,20 +100,23 @@ class BareDraw:
         layout(location = 2) out float depth;
         void main() { rgb = texture(surface, v_uv); label = uint(gl_PrimitiveID + 1); depth = v_z; }"""
 
-    def __init__(self, shot: Shot) -> None:
+    def __init__(self, shot: Shot, first: BareDraw | None = None) -> None:
+        """``first``: draw of another mesh into the same image."""
         mesh = shot.body.mesh
         assert mesh.uv is not None and mesh.uv_triangles is not None and mesh.texture is not None
         pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
         unique, corners = np.unique(pairs, axis=0, return_inverse=True)
         self.source = unique[:, 0]
-        self.context = OpenGLContext()
+        self.context = OpenGLContext() if first is None else first.context
         with self.context.current():
-            self._prepare(shot.camera.size, mesh, unique, corners)
+            self._prepare(shot.camera.size, mesh, unique, corners, first)
 
-    def _prepare(self, size: tuple[int, int], mesh: Mesh, unique: Array, corners: Array) -> None:
+    def _prepare(
+        self, size: tuple[int, int], mesh: Mesh, unique: Array, corners: Array, first: BareDraw | None
+    ) -> None:
         assert mesh.uv is not None and mesh.texture is not None
         ctx = self.ctx = self.context.gl
-        self.program = ctx.program(self.VERTEX, self.FRAGMENT)
+        self.program = ctx.program(self.VERTEX, self.FRAGMENT) if first is None else first.program
         self.positions = ctx.buffer(reserve=len(unique) * 12, dynamic=True)
         uv = ctx.buffer(mesh.uv[unique[:, 1]].astype("f4").tobytes())
         self.triangles = ctx.vertex_array(
@@ -130,16 +133,28 @@ class BareDraw:
             self._draw(shot)
 
     def _draw(self, shot: Shot) -> None:
+        self.begin(shot.camera)
+        self.add(shot.body)
+        self.read()
+
+    def add(self, body: Body) -> None:
+        """Draw one more body."""
         self.positions.orphan()
-        self.positions.write(shot.body.vertices[self.source])
-        clip = shot.camera.opengl_clip(_NEAR, _FAR) @ shot.camera.optical_from_world
-        self.program["clip"].write(clip.T.astype("f4").tobytes())
-        self.program["optical_z"].value = (*shot.camera.R[2], shot.camera.t[2])
+        self.positions.write(body.vertices[self.source])
         self.texture.use(0)
+        self.triangles.render(moderngl.TRIANGLES)
+
+    def begin(self, camera: Camera) -> None:
+        """Begin an image."""
+        clip = camera.opengl_clip(_NEAR, _FAR) @ camera.optical_from_world
+        self.program["clip"].write(clip.T.astype("f4").tobytes())
+        self.program["optical_z"].value = (*camera.R[2], camera.t[2])
         self.target.use()
         self.ctx.enable_only(moderngl.DEPTH_TEST)
         self.target.clear()
-        self.triangles.render(moderngl.TRIANGLES)
+
+    def read(self) -> None:
+        """Read the image back."""
         self.target.read(components=3, attachment=0)
         self.target.read(components=1, attachment=1, dtype="u4")
         self.target.read(components=1, attachment=2, dtype="f4")

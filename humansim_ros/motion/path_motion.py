@@ -20,12 +20,10 @@ from humansim_ros.rotations import (
     matrix_to_quaternion,
     multiply_quaternions,
     quaternion_to_matrix,
-    rotate,
-    rotation_vector_to_matrix,
     rotation_vector_to_quaternion,
     slerp,
 )
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 #: Poses of a gait in one cycle.
 _PHASES = 120
@@ -131,12 +129,14 @@ class Gait:
         positions = still + share[..., None] * (positions - still)
         return positions, slerp(np.broadcast_to(upright, rotations.shape), rotations, share)
 
-    def ankle(self, foot: int, phases: Array, shares: Array) -> Array:
-        """Ankle (N, 3) of a foot (0 left, 1 right), as in :meth:`at`."""
-        path, still = self.positions[:, self.legs[foot].ankle], self.standing[0][self.legs[foot].ankle]
-        known = np.linspace(0.0, 1.0, len(path))
-        moved = np.stack([np.interp(phases % 1.0, known, axis) for axis in path.T], axis=-1)
-        return np.asarray(still + shares[:, None] * (moved - still))
+    def ankles(self, feet: Indices, phases: Array, shares: Array) -> Array:
+        """Ankles (N, 3) of feet (N,), 0 left and 1 right, as in :meth:`at`."""
+        joints = np.array([leg.ankle for leg in self.legs])[feet]
+        place = (phases % 1.0) * _PHASES
+        before = np.minimum(place.astype(int), _PHASES - 1)
+        path, still = self.positions[before, joints], self.standing[0][joints]
+        path = path + (place - before)[:, None] * (self.positions[before + 1, joints] - path)
+        return np.asarray(still + shares[:, None] * (path - still))
 
 
 def _stances(path: Array) -> Array:
@@ -291,64 +291,88 @@ class PathMotion(WorldMotion):
         positions *= self.size
         positions[..., :2] += self.path.positions(times)[:, None]
         matrices = quaternion_to_matrix(rotations)
-        for foot, leg in enumerate(self.gait.legs):
-            shift, turn = self._shift(foot, times, phase)
-            pinned = _whole(share / _PINNED)
-            shift *= np.minimum(pinned, _MAX_SHIFT / np.maximum(np.linalg.norm(shift, axis=-1), 1e-9))[
-                :, None
-            ]
-            goal = positions[:, leg.ankle] + shift
+        moves = self._shifts(times, phase)
+        moves *= _whole(share / _PINNED)[:, None]
+        shifts, turns = moves[..., :3], moves[..., 3]
+        shifts *= np.minimum(1.0, _MAX_SHIFT / np.maximum(np.linalg.norm(shifts, axis=-1), 1e-9))[..., None]
+        legs = self.gait.legs
+        goals = positions[:, [leg.ankle for leg in legs]].swapaxes(0, 1) + shifts
+        for leg, lengths in zip(legs, self.gait.leg_lengths, strict=True):
             # a pose between two others has legs that are too short
-            leg.stretch(positions, *(self.size * length for length in self.gait.leg_lengths[foot]))
-            hip, knee, ankle = (positions[:, joint] for joint in (leg.hip, leg.knee, leg.ankle))
-            leg.turn(positions, matrices, *two_bone(hip, knee, ankle, goal), _yaw_matrices(pinned * turn))
+            leg.stretch(positions, *(self.size * lengths).tolist())
+        joints = positions[:, [(leg.hip, leg.knee, leg.ankle) for leg in legs]]
+        hips, knees, ankles = joints.transpose(2, 1, 0, 3).reshape(3, -1, 3)
+        thighs, shins = two_bone(hips, knees, ankles, goals.reshape(-1, 3))
+        feet = _yaw_matrices(turns.ravel())
+        for leg, *parts in zip(
+            legs, *(part.reshape(2, -1, 3, 3) for part in (thighs, shins, feet)), strict=True
+        ):
+            leg.turn(positions, matrices, *parts)
         return JointPoses(self.names, positions, matrix_to_quaternion(matrices))
 
-    def _shift(self, foot: int, times: Array, phases: Array) -> tuple[Array, Array]:
-        """How a foot moves (N, 3), metres, and turns (N,), radians, to stay where it stands.
+    def _shifts(self, times: Array, phases: Array) -> Array:
+        """How both feet move, metres, and turn, radians, to stay where they stand: (2, N, 4).
 
         Args:
-            foot: 0 left, 1 right.
             times: Seconds of the path, (N,).
             phases: Phases at these times, (N,).
         """
-        stances = self.gait.stances[foot]
-        number = np.floor(phases) * len(stances) - 1
-        number += np.searchsorted(stances[:, 0], phases % 1.0, side="right")
-        (_, last), (following, _) = self._stance(foot, number), self._stance(foot, number + 1)
-        in_air = np.clip((phases - last) / np.maximum(following - last, 1e-9), 0.0, 1.0)
-        ends, starts = (np.interp(phase, self._phases, self._stepping.x) for phase in (last, following))
-        now = self._to_plant(foot, number, np.where(in_air > 0, ends, times))
-        after = self._to_plant(foot, number + 1, starts)
-        moved = now + _whole(in_air)[:, None] * (after - now)
-        return moved[:, :3], moved[:, 3]
+        feet, middles, at, weights = [], [], [], []
+        for foot, stances in enumerate(self.gait.stances):
+            number = np.floor(phases).astype(int) * len(stances) - 1
+            number += np.searchsorted(stances[:, 0], phases % 1.0, side="right")
+            (cycle, which), (next_cycle, following) = (
+                np.divmod(each, len(stances)) for each in (number, number + 1)
+            )
+            (first, last), (start, end) = (cycle + stances[which].T, next_cycle + stances[following].T)
+            in_air = np.clip((phases - last) / np.maximum(start - last, 1e-9), 0.0, 1.0)
+            left, back = np.interp(np.stack([last, start]), self._phases, self._stepping.x)
+            feet.append(np.full(2 * len(times), foot))
+            middles.append(np.concatenate([first + last, start + end]) / 2)
+            at.append(np.concatenate([np.where(in_air > 0, left, times), back]))
+            weights.append(_whole(in_air))
+        moves = self._to_plant(*(np.concatenate(each) for each in (feet, middles, at)))
+        now, after = moves.reshape(2, 2, len(times), 4).swapaxes(0, 1)
+        return np.asarray(now + np.array(weights)[..., None] * (after - now))
 
-    def _stance(self, foot: int, number: Array) -> tuple[Array, Array]:
-        """Phases (N,) at which stances with numbers (N,) begin and end."""
-        stances = self.gait.stances[foot]
-        cycle, which = np.divmod(number.astype(int), len(stances))
-        return cycle + stances[which, 0], cycle + stances[which, 1]
+    def _to_plant(self, feet: Indices, middles: Array, times: Array) -> Array:
+        """Way of feet to where they stand: (N, 4), metres, and radians of their turn.
 
-    def _to_plant(self, foot: int, number: Array, times: Array) -> Array:
-        """Way (N, 4) of a foot at times (N,) to its place in stances (N,): metres, radians of its turn."""
-        first, last = self._stance(foot, number)
-        middle = (first + last) / 2
-        both = np.concatenate([np.interp(middle, self._phases, self._stepping.x), times])
+        Args:
+            feet: 0 left, 1 right, (N,).
+            middles: Phases in the middle of the stances, (N,).
+            times: Times at which the feet are not there yet, (N,), seconds.
+        """
+        count = len(times)
+        both = np.concatenate([np.interp(middles, self._phases, self._stepping.x), times])
         heading, phase, share = self._stepping(both).T
-        ankle = self.size * rotate(_yaw_matrices(heading), self.gait.ankle(foot, phase, share))
-        ankle[:, :2] += self.path.positions(both)
-        there, here = np.split(ankle, 2)
-        # the foot rolls from heel to toe, as it does straight ahead
-        count, full = len(times), np.ones(len(times))
-        roll = self.gait.ankle(foot, phase[count:], full) - self.gait.ankle(foot, middle, full)
-        roll[:, 0] += self.gait.stride * (phase[count:] - middle)
-        roll = self.size * share[:count, None] * rotate(_yaw_matrices(heading[:count]), roll)
-        turn = np.clip(heading[:count] - heading[count:], -_MAX_FOOT_TURN, _MAX_FOOT_TURN)
-        return np.concatenate([(there + roll - here) * (1, 1, 0), turn[:, None]], axis=1)
+        c, s = np.cos(heading), np.sin(heading)
+        # where the foot is planted, where it is, and how it rolls from heel to toe straight ahead
+        phases = np.concatenate([phase, phase[count:], middles])
+        shares = np.concatenate([share, np.ones(2 * count)])
+        planted, now, rolled, flat = np.split(
+            self.size * self.gait.ankles(np.tile(feet, 4), phases, shares), 4
+        )
+        roll = (rolled - flat) * share[:count, None]
+        roll[:, 0] += self.size * self.gait.stride * share[:count] * (phase[count:] - middles)
+        (x, y), (u, v) = (planted + roll)[:, :2].T, now[:, :2].T
+        ground = self.path.positions(both)
+        moves = np.zeros((count, 4))
+        moves[:, 0] = c[:count] * x - s[:count] * y - (c[count:] * u - s[count:] * v)
+        moves[:, 1] = s[:count] * x + c[:count] * y - (s[count:] * u + c[count:] * v)
+        moves[:, :2] += ground[:count] - ground[count:]
+        moves[:, 3] = np.clip(heading[:count] - heading[count:], -_MAX_FOOT_TURN, _MAX_FOOT_TURN)
+        return moves
 
 
 def _yaw_matrices(yaws: Array) -> Array:
-    return rotation_vector_to_matrix(yaws[:, None] * (0.0, 0.0, 1.0))
+    """Rotations (N, 3, 3) about the vertical axis by angles (N,)."""
+    matrices = np.zeros((len(yaws), 3, 3))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(yaws)
+    matrices[:, 1, 0] = np.sin(yaws)
+    matrices[:, 0, 1] = -matrices[:, 1, 0]
+    matrices[:, 2, 2] = 1.0
+    return matrices
 
 
 def _whole(share: Array) -> Array:

@@ -273,16 +273,18 @@ class GLRenderer(Renderer):
         use_camera(self._ctx, program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         straight = straight_angle(camera, rectangle)
-        for body, points, front in zip(bodies, projected, facing, strict=True):
+        # the nearest first: what they hide is not shaded
+        nearest = np.argsort([points.depth.min() for points in projected], kind="stable")
+        for number in nearest.tolist():
+            body, points, front = bodies[number], projected[number], facing[number]
             if front is None:
-                ids.add(body.body, np.zeros(0, np.intp))
                 continue
             set_uniform(program, "first_id", ids.count)
             set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
             tessellated = body.tessellated(camera, straight) if camera.distorted else None
             if tessellated is not None:
                 body.draw_tessellated(program, tessellated)
-                ids.add(body.body, tessellated.parents)
+                ids.add(number, body.body, tessellated.parents)
                 continue
             # from outside a closed surface its back faces never show; a near camera may be inside
             culled = body.closed and not rectangle.near
@@ -290,7 +292,7 @@ class GLRenderer(Renderer):
             if not rectangle.near:
                 visible = visible[points.covering([c.take(visible) for c in body.topology.corners])]
             body.draw(lit, visible)
-            ids.add(body.body, visible)
+            ids.add(number, body.body, visible)
         return ids
 
 

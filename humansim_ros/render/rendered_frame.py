@@ -48,12 +48,12 @@ class TriangleIds:
 
     def __init__(self) -> None:
         self.count = 1
-        self._bodies: list[tuple[int, NDArray[np.uint8], Indices]] = []
+        self._bodies: list[tuple[int, int, NDArray[np.uint8], Indices]] = []
 
-    def add(self, body: Body, triangles: Indices) -> None:
-        """Append drawn triangles (M,) of the next body."""
+    def add(self, number: int, body: Body, triangles: Indices) -> None:
+        """Append drawn triangles (M,) of a body with a number in the frame."""
         self.count += len(triangles)
-        self._bodies.append((body.instance, body.parts, triangles))
+        self._bodies.append((number, body.instance, body.parts, triangles))
 
     def table(self, name: str) -> NDArray[Any]:
         """Value of each id in a channel; or its ``owner``, index of the body, or its ``triangle``."""
@@ -65,7 +65,7 @@ class TriangleIds:
             "face": lambda _, instance, __, triangles: ((triangles + 1) * (instance > 0)).astype(np.int32),
         }
         kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else np.intp
-        values = (make[name](number, *body) for number, body in enumerate(self._bodies))
+        values = (make[name](*body) for body in self._bodies)
         return np.concatenate([np.zeros(1, kind), *values])
 
 

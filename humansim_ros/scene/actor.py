@@ -118,10 +118,13 @@ class Actor:
             with in_section(section):
                 match = match_motion(motion, table, config.min_confidence)
         match = match.with_extra_bones(human.skeleton.names, motion.joint_names)
+        of_file = "frame", id(motion), config.unit, config.up, config.facing, table, config.min_confidence
         world = WorldMotion(
             motion,
             match,
-            detect_file_frame(motion, match, config.unit, config.up, config.facing),
+            source.once(
+                lambda: detect_file_frame(motion, match, config.unit, config.up, config.facing), *of_file
+            ),
             Placement(config.position, float(np.radians(config.yaw_deg)), config.anchor),
             config.loop,
             config.start,
@@ -130,7 +133,7 @@ class Actor:
             config.blend,
             config.mirror,
         )
-        for warning in playing_warnings(world):
+        for warning in source.once(lambda: playing_warnings(world), "warnings", *of_file):
             warn_about(motion.path, warning)
         retargeter = cls._fit(world, human, config, source)
         if config.pin_feet:

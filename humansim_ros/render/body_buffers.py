@@ -26,7 +26,7 @@ from humansim_ros.render.mesh_buffers import (
 )
 from humansim_ros.render.renderer import Body
 from humansim_ros.render.target import Rectangle
-from humansim_ros.types import Array, Float32Array
+from humansim_ros.types import Array, Float32Array, Indices
 
 #: Poses of a body whose derived arrays are cached: the poses of some frames and of an exposure.
 _MAX_POSES = 12
@@ -306,6 +306,10 @@ class ProjectedPoints:
         different = ((first ^ second) | (first ^ third)).view(np.int32).reshape(-1, 2)
         return np.asarray((different[:, 0] != 0) & (different[:, 1] != 0))
 
+    def crossing(self, starts: Indices, ends: Indices) -> NDArray[np.bool_]:
+        """(M,) whether straight edges between points, (M,) each, may cross a line between pixel centers."""
+        return np.asarray(self._cells.take(starts) != self._cells.take(ends))
+
     @property
     def is_outside(self) -> bool:
         """Whether a surface between the points leaves no trace in the image."""
@@ -372,6 +376,8 @@ def contour(
     if projected.near:
         edges.append(ImageEdges.of(camera, vertices.take(starts, axis=0), vertices.take(ends, axis=0)))
         return edges
+    crossing = projected.crossing(starts, ends)
+    starts, ends = starts[crossing], ends[crossing]
     (x, y), z = projected.pixels, projected.depth
     if camera.distorted:
         finite = np.isfinite(x.take(starts)) & np.isfinite(x.take(ends))

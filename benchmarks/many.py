@@ -3,8 +3,9 @@
     python benchmarks/many.py [--frames 30]
 
 1, 2, 5 and 10 random humans are simulated in one process for one 640x480 camera: motion, skinning, and the
-channels rgb, depth, instance and part. Times are CPU milliseconds of this process, medians over frames, which
-other work on the machine affects little. The last column is the cost of one more human, relative to one.
+channels rgb, depth, instance and part, beside a bare draw of the same humans. Times are CPU milliseconds of
+this process, medians over frames, which other work on the machine affects little. The last column is the cost
+of one more human, relative to one.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=30)
     frames = parser.parse_args().frames
     print(
-        f"{'humans':>6} {'bare':>7} {'skinning':>9} {'rgb':>7} {'all':>7} {'frame':>7}   CPU ms; one more human"
+        f"{'humans':>6} {'bare':>7} {'skinning':>9} {'rgb':>7} {'all':>7} {'frame':>7}   CPU ms; 1 more human"
     )
     first: float | None = None
     for count in COUNTS:

@@ -76,7 +76,10 @@ def with_crowd(config: SceneConfig, source: SceneSource) -> tuple[SceneConfig, d
         floor = _floor(config, crowd, source.loading())
     plan = _Plan(crowd, floor)
     points = plan.run()
-    humans = {name: _human(crowd, name, source) for name in names}
+    humans = {
+        name: _human(crowd, name, person.home, source)
+        for name, person in zip(names, plan.people, strict=True)
+    }
     for number, queue in enumerate(plan.queues):
         if not queue.services:
             source.warn(
@@ -97,8 +100,8 @@ def with_crowd(config: SceneConfig, source: SceneSource) -> tuple[SceneConfig, d
     return config.model_copy(update={"humans": dict(config.humans) | humans}), paths
 
 
-def _human(crowd: CrowdConfig, name: str, source: SceneSource) -> HumanConfig:
-    """Looks of a person; they depend on the seed and the name only."""
+def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> HumanConfig:
+    """A person at the start (2,); the looks depend on the seed and the name only."""
     uniform = random_numbers(crowd.seed, name)
     bodies = crowd.bodies or built_in_names("humans")
     body = bodies[int(uniform() * len(bodies))]
@@ -108,7 +111,9 @@ def _human(crowd: CrowdConfig, name: str, source: SceneSource) -> HumanConfig:
     return HumanConfig(
         body=body,
         outfit=outfits[int(uniform() * len(outfits))],
-        motion=MotionConfig(file=motion, loop="continue"),
+        motion=MotionConfig(
+            file=motion, loop="continue", position=(round(float(home[0]), 4), round(float(home[1]), 4))
+        ),
     )
 
 

@@ -18,6 +18,7 @@ from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.config import check_config
 from humansim_ros.scene.crowd import with_crowd
 from humansim_ros.scene.floor_plan import FloorPlan
+from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.room import furniture_plan
 from humansim_ros.scene.source import SceneSource
 
@@ -184,6 +185,21 @@ def test_simulation_shows_the_plan_at_any_time() -> None:
         assert np.linalg.norm(hips - actor.motion.path.positions(np.array([seconds]))[0]) < 0.15  # type: ignore[attr-defined]
         assert (late.humans[name].vertices == again.humans[name].vertices).all()
         assert (late.humans[name].vertices != early.humans[name].vertices).any()
+
+
+def test_person_with_another_speed_stays_on_the_path_and_with_another_motion_starts_where_it_began() -> None:
+    scene = Scene.from_dict(
+        {"cameras": CAMERA, "room": {"size": list(ROOM)}, "crowd": {"count": 2, "seed": 4, "duration": 10}}
+    )
+    playback = Playback(scene)
+    playback.show(3 * 10**9)
+    playback.change("walker_1", speed=0.5)
+    slower = playback.show(5 * 10**9).poses["walker_1"].positions
+    assert np.allclose(slower, scene.actors["walker_1"].joint_poses(4.0).positions, atol=1e-9)
+    playback.change("walker_1", file="wave")
+    hips = playback.show(5 * 10**9).poses["walker_1"].positions[0, 0, :2]
+    home = scene.actors["walker_1"].motion.path.points[0]  # type: ignore[attr-defined]
+    assert np.linalg.norm(hips - home) < 0.1
 
 
 def test_feet_do_not_slide() -> None:

@@ -40,7 +40,7 @@ _GRID = 65
 #: Largest number of pieces of an edge.
 _MAX_PIECES = 32
 #: Rounds in which long edges are divided, pieces in each round, and number of triangles that limits both.
-_ROUNDS, _MAX_CUT, _MAX_TRIANGLES = 8, 4, 4_000_000
+_ROUNDS, _MAX_CUT, _MAX_TRIANGLES = 8, 16, 4_000_000
 #: Near plane in metres, also for wide lenses, and the tangent of the angle to the axis from which a lens is
 #: wide: points beside the camera have a small depth at any distance.
 NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0

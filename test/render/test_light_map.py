@@ -16,6 +16,7 @@ from humansim_ros.render import Lighting, static_layers
 from humansim_ros.render.charts import GUTTER, MAX_SIDE, Charts
 from humansim_ros.render.light_map import directions
 from humansim_ros.render.static_layers import offsets
+from humansim_ros.render.target import RenderTarget
 from humansim_ros.scene import Scene
 from humansim_ros.types import Array, Image, Indices
 
@@ -153,6 +154,27 @@ def test_a_still_image_is_as_good_as_sixteen_samples_a_pixel(monkeypatch: pytest
         cv2.resize(one, camera.size, interpolation=cv2.INTER_AREA) for one in (reference, sixteen)
     )
     assert decibels(image, reference) > max(46, decibels(sixteen, reference) - 0.5)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_pixels_that_few_images_show_are_close_to_the_mean_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene.load()
+    camera = next(iter(scene.cameras.values()))
+    camera = replace(camera, size=(320, 240), K=np.diag([0.5, 0.5, 1]) @ camera.K)
+    hidden: list[float] = []
+    hide = RenderTarget.hide
+    monkeypatch.setattr(
+        RenderTarget, "hide", lambda t, pixels: (hidden.append(pixels.mean()), hide(t, pixels))
+    )
+    images = []
+    for alike in (static_layers._ALIKE, -1):
+        monkeypatch.setattr(static_layers, "_ALIKE", alike)
+        renderer = renderer_or_skip(scene.static_meshes, Lighting())
+        images.append(renderer.render([], camera, ("rgb",)).rgb)
+        renderer.close()
+    assert hidden[0] > 0.2 and hidden[-1] == 0  # of all pixels
+    assert decibels(*images) > 52
 
 
 @pytest.mark.parametrize("count", [4, 8, 13])

@@ -105,6 +105,8 @@ def test_the_room_is_smooth_and_its_depth_is_that_of_a_still_camera(
     assert decibels(passing.rgb, many) > max(36, decibels(jagged.rgb, many) + 1.5)
 
 
+@pytest.mark.daily("20-distortion1", "80-distortion0")
+@pytest.mark.slow
 @pytest.mark.parametrize("distortion", [(), BARREL])
 @pytest.mark.parametrize("angle", [2, 20, 45, 80])
 def test_surfaces_narrower_than_a_pixel_are_no_dashed_lines(

@@ -15,6 +15,8 @@ from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 
 #: Barycentric coordinates below zero that count as inside: no ray passes between two triangles.
 _SEAM = 1e-9
+#: Distance in metres of a surface that is around the scanner.
+_AROUND = 0.3
 #: Corners of a box: all choices of low and high.
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)], dtype=float)
 
@@ -147,7 +149,11 @@ class Shot:
         vectors = self.poses.to_map(self.directions)
         for surface, first, last in self._near(surfaces):
             bounds = self._bounds(surface, first, last)
-            for rays, triangles in self.index.pairs(bounds):
+            order, near = self._by_distance(surface, first, last)
+            for rays, triangles in self.index.pairs(bounds if order is None else bounds.take(order)):
+                if order is not None:
+                    open_rays = hits.ranges[rays] > near[triangles]
+                    rays, triangles = rays[open_rays], order[triangles[open_rays]]
                 found = self._test(surface, vectors, rays, triangles)
                 if found is not None:
                     _keep_nearest(hits, *found)
@@ -173,6 +179,25 @@ class Shot:
         """Bounds of all triangles from the firing of one ray to that of another."""
         margin = self._margin(surface, first, last)
         return Bounds.of(surface.triangles, self._seen(surface, first, last), margin)
+
+    def _by_distance(self, surface: MovingTriangles, first: int, last: int) -> tuple[Indices | None, Array]:
+        """Order of the triangles by distance, and distances that they exceed, from one ray to another.
+
+        None if the surface is not around the scanner: there each triangle meets many rays that nearer ones
+        hide.
+        """
+        positions = self.poses.take(slice(first, last + 1)).positions
+        if _distance(positions[0], surface.start) > _AROUND:
+            return None, np.zeros(0)
+        corners = surface.at(self.shares[first])[surface.triangles]
+        middles = corners.mean(axis=1)
+        radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+        moved = np.linalg.norm(positions - positions[0], axis=1).max()
+        if surface.end is not surface.start:
+            moved += np.linalg.norm(surface.end - surface.start, axis=1).max()
+        near = np.linalg.norm(middles - positions[0], axis=1) - radii - moved
+        order = np.argsort(near)
+        return order, near[order]
 
     def _seen(self, surface: MovingTriangles, first: int, last: int) -> tuple[Angles, ...]:
         """Directions of the vertices at the firing of two rays; once if nothing moves."""

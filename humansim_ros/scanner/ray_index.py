@@ -100,6 +100,10 @@ class Bounds:
             np.where(wide, 1.0, _bounded(high)),
         )
 
+    def take(self, chosen: Indices) -> Bounds:
+        """Bounds of some triangles."""
+        return Bounds(self.azimuth[chosen], self.width[chosen], self.low[chosen], self.high[chosen])
+
 
 def _bounded(tangent: FloatArray) -> FloatArray:
     """Tangents of elevations as numbers from -1 to 1, in the same order."""

@@ -20,7 +20,8 @@ def check_scanners(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iter
     """Check all laser scanners. ``obstacles``: what a scanner must not be inside of."""
     for name, scanner in samples.scene.scanners.items():
         poses = scanner.poses(samples.times)
-        key = f"scanners.{name}.{'trajectory.file' if scanner.moves else 'position'}"
+        is_driven = samples.scene.config.scanners[name].trajectory is not None
+        key = f"scanners.{name}.{'trajectory.file' if is_driven else 'position'}"
         if found := misplaced(f"scanner {name}", poses.positions, samples, obstacles):
             yield Finding("error", key, found)
             continue

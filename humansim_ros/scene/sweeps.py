@@ -23,7 +23,7 @@ from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, poses_of
 from humansim_ros.scene.scene import Scene
 from humansim_ros.sensor.sensor import generator
-from humansim_ros.types import Array, Float32Array, Indices
+from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 
 #: Speed in m/s above which a body has jumped, and the step of the vertices by which it is measured.
 _FASTEST, _SAMPLED = 25.0, 64
@@ -183,7 +183,7 @@ class Scanning:
         """Surfaces that stand still."""
         still = self.scene.static_bodies
         first = len(state.bodies) - len(still)
-        surfaces = [
+        surfaces: list[tuple[Mesh, FloatArray]] = [
             *((body.mesh, body.vertices) for body in still),
             *((mesh, mesh.vertices) for mesh in self.scene.static_meshes),
         ]

@@ -67,6 +67,11 @@ SCENE: dict[str, Any] = {
             "stereo": {"baseline": 0.1},
         },
     },
+    "robot": {
+        "mesh": "ball.obj",
+        "path": {"points": [[-2, 0], [2, 0]]},
+        "vibration": {"position": 0.001},
+    },
     "scanners": {
         "lidar": {"model": "velodyne_vlp16", "trajectory": {"file": "path.txt"}},
         "own": {"pattern": {"columns": 90}, "rate": 10, "range": [0.1, 30], "position": [0, 0, 1]},
@@ -90,6 +95,7 @@ FILE_KEYS = (
     "cameras.left.calibration",
     "cameras.left.background",
     "cameras.right.trajectory.file",
+    "robot.mesh",
     "scanners.lidar.trajectory.file",
     "world.meshes.0.file",
     "world.background",

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import SceneError, in_section
+from humansim_ros.errors import HumansimError, SceneError, in_section
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_blocks
@@ -310,7 +310,12 @@ class Scene(Pictured):
         actors: dict[str, Actor] = {}
         for number, (name, human) in enumerate(config.humans.items(), 1):
             track = tracks.get(("humans", name))
-            actors[name] = Actor.load(name, number, human, source, track, paths.get(name))
+            try:
+                actors[name] = Actor.load(name, number, human, source, track, paths.get(name))
+            except HumansimError as error:
+                if name not in paths:
+                    raise
+                raise type(error)(error.message, key="crowd.motions") from error.__cause__
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
         robot = Robot.of_scene(config, source)

@@ -145,7 +145,7 @@ def test_more_people_than_room_is_an_error_with_the_number_that_fits() -> None:
         ({"count": 9, "queues": [{**QUEUE, "position": [8, 0]}]}, "crowd.queues.0.position"),
         ({"count": 9, "queues": [{**QUEUE, "spacing": 0.5}]}, "crowd"),
         ({"count": 3, "area": [30, 30, 31, 31]}, "crowd.area"),
-        ({"count": 3, "motions": ["wave"]}, "humans.walker_1.motion.file"),
+        ({"count": 3, "motions": ["wave"]}, "crowd.motions"),
     ],
 )
 def test_bad_crowd_is_an_error_with_the_key(crowd: Any, key: str) -> None:

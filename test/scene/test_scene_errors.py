@@ -21,6 +21,7 @@ from humansim_ros.io.images import encode_image
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
 from humansim_ros.scene.config import load_config, map_files
+from humansim_ros.scene.robot_config import PathConfig
 
 #: A scene with all sections and all keys that name files.
 SCENE: dict[str, Any] = {
@@ -33,6 +34,13 @@ SCENE: dict[str, Any] = {
         }
     },
     "variety": {"count": 1, "bodies": ["adult_man"], "motions": ["walk"]},
+    "crowd": {
+        "count": 1,
+        "bodies": ["adult_man"],
+        "motions": ["walk_straight"],
+        "flows": [{"start": [-2, -1, -1, 1], "goal": [1, -1, 2, 1]}],
+        "queues": [{"position": [1.5, 0], "count": 1}],
+    },
     "objects": {"ball": {"mesh": "ball.obj", "keyframes": {"file": "keys.xml"}}},
     "rig": {"file": "rig.json", "background": {"a": "photo.png"}, "depth_sensor": {"preset": "kinect_v2"}},
     "cameras": {
@@ -69,7 +77,7 @@ SCENE: dict[str, Any] = {
     },
     "robot": {
         "mesh": "ball.obj",
-        "path": {"points": [[-2, 0], [2, 0]]},
+        "trajectory": {"file": "path.txt"},
         "vibration": {"position": 0.001},
     },
     "scanners": {
@@ -88,6 +96,8 @@ FILE_KEYS = (
     "humans.anna.keyframes.file",
     "variety.bodies",
     "variety.motions",
+    "crowd.bodies",
+    "crowd.motions",
     "objects.ball.mesh",
     "objects.ball.keyframes.file",
     "rig.file",
@@ -96,6 +106,7 @@ FILE_KEYS = (
     "cameras.left.background",
     "cameras.right.trajectory.file",
     "robot.mesh",
+    "robot.trajectory.file",
     "scanners.lidar.trajectory.file",
     "world.meshes.0.file",
     "world.background",
@@ -106,6 +117,8 @@ SUFFIXES = {
     "humans.anna.body": ".npz",
     "variety.bodies": ".obj",
     "variety.motions": ".bvh",
+    "crowd.bodies": ".obj",
+    "crowd.motions": ".bvh",
     "humans.anna.motion.file": ".bvh",
 }
 KEYS_XML = """\
@@ -204,7 +217,7 @@ def test_a_file_that_cannot_be_read_is_named_with_its_key(folder: Path, key: str
     suffix = SUFFIXES.get(key) or Path(value).suffix
     name = "a\\0b" if fault == "nul" else fault + suffix
     path = folder / "scene.yaml"
-    line = write(path, changed(key, "MARKED"), f'["{name}"]' if key.startswith("variety") else f'"{name}"')
+    line = write(path, changed(key, "MARKED"), f'["{name}"]' if key.startswith(("variety", "crowd")) else f'"{name}"')
     error = error_of(path)
     assert (error.path, error.line) == (str(path), line)
     assert error.key == key
@@ -273,7 +286,8 @@ def out_of_range() -> Iterator[tuple[str, str]]:
 
 
 def test_all_sections_are_there() -> None:
-    assert set(SECTIONS.values()) == {SceneConfig, *all_models(SceneConfig)}
+    # a robot has a path or a trajectory
+    assert set(SECTIONS.values()) == {SceneConfig, *all_models(SceneConfig)} - {PathConfig}
 
 
 def all_models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:

@@ -217,7 +217,9 @@ def test_a_file_that_cannot_be_read_is_named_with_its_key(folder: Path, key: str
     suffix = SUFFIXES.get(key) or Path(value).suffix
     name = "a\\0b" if fault == "nul" else fault + suffix
     path = folder / "scene.yaml"
-    line = write(path, changed(key, "MARKED"), f'["{name}"]' if key.startswith(("variety", "crowd")) else f'"{name}"')
+    line = write(
+        path, changed(key, "MARKED"), f'["{name}"]' if key.startswith(("variety", "crowd")) else f'"{name}"'
+    )
     error = error_of(path)
     assert (error.path, error.line) == (str(path), line)
     assert error.key == key

@@ -45,6 +45,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 from humansim_ros.view.ros_source import RosViewSource
+from humansim_ros.view.source import FrameRequest
 
 rclpy.init()
 node = rclpy.create_node("listener")
@@ -76,7 +77,7 @@ with closing(RosViewSource(patience=20.0)) as source:
     for _ in range(100):
         message.header.stamp = node.get_clock().now().to_msg()
         info.publish(message)
-        frame = source.frame(0, ["eye"], ())
+        frame = source.frame(FrameRequest(0, ["eye"], ()))
         if "eye" in frame.cameras:
             seen["eye"] = frame.cameras["eye"].center.tolist()
             break

@@ -27,8 +27,6 @@ VISIBLE, TOLERANCE = 0.03, 0.01
 _MAX_LENGTH, _MAX_RATIO = 48.0, 2.0
 #: Factor of the number of pieces of an edge: edges within a divided triangle are longer than on its sides.
 _SAFETY = 1.2
-#: Pixels outside the image from which the error of an edge has no effect.
-_OUTSIDE = 16.0
 #: Tangent of the angle to the axis beyond which the tolerance grows with it: depth changes so fast there that
 #: edges would become shorter than pixels.
 _WIDE_TANGENT = 4.0
@@ -146,11 +144,7 @@ class LensView:
     def _pieces(self, a: _Projected, b: _Projected, tolerance: float) -> Indices:
         """(E,) pieces of edges that are not too long, so that no error exceeds ``tolerance`` pixels."""
         pieces = np.ones(len(a.points), np.intp)
-        outside: NDArray[np.bool_] = np.zeros(len(a.points), bool)
-        for axis, side in enumerate(self.camera.size):
-            p, q = a.pixels[:, axis], b.pixels[:, axis]
-            outside |= (np.maximum(p, q) < -_OUTSIDE) | (np.minimum(p, q) > side + _OUTSIDE)
-        tested = np.flatnonzero(np.isfinite(a.pixels[:, 0]) & np.isfinite(b.pixels[:, 0]) & ~outside)
+        tested = np.flatnonzero(np.isfinite(a.pixels[:, 0]) & np.isfinite(b.pixels[:, 0]))
         a, b = a.take(tested), b.take(tested)
         middle = self._between(a, b)
         wide = _length(middle.points[:, :2]) / (middle.points[:, 2] * _WIDE_TANGENT)

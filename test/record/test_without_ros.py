@@ -15,7 +15,7 @@ from record_support import write_scene
 pytest.importorskip("rosbags")
 #: Top-level modules of ROS that recording and reading bags could import.
 ROS = ("rclpy", "rosidl_parser", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rosgraph_msgs")
-ROS += ("sensor_msgs", "shape_msgs", "std_msgs", "visualization_msgs")
+ROS += ("nav_msgs", "sensor_msgs", "shape_msgs", "std_msgs", "visualization_msgs")
 SCRIPT = """
 import sys
 from humansim_ros.cli.main import main

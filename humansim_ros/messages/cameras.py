@@ -105,13 +105,16 @@ def read_pose(message: PoseStamped) -> CameraPose:
     """
     if message.header.frame_id != WORLD_FRAME:
         raise RosError(f"a camera's pose must be in {WORLD_FRAME}, this is in {message.header.frame_id!r}")
-    p, q = message.pose.position, message.pose.orientation
+    return CameraPose.at(*rigid_pose(message.pose, "a camera's pose"))
+
+
+def rigid_pose(pose: Pose, what: str) -> tuple[Array, Array]:
+    """Position (3,) and rotation (4,) xyzw of a message. Raises RosError, which names ``what`` it is."""
+    p, q = pose.position, pose.orientation
     position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
     if not within_bounds([*position, *rotation]) or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
-        raise RosError(
-            "a camera's pose is not finite, is more than 1000 km away, or its quaternion has not length 1"
-        )
-    return CameraPose.at(position, unit_quaternions(rotation))
+        raise RosError(f"{what} is not finite, is more than 1000 km away, or its quaternion has not length 1")
+    return position, unit_quaternions(rotation)
 
 
 def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WORLD_FRAME) -> TransformStamped:

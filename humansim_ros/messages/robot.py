@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from humansim_ros.errors import RosError, printable, within_bounds
+from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import header, to_nanoseconds
 from humansim_ros.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
 from humansim_ros.motion.kinematics import Velocity
-from humansim_ros.rotations import multiply_quaternions, quaternion_to_matrix, unit_quaternions
+from humansim_ros.rotations import multiply_quaternions, quaternion_to_matrix
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.robot import Robot, carried
 from humansim_ros.types import Array
@@ -60,20 +62,13 @@ def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
             f"odometry of the frame {printable(message.child_frame_id, 80)!r}: robot.base_frame is "
             f"{config.base_frame!r}"
         )
-    pose, twist = message.pose.pose, message.twist.twist
-    position, linear, angular = map(_array, (pose.position, twist.linear, twist.angular))
-    q = pose.orientation
-    rotation = np.array([q.x, q.y, q.z, q.w])
-    if not within_bounds([*position, *rotation, *linear, *angular]):
-        raise RosError("a number of the odometry is not finite, or above 1000 km")
-    if not abs(np.linalg.norm(rotation) - 1) < 1e-3:
-        raise RosError("the orientation of the odometry is no quaternion of length 1")
-    rotation = unit_quaternions(rotation)
+    position, rotation = rigid_pose(message.pose.pose, "a robot's odometry")
+    linear, angular = (_array(part) for part in (message.twist.twist.linear, message.twist.twist.angular))
+    if not within_bounds([*linear, *angular]):
+        raise RosError("the velocity of a robot's odometry is not finite, or above 1000 km/s")
     turn = quaternion_to_matrix(rotation)
     moving = ObjectPose(position, rotation, np.ones(3), Velocity(turn @ linear, turn @ angular))
-    start = ObjectPose(
-        robot.start.position, robot.start.rotation, np.ones(3), Velocity(np.zeros(3), np.zeros(3))
-    )
+    start = replace(robot.start, velocity=Velocity(np.zeros(3), np.zeros(3)))
     return to_nanoseconds(message.header.stamp), carried(start, moving)
 
 
@@ -85,7 +80,7 @@ def read_command(message: Twist) -> tuple[float, float]:
     return speed, turn
 
 
-def _array(vector: Vector3 | Point) -> Array:
+def _array(vector: Vector3) -> Array:
     return np.array([vector.x, vector.y, vector.z])
 
 

@@ -325,8 +325,8 @@ def find_obstacles(scene: Scene, room: bool = True) -> list[Obstacle]:
         key = f"world.meshes.{number}" if len(scene.config.world.meshes) > number else "world.meshes"
         found.append(Obstacle(key, "a mesh of world.meshes", mesh, _FURNITURE))
     for name, item in scene.objects.items():
-        key = f"objects.{name}" if name in scene.config.objects else "randomise.clutter"
-        key = ROBOT if name == ROBOT else key
+        key = ROBOT if name == ROBOT else "randomise.clutter"
+        key = f"objects.{name}" if name in scene.config.objects else key
         largest = np.inf if item.shape in ("box", "sphere", "cylinder") else _FURNITURE
         mesh = item.mesh if item.moves else item.static_mesh()
         found.append(Obstacle(key, f"the object {name}", mesh, largest, moving=item if item.moves else None))

@@ -169,7 +169,7 @@ class Robot:
         """Whether it follows ``cmd_vel``."""
         return self.route is None and self.config.odometry is None
 
-    @property
+    @cached_property
     def start(self) -> ObjectPose:
         """Pose of ``base_link`` at the start of the scene, where its odometry begins."""
         return self.base_at(0.0)

@@ -196,7 +196,10 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
         GOOD.replace("rate:", "fps:"),
         1,
         "fps",
-        "unknown key; did you mean `rate`? Known here: rate, renderer, room, humans, variety, crowd, objects",
+        (
+            "unknown key; did you mean `rate`? Known here: rate, renderer, room, humans, variety, crowd, "
+            "objects, robot, rig"
+        ),
     ),
     (
         "unknown key of a motion",

@@ -13,6 +13,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from geometry_msgs.msg import TransformStamped
+
 from humansim_ros import messages
 from humansim_ros.errors import SceneError
 from humansim_ros.messages.topics import ScannerTopics
@@ -47,8 +49,13 @@ class ScannerNode(SceneNode):
             topic: self.topic_publisher(topic) for topic in (self._topics.points, self._topics.truth)
         }
         self._extrinsics = self.topic_publisher(self._topics.extrinsics)
-        self._transforms, self._has_static = TransformSender(self), False
-        self._publish_pose(self._scanner.pose(0.0), self.now())
+        self._transforms = TransformSender(self)
+        transform = self._publish_pose(self._scanner.pose(0.0), self.now())
+        if self._scanner.mount is not None:
+            place, base = self._scanner.route.at(0.0), self._scanner.mount.config.base_frame
+            transform = messages.transform_message(place.position, place.rotation, self.now(), base, frame)
+        if self._scanner.mount is not None or not self._scanner.moves:
+            self._transforms.send_static(transform)
         for legend in self._topics.legends:
             self.publish_latched(legend.build(None, 0), legend.name)
         self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self])
@@ -62,7 +69,9 @@ class ScannerNode(SceneNode):
         start = time.monotonic()
         if self._scanner.moves:
             pose = self._scanner.pose(state.scene_time * 1e-9, state.objects.get(ROBOT))
-            self._publish_pose(pose, state.stamp)
+            transform = self._publish_pose(pose, state.stamp)
+            if self._scanner.mount is None:
+                self._transforms.send(transform)
         wanted = [
             topic for topic, sender in self._sweep_publishers.items() if sender.get_subscription_count()
         ]
@@ -73,21 +82,11 @@ class ScannerNode(SceneNode):
         self.report_lateness(state.stamp)
         self.report_time(1e3 * (time.monotonic() - start), "scan")
 
-    def _publish_pose(self, pose: ObjectPose, stamp: int) -> None:
-        """Publish the pose in ``map``; tf has a scanner on a robot once, in ``base_link``."""
-        transform, scanner = self._topics.extrinsics.build(pose, stamp), self._scanner
+    def _publish_pose(self, pose: ObjectPose, stamp: int) -> TransformStamped:
+        """Publish the pose in ``map``, and return its transform."""
+        transform: TransformStamped = self._topics.extrinsics.build(pose, stamp)
         self._extrinsics.publish(transform)
-        if scanner.mount is not None:
-            if not self._has_static:
-                self._has_static = True
-                place, frames = scanner.route.at(0.0), (scanner.mount.config.base_frame, self._topics.frame)
-                self._transforms.send_static(
-                    messages.transform_message(place.position, place.rotation, stamp, *frames)
-                )
-        elif scanner.moves:
-            self._transforms.send(transform)
-        else:
-            self._transforms.send_static(transform)
+        return transform
 
 
 def main(scene: Scene | None = None) -> int:

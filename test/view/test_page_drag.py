@@ -164,7 +164,7 @@ def test_a_scene_with_errors_is_told_at_its_controls_and_saved_only_after_a_ques
         rate = field(page, "rate")
         rate.fill("-5")
         rate.press("Enter")
-        told = page.get_by_text("greater than 0").filter(visible=True).first
+        told = page.get_by_text("give a number above 0").filter(visible=True).first
         told.wait_for()
         assert 0 < told.bounding_box()["y"] - rate.bounding_box()["y"] < 120  # below its control
         for answer, text in (("Do not save", SCENE), ("Save with errors", None)):

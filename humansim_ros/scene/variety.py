@@ -24,6 +24,8 @@ from humansim_ros.scene.environment import mesh_files
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.robot import Robot, robot_object
+from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.room import furniture_plan
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -214,9 +216,15 @@ def _objects(
     tracks: Mapping[tuple[str, str], KeyframeTrack],
     area: Array,
 ) -> Iterator[Array]:
+    items = []
     for name, section in config.objects.items():
         with in_section(f"objects.{name}"):
-            item = SceneObject.build(name, section, source, tracks.get(("objects", name)), 0)
+            items.append(SceneObject.build(name, section, source, tracks.get(("objects", name)), 0))
+    robot = Robot.of_scene(config, source)
+    if robot is not None:
+        with in_section(ROBOT):
+            items.append(robot_object(robot, source, 0))
+    for item in items:
         if not item.moves:
             yield _seen_from_above(_samples(item.static_mesh()), area)
             continue

@@ -31,8 +31,9 @@ FLOWS = [
 QUEUE: dict[str, Any] = {"position": [4.0, -3.5], "direction_deg": 180, "count": 4, "service": 3}
 
 
-def paths(room: Any = ROOM, objects: Any = None, **crowd: Any) -> dict[str, FloorPath]:
+def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any) -> dict[str, FloorPath]:
     content = {"cameras": CAMERA, "room": room and {"size": list(room)}, "crowd": {"seed": 5, **crowd}}
+    content["robot"] = robot
     return with_crowd(check_config(content | {"objects": objects or {}}), SceneSource())[1]
 
 
@@ -62,6 +63,19 @@ def test_nobody_walks_into_walls_or_furniture() -> None:
     for middle, size in furniture_plan(ROOM[:2]).values():
         outside = np.maximum(np.abs(points - middle) - np.array(size) / 2, 0)
         assert np.linalg.norm(outside, axis=1).min() > 0.3 - 0.06
+
+
+@pytest.mark.nightly
+def test_nobody_walks_where_the_robot_drives() -> None:
+    """Flows that cross it: people pass at every time, so that they keep away from its whole way."""
+    robot = {"path": {"points": [[-1, -0.6], [1, -0.6], [1, 0.6]], "speed": 0.5}}
+    way = np.array([(-1, -0.6), (0, -0.6), (1, -0.6), (1, 0), (1, 0.6)])
+
+    def nearest(**changes: Any) -> float:
+        points = sampled(paths(count=6, flows=tuple(FLOWS), duration=30, **changes)).reshape(-1, 1, 2)
+        return float(np.linalg.norm(points - way, axis=-1).min())
+
+    assert nearest() < 0.3 < 0.45 < nearest(robot=robot)  # radius, and half of the robot
 
 
 def test_everybody_gets_to_the_goal_and_back() -> None:

@@ -143,7 +143,6 @@ def run(
     ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
-    from humansim_ros.apps.first_images import FirstImages
     from humansim_ros.io.files import temporary_folder
     from humansim_ros.ros.lockstep.settings import TimeOptions
     from humansim_ros.ros.processes.node_processes import (
@@ -155,9 +154,6 @@ def run(
         scene_processes,
     )
     from humansim_ros.ros.processes.node_starter import NodeStarter
-    from humansim_ros.ros.processes.supervisor import Supervisor
-    from humansim_ros.ros.runtime import prepare_transport
-    from humansim_ros.scene import Scene
 
     start = time.monotonic()
     with temporary_folder() as folder, ExitStack() as stack:
@@ -165,8 +161,13 @@ def run(
         options = SceneOptions(motion, body, joint_names, live or ())
         if options:
             path = options.write(given_path, folder)
-        # it loads the scene meanwhile
+        # it imports the package and loads the scene, as this process does meanwhile
         starter = stack.enter_context(NodeStarter(str(path.resolve())))
+        from humansim_ros.apps.first_images import FirstImages
+        from humansim_ros.ros.processes.supervisor import Supervisor
+        from humansim_ros.ros.runtime import prepare_transport
+        from humansim_ros.scene import Scene
+
         _check_machine()
         loaded = options.load(given_path, path) if options else Scene.load(path)
         namespace = relative_namespace(namespace)

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
+from humansim_ros.export.glb import AnimatedHuman, glb_bytes
 from humansim_ros.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
 from humansim_ros.render.body_buffers import ProjectedPoints, contour
@@ -41,7 +42,10 @@ from humansim_ros.render.pyrender import import_pyrender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
 from humansim_ros.types import Array
+from humansim_ros.view.stage import glb_of
 
+#: glTF has y up; Blender turns it back.
+_GLTF_FROM_MAP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _NEAR, _FAR = 0.05, 200.0
 #: Renderers in processes of their own. They are slow: they take part in one round of several.
 GUESTS = ("aitviewer", "open3d", "blender")
@@ -256,26 +260,66 @@ def guest(name: str, python: str, order: Sequence[Shot]) -> Iterator[tuple[str, 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shots.npz"
         pictured(order, path)
-        process = subprocess.Popen(
-            [python, str(Path(__file__).parent / "guests" / "draw.py"), name, str(path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        assert process.stdin is not None and process.stdout is not None
         numbers = {id(shot): number for number, shot in enumerate(order)}
+        with _answering(python, "draw.py", name, str(path)) as (title, draw):
+            yield title, lambda shot: draw(numbers[id(shot)])
 
-        def draw(shot: Shot) -> float:
-            assert process.stdin is not None and process.stdout is not None
-            print(numbers[id(shot)], file=process.stdin, flush=True)
-            return float(process.stdout.readline())
 
-        try:
-            yield process.stdout.readline().strip(), draw
-        finally:
-            process.stdin.close()
-            process.wait(20)
+@contextmanager
+def workbench(
+    python: str, scene: Scene, cameras: Sequence[Camera]
+) -> Iterator[tuple[str, Callable[[int], float]]]:
+    """Start Blender's Workbench in another Python, with the people and the room of a scene.
+
+    ``cameras``: the camera of each frame of the scene.
+
+    Yields:
+        Its title, empty if it is not installed, and a function that renders a frame and returns milliseconds.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        views, people, room = (Path(folder) / name for name in ("views.npz", "people.glb", "room.glb"))
+        np.savez(
+            views,
+            size=cameras[0].size,
+            rate=scene.config.rate,
+            K=[camera.K for camera in cameras],
+            poses=[camera.world_from_optical for camera in cameras],
+        )
+        times = scene.period * np.arange(len(cameras))
+        moving = {}
+        for name, actor in scene.actors.items():
+            states, bones = [actor.at(time) for time in times.tolist()], len(actor.human.skeleton)
+            poses = np.stack([state.joints[:bones] for state in states])
+            moving[name] = AnimatedHuman(actor.human, poses, np.array([state.size for state in states]))
+        people.write_bytes(glb_bytes(moving, scene.config.rate))
+        static = [replace(mesh, vertices=mesh.vertices @ _GLTF_FROM_MAP.T) for mesh in scene.static_meshes]
+        room.write_bytes(glb_of(static))
+        with _answering(python, "workbench.py", str(views), str(people), str(room)) as (title, draw):
+            yield title, draw
+
+
+@contextmanager
+def _answering(python: str, script: str, *arguments: str) -> Iterator[tuple[str, Callable[[int], float]]]:
+    """Start a script of ``guests``: its title, and a function that draws a frame and gives milliseconds."""
+    process = subprocess.Popen(
+        [python, str(Path(__file__).parent / "guests" / script), *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdin is not None and process.stdout is not None
+    requests, answers = process.stdin, process.stdout
+
+    def draw(number: int) -> float:
+        print(number, file=requests, flush=True)
+        return float(answers.readline())
+
+    try:
+        yield answers.readline().strip(), draw
+    finally:
+        requests.close()
+        process.wait(20)
 
 
 def beside(renderer: GLRenderer, shape: str, count: int) -> Callable[[Shot], object]:

@@ -1,5 +1,6 @@
 """Cost of a lens: frames of the demo scene with each lens model, compared with an ideal camera; and moving
-cameras, compared with a bare draw: room and person once, one sample in each pixel, read back.
+cameras, compared with a bare draw: room and person once, one sample in each pixel, read back. Blender's
+Workbench draws the same, if HUMANSIM_BENCH_BLENDER names a Python with bpy.
 
 All lenses are interleaved in one process, frame by frame and in changing order, so that other load
 affects all of them. The figures are medians of wall-clock milliseconds; read the ratios.
@@ -10,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import moderngl
 import numpy as np
+from core import workbench
 
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
@@ -149,7 +152,11 @@ def main() -> None:
         figures[title] = compare(title, draws, shots, options.rounds)
     title = "ms: rgb, depth, instance, part, moving camera"
     draws = {"bare draw": bare(scene.static_meshes), **{lens: moving(renderer, lens) for lens in LENSES}}
-    figures[title] = compare(title, draws, shots, max(options.rounds // 8, 1))
+    moved = [replace(cameras[n % len(cameras)], t=cameras[n % len(cameras)].t + 0.01 * n) for n in range(20)]
+    with workbench(os.environ.get("HUMANSIM_BENCH_BLENDER", sys.executable), scene, moved) as (name, blender):
+        if name:
+            draws[f"{name} Workbench, one sample, to a PNG file"] = lambda _, __, n: blender(n % 20)
+        figures[title] = compare(title, draws, shots, max(options.rounds // 8, 1))
     title = "ms: rgb, depth, instance, part, first frame"
     draws = {lens: first(renderer, lens) for lens in LENSES}
     figures[title] = compare(title, draws, shots, max(options.rounds // 16, 1))

@@ -21,6 +21,7 @@ from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene import Scene
+from humansim_ros.scene.camera import in_step
 
 #: Frames per second of the motion player: more than the cameras can render. They get as many as they can.
 _RATE = 200.0
@@ -42,17 +43,19 @@ class BenchResult:
 
     Attributes:
         cameras: Milliseconds in which each camera renders and sends a frame, by name.
+        pictures: Pictures of all cameras in a frame; fewer than cameras if some have a rate of their own.
         channels: Rendered channels.
         rate: Frames per second of the scene.
         measured_hz: Frames per second with all channels of all cameras.
         frame_ms: CPU milliseconds per frame of all that is not a camera: motions, bodies and subscriber.
-        camera_ms: CPU milliseconds per frame of one camera.
+        camera_ms: CPU milliseconds per picture of one camera.
         processes: Number of camera processes.
         cores: Number of cores.
         other_cores: Number of cores that other processes used meanwhile.
     """
 
     cameras: dict[str, float]
+    pictures: float
     channels: tuple[str, ...]
     rate: float
     measured_hz: float
@@ -72,9 +75,8 @@ class BenchResult:
         """Number of such cameras that it holds at the rate of the scene; an estimate."""
         if self.max_hz <= 0 or self.camera_ms <= 0:
             return 0
-        count = len(self.cameras)
         # a frame takes a time that is proportional to its CPU time
-        frame = (self.frame_ms + count * self.camera_ms) * self.max_hz / self.rate
+        frame = (self.frame_ms + self.pictures * self.camera_ms) * self.max_hz / self.rate
         return max(0, int((frame - self.frame_ms) / self.camera_ms + 1e-9))
 
     @property
@@ -145,6 +147,10 @@ def measure(
     """
     scene = Scene.load(path)
     topics = topics_of(scene, channels)
+    counted = in_step(scene.scene_cameras)
+    whole = [topic for topic in topics if topic.split("/")[1] in counted]
+    step = scene.scene_cameras[counted[0]].timing.step
+    pictures = sum(1 / camera.timing.step for camera in scene.scene_cameras.values())
     started = [
         replace(
             process,
@@ -157,7 +163,7 @@ def measure(
         for process in scene_processes(path, processes, time=TimeOptions(lockstep=False))
     ]
     prepare_transport(len(started) + 1, network=False)
-    with Supervisor(started) as nodes, _Subscriber(topics) as subscriber:
+    with Supervisor(started) as nodes, _Subscriber(topics, whole) as subscriber:
         report(f"starting {len(started)} nodes, and drawing lens and static scene of each camera")
         subscriber.wait_for_all(nodes)
         report(f"measuring for {seconds:g} s")
@@ -170,15 +176,16 @@ def measure(
             raise RosError(str(dead))
         used, elapsed = CpuTime.now(pids).since(before), time.monotonic() - begin
     names = {process.node_name for process in started if process.executable in ("camera", "camera_rig")}
-    frames = max(1, subscriber.complete)
+    frames = max(1, subscriber.complete) * step
     in_cameras = sum(used.processes[name] for name in names)
     return BenchResult(
         cameras={name: subscriber.milliseconds(name) for name in scene.cameras},
+        pictures=pictures,
         channels=tuple(channels),
         rate=scene.config.rate,
-        measured_hz=subscriber.complete / elapsed,
+        measured_hz=subscriber.complete * step / elapsed,
         frame_ms=1e3 * (used.total - in_cameras) / frames,
-        camera_ms=1e3 * in_cameras / frames / len(scene.cameras),
+        camera_ms=1e3 * in_cameras / frames / pictures,
         processes=len(names),
         cores=cores(),
         other_cores=max(0.0, (used.machine - used.total) / elapsed),
@@ -186,11 +193,14 @@ def measure(
 
 
 class _Subscriber:
-    """Context manager that subscribes to topics and counts the stamps at which all have a message."""
+    """Context manager that subscribes to topics and counts the stamps at which some of them have a message.
 
-    def __init__(self, topics: Sequence[str]) -> None:
+    ``whole``: the topics that a frame has that is counted.
+    """
+
+    def __init__(self, topics: Sequence[str], whole: Sequence[str]) -> None:
         self._topics = list(topics)
-        self._frames: Frames[None] = Frames(topics, max_frames=_MAX_INCOMPLETE)
+        self._frames: Frames[None] = Frames(whole, max_frames=_MAX_INCOMPLETE)
 
     def __enter__(self) -> _Subscriber:
         import rclpy

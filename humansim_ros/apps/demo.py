@@ -23,6 +23,7 @@ from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.scene import Scene
+from humansim_ros.scene.camera import in_step
 from humansim_ros.types import Image
 
 #: Seconds in which another topic must have sent its first message.
@@ -144,8 +145,8 @@ class _Recorder:
         self.messages: Counter[str] = Counter()
         #: Images and joints of the latest stamp that is complete, by topic.
         self.sheet: dict[str, NDArray[Any]] = {}
-        #: Cameras of the pictures.
-        self.cameras = list(scene.cameras)[:_MAX_CAMERAS]
+        #: Cameras of the pictures, which have the same stamps.
+        self.cameras = in_step(scene.scene_cameras)[:_MAX_CAMERAS]
         #: Scaled images as JPEG by stamp and camera.
         self.thumbnails: Frames[Any] = Frames(self.cameras)
         #: Stamps of frames by camera whose clock is wrong, and stamp of its image.

@@ -302,8 +302,9 @@ def _describe(scene: Any, namespace: str) -> None:
             f"{frame.up} up, unit {frame.unit_name}, "
             f"{motion.n_frames} frames, recorded person {frame.stature:.2f} m)"
         )
-    for name, camera in scene.cameras.items():
-        print_text(f"{name}: {camera.size[0]}x{camera.size[1]}")
+    for name, camera in scene.scene_cameras.items():
+        width, height = camera.camera.size
+        print_text(f"{name}: {width}x{height}" + ("" if camera.timing.is_full else f", {camera.timing}"))
 
 
 def _print_ways_to_see(scene: Path | None) -> None:

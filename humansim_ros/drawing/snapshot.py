@@ -99,7 +99,7 @@ def snapshot(
     sizes = [camera.camera.size for camera in scene.scene_cameras.values()]
     layout = _Layout.of(sizes + [_middle(sizes)] * above, len(channels), width)
     cameras = {name: _reduced(camera, layout.tile) for name, camera in scene.scene_cameras.items()}
-    scene = replace(scene, scene_cameras=cameras)
+    scene = replace(scene, scene_cameras=cameras).at_full_rate()
     tiles = []
     posed: dict[str, Camera] = {}
     with Simulation(scene, channels=rendered) as simulation:

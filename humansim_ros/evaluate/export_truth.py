@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_right
 from collections.abc import Collection, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -194,7 +195,8 @@ class ExportPictures:
 class SceneImages:
     """Truth of the images of a scene, which is rendered without colours.
 
-    Images have the numbers of an export from frame 0 on: 1 + frame · cameras + number of the camera from 0.
+    Images have the numbers of an export from frame 0 on: from 1, frame by frame, in each in the order of the
+    cameras.
 
     ``keypoints``: set of the keypoints.
     """
@@ -208,15 +210,31 @@ class SceneImages:
         return list(self.scene.scene_cameras)
 
     def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame."""
-        return 1 + frame * len(self.cameras) + self.cameras.index(camera)
+        """Number of the image of a camera in a frame; None if there is none."""
+        pictured = self._pictured(frame)
+        return self._first(frame) + pictured.index(camera) if camera in pictured else None
 
     def size(self, number: int) -> tuple[int, int] | None:
         """Width and height of an image; None for numbers below 1."""
         if number < 1:
             return None
-        width, height = self.scene.cameras[self.cameras[(number - 1) % len(self.cameras)]].size
+        frame = self._frame_of(number)
+        width, height = self.scene.cameras[self._pictured(frame)[number - self._first(frame)]].size
         return width, height
+
+    def _pictured(self, frame: int) -> list[str]:
+        """Cameras that take a picture in a frame."""
+        return [name for name, camera in self.scene.scene_cameras.items() if frame in camera.timing]
+
+    def _first(self, frame: int) -> int:
+        """Number of the first image from a frame on."""
+        return 1 + sum(camera.timing.number(frame - 1) + 1 for camera in self.scene.scene_cameras.values())
+
+    def _frame_of(self, number: int) -> int:
+        """Frame of an image."""
+        timings = [camera.timing for camera in self.scene.scene_cameras.values()]
+        last = (number + 1) * max(timing.step for timing in timings)
+        return bisect_right(range(last), number, key=self._first) - 1
 
     def images(self, numbers: Collection[int]) -> ImageTruth:
         """Render the frames from the first to the last of some images; needs OpenGL.
@@ -227,8 +245,7 @@ class SceneImages:
         """
         if not numbers:
             raise EvaluationError("the estimate is of no image", key="--estimate")
-        count = len(self.cameras)
-        frames = range((min(numbers) - 1) // count, (max(numbers) - 1) // count + 1)
+        frames = range(self._frame_of(min(numbers)), self._frame_of(max(numbers)) + 1)
         if len(frames) > MAX_RENDERED_FRAMES:
             raise EvaluationError(
                 f"the estimate has images of frames {frames[0]} to {frames[-1]}, more than "
@@ -246,7 +263,7 @@ class SceneImages:
                 for index in frames
             ]
         document = coco_document(
-            records, *scene_categories(described, self.keypoints), first=1 + frames[0] * count
+            records, *scene_categories(described, self.keypoints), first=self._first(frames[0])
         )
         source = str(self.scene.path or "the scene")
         return ImageTruth(

@@ -49,15 +49,17 @@ class ScenePictures:
 
     def cameras(self, stamp: int) -> dict[str, Camera]:
         """Cameras at the frame of a stamp."""
-        poses = self._frame(stamp, ()).camera_poses
+        frame = self._frame(stamp, ())
         return {
-            name: camera.camera_at(poses[name]) if camera.moves else camera.camera
+            name: camera.camera_at(frame.camera_poses[name]) if camera.moves else camera.camera
             for name, camera in self._scene.scene_cameras.items()
+            if frame.index in camera.timing
         }
 
-    def image(self, stamp: int, camera: str) -> Image:
+    def image(self, stamp: int, camera: str) -> Image | None:
         """Image of a camera at the frame of a stamp. Raises RenderError without OpenGL."""
-        return self._frame(stamp, (camera,)).views[camera].rgb
+        view = self._frame(stamp, (camera,)).views.get(camera)
+        return None if view is None else view.rgb
 
     def close(self) -> None:
         """Free the renderer."""

@@ -17,7 +17,7 @@ from humansim_ros.evaluate.pose_sequence import PoseSequence
 from humansim_ros.evaluate.readers.estimates import is_bag, read_bag_topic
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
-from humansim_ros.scene.config import LIVE
+from humansim_ros.scene.config import LIVE, frame_at
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array, Indices
 
@@ -197,12 +197,14 @@ def camera_counts(scene: Scene, stamps: Indices, joints: Array) -> Indices:
     ``stamps``: (M,) nanoseconds. ``joints``: (M, C, 3) in ``map``, metres; NaN is in no image.
     """
     counts = np.zeros(joints.shape[:2], np.intp)
+    frames = {stamp: frame_at(stamp - FIRST_STAMP, scene.config.rate) for stamp in np.unique(stamps).tolist()}
     for camera in scene.scene_cameras.values():
-        blocks = [(camera.camera, np.arange(len(stamps)))]
+        pictured = [stamp for stamp, frame in frames.items() if frame in camera.timing]
+        blocks = [(camera.camera, np.flatnonzero(np.isin(stamps, pictured)))]
         if camera.moves:
             blocks = [
                 (camera.camera_at(camera.pose((stamp - FIRST_STAMP) * 1e-9)), np.flatnonzero(stamps == stamp))
-                for stamp in np.unique(stamps).tolist()
+                for stamp in pictured
             ]
         for placed, rows in blocks:
             pixels = placed.project(joints[rows].reshape(-1, 3))[0]

@@ -89,8 +89,15 @@ class _Needed:
     @property
     def topics(self) -> list[str]:
         """All topics, each once."""
-        groups = (self.channels, self.boxes, self.keypoints, self.positions, self.extrinsics)
-        return list(dict.fromkeys(topic for group in groups for topic in group.values()))
+        return list(dict.fromkeys([*self.positions.values(), *self.cameras]))
+
+    @property
+    def cameras(self) -> dict[str, str]:
+        """Camera by topic, of topics of cameras."""
+        owned = {topic: camera for (camera, _), topic in self.channels.items()}
+        for topics in (self.boxes, self.keypoints, self.extrinsics):
+            owned |= {topic: camera for camera, topic in topics.items()}
+        return owned
 
 
 @dataclass(frozen=True)
@@ -158,6 +165,12 @@ class BagSource:
         }
 
 
+def _rate(stamps: Sequence[int]) -> float:
+    """Frames per second of stamps in nanoseconds; 1 for a single one."""
+    steps = np.diff(stamps)
+    return round(1e9 / float(np.median(steps)), 4) if len(steps) else 1.0
+
+
 def _parsed(text: str) -> Any:
     try:
         return parse_json(text, ExportError)
@@ -183,14 +196,16 @@ class _Survey:
                 self._refuse(row, "needs bodies with their skeleton, which no topic has: export the scene")
         cameras = self._camera_names()
         needed = self._needed(cameras)
-        frames = self._frames(needed.topics or [f"/{cameras[0]}/camera_info"])
+        frames, pictured = self._frames(needed, cameras)
         labels, objects, licenses, license = self._labels(cameras)
         parts = self._parts(cameras)
-        steps = np.diff([place.stamp for place in frames])
         scene = ExportScene(
             title=self._reader.path.stem,
-            rate=round(1e9 / float(np.median(steps)), 4) if len(steps) else 1.0,
-            cameras={name: self._camera(name, name in needed.extrinsics, needed) for name in cameras},
+            rate=_rate([place.stamp for place in frames]),
+            cameras={
+                name: self._camera(name, name in needed.extrinsics, needed, frames, pictured[name])
+                for name in cameras
+            },
             labels=labels,
             objects=objects,
             parts={name: parts for name in labels if name not in objects},
@@ -314,8 +329,10 @@ class _Survey:
         with _reading(self._reader.path, topic):
             return messages.read_legend(self._first(topic, String))
 
-    def _camera(self, name: str, moves: bool, needed: _Needed) -> ExportCamera:
-        """Camera of the images, at its first pose."""
+    def _camera(
+        self, name: str, moves: bool, needed: _Needed, frames: Sequence[_Place], pictured: Sequence[int]
+    ) -> ExportCamera:
+        """Camera of the images, at its first pose. ``pictured``: numbers of the frames with its images."""
         topic = f"/{name}/camera_info"
         with _reading(self._reader.path, topic):
             info = self._first(topic, CameraInfo)
@@ -328,10 +345,16 @@ class _Survey:
         if image is not None:
             with _reading(self._reader.path, image):
                 encoding = messages.read_pixels(self._first(image, _image_type(image)))[1]
-        return ExportCamera(_simple(replace(camera, R=pose.R, t=pose.t)), moves, encoding)
+        rate = _rate([frames[index].stamp for index in pictured])
+        return ExportCamera(
+            _simple(replace(camera, R=pose.R, t=pose.t)), moves, encoding, rate, frozenset(pictured)
+        )
 
-    def _frames(self, topics: Sequence[str]) -> list[_Place]:
-        """Stamps at which all topics have a message. Warns of those that lack one."""
+    def _frames(self, needed: _Needed, cameras: Sequence[str]) -> tuple[list[_Place], dict[str, list[int]]]:
+        """Stamps at which all topics have a message, of cameras with a rate of their own when it is due; and
+        the frames of each camera. Warns of stamps that lack a message.
+        """
+        topics = needed.topics or [f"/{cameras[0]}/camera_info"]
         names = [topic.name for topic in self._reader.topics]
         found: Frames[int] = Frames(topics)
         for message in self._reader.messages(topics):
@@ -340,6 +363,10 @@ class _Survey:
                 stamp = messages.serialised_stamp(bytes(message.data[:12]))
             if name not in found.frame(stamp):
                 found.add(name, stamp, message.stamp)
+        due = {}
+        for camera in cameras:
+            own = [topic for topic, owner in needed.cameras.items() if owner == camera]
+            due[camera] = found.require_when_due(own) if own else set(found.stamps())
         whole = found.whole()
         if len(whole) < len(found):
             text = f"{len(found) - len(whole)} of {len(found)} frames lack a message on "
@@ -348,7 +375,12 @@ class _Survey:
                 raise ExportError(f"no frame is whole: {text}", path=self._reader.path)
             warn_about(self._reader.path, f"{text}: they are left out")
         times = [found.frame(stamp).values() for stamp in whole]
-        return [_Place(stamp, min(logs), max(logs)) for stamp, logs in zip(whole, times, strict=True)]
+        places = [_Place(stamp, min(logs), max(logs)) for stamp, logs in zip(whole, times, strict=True)]
+        numbers = {
+            camera: [index for index, stamp in enumerate(whole) if stamp in stamps]
+            for camera, stamps in due.items()
+        }
+        return places, numbers
 
     def _hash(self) -> str:
         """Hash of the topics, numbers of messages, sizes and times of the bag."""
@@ -394,27 +426,35 @@ class BagFrames:
         """
         source, place = self._source, self._source.frames[index]
         needed, scene = source.needed, source.scene
-        data = self._data(place)
+        data = self._data(place, index)
 
         def read(topic: str, kind: type[Any], reader: Callable[[Any], Any]) -> Any:
             with _reading(source.path, topic):
                 return reader(_message(data[topic], kind))
 
         cameras = {name: known.camera for name, known in scene.cameras.items()}
+        absent = {name for name, known in scene.cameras.items() if index not in known.frames}
+        cameras = {name: camera for name, camera in cameras.items() if name not in absent}
         for name, topic in needed.extrinsics.items():
+            if name in absent:
+                continue
             pose: CameraPose = read(topic, TransformStamped, messages.read_extrinsics)
             cameras[name] = replace(cameras[name], R=pose.R, t=pose.t)
         images: dict[str, dict[str, NDArray[Any]]] = {}
         for (camera, channel), topic in needed.channels.items():
+            if camera in absent:
+                continue
             images.setdefault(camera, {})[channel] = read(topic, _image_type(topic), _reader_of(channel))
         views = {camera: View(**channels) for camera, channels in images.items()}
         boxes = {
             camera: self._boxes(read(topic, PointCloud2, messages.read_boxes))
             for camera, topic in needed.boxes.items()
+            if camera not in absent
         }
         keypoints = {
             camera: self._keypoints(read(topic, PointCloud2, _read_points), cameras[camera])
             for camera, topic in needed.keypoints.items()
+            if camera not in absent
         }
         positions: dict[str, dict[str, Array]] = {}
         for (chosen, person), topic in needed.positions.items():
@@ -449,9 +489,12 @@ class BagFrames:
             recorded_positions=positions,
         )
 
-    def _data(self, place: _Place) -> dict[str, bytes]:
-        """Messages of a frame by topic; of several with its stamp the first."""
-        wanted = list(self._source.needed.topics)
+    def _data(self, place: _Place, index: int) -> dict[str, bytes]:
+        """Messages of a frame by topic; of several with its stamp the first. ``index``: its number."""
+        needed, known = self._source.needed, self._source.scene.cameras
+        owners = needed.cameras
+        due = [each for each in needed.topics if each not in owners or index in known[owners[each]].frames]
+        wanted = list(due)
         if _SCENE_TIME in self._names:
             wanted.append(_SCENE_TIME)
         found: dict[str, bytes] = {}
@@ -460,7 +503,7 @@ class BagFrames:
             head = bytes(message.data[:12])
             if name not in found and messages.serialised_stamp(head) == place.stamp:
                 found[name] = bytes(message.data)
-        if lost := [topic for topic in self._source.needed.topics if topic not in found]:
+        if lost := [topic for topic in due if topic not in found]:
             raise ExportError("the bag has changed, or is damaged", path=self._source.path, key=lost[0])
         return found
 

@@ -167,17 +167,17 @@ def _encoded(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
 
 
 class VideoWriter(FormatWriter):
-    """A video for each camera, H.264, at the rate of the scene; odd sides lose their last pixel."""
+    """A video for each camera, H.264, at the rate of the camera; odd sides lose their last pixel."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         for camera in self.settings.cameras:
             with folder.path(f"{camera}.mp4") as path:
-                write_mp4(path, self._images(camera, folder), self.settings.rate)
+                write_mp4(path, self._images(camera, folder), self.settings.rate_of(camera))
 
     def _images(self, camera: str, folder: ExportFolder) -> Iterator[Image]:
         """Images (H, W, 3) of a camera, RGB."""
         encoding = self.settings.scene.cameras[camera].encoding
-        for index in self.settings.frames:
+        for index in self.settings.frames_of(camera):
             path = folder.root / self.settings.image(camera, index)
             encoded = np.frombuffer(read_bytes(path, ExportError, "image", ANY_SIZE), np.uint8)
             image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None

@@ -24,7 +24,8 @@ class KittiWriter(FormatWriter):
     """``<scanner>/velodyne``, and by camera ``image_2``, ``calib`` and ``label_2``.
 
     A file is of the frame with which a sweep ends, or of the first frame after it. Labels are those of this
-    frame. KITTI's boxes are upright in the frame of the rectified camera. Here it has the centre of the
+    frame. The list of frames has those with images of all cameras, which may have rates of their own.
+    KITTI's boxes are upright in the frame of the rectified camera. Here it has the centre of the
     camera, z horizontal and y down, so that boxes are exact for cameras that look down, too: ``R0_rect``
     turns the camera into it, and ``P2`` turns it back.
     """
@@ -54,11 +55,13 @@ class KittiWriter(FormatWriter):
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Link the images, and list the frames. Raises ExportError if no sweep has ended."""
         frames: dict[str, list[int]] = {}
+        cameras = self.settings.scene.cameras.values()
         for index, scanners in records:
-            for scanner in scanners:
+            for scanner in scanners if all(index in known.frames for known in cameras) else ():
                 frames.setdefault(scanner, []).append(index)
         if not frames:
-            raise ExportError("no sweep of a scanner ends within these frames", key="--frames")
+            text = "no sweep of a scanner ends within these frames, at a frame with pictures of all cameras"
+            raise ExportError(text, key="--frames")
         for scanner, indices in frames.items():
             lines = "".join(f"{index:06d}\n" for index in indices)
             folder.write(f"{scanner}/ImageSets/trainval.txt", lines)

@@ -123,6 +123,13 @@ class OpenPoseWriter(FormatWriter):
 
     def __init__(self, settings: ExportSettings) -> None:
         super().__init__(settings)
+        for name in settings.cameras:
+            if len(settings.frames_of(name)) < len(settings.frames):
+                raise ExportError(
+                    f"camera {name} has images at {settings.rate_of(name):g} Hz only, and Pose2Sim needs an "
+                    "image of every camera in each frame: export the scene without rates of its cameras",
+                    key="openpose",
+                )
         self._cameras = pose2sim_order(settings.cameras)
         self._calibration = calibration_text(settings, "anipose", self._cameras)
 

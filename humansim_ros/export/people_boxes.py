@@ -21,7 +21,7 @@ _FROM_CORNER = 1.5
 class MotWriter(FormatWriter):
     """Tracks of people: for each camera ``gt/gt.txt``, ``seqinfo.ini`` and the calibration.
 
-    Numbers of frames, identities and pixels count from 1. A box shows the whole person, also where the person
+    Numbers of images, identities and pixels count from 1. A box shows the whole person, also where the person
     is hidden or outside of the image; the last column is the visible share. A person has the same identity in
     all cameras. The format has no keypoints.
     """
@@ -47,16 +47,18 @@ class MotWriter(FormatWriter):
         """Write the sequences, with links to their images."""
         scene, settings = self.settings.scene, self.settings
         lines: dict[str, list[str]] = {camera: [] for camera in settings.cameras}
-        for number, (_, rows) in enumerate(records, 1):
+        numbers = dict.fromkeys(settings.cameras, 0)
+        for _, rows in records:
             for camera, boxes in rows.items():
-                lines[camera] += [_line(number, box) for box in boxes]
+                numbers[camera] += 1
+                lines[camera] += [_line(numbers[camera], box) for box in boxes]
         for name, known in scene.cameras.items():
             camera, sequence = known.camera, folder.subfolder(name)
             sequence.write("gt/gt.txt", "".join(lines[name]))
             sequence.write("seqinfo.ini", self._sequence_info(name, camera.size))
             with sequence.path("calibration.yaml") as path:
                 write_calibration(path, {name: camera}, "scene")
-            for number, index in enumerate(settings.frames, 1):
+            for number, index in enumerate(settings.frames_of(name), 1):
                 sequence.link(f"img1/{number:06d}{settings.image_suffix}", settings.image(name, index))
         folder.write("seqmap.txt", "\n".join(["name", *scene.cameras]) + "\n")
 
@@ -64,8 +66,8 @@ class MotWriter(FormatWriter):
         values = {
             "name": name,
             "imDir": "img1",
-            "frameRate": f"{self.settings.rate:g}",
-            "seqLength": len(self.settings.frames),
+            "frameRate": f"{self.settings.rate_of(name):g}",
+            "seqLength": len(self.settings.frames_of(name)),
             "imWidth": size[0],
             "imHeight": size[1],
             "imExt": self.settings.image_suffix,
@@ -107,7 +109,11 @@ class YoloWriter(FormatWriter):
         """Write ``dataset.yaml``, the list of the images, and the link to them."""
         settings = self.settings
         keypoints = keypoint_set(settings.keypoints)
-        images = [settings.image(camera, index) for camera in settings.cameras for index in settings.frames]
+        images = [
+            settings.image(camera, index)
+            for camera in settings.cameras
+            for index in settings.frames_of(camera)
+        ]
         folder.write("train.txt", "".join(f"./{image}\n" for image in images))
         dataset = {
             "train": "train.txt",

@@ -125,7 +125,7 @@ def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
     """What is wrong with each frame of a camera, whether its image is sent, and its published calibration."""
     assert camera.faults is not None
     published = camera.published_at(camera.pose(0.0))
-    of_frames = {index: camera.faults.at(index) for index in frames}
+    of_frames = {index: camera.faults.at(index) for index in camera.timing.frames(frames)}
     return {
         "published_calibration": {key: getattr(published, key).tolist() for key in ("K", "R", "t")},
         "lost": [index for index, faults in of_frames.items() if not faults.sent],

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +21,7 @@ from humansim_ros.errors import ExportError
 from humansim_ros.humans import Human
 from humansim_ros.io.files import atomic_path, read_blocks
 from humansim_ros.scene import Frame, Scene
+from humansim_ros.scene.timing import CameraTiming
 
 #: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
 TEMPORARY = ".frames"
@@ -132,6 +133,9 @@ def _entry(path: Path) -> FileEntry:
     return {"sha256": digest.hexdigest(), "bytes": size}
 
 
+_EVERY_FRAME = CameraTiming(1.0)
+
+
 @dataclass(frozen=True)
 class ExportCamera:
     """A camera of an export.
@@ -140,11 +144,15 @@ class ExportCamera:
         camera: Calibration of its images and pose; the pose of the first frame if it moves.
         moves: It has another pose in each frame.
         encoding: ROS encoding of its images, such as ``rgb8``.
+        rate: Images per second; the rate of the scene if None.
+        frames: Numbers of the frames that have an image of it.
     """
 
     camera: Camera
     moves: bool = False
     encoding: str = "rgb8"
+    rate: float | None = None
+    frames: Container[int] = _EVERY_FRAME
 
 
 @dataclass(frozen=True)
@@ -180,7 +188,13 @@ class ExportScene:
             title=scene.path.stem if scene.path else "scene",
             rate=scene.config.rate,
             cameras={
-                name: ExportCamera(camera.camera, camera.moves or camera.drifts, camera.encoding)
+                name: ExportCamera(
+                    camera.camera,
+                    camera.moves or camera.drifts,
+                    camera.encoding,
+                    camera.timing.rate,
+                    camera.timing,
+                )
                 for name, camera in scene.scene_cameras.items()
             },
             labels=scene.labels,
@@ -243,6 +257,14 @@ class ExportSettings:
     def cameras(self) -> Sequence[str]:
         """Names of the cameras."""
         return list(self.scene.cameras)
+
+    def frames_of(self, camera: str) -> Sequence[int]:
+        """Numbers of the frames that have an image of a camera."""
+        return [index for index in self.frames if index in self.scene.cameras[camera].frames]
+
+    def rate_of(self, camera: str) -> float:
+        """Images per second of a camera."""
+        return self.scene.cameras[camera].rate or self.rate
 
     def image(self, camera: str, index: int) -> str:
         """Path of a colour image, relative to the folder of the export."""

@@ -28,6 +28,7 @@ from humansim_ros.messages.headers import WORLD_FRAME as WORLD_FRAME
 from humansim_ros.messages.headers import depth_optical_frame as depth_optical_frame
 from humansim_ros.messages.headers import header as header
 from humansim_ros.messages.headers import optical_frame as optical_frame
+from humansim_ros.messages.headers import read_frame_number as read_frame_number
 from humansim_ros.messages.headers import read_scene_time as read_scene_time
 from humansim_ros.messages.headers import scene_time_message as scene_time_message
 from humansim_ros.messages.headers import serialised_stamp as serialised_stamp

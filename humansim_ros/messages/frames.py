@@ -13,6 +13,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
+from itertools import pairwise
+from statistics import median
 from threading import RLock
 from typing import Any, Generic, TypeVar
 
@@ -50,6 +52,30 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: 
     return before if before >= 0 and stamp - stamps[before] <= oldest else None
 
 
+def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
+    """Find the stamps of frames in which a camera takes a picture at a steady rate of its own.
+
+    Stamps count of frames whose picture is lost, too: where a gap is a multiple of the median interval.
+
+    Args:
+        stamps: Stamps of all frames in ascending order.
+        own: Stamps of the pictures of the camera in ascending order.
+    """
+    if len(own) < 2 or len(stamps) < 2:
+        return set(own)
+    period = median(after - before for before, after in pairwise(own))
+    steps = sorted(after - before for before, after in pairwise(stamps))
+    half = steps[len(steps) // 10] / 2  # few stamps may be of a clock that was set
+
+    def is_due(stamp: int) -> bool:
+        place = bisect_left(own, stamp)
+        nearest = min(own[max(0, place - 1) : place + 1], key=lambda each: abs(each - stamp))
+        periods = abs(stamp - nearest) / period
+        return abs(periods - round(periods)) * period < half
+
+    return {stamp for stamp in stamps if is_due(stamp)}
+
+
 class Frames(Generic[Content]):
     """Messages by stamp and topic; a frame is whole when each required topic has a message.
 
@@ -81,6 +107,8 @@ class Frames(Generic[Content]):
         new_run: int | None = None,
     ) -> None:
         self._required = dict.fromkeys(required)
+        #: Stamps at which frames need a topic, of topics that they do not need at all stamps.
+        self._due: dict[str, set[int]] = {}
         self._max_frames, self._max_of_topic, self._max_size = max_frames, max_of_topic, max_size
         self._size_of, self._new_run = size_of, new_run
         self._lock = RLock()
@@ -104,6 +132,19 @@ class Frames(Generic[Content]):
                 self._required[topic] = None
             else:
                 self._required.pop(topic, None)
+
+    def require_when_due(self, topics: Collection[str]) -> set[int]:
+        """Require the topics of a camera only in the frames in which it takes a picture.
+
+        The messages that are held say which frames these are, see :func:`due_stamps`.
+
+        Returns:
+            The stamps of these frames.
+        """
+        with self._lock:
+            due = due_stamps(self.stamps(), self.stamps(topics))
+            self._due |= dict.fromkeys(topics, due)
+        return due
 
     # --- messages
 
@@ -218,7 +259,10 @@ class Frames(Generic[Content]):
 
     def is_whole(self, stamp: int) -> bool:
         """Return whether a frame has a message of each required topic."""
-        return stamp in self._frames and self._required.keys() <= self._frames[stamp].keys()
+        if stamp not in self._frames:
+            return False
+        missing = self._required.keys() - self._frames[stamp].keys()
+        return all(stamp not in self._due.get(topic, (stamp,)) for topic in missing)
 
     def whole(self) -> list[int]:
         """Return the stamps of whole frames in ascending order."""
@@ -228,7 +272,10 @@ class Frames(Generic[Content]):
     def lacking(self) -> dict[str, int]:
         """Return the required topics that some frames lack, with the number of these frames."""
         with self._lock:
-            counts = {topic: len(self) - len(self._stamps.get(topic, ())) for topic in self._required}
+            counts = {
+                topic: len(self._due.get(topic, self._frames)) - len(self._stamps.get(topic, ()))
+                for topic in self._required
+            }
         return {topic: count for topic, count in counts.items() if count}
 
     def behind(self, stamp: int) -> list[str]:
@@ -239,6 +286,8 @@ class Frames(Generic[Content]):
         self, clock: Collection[str], needed: Collection[str], patience: int, now: float
     ) -> int | None:
         """Return the stamp of the newest frame with a message of all needed topics that are not silent.
+
+        Topics that are rarer than frames, at a steady rate, are needed in their frames only.
 
         Args:
             clock: Topics whose stamps are frames.
@@ -254,10 +303,13 @@ class Frames(Generic[Content]):
             alive = {
                 topic for topic in needed if self._stamps.get(topic) and now - self._heard[topic][1] < _SILENT
             }
+            due: dict[str, set[int]] = {}
             for stamp in reversed(stamps):
                 if stamps[-1] - stamp > patience:
                     break
-                if alive <= self._frames.get(stamp, {}).keys():
+                missing = alive - self._frames.get(stamp, {}).keys()
+                due |= {topic: due_stamps(stamps, self._stamps[topic]) for topic in missing - due.keys()}
+                if all(stamp not in due[topic] for topic in missing):
                     return stamp
             return stamps[-1] if stamps else None
 
@@ -468,6 +520,7 @@ class RecordedFrames:
         copies: Returns how often a message of another topic and stamp is sent.
 
     Attributes:
+        awaited: Topics that have to deliver each stamp.
         newest: Stamp of the newest frame; 0 before the first.
     """
 
@@ -477,24 +530,27 @@ class RecordedFrames:
         awaited: Collection[str] = (),
         copies: Callable[[str, int], int] = lambda *_: 1,
     ) -> None:
-        self._per_frame, self._awaited = frozenset(per_frame), frozenset([*per_frame, *awaited])
+        self._per_frame, self.awaited = frozenset(per_frame), frozenset([*per_frame, *awaited])
         self._copies = copies
         #: The newest message of each topic: digests of the messages of its stamp, with their number.
-        self._messages: Frames[Counter[bytes]] = Frames(self._awaited, max_of_topic=1)
+        self._messages: Frames[Counter[bytes]] = Frames(self.awaited, max_of_topic=1)
         self.newest = 0
+        self._resting: Collection[str] = ()
         self._is_whole = False
 
     @property
     def missing(self) -> list[str]:
         """Awaited topics that have not delivered the newest frame."""
-        return sorted(self._messages.behind(self.newest))
+        return sorted(set(self._messages.behind(self.newest)).difference(self._resting))
 
-    def begin(self, stamp: int) -> None:
-        """Note that the player has sent a frame."""
+    def begin(self, stamp: int, resting: Collection[str] = ()) -> None:
+        """Note that the player has sent a frame. ``resting``: awaited topics that have no message in it."""
+        if stamp == self.newest and resting:
+            self._resting = resting
         if stamp > self.newest:
             for topic in self.missing if self.newest else ():  # before the first frame, nobody had the time
                 self._messages.require(topic, False)
-            self.newest = stamp
+            self.newest, self._resting = stamp, resting
             self._is_whole = False
 
     def is_finished(self, stamp: int) -> bool:
@@ -528,7 +584,7 @@ class RecordedFrames:
             if digests[digest] > self._copies(topic, stamp):
                 return False
         self._messages.add(topic, stamp, digests)
-        if topic in self._awaited:
+        if topic in self.awaited:
             self._messages.require(topic)
         return True
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 from humansim_ros.errors import RosError
 from humansim_ros.messages.cdr import unpack
 from humansim_ros.messages.types import Header, Time, TimeReference
 
 WORLD_FRAME = "map"
 _SECOND = 1_000_000_000
+_FRAME_NUMBER = re.compile(r"frame ([0-9]{1,15})")
 
 
 def optical_frame(camera: str) -> str:
@@ -51,11 +54,21 @@ def header(stamp: int, frame: str) -> Header:
     return Header(stamp=to_time(stamp), frame_id=frame)
 
 
-def scene_time_message(scene_time: int, stamp: int) -> TimeReference:
-    """Build ``scene_time``: the scene time that the frame of a stamp shows, both in nanoseconds."""
-    return TimeReference(header=header(stamp, WORLD_FRAME), time_ref=to_time(scene_time), source="scene")
+def scene_time_message(scene_time: int, stamp: int, index: int | None = None) -> TimeReference:
+    """Build ``scene_time``: the scene time that the frame of a stamp shows, both in nanoseconds.
+
+    ``index``: number of the frame; None if there is none.
+    """
+    source = "scene" if index is None else f"frame {index}"
+    return TimeReference(header=header(stamp, WORLD_FRAME), time_ref=to_time(scene_time), source=source)
 
 
 def read_scene_time(message: TimeReference) -> int:
     """Read the nanoseconds of a ``scene_time`` message. Raises RosError if they are not valid."""
     return to_nanoseconds(message.time_ref)
+
+
+def read_frame_number(message: TimeReference) -> int | None:
+    """Read the number of the frame of a ``scene_time`` message; None if it has none."""
+    found = _FRAME_NUMBER.fullmatch(message.source)
+    return int(found[1]) if found else None

@@ -100,7 +100,8 @@ class Topic(Generic[Content]):
         build: Builds the message from its content and a stamp in nanoseconds.
         content: Returns the content from a frame of a simulation.
         latched: Late subscribers get the last message.
-        per_frame: Each frame has a message; otherwise there is one for the scene.
+        per_frame: Each frame has a message, and of a camera each frame in which it takes a picture;
+            otherwise there is one for the scene.
         shown: ``humansim demo`` shows it.
         camera: Name of the camera to which it belongs; empty for humans and objects.
         channels: Channels of the view that the message is built from.
@@ -148,6 +149,8 @@ class Topic(Generic[Content]):
         if self.scanner:
             content: Any = frame.sweeps[self.scanner]
             return [(frame.stamp, self.build(sweep, sweep.stamp)) for sweep in content]
+        if self.per_frame and self.camera and self.camera not in frame.views:
+            return []  # the camera takes no picture in this frame
         sent = self._faults(frame).sent
         message = self.message(frame) if sent else None
         return [(frame.stamp + after, message) for after in sent]
@@ -160,9 +163,13 @@ class Topic(Generic[Content]):
         return frame.faults[self.camera] if self.faulty else NO_FAULTS
 
 
-#: Scene time of each frame.
-SCENE_TIME_TOPIC: Topic[int] = Topic(
-    SCENE_TIME, TimeReference, messages.scene_time_message, lambda frame: frame.scene_time, explains=True
+#: Scene time and number of each frame.
+SCENE_TIME_TOPIC: Topic[tuple[int, int]] = Topic(
+    SCENE_TIME,
+    TimeReference,
+    lambda content, stamp: messages.scene_time_message(content[0], stamp, content[1]),
+    lambda frame: (frame.scene_time, frame.index),
+    explains=True,
 )
 
 
@@ -424,7 +431,7 @@ class CameraTopics:
             self.true_extrinsics = replace(
                 self.extrinsics,
                 name=f"{name}/truth/extrinsics",
-                content=lambda simulated: simulated.cameras[name],
+                content=lambda simulated: simulated.cameras.get(name, camera.camera),
                 per_frame=camera.moves or camera.drifts,
                 explains=True,
             )
@@ -756,7 +763,7 @@ class DepthSensorTopics:
 
 
 def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:
-    """Topics ``twist`` and ``pose`` of a camera with a trajectory."""
+    """Topics ``twist`` and ``pose`` of a camera with a trajectory, in each frame of the scene."""
 
     def content(frame: Frame) -> CameraPose:
         return frame.camera_poses[name]
@@ -766,9 +773,8 @@ def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose
         TwistStamped,
         lambda pose, stamp: messages.twist_message(pose.velocity, stamp),
         content,
-        camera=name,
     )
-    pose: Topic[CameraPose] = Topic(f"{name}/pose", PoseStamped, messages.pose_message, content, camera=name)
+    pose: Topic[CameraPose] = Topic(f"{name}/pose", PoseStamped, messages.pose_message, content)
     return twist, pose
 
 
@@ -877,3 +883,43 @@ def scene_topics(
     for scanner in scene.scanners.values():
         topics += ScannerTopics(scene, scanner)
     return topics
+
+
+#: In place of a camera, for topics that are not of the scene.
+_OTHER_NODE = "/"
+
+
+class TimedTopics:
+    """Topics that have a message in some frames only: cameras may have rates of their own.
+
+    Args:
+        scene: The scene.
+        named: Function that gives a topic of the scene its absolute name.
+    """
+
+    def __init__(self, scene: Scene, named: Callable[[str], str]) -> None:
+        self._timings = {name: camera.timing for name, camera in scene.scene_cameras.items()}
+        #: Camera by topic of the scene; empty for topics of no camera.
+        self._cameras: dict[str, str] = {}
+        if self:
+            self._cameras = {named(topic.name): topic.camera for topic in scene_topics(scene)}
+
+    def __bool__(self) -> bool:
+        """Whether there are such topics."""
+        return any(not timing.is_full for timing in self._timings.values())
+
+    def resting(self, topics: Collection[str], index: int | None) -> Collection[str]:
+        """Return those of some topics that have no message in a frame.
+
+        Topics of other nodes have none in a frame without any picture: these nodes answer pictures.
+
+        Args:
+            topics: Absolute names.
+            index: Number of the frame; None if it is unknown: all topics may have a message.
+        """
+        if not self or index is None:
+            return ()
+        resting = {camera for camera, timing in self._timings.items() if index not in timing}
+        if len(resting) == len(self._timings):
+            resting.add(_OTHER_NODE)
+        return [topic for topic in topics if self._cameras.get(topic, _OTHER_NODE) in resting]

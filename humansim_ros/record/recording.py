@@ -25,7 +25,7 @@ from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.jobs.workers import run_frames
 from humansim_ros.messages import ImageCompression
 from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.topics import Topic, scene_topics
+from humansim_ros.messages.topics import SCENE_TIME_TOPIC, Topic, scene_topics
 from humansim_ros.messages.types import CompressedImage
 from humansim_ros.render import GLRenderer, PyrenderRenderer, Renderer
 from humansim_ros.render.context import OpenGLContext
@@ -117,7 +117,8 @@ class RecordingPlan:
             BagError: No topic has a name, or fits a pattern.
         """
         table = scene_topics(scene, _image_compression(images), png_labels=labels == "png")
-        chosen = _chosen(table, patterns, images, depth, labels)
+        timed = {name for name, camera in scene.scene_cameras.items() if not camera.timing.is_full}
+        chosen = _chosen(table, patterns, images, depth, labels, timed)
         plan = cls(
             scene=scene_hash(scene),
             frames=frames,
@@ -183,8 +184,12 @@ def _chosen(
     images: ImageFormat,
     depth: DepthFormat,
     labels: LabelFormat,
+    timed: Collection[str],
 ) -> list[str]:
-    """Absolute names of the topics that are recorded, in the order of the table."""
+    """Absolute names of the topics that are recorded, in the order of the table.
+
+    ``timed``: cameras that take no picture in some frames.
+    """
     names = [f"/{topic.name}" for topic in table]
     if patterns:
         chosen = {name for pattern in patterns for name in _matching(pattern, names)}
@@ -198,8 +203,10 @@ def _chosen(
         if topic.raw and any(formats.get(channel, labels) != "raw" for channel in topic.channels)
     }
     chosen = {replaced.get(name, name) for name in chosen}
-    # a message for each frame, also of a camera that loses images
+    # a message for each frame, also of a camera that loses images, and where no camera takes a picture
     faulty = {topic.camera for topic in table if topic.faulty and f"/{topic.name}" in chosen}
+    if set(timed) & {topic.camera for topic in table if topic.per_frame and f"/{topic.name}" in chosen}:
+        faulty.add(SCENE_TIME_TOPIC.camera)
     chosen |= {f"/{topic.name}" for topic in table if topic.explains and topic.camera in faulty}
     return [name for name in names if name in chosen]
 

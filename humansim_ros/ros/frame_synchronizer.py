@@ -22,6 +22,7 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.capture import JointMotion, SceneState
+from humansim_ros.scene.config import frame_at
 from humansim_ros.types import Float32Array
 
 #: Seconds without any vertices after which the scene at its start is shown.
@@ -143,11 +144,15 @@ class FrameSynchronizer:
         self._has_scene_time = publishers.current_count > 0
         self._require_scene_time(self._has_scene_time)
 
-    def _read_scene_time(self, message: TimeReference) -> int:
-        scene_time = messages.read_scene_time(message)
+    def _read_scene_time(self, message: TimeReference) -> tuple[int, int]:
+        """Scene time in nanoseconds, and number of the frame."""
+        scene_time, index = messages.read_scene_time(message), messages.read_frame_number(message)
         self._has_scene_time = True
         self._require_scene_time(True)
-        return scene_time
+        return scene_time, self._frame_at(scene_time) if index is None else index
+
+    def _frame_at(self, scene_time: int) -> int:
+        return frame_at(scene_time, self._scene.config.rate)
 
     def _require_scene_time(self, required: bool) -> None:
         """Set whether frames wait for their scene time. If nothing moves, it is all that they wait for."""
@@ -232,10 +237,12 @@ class FrameSynchronizer:
             for name in self._moving_cameras
         }
         self._node.report_lateness(frame.stamp, "arrival")
+        scene_time, index = content.get(SCENE_TIME) or (frame.stamp, self._frame_at(frame.stamp))
         self._pass_on(
             SceneState(
                 stamp=frame.stamp,
-                scene_time=content.get(SCENE_TIME, frame.stamp),
+                scene_time=scene_time,
+                index=index,
                 scene=self._scene,
                 actors=self._scene.actors,
                 vertices={human: content[f"humans/{human}/vertices"] for human in self._scene.actors},
@@ -270,10 +277,12 @@ class FrameSynchronizer:
             name: replace(moving.at(0.0), velocity=None)
             for name, moving in self._scene.moving_objects.items()
         }
+        now = self._node.now()
         self._pass_on(
             SceneState(
-                stamp=self._node.now(),
+                stamp=now,
                 scene_time=0,
+                index=self._frame_at(now),
                 scene=self._scene,
                 actors=self._scene.actors,
                 vertices={name: state.vertices for name, state in states.items()},

@@ -31,11 +31,16 @@ from humansim_ros.scene.randomise import random_numbers
 from humansim_ros.scene.robot import Robot, Route, carried
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
+from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.sensor import DepthSensor, DepthSensorConfig, Sensor
 from humansim_ros.types import Array, Float32Array
 
 if TYPE_CHECKING:
     from humansim_ros.camera.calibration import Calibration
+
+
+#: Timing of a camera until it is part of a scene.
+_EVERY_FRAME = CameraTiming(1.0)
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,7 @@ class SceneCamera:
         depth_sensor: Depth sensor beside it; None if it has none.
         left: Name of the left camera if it is the right one of a stereo pair; else empty.
         beside_left: Its position (3,) in the optical frame of that camera, metres.
+        timing: Frames of the scene in which it takes a picture.
     """
 
     name: str
@@ -136,6 +142,7 @@ class SceneCamera:
     depth_sensor: DepthSensor | None = None
     left: str = ""
     beside_left: Array = field(default_factory=lambda: np.zeros(3))
+    timing: CameraTiming = _EVERY_FRAME
 
     @classmethod
     def build(cls, name: str, config: CameraConfig, source: SceneSource) -> SceneCamera:
@@ -432,20 +439,28 @@ def build_cameras(
     cameras: dict[str, SceneCamera] = {}
     if config.rig is not None:
         with in_section("rig"):
-            cameras = _build_rig(config.rig, source)
+            cameras = _build_rig(config.rig, source, config.rate)
     with in_section("cameras"):
         for name, camera in config.cameras.items():
             if name in cameras:
                 raise SceneError("the rig has a camera of this name already", key=name)
-            cameras[name] = SceneCamera.build(name, camera, source)
-            if camera.stereo is None:
-                continue
+            built = SceneCamera.build(name, camera, source)
             with in_section(name):
+                timing = CameraTiming.of(config.rate, camera.rate, camera.offset)
+                cameras[name] = replace(built, timing=timing)
+                if camera.stereo is None:
+                    continue
                 right = cameras[name].right(camera.stereo.baseline)
                 if right.name in cameras or right.name in config.cameras:
                     raise SceneError(f"there is another camera {right.name}, its second camera", key="stereo")
                 cameras[right.name] = right
     return {name: _completed(camera, config, robot) for name, camera in cameras.items()}
+
+
+def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
+    """Names of the cameras with the most pictures per second, of those that take them in the same frames."""
+    fastest = min((camera.timing for camera in cameras.values()), key=lambda timing: timing.step)
+    return [name for name, camera in cameras.items() if camera.timing == fastest]
 
 
 def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) -> SceneCamera:
@@ -458,7 +473,7 @@ def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) ->
         camera = camera.mounted_on(robot)
     if section is None or section.faults is None:
         return camera
-    return replace(camera, faults=FaultSchedule(section.faults, camera.name, config.rate))
+    return replace(camera, faults=FaultSchedule(section.faults, camera.name, camera.timing))
 
 
 def rig_camera_names(path: str | os.PathLike[str]) -> list[str]:
@@ -470,11 +485,14 @@ def rig_camera_names(path: str | os.PathLike[str]) -> list[str]:
         return list(_rig_cameras(rig, source))
 
 
-def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
+def _build_rig(rig: RigConfig, source: SceneSource, rate: float) -> dict[str, SceneCamera]:
+    """Cameras of a rig by name. ``rate``: frames per second of the scene."""
     cameras = _rig_cameras(rig, source)
     region = Region(None, rig.binning)
+    originals = [original for original, _ in cameras.values()]
     with in_section("background"):
-        backdrops = _backdrops(rig, [original for original, _ in cameras.values()], source)
+        backdrops = _backdrops(rig, originals, source)
+    timings = _rig_timings(rig, originals, rate)
     depth = {name: _depth_sensor(name, rig.depth_sensor) for name in cameras}
     return {
         name: SceneCamera(
@@ -484,9 +502,34 @@ def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
             Sensor(rig.sensor, region.of(whole), name),
             backdrop=backdrops.get(original),
             depth_sensor=depth[name],
+            timing=timings[original],
         )
         for name, (original, whole) in cameras.items()
     }
+
+
+def _rig_timings(rig: RigConfig, names: Sequence[str], rate: float) -> dict[str, CameraTiming]:
+    """Timings by the names of cameras in the rig's file. ``rate``: frames per second of the scene."""
+    for key, given in (("rate", rig.rate), ("offset", rig.offset)):
+        for name in given if isinstance(given, dict) else ():
+            with in_section(key), in_section(name):
+                _check_rig_name(name, names)
+    timings = {}
+    for name in names:
+        own = rig.rate.get(name) if isinstance(rig.rate, dict) else rig.rate
+        offset = rig.offset.get(name, 0.0) if isinstance(rig.offset, dict) else rig.offset
+        try:
+            timings[name] = CameraTiming.of(rate, own, offset)
+        except SceneError as error:
+            by_name = isinstance(getattr(rig, error.key or ""), dict)
+            raise SceneError(error.message, key=f"{error.key}.{name}" if by_name else error.key) from None
+    return timings
+
+
+def _check_rig_name(name: str, names: Sequence[str]) -> None:
+    if name not in names:
+        known = ", ".join(names) + did_you_mean(name, names)
+        raise SceneError(f"no camera {name!r} in this rig; there are {known}")
 
 
 def _depth_sensor(name: str, config: DepthSensorConfig | None) -> DepthSensor | None:
@@ -560,9 +603,7 @@ def _backdrops(rig: RigConfig, names: Sequence[str], source: SceneSource) -> dic
     backdrops: dict[str, Backdrop] = {}
     for name, file in (rig.background or {}).items():
         with in_section(name):
-            if name not in names:
-                known = ", ".join(names) + did_you_mean(name, names)
-                raise SceneError(f"no camera {name!r} in this rig; there are {known}")
+            _check_rig_name(name, names)
             backdrops[name] = load_backdrop(source.find(file))
     return backdrops
 

@@ -405,7 +405,7 @@ def _check_camera_faults(camera: SceneCamera, samples: SceneSamples) -> Iterator
     scene = samples.scene
     section = f"cameras.{camera.name}" if camera.name in scene.config.cameras else "rig"
     for key, text in (
-        *_hidden_flicker(camera, scene.config.rate),
+        *_hidden_flicker(camera, camera.timing.rate),
         *_late_members(camera, scene),
         *_no_images(camera, scene, samples.duration),
     ):
@@ -461,7 +461,7 @@ def _no_images(camera: SceneCamera, scene: Scene, duration: float) -> Iterator[t
         return
     frames = min(_MAX_FRAMES, scene.config.time.frames or round(duration * scene.config.rate))
     kinds: set[str] = set()
-    for index in range(frames):
+    for index in camera.timing.frames(range(frames)):
         faults = camera.faults.at(index)
         if faults.sent:
             return
@@ -516,7 +516,7 @@ def _camera_ms(camera: SceneCamera, covered: float, triangles: float, room: bool
     if sensor.noise or sensor.vignetting or sensor.chromatic_aberration:
         width, height = camera.camera.size
         render += _EFFECTS * width * height / 1e6
-    return render
+    return render / camera.timing.step
 
 
 def has_gpu() -> bool:

@@ -31,6 +31,8 @@ _Count = Annotated[int, Field(ge=1, le=1000)]
 _Time = Annotated[float, Field(ge=0, le=1e6)]
 _Stops = Annotated[float, Field(ge=-10, le=10)]
 _SpotSize = Annotated[float, Field(gt=0, le=2)]
+_Rate = Annotated[float, Field(ge=0.001, le=1000)]
+_Offset = Annotated[float, Field(ge=0, le=1e6)]
 #: Parts of the JSON schema of a key that say nothing about its values.
 _OF_KEYS = ("default", "description", "title")
 
@@ -344,6 +346,8 @@ class CameraConfig(Section):
         "t": "translation",
         "R": "rotation",
         "calibration": "file",
+        "rate": "fps framerate frame_rate hz frequency",
+        "offset": "phase delay",
     }
 
     model_config = ConfigDict(coerce_numbers_to_str=True)  # cameras of files may have the names 0, 1, 2
@@ -413,6 +417,12 @@ class CameraConfig(Section):
     mount: Mount | None = Field(
         default=None, description="robot: the camera moves with it, and its pose is in base_link, not in map"
     )
+    rate: _Rate | None = Field(
+        default=None, description="pictures per second, a whole part of the rate of the scene; that if absent"
+    )
+    offset: _Offset = Field(
+        default=0.0, description="time of its first picture, seconds; a whole number of frames of the scene"
+    )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
@@ -460,6 +470,11 @@ class CameraConfig(Section):
 class RigConfig(ShortSection):
     """Cameras of a calibration file."""
 
+    other_words: ClassVar[dict[str, str]] = {
+        "rate": "fps framerate frame_rate hz frequency",
+        "offset": "phase delay",
+    }
+
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
     file: FileName = Field(description="a calibration file, or a file:// or package:// URL")
@@ -491,6 +506,16 @@ class RigConfig(ShortSection):
     )
     mount: Mount | None = Field(
         default=None, description="robot: the cameras move with it, and base_link takes the place of map"
+    )
+    rate: _Rate | dict[str, _Rate] | None = Field(
+        default=None,
+        description="pictures per second: one number, or a number for each name in the calibration file; a "
+        "whole part of the rate of the scene, and that for cameras without",
+    )
+    offset: _Offset | dict[str, _Offset] = Field(
+        default=0.0,
+        description="time of the first picture, seconds, in the same way; a whole number of frames of the "
+        "scene",
     )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"

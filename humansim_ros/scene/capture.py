@@ -217,6 +217,7 @@ class SceneState:
         joints_of: Returns the joints of a human by name; called only if they are needed.
         objects: Poses of moving objects by name.
         cameras: Poses of moving cameras by name.
+        index: Number of the frame, by which cameras with a rate of their own take their pictures.
         is_preview: It is shown while no frame arrives, and is no frame itself: no flow leads to it.
     """
 
@@ -228,6 +229,7 @@ class SceneState:
     joints_of: Callable[[str], JointMotion]
     objects: Mapping[str, ObjectPose]
     cameras: Mapping[str, CameraPose] = field(default_factory=dict)
+    index: int = 0
     is_preview: bool = False
     _moved: dict[float, Sequence[Body]] = field(init=False, default_factory=dict)
 

@@ -13,8 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.rotations import rotation_vector_to_matrix
@@ -27,7 +29,8 @@ from humansim_ros.scene.camera_config import (
     FreezeFault,
     OutageFault,
 )
-from humansim_ros.scene.config import frame_at, frame_time
+from humansim_ros.scene.config import frame_at
+from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.types import Array, Float32Array
 
 #: Nanoseconds between two messages that follow each other.
@@ -73,10 +76,12 @@ NO_FAULTS: FrameFaults = FrameFaults()
 class FaultSchedule:
     """Faults of each frame of a camera.
 
+    The frames that faults count are the pictures of the camera, which may have a rate of its own.
+
     Args:
         config: Settings.
         camera: Name of the camera: cameras with the same settings have faults at different times.
-        rate: Frames per second of the scene.
+        timing: Frames of the scene in which it takes a picture; or the rate of a scene: in each.
 
     Example:
         >>> from humansim_ros.scene.camera_config import ClockFault, FaultsConfig
@@ -85,23 +90,33 @@ class FaultSchedule:
         20000000
     """
 
-    def __init__(self, config: FaultsConfig, camera: str, rate: float) -> None:
+    def __init__(self, config: FaultsConfig, camera: str, timing: CameraTiming | float) -> None:
         self.config = config
         self._camera = camera
-        self._rate = rate
+        self._timing = timing if isinstance(timing, CameraTiming) else CameraTiming(timing)
+        self._rate = self._timing.rate
         self._last: tuple[int, FrameFaults] = (-1, NO_FAULTS)
         #: Dirt of the last image size, by size.
         self._transmissions: dict[tuple[int, int], Float32Array] = {}
 
     def at_time(self, scene_time: int) -> FrameFaults:
-        """Faults of the frame at a scene time in nanoseconds."""
-        return self.at(frame_at(scene_time, self._rate))
+        """Faults of the newest picture up to a scene time in nanoseconds."""
+        return self.at(frame_at(scene_time, self._timing.scene_rate))
 
     def at(self, index: int) -> FrameFaults:
-        """Faults of a frame."""
-        if self._last[0] != index:
-            self._last = index, self._faults(index)
+        """Faults of the newest picture up to frame ``index`` of the scene."""
+        number = max(0, self._timing.number(index))
+        if self._last[0] != number:
+            self._last = number, self._faults(number)
         return self._last[1]
+
+    def pictured(self, index: int) -> int:
+        """Frame of the scene whose picture the camera shows in frame ``index``."""
+        return self._timing.frame(max(0, self._timing.number(index)) - self.at(index).picture)
+
+    def _seconds(self, number: NDArray[Any] | int) -> Any:
+        """Scene times in seconds of the pictures of some numbers."""
+        return (self._timing.first + number * self._timing.step) / self._timing.scene_rate
 
     def _faults(self, index: int) -> FrameFaults:
         kinds: dict[str, Mapping[str, float]] = {}
@@ -117,7 +132,7 @@ class FaultSchedule:
         stamp_error = self._stamp_error(index)
         if self.config.clock is not None:
             kinds["clock"] = {"seconds": stamp_error * 1e-9}
-        seconds = index / self._rate
+        seconds = self._seconds(index)
         if self.calibration is not None:
             kinds["calibration"] = self.calibration.size(seconds)
         pictured = index - (frozen or 0)
@@ -125,7 +140,7 @@ class FaultSchedule:
         if self.config.trigger_delay is not None:
             kinds["trigger_delay"] = {"seconds": delay}
         if self.config.flicker is not None:
-            kinds["flicker"] = {"light": float(self.lamp(np.array([pictured / self._rate + delay]))[0])}
+            kinds["flicker"] = {"light": float(self.lamp(np.array([self._seconds(pictured) + delay]))[0])}
         if self.config.exposure_steps is not None:
             kinds["exposure_steps"] = {"stops": stops}
         if self.config.dirt is not None:
@@ -199,14 +214,18 @@ class FaultSchedule:
         """Number of frames since an event began that lasts; of several, the last one. None without any."""
         if event is None:
             return None
-        time = index / self._rate
-        begun = [ceil(start * self._rate - 1e-6) for start, end in event.at if start - 1e-9 <= time < end]
+        time, before = self._seconds(index), self._timing.first / self._timing.step
+        begun = [
+            max(0, ceil(start * self._rate - before - 1e-6))
+            for start, end in event.at
+            if start - 1e-9 <= time < end
+        ]
         if event.probability:
             low, high = event.duration
             first = max(0, index - ceil(high * self._rate))
             draws = self._draws(kind, first, index)
             indices = np.arange(first, index + 1)
-            ends = indices / self._rate + low + (high - low) * draws[:, 1]
+            ends = self._seconds(indices) + low + (high - low) * draws[:, 1]
             begun += indices[(draws[:, 0] < event.probability) & (time < ends)].tolist()
         return index - max(begun) if begun else None
 
@@ -217,7 +236,7 @@ class FaultSchedule:
         order = config.out_of_order
         if order is not None and self._draws("out_of_order", index, index)[0, 0] < order.probability:
             later = index + order.frames
-            between = frame_time(later, self._rate) - frame_time(index, self._rate)
+            between = self._timing.time(later) - self._timing.time(index)
             sent = between + self._delay(later) + FOLLOWING
             kinds["out_of_order"] = {"seconds": sent * 1e-9}
         twice = config.duplicate
@@ -242,7 +261,7 @@ class FaultSchedule:
         clock = self.config.clock
         if clock is None:
             return 0
-        error = clock.offset + 1e-6 * clock.drift_ppm * index / self._rate
+        error = clock.offset + 1e-6 * clock.drift_ppm * self._seconds(index)
         if clock.jitter:
             error += clock.jitter * self._normal("clock", index)
         return round(1e9 * error)

@@ -47,12 +47,14 @@ class Tick:
         elapsed: Scene time of the frame, nanoseconds.
         pace: Seconds of the scene per second; 0 while paused.
         dropped: Number of frames that were skipped before it.
+        index: Number of the frame since the start of the clock, with those that were skipped.
     """
 
     stamp: int
     elapsed: int
     pace: float
     dropped: int = 0
+    index: int = 0
 
 
 class PlaybackClock:
@@ -70,6 +72,7 @@ class PlaybackClock:
         self.elapsed = round(seconds * 1e9)
         self.last: int | None = None
         self._start = self._next = 0
+        self._index = -1
         # stamp (None: of the next frame) and scene time from which the scene time is counted
         self._base: tuple[int | None, int] = (None, self.elapsed)
         self._steps = 0
@@ -100,7 +103,7 @@ class PlaybackClock:
             Number of the first frame from stamp 1 on that is not before ``stamp``.
         """
         self._start, self._next = 1, max(0, math.ceil((stamp - 1) / self.period - 1e-6))
-        self.last, self._base = 1, (1, self.elapsed)
+        self.last, self._base, self._index = 1, (1, self.elapsed), self._next - 1
         return self._next
 
     def cut(self, now: int) -> Tick:
@@ -155,7 +158,8 @@ class PlaybackClock:
         elif not self.paused:
             self.elapsed = elapsed + round((stamp - since) * self.speed)
         self.last = stamp
-        return Tick(stamp, self.elapsed, 0.0 if self.paused else self.speed, dropped)
+        self._index += 1 + dropped
+        return Tick(stamp, self.elapsed, 0.0 if self.paused else self.speed, dropped, self._index)
 
 
 @dataclass(frozen=True)

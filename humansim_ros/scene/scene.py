@@ -45,6 +45,7 @@ from humansim_ros.scene.robot import Robot, robot_object
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, build_scanners
 from humansim_ros.scene.source import SceneSource, name_objects
+from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.scene.variety import with_variety
 from humansim_ros.truth import joint_surfaces
 from humansim_ros.types import Array
@@ -390,6 +391,14 @@ class Scene(Pictured):
     def frame_time(self, index: int) -> int:
         """Nanoseconds from the start to frame ``index``, round(index * period): errors do not accumulate."""
         return frame_time(index, self.config.rate)
+
+    def at_full_rate(self) -> Scene:
+        """The same scene with a picture of every camera in every frame, to be looked at."""
+        if all(camera.timing.is_full for camera in self.scene_cameras.values()):
+            return self
+        timing = CameraTiming(self.config.rate)
+        cameras = {name: replace(camera, timing=timing) for name, camera in self.scene_cameras.items()}
+        return replace(self, scene_cameras=cameras)
 
     @cached_property
     def labels(self) -> dict[str, int]:

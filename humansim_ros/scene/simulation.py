@@ -58,11 +58,14 @@ class Frame(Pictured):
         index: Number of the frame, from 0.
         stamp: Nanoseconds.
         humans: Joints and vertices by human.
-        views: Channels by camera.
+        views: Channels by camera; only of cameras that take a picture in this frame, if some have a rate of
+            their own. So have ``truth``, ``cameras``, ``encodings``, ``depth_sensors``, ``rectified_depth``
+            and ``faults``.
         truth: Ground truth by camera; its numbers are computed on first access.
         objects: Poses of moving objects by name.
         cameras: Cameras of ``views`` at their poses by name: the true ones.
-        published_cameras: The same as topics publish them, with the errors of ``faults.calibration``.
+        published_cameras: All cameras that were asked for as topics publish them, with the errors of
+            ``faults.calibration``.
         encodings: Encodings of ``rgb`` by camera, such as ``rgb8``, as the sensors have them.
         depth_sensors: What depth sensors measure, by camera that has one. It is rendered on first access,
             which is possible until the simulation is closed.
@@ -217,7 +220,8 @@ class Simulation:
         self._scanning = {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
         longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
         # the adjacent frames, and the frames of a sweep
-        size = 3 + bool(longest) + math.ceil(longest * 1e-9 / scene.period)
+        steps = {camera.timing.step for camera in scene.scene_cameras.values()}
+        size = 3 * max(1, len(steps)) + bool(longest) + math.ceil(longest * 1e-9 / scene.period)
         self._recent: deque[tuple[int, int, _Snapshot]] = deque(maxlen=size)
         self.renderer: Renderer = renderer or scene.make_renderer()
 
@@ -248,7 +252,8 @@ class Simulation:
 
         Args:
             index: Number of the frame, from 0.
-            cameras: Names of the cameras to render; all if None.
+            cameras: Names of the cameras to render; all if None. Those with a rate of their own are rendered
+                only in their frames.
             rectified_depth: Names of the cameras whose depth without lens distortion is rendered, too.
             scanners: Names of the laser scanners whose sweeps are made; all if None.
 
@@ -258,17 +263,15 @@ class Simulation:
                 from, or has been closed; or OpenGL failed.
         """
         self.renderer.check_usable()  # before playback is set to the frame, which another thread may be using
-        adjacent: dict[AdjacentName, SceneState] = {
-            name: self._at(self.scene.frame_time(index + step))[2]
-            for name, step in zip(ADJACENT_NAMES, (1, -1), strict=True)
-            if comparing_with(name, self.channels)
-        }
-        chosen = self._cameras(cameras)
+        asked = self._cameras(cameras)
+        chosen = {name: camera for name, camera in asked.items() if index in camera.timing}
+        steps = {camera.timing.step for camera in chosen.values()}
+        adjacent = {step: self._adjacent(index, step) for step in steps}
         faults = {name: camera.faults.at(index) for name, camera in chosen.items() if camera.faults}
         frozen = {
-            name: self._frozen(chosen[name], index - faulty.picture)
-            for name, faulty in faults.items()
-            if faulty.picture and "rgb" in self.channels
+            name: self._frozen(camera, camera.faults.pictured(index))
+            for name, camera in chosen.items()
+            if camera.faults and faults[name].picture and "rgb" in self.channels
         }
         sweeps = {name: self._sweeps(name, index) for name in self._chosen_scanners(scanners)}
         poses, humans, state = self._at(self.scene.frame_time(index))
@@ -276,7 +279,7 @@ class Simulation:
             name: state.camera_frame(
                 self.renderer,
                 camera,
-                _exposure(camera, state, adjacent),
+                _exposure(camera, state, adjacent[camera.timing.step]),
                 self.channels,
                 faults.get(name, NO_FAULTS),
                 frozen.get(name),
@@ -301,11 +304,12 @@ class Simulation:
             rectified_depth={
                 name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
                 for name in rectified_depth
+                if name in chosen
             },
             faults=faults,
             encodings={name: camera.encoding for name, camera in chosen.items()},
             published_cameras={
-                name: camera.published_at(state.calibrated_pose(camera)) for name, camera in chosen.items()
+                name: camera.published_at(state.calibrated_pose(camera)) for name, camera in asked.items()
             },
             depth_sensors=_OnAccess(
                 {
@@ -316,6 +320,14 @@ class Simulation:
             ),
             sweeps=sweeps,
         )
+
+    def _adjacent(self, index: int, step: int) -> dict[AdjacentName, SceneState]:
+        """States ``step`` frames after and before a frame, as far as the channels need them."""
+        return {
+            name: self._at(self.scene.frame_time(index + sign * step))[2]
+            for name, sign in zip(ADJACENT_NAMES, (1, -1), strict=True)
+            if comparing_with(name, self.channels)
+        }
 
     def _measured(self, camera: SceneCamera, sensor: DepthSensor, state: SceneState) -> DepthCapture:
         self.renderer.check_usable()

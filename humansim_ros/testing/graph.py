@@ -19,8 +19,8 @@ from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError
-from humansim_ros.messages import header, to_nanoseconds
-from humansim_ros.messages.topics import scene_topics
+from humansim_ros.messages import header, read_frame_number, to_nanoseconds
+from humansim_ros.messages.topics import TimedTopics, scene_topics
 from humansim_ros.messages.types import message_type
 from humansim_ros.ros.nodes.in_process import InProcessNodes
 from humansim_ros.ros.processes.node_processes import relative_namespace
@@ -41,7 +41,8 @@ class SceneGraph:
 
     The nodes start with the first frame, so that nodes and subscriptions of the test come before it. Frame k
     has the stamp 1 ns + round(k * period), as in Simulation. It follows when the test asks for it, and when
-    all cameras and all subscriptions of the test have the frame before.
+    all cameras and all subscriptions of the test have the frame before; cameras with a rate of their own, and
+    the nodes that answer them, only have their frames.
 
     Use it as a context manager. The fixture ``humansim_graph`` yields one for each test.
 
@@ -74,6 +75,9 @@ class SceneGraph:
         self._running: InProcessNodes | NodeProcesses | None = None
         self._received: dict[str, ReceivedMessages] = {}
         self._subscriptions: dict[str, Any] = {}
+        self._timed = TimedTopics(scene, lambda name: self.node.resolve_topic_name(name))
+        #: Number of the frame in flight.
+        self._index: int | None = None
         #: Stamp of the frame in flight, and of the newest frame that the test has released.
         self._frame = self._released = -1
         #: Number of frames of the test.
@@ -284,7 +288,7 @@ class SceneGraph:
         return stamp
 
     def _on_frame(self, message: TimeReference) -> None:
-        self._frame = to_nanoseconds(message.header.stamp)
+        self._frame, self._index = to_nanoseconds(message.header.stamp), read_frame_number(message)
         if self._frame <= self._released:  # the player has not heard the report
             self._report(self._frame)
 
@@ -305,10 +309,12 @@ class SceneGraph:
 
     def _missing(self, stamp: int) -> list[str]:
         """Topics and cameras that have not finished a frame."""
+        resting = self._timed.resting(self._received, self._index)
         topics = [
             name
             for name, received in self._received.items()
             if received.every_frame
+            and name not in resting
             and (
                 received.arrived == self._before.get(name, 0)
                 if received.newest < 0

@@ -21,6 +21,7 @@ from humansim_ros.errors import HumansimError
 #: Two cores that four cameras keep busy at 50 Hz: 40 ms of CPU time per frame.
 RESULT = BenchResult(
     cameras={f"camera_{number}": 8.0 for number in range(1, 5)},
+    pictures=4.0,
     channels=("rgb",),
     rate=30.0,
     measured_hz=50.0,

@@ -100,7 +100,7 @@ def test_the_benchmark_counts_frames_among_hostile_messages() -> None:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from sensor_msgs.msg import Image
 
-    with _Subscriber(["/left/image_raw"]) as subscriber:
+    with _Subscriber(["/left/image_raw"], ["/left/image_raw"]) as subscriber:
         sender = Sender(subscriber)
         bad_stamp = image("left", "rgb8", 5)
         bad_stamp.header.stamp.nanosec = 2**32 - 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -339,11 +339,19 @@ class LockstepPlaying(Playing):
         tick = self.clock.next()
         scene_poses = self._take_prepared(tick)
         self._frame = tick, scene_poses
-        self.state.begin(tick.stamp, self._now)
+        self.state.begin(tick.stamp, self._now, self._resting(tick.index))
         if self._progress is not None:
             self._progress.write(tick.stamp)
         self._send()
         self._prepare()
+
+    def _resting(self, index: int) -> Collection[str]:
+        """Members that answer images, in a frame without any: topics, and nodes that joined by reports."""
+        cameras = self.player.scene.scene_cameras.values()
+        if not cameras or any(index in camera.timing for camera in cameras):
+            return ()
+        joined = (name for name, each in self.state.members.items() if not each.required)
+        return {*self._settings.topics, *joined}
 
     def _take_prepared(self, tick: Tick) -> ScenePoses:
         """Poses of a frame, which have been computed already unless something has changed since."""

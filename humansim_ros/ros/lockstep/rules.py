@@ -82,6 +82,7 @@ class Lockstep:
         self._left: dict[str, int] = {}
         #: Stamp of the frame in flight; None before the first one.
         self.stamp: int | None = None
+        self._resting: Collection[str] = ()
         self._first = self._sent = 0
         self._sent_at = now
         #: Time at which the frame is sent again, and the times of a row that follow.
@@ -101,7 +102,11 @@ class Lockstep:
         """Members that have not finished the frame in flight."""
         if self.stamp is None:
             return []
-        return [each for each in self.members.values() if not each.absent and each.newest < self.stamp]
+        return [
+            each
+            for each in self.members.values()
+            if not each.absent and each.newest < self.stamp and each.name not in self._resting
+        ]
 
     @property
     def is_finished(self) -> bool:
@@ -113,15 +118,24 @@ class Lockstep:
         """Number of frames that each member has finished, also those that have left."""
         return {**self._left, **{each.name: each.finished for each in self.members.values()}}
 
-    def begin(self, stamp: int, now: float) -> None:
-        """Note that a new frame is sent. Raises ValueError while the frame before is unfinished."""
+    def begin(self, stamp: int, now: float, resting: Collection[str] = ()) -> None:
+        """Note that a new frame is sent.
+
+        Args:
+            stamp: Stamp of the frame.
+            now: Present time.
+            resting: Members that do not finish this frame, and that it does not wait for.
+
+        Raises:
+            ValueError: The frame before is unfinished.
+        """
         if self.missing or (self.stamp is not None and stamp <= self.stamp):
             raise ValueError(f"frame {stamp} must not follow {self.stamp} now")
         if self.stamp is None:
             self._first = stamp
         if self._restarted is not None and self._sent_at > self._restarted:
             self._restarted = None  # a whole frame was sent and finished since
-        self.stamp, self._sent_at = stamp, now
+        self.stamp, self._sent_at, self._resting = stamp, now, resting
         self._sent += 1
         self._next_reminder = now + _REMIND_EVERY
         self._row, self._again, self._for_nodes = [], now + self._patience(), False

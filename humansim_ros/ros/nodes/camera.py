@@ -47,6 +47,7 @@ from humansim_ros.scene.capture import (
     capture_rectified_depth,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
+from humansim_ros.scene.timing import PictureTimer
 from humansim_ros.types import Image
 
 #: Received poses that are held: frames are a little older than the newest pose.
@@ -205,6 +206,7 @@ class CameraNode(SceneNode):
         self._topics = CameraTopics(self.scene, self._camera, frame, self._renderer.channels)
         self._driver = CameraDriver(self)
         self._images = ImagePublishers(self, self._topics, self._driver)
+        self._timer = PictureTimer(self._camera.timing)
         #: States and exposures of the last frame and of the one before it, if flow is subscribed to.
         self._last: tuple[SceneState, Exposure] | None = None
         self._previous: tuple[SceneState, Exposure] | None = None
@@ -274,7 +276,12 @@ class CameraNode(SceneNode):
             self._renderer.close()
 
     def publish_frame(self, state: SceneState) -> None:
-        """Render and publish the subscribed channels, and the forward flow of the previous frame."""
+        """Render and publish the subscribed channels, and the forward flow of the previous frame.
+
+        Nothing happens in a frame in which a camera with a rate of its own takes no picture.
+        """
+        if not self._timer.takes(state.index):
+            return
         start = time.monotonic()
         self._publish_frame(state)
         self.report_time(1e3 * (time.monotonic() - start), "render")

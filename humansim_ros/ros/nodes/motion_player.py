@@ -124,7 +124,7 @@ class MotionPlayerNode(FramePlayer):
         if self._robot is not None:
             scene_poses = self._robot.placed(tick, scene_poses)
             self._robot.publish(scene_poses, tick.stamp)
-        self._scene_time.publish(SCENE_TIME_TOPIC.build(tick.elapsed, tick.stamp))
+        self._scene_time.publish(SCENE_TIME_TOPIC.build((tick.elapsed, tick.index), tick.stamp))
         for name, publisher in self._motions.items():
             motion = self._human_topics[name].motion
             publisher.publish(motion.build(scene_poses.poses[name], tick.stamp))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -35,9 +35,9 @@ from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic, check_topics
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of
-from humansim_ros.messages import header, serialised_stamp, to_nanoseconds
+from humansim_ros.messages import header, read_frame_number, serialised_stamp, to_nanoseconds
 from humansim_ros.messages.frames import RecordedFrames
-from humansim_ros.messages.topics import Topic, scene_topics
+from humansim_ros.messages.topics import TimedTopics, Topic, scene_topics
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.clock import ClockSteps
@@ -154,13 +154,17 @@ class RecorderNode(SuiteNode):
         #: Types of the topics of the scene.
         self._types = {absolute(topic.name, space): topic.type_name for topic in topics}
         self._frames: RecordedFrames | None = None
+        self._timed: TimedTopics | None = None
         self._copies = ImageCopies({})
         if lockstep:
             per_frame = [absolute(topic.name, space) for topic in topics if has_message_per_frame(topic)]
             chosen = [topic for topic in (*per_frame, "/clock") if self._choice.has(topic)]
             if scene is not None:
                 self._copies = _copies(scene, {absolute(topic.name, space): topic for topic in topics})
-            self._frames = RecordedFrames(chosen, TopicChoice.of(awaited, space).patterns, self._copies)
+            awaited = TopicChoice.of(awaited, space).patterns
+            if scene is not None:
+                self._timed = TimedTopics(scene, lambda name: absolute(name, space))
+            self._frames = RecordedFrames(chosen, awaited, self._copies)
         self._done = self.create_publisher(Header, FRAME_DONE, DONE) if lockstep else None
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
         #: Log time of the last message, and nanoseconds by which the clock has been set back.
@@ -372,10 +376,13 @@ class RecorderNode(SuiteNode):
         stamp = serialised_stamp(data)
         if self._frames is None:
             return
-        if self._copies:
-            scene_time = deserialize_message(data, TimeReference).time_ref
-            self._copies.note(stamp, to_nanoseconds(scene_time))
-        self._frames.begin(stamp)
+        resting: Collection[str] = ()
+        if self._copies or self._timed:
+            message = deserialize_message(data, TimeReference)
+            self._copies.note(stamp, to_nanoseconds(message.time_ref))
+            if self._timed:
+                resting = self._timed.resting(self._frames.awaited, read_frame_number(message))
+        self._frames.begin(stamp, resting)
         if self._frames.is_finished(stamp):
             self._report(stamp)
         self._end_frame()

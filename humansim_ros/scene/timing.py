@@ -1,4 +1,4 @@
-"""Frames of a scene in which a camera takes a picture (docs/cameras.md, "Rates of cameras")."""
+"""Frames of a scene in which a camera takes a picture (docs/scene.md, "Rates of cameras")."""
 
 from __future__ import annotations
 

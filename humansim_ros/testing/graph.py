@@ -22,14 +22,13 @@ from humansim_ros.errors import RosError
 from humansim_ros.messages import header, read_frame_number, to_nanoseconds
 from humansim_ros.messages.topics import TimedTopics, scene_topics
 from humansim_ros.messages.types import message_type
+from humansim_ros.ros.lockstep.settings import TEST_NODE
 from humansim_ros.ros.nodes.in_process import InProcessNodes
 from humansim_ros.ros.processes.node_processes import relative_namespace
 from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_profile, subscription_profile
 from humansim_ros.scene import Scene
 from humansim_ros.testing.support import patience, running_rclpy
 
-#: Node that subscribes for the test, and that frames wait for.
-_NODE = "humansim_test"
 #: Seconds of a wait for callbacks, with the nodes of one rclpy context, and with nodes of several.
 _STEP, _SHORT_STEP = 0.05, 0.002
 #: Most seconds in which the nodes of the test handle all that they have received: timers may go on for ever.
@@ -75,7 +74,6 @@ class SceneGraph:
         self._running: InProcessNodes | NodeProcesses | None = None
         self._received: dict[str, ReceivedMessages] = {}
         self._subscriptions: dict[str, Any] = {}
-        self._timed = TimedTopics(scene, lambda name: self.node.resolve_topic_name(name))
         #: Number of the frame in flight.
         self._index: int | None = None
         #: Stamp of the frame in flight, and of the newest frame that the test has released.
@@ -89,7 +87,8 @@ class SceneGraph:
         self._stack = ExitStack()
         self._stack.enter_context(running_rclpy())
         self._context = rclpy.get_default_context()
-        self.node = rclpy.create_node(_NODE, namespace=self._namespace, start_parameter_services=False)
+        self.node = rclpy.create_node(TEST_NODE, namespace=self._namespace, start_parameter_services=False)
+        self._timed = TimedTopics(scene, self.node.resolve_topic_name)
         self._executors: dict[Any, Any] = {}
         self.add_node(self.node)
         self.node.create_subscription(TimeReference, SCENE_TIME, self._on_frame, DATA)
@@ -266,9 +265,9 @@ class SceneGraph:
             return
         if self._processes:
             assert self.scene.path is not None
-            self._running = NodeProcesses(self.scene.path, self._namespace, _NODE)
+            self._running = NodeProcesses(self.scene.path, self._namespace, TEST_NODE)
         else:
-            player = {"mode": "lockstep", "wait_for": [_NODE], "timeout": NEVER, "clock_search": 0.0}
+            player = {"mode": "lockstep", "wait_for": [TEST_NODE], "timeout": NEVER, "clock_search": 0.0}
             self._running = InProcessNodes(self.scene, self._namespace, player)
         for node in self._running.nodes:
             self.add_node(node)
@@ -305,7 +304,7 @@ class SceneGraph:
         self._report(self._frame)
 
     def _report(self, stamp: int) -> None:
-        self._reports.publish(header(stamp, _NODE))
+        self._reports.publish(header(stamp, TEST_NODE))
 
     def _missing(self, stamp: int) -> list[str]:
         """Topics and cameras that have not finished a frame."""

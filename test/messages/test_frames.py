@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from humansim_ros.messages.frames import Frames, RecordedFrames, place_at
+from humansim_ros.messages.frames import Frames, RecordedFrames, due_stamps, place_at
 
 SECOND = 10**9
 MAX_MESSAGES = 90
@@ -51,6 +51,37 @@ def test_a_frame_waits_for_its_topics_but_not_for_long() -> None:
     assert found.newest_whole(["nothing"], [], 10, NOW) is None
     found.add("image", 4, b"late", NOW)
     assert found.newest_whole(["joints"], ["joints", "image"], 10, NOW) == 4
+
+
+def test_frames_in_which_a_camera_takes_pictures_at_a_rate_of_its_own() -> None:
+    grid = [1 + round(k * 1e9 / 30) for k in range(60)]
+    for step, first, lost in ((2, 0, ()), (3, 2, (11, 17)), (6, 5, (11,)), (1, 0, (7,))):
+        pictures = range(first, 60, step)
+        own = [grid[k] for k in pictures if k not in lost]
+        assert due_stamps(grid, own) == {grid[k] for k in pictures}
+    # two cameras alone: their stamps are no regular grid
+    stamps = sorted({*grid[::2], *grid[::3]})
+    assert due_stamps(stamps, grid[::3]) == {*grid[::3]}
+
+
+def test_a_frame_is_whole_without_a_camera_that_rests() -> None:
+    found: Frames[None] = Frames(["joints", "image", "info"])
+    for stamp in range(10, 100, 10):
+        found.add("joints", stamp, None)
+        for topic in ("image", "info") if stamp % 20 == 0 else ():
+            if (topic, stamp) != ("image", 60):
+                found.add(topic, stamp, None)
+    assert found.whole() == [20, 40, 80]
+    assert found.require_when_due(["image", "info"]) == {20, 40, 60, 80}
+    assert found.whole() == [10, 20, 30, 40, 50, 70, 80, 90]
+    assert found.lacking() == {"image": 1}
+
+
+def test_a_page_does_not_wait_for_a_camera_that_rests() -> None:
+    found = store(joints=[*range(1, 10)], slow=[1, 4, 7], fast=[*range(1, 9)])
+    assert found.newest_whole(["joints"], ["joints", "slow", "fast"], 10, NOW) == 8
+    late = store(joints=[*range(1, 11)], slow=[1, 4, 7], fast=[*range(1, 11)])
+    assert late.newest_whole(["joints"], ["joints", "slow", "fast"], 10, NOW) == 9
 
 
 def test_memory_is_bounded_but_what_lasts_is_kept() -> None:
@@ -162,6 +193,18 @@ def test_a_topic_whose_node_is_gone_is_not_awaited_until_it_delivers_again() -> 
     given.add("a", 5)
     given.add("tracker", 5)
     assert given.frames.missing == ["b"]
+
+
+def test_a_recording_does_not_await_topics_that_rest_in_a_frame() -> None:
+    given = FakeMessages()
+    for stamp, resting in ((1, ()), (2, ("b", "tracker")), (3, ())):
+        given.add("a", stamp)  # before the frame is known
+        assert given.frames.take_whole() is None
+        given.frames.begin(stamp, resting)
+        for topic in {"b", "tracker"}.difference(resting):
+            assert given.frames.take_whole() is None
+            given.add(topic, stamp)
+        assert given.frames.take_whole() == stamp
 
 
 def test_nothing_is_given_up_before_the_first_frame() -> None:

@@ -276,3 +276,14 @@ def test_no_frame_is_sent_before_all_members_have_finished_the_last_one_and_none
     for member in state.missing:
         state.add_report(member.name, frame, now)
     assert state.is_finished
+
+
+def test_a_frame_does_not_wait_for_members_that_rest_in_it() -> None:
+    state = Lockstep(["camera", "/tracker/poses"], ["camera"], 5.0, 0.0)
+    for stamp, resting in ((1, ()), (2, ("/tracker/poses",)), (3, ())):
+        state.begin(stamp, float(stamp), resting)
+        state.add_report("camera", stamp, stamp + 0.1)
+        assert state.is_finished == bool(resting)
+        if not resting:
+            state.add_report("/tracker/poses", stamp, stamp + 0.2)
+        assert state.is_finished

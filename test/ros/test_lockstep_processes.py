@@ -82,6 +82,22 @@ def test_every_frame_is_tracked_by_trackers_of_three_kinds(ros: None, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.nightly
+def test_frames_without_a_picture_wait_for_no_tracker(ros: None, tmp_path: Path) -> None:
+    frames, scene = 20, SCENE.replace("0, 1]}", "0, 1], rate: 10}")
+    with (
+        tracker(tmp_path / "topic") as unchanged,
+        tracker(tmp_path / "done", "--report", "done", "--sleep", "0.01") as reporting,
+    ):
+        members = ("--wait-for", "topic:/tracker/poses", "--wait-for", "tracker_done")
+        done = run(write_scene(tmp_path, scene), "--frames", str(frames), *members)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"finished: left {frames}, right {frames}, tracker_done {frames // 2}" in done.stdout
+    for log in (unchanged, reporting):
+        assert sorted({row[0] for row in rows(log)}) == stamps(frames)[::2]
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_frame_is_lost_when_each_process_is_killed_or_stopped(ros: None, tmp_path: Path) -> None:
     """Player, skinner, camera rig and tracker once each; the stop is one of the five faults."""
     tool = [sys.executable, str(TOOLS / "chaos.py"), str(write_scene(tmp_path, SCENE)), "--processes", "1"]

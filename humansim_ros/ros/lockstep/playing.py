@@ -33,6 +33,7 @@ from humansim_ros.ros.lockstep.settings import (
     CLOCK_SEARCH,
     REALTIME,
     SETTINGS,
+    TEST_NODE,
     check_choice,
     member_texts,
     read_members,
@@ -346,12 +347,17 @@ class LockstepPlaying(Playing):
         self._prepare()
 
     def _resting(self, index: int) -> Collection[str]:
-        """Members that answer images, in a frame without any: topics, and nodes that joined by reports."""
-        cameras = self.player.scene.scene_cameras.values()
+        """Members that answer images, in a frame without any: all that are not of the scene."""
+        scene = self.player.scene
+        cameras = scene.scene_cameras.values()
         if not cameras or any(index in camera.timing for camera in cameras):
             return ()
-        joined = (name for name, each in self.state.members.items() if not each.required)
-        return {*self._settings.topics, *joined}
+        return self.state.members.keys() - {
+            *scene.cameras,
+            *scene.scanners,
+            self._settings.recorder,
+            TEST_NODE,
+        }
 
     def _take_prepared(self, tick: Tick) -> ScenePoses:
         """Poses of a frame, which have been computed already unless something has changed since."""

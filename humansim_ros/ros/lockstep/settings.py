@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: Prefix of a topic among the members of lockstep; other members are names of nodes.
 TOPIC_PREFIX = "topic:"
+#: Name of the node of ``SceneGraph``, which reports every frame, also without a picture.
+TEST_NODE = "humansim_test"
 #: Values of parameters.
 ParameterValue = str | bool | float | list[str]
 #: Seconds in which another publisher of ``/clock`` is looked for before the first frame.

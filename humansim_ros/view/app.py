@@ -373,7 +373,8 @@ class ViewApp:
         channels = self.shown_channels or (self.source.channels[:1] if self.through else ())
         full = cameras if len(cameras) == 1 else [name for name in cameras if self._is_large(name)]
         exact = still and not (pending or dragged)
-        frame = self.source.frame(index, FrameRequest(cameras, channels, exact, full))
+        scans = self.options.scans and bool(self.source.scanners)
+        frame = self.source.frame(index, FrameRequest(cameras, channels, exact, full, scans))
         if self._content() != self._built_of:  # people and cameras of a graph come and go
             self._remove_panels()
             self._build()

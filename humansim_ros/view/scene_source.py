@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -17,9 +18,11 @@ from humansim_ros.humans import Human
 from humansim_ros.jobs.frame_job import Costs, FrameResult, cores
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
+from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
 from humansim_ros.view.source import JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame, ViewSource, fitted
@@ -65,8 +68,9 @@ class SceneViewSource(ViewSource):
         self._playback = Playback(scene)
         self._count = workers
         self._shown = 0
-        self._truth: Simulation | None = None
         self._exact: Frame | None = None
+        #: Points of each scanner, and the frame at which their sweep ended.
+        self._scans: dict[str, tuple[int, dict[str, Array]]] = {}
 
     @property
     def people(self) -> Mapping[str, Human]:
@@ -86,6 +90,10 @@ class SceneViewSource(ViewSource):
     @property
     def cameras(self) -> Mapping[str, Camera]:
         return self.scene.cameras if self._has_cameras else {}
+
+    @property
+    def scanners(self) -> Collection[str]:  # type: ignore[override]
+        return self.scene.scanners
 
     @property
     def period(self) -> int:
@@ -129,9 +137,37 @@ class SceneViewSource(ViewSource):
             },
             images=images.images if images else {},
             image_index=images.request.index if images and images.is_whole else None,
+            scans=self._scanned(index) if wanted.scans else {},
             estimate=estimate,
             estimate_errors=errors,
         )
+
+    def _scanned(self, index: int) -> dict[str, dict[str, Array]]:
+        """Points in ``map`` of the last sweep of each scanner that ended by a frame, by person."""
+        found = {}
+        for name, scanner in self.scene.scanners.items():
+            most = 1 + math.ceil(scanner.pattern.period / self.period)
+            for number in range(index, max(index - most, 0), -1):
+                if self._scans.get(name, (None,))[0] != number:
+                    sweeps = self._simulation.frame(number, cameras=(), scanners=[name]).sweeps[name]
+                    if not sweeps:
+                        continue
+                    self._scans[name] = number, self._by_person(sweeps[-1])
+                found[name] = self._scans[name][1]
+                break
+        return found
+
+    def _by_person(self, sweep: Sweep) -> dict[str, Array]:
+        points = sweep.points @ quaternion_to_matrix(sweep.rotation).T + sweep.position
+        labels = {name: self.scene.labels[name] for name in self.scene.actors}
+        people = {name: points[sweep.instances == label] for name, label in labels.items()}
+        people[""] = points[~np.isin(sweep.instances, list(labels.values()))]
+        return {name: seen for name, seen in people.items() if len(seen)}
+
+    @cached_property
+    def _simulation(self) -> Simulation:
+        """Exact truth in this process."""
+        return Simulation(self.scene, channels=PIXEL_CHANNELS)
 
     def _estimate(self, elapsed: int) -> tuple[dict[str, Array], dict[str, float]]:
         """Points and errors of the estimate at a time of the scene, nanoseconds, by person."""
@@ -155,10 +191,8 @@ class SceneViewSource(ViewSource):
             self._images(0, FrameRequest(cameras, channels))
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        if self._truth is None:
-            self._truth = Simulation(self.scene, channels=PIXEL_CHANNELS)
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
-            self._exact = self._truth.frame(self._shown, cameras=[camera])
+            self._exact = self._simulation.frame(self._shown, cameras=[camera])
         return pixel_info(self.scene, self._exact, camera, x, y)
 
     def tracks(self) -> SceneTracks:
@@ -179,8 +213,8 @@ class SceneViewSource(ViewSource):
     def close(self) -> None:
         if "_workers" in self.__dict__:
             self._workers.close()
-        if self._truth is not None:
-            self._truth.close()
+        if "_simulation" in self.__dict__:
+            self._simulation.close()
 
     @cached_property
     def _workers(self) -> ImageWorkers:

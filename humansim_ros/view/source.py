@@ -42,6 +42,8 @@ class ViewFrame:
         images: RGB images (H, W, 3) for people to look at, by camera and channel.
         image_index: Frame of the images: an earlier one if they are slower than the motion; None without
             images, or while the first ones lack cameras.
+        scans: Points (P, 3) in ``map`` of the last sweep of each laser scanner, by person; "" for other
+            surfaces. A moving scanner is where it is at the stamp of the sweep, as RViz shows its points.
         estimate: Points (J, 3) of a tracker in ``map``, by person.
         estimate_errors: Distance of the estimate from the truth by person, millimetres.
     """
@@ -55,6 +57,7 @@ class ViewFrame:
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     images: Mapping[str, Mapping[str, Image]] = field(default_factory=dict)
     image_index: int | None = None
+    scans: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
     estimate: Mapping[str, Array] = field(default_factory=dict)
     estimate_errors: Mapping[str, float] = field(default_factory=dict)
 
@@ -81,12 +84,14 @@ class FrameRequest:
         channels: Channels that are wanted.
         wait: The images must belong to this frame; otherwise the latest images that are ready are given.
         full: Cameras whose images keep their size; other images are small.
+        scans: Points of laser scanners are wanted.
     """
 
     cameras: Collection[str] = ()
     channels: Collection[str] = ()
     wait: bool = False
     full: Collection[str] = ()
+    scans: bool = False
 
 
 #: A frame without images.
@@ -98,11 +103,13 @@ class ViewSource(ABC):
 
     Attributes:
         renders: Whether it renders the images itself, so that they are there soon.
+        scanners: Names of the laser scanners whose points can be shown.
         start: Stamp of the first frame, nanoseconds.
         estimate: An estimate of files that is shown beside the truth; None without.
     """
 
     renders: bool = False
+    scanners: Collection[str] = ()
     start: int = FIRST_STAMP
     estimate: Estimate | None = None
 

@@ -39,6 +39,8 @@ _FRUSTUM_IMAGE = 160
 #: Cells of the coverage along its longer side, and the margin around the cameras, metres.
 _CELLS, _MARGIN = 96, 1.0
 _RED = (235, 80, 80)
+#: Colour of scanned surfaces without a person, and size of scanned points, metres.
+_SCAN, _SCAN_POINT = (70, 90, 110), 0.015
 #: Folder of the files of people.
 _PEOPLE = "people/"
 #: Opacity of bodies whose joints are shown.
@@ -60,6 +62,7 @@ class Options:
     trails: bool = False
     boxes: bool = False
     coverage: bool = False
+    scans: bool = True
     room: bool = True
 
 
@@ -304,6 +307,7 @@ class Stage:
                 self._trail(name, positions, color)
             if self.options.boxes:
                 self._box(name, joints, color)
+        self._show_scans(frame)
         for name, points in frame.estimate.items():
             points = points[np.isfinite(points).all(axis=1)]
             if len(points):
@@ -315,6 +319,20 @@ class Stage:
         for key in [key for key in self._extras if key.startswith(("estimate ", "error "))]:
             if key.split(" ", 1)[1] not in frame.estimate:
                 self._drop(key)
+
+    def _show_scans(self, frame: ViewFrame) -> None:
+        clouds = {
+            f"scan {scanner} {person}": (points, self._color_of(person))
+            for scanner, people in frame.scans.items()
+            for person, points in people.items()
+        }
+        for key, (points, color) in clouds.items():
+            self._points(key, points, color, _SCAN_POINT)
+        for key in [key for key in self._extras if key.startswith("scan ") and key not in clouds]:
+            self._drop(key)
+
+    def _color_of(self, person: str) -> Color:
+        return person_color(self._numbers[person]) if person in self._numbers else _SCAN
 
     def _label(self, key: str, text: str, over: Array, height: float) -> None:
         position = (float(over[0]), float(over[1]), float(height))
@@ -368,7 +386,7 @@ class Stage:
         else:
             handle.points = points
 
-    def _points(self, key: str, points: Array, color: Color) -> None:
+    def _points(self, key: str, points: Array, color: Color, size: float = 0.03) -> None:
         points = np.asarray(points, dtype=np.float32)
         handle = self._extras.get(key)
         if handle is not None and len(handle.points) == len(points):
@@ -376,7 +394,7 @@ class Stage:
             return
         self._drop(key)
         self._extras[key] = self._scene.add_point_cloud(
-            f"/beside/{key}", points, np.array(color, np.uint8), point_size=0.03, point_shape="circle"
+            f"/beside/{key}", points, np.array(color, np.uint8), point_size=size, point_shape="circle"
         )
 
     def mark(self, point: Array | None) -> None:

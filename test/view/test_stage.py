@@ -6,11 +6,13 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 pytest.importorskip("viser")
 
 from humansim_ros import Scene
 from humansim_ros.view.scene_source import SceneViewSource
+from humansim_ros.view.source import FrameRequest
 from humansim_ros.view.stage import PageBody, pose_message
 
 
@@ -41,3 +43,28 @@ def test_a_message_has_bones_and_end_points_of_each_person_and_the_cameras() -> 
         [0, 0, 0, 1, 1, 2, 3],
         [0, 0, 0, 1, 4, 5, 6],
     ]
+
+
+def test_scans_lie_on_the_people_and_things_of_their_frame() -> None:
+    scene = Scene.from_dict(
+        {
+            "rate": 30,
+            "room": None,
+            "objects": {"wall": {"size": [0.1, 6, 3], "position": [2.4, 0, 1.5]}},
+            "humans": {"anna": {"body": "adult_woman", "motion": {"file": "walk", "position": [1, 0]}}},
+            "cameras": {"eye": {"position": [2, 2, 1.5], "look_at": [0, 0, 1], "size": [64, 48]}},
+            "scanners": {"lidar": {"model": "velodyne_vlp16", "position": [-1.5, 0.5, 1]}},
+        }
+    )
+    source = SceneViewSource(scene)
+    wanted = FrameRequest(scans=True)
+    assert source.frame(2, wanted).scans == {}  # the first sweep ends after 0.1 s
+    last, same = (source.frame(index, wanted).scans["lidar"] for index in (3, 5))
+    assert same["anna"] is last["anna"]  # the next one ends at frame 6
+    body = scene.actors["anna"].at(scene.frame_time(3) * 1e-9).vertices
+    distance, _ = KDTree(body).query(last["anna"])
+    assert len(distance) > 100
+    assert np.median(distance) < 0.05 and distance.max() < 0.25  # people move during a sweep
+    assert len(last[""]) > 1000
+    assert np.percentile(np.abs(last[""][:, 0] - 2.35), 95) < 0.1  # the range has noise
+    source.close()

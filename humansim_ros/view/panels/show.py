@@ -25,6 +25,7 @@ _LABELS = {
     "trails": "Trails",
     "boxes": "Boxes",
     "coverage": "Coverage of the floor",
+    "scans": "Laser scans",
     "room": "Room and objects",
 }
 #: Choice of all cameras.
@@ -52,6 +53,7 @@ class ShowPanel:
         with app.tabs["Show"], gui.add_folder("3D", order=3) as self._drawn:
             for option in fields(Options):
                 box = gui.add_checkbox(_LABELS[option.name], bool(getattr(app.options, option.name)))
+                box.visible = option.name != "scans" or bool(source.scanners)
                 box.on_update(lambda _: app.post(self._draw))
                 self._options[option.name] = box
             self._dark = gui.add_checkbox("Dark page", app.dark)

@@ -149,7 +149,9 @@ def test_soft_shadows_darken_and_leave_the_truth_alone(scene: Scene, people: lis
     for name in ("depth", "instance", "part"):
         np.testing.assert_array_equal(getattr(none, name), getattr(soft, name))
     assert not none.shadow.any()
-    assert (soft.rgb.astype(int) - none.rgb).max() <= 1
+    brighter = (soft.rgb.astype(int) - none.rgb).max(-1)
+    # a shadow makes the samples of some pixels unlike, which then get more of them
+    assert (brighter > 1).mean() < 2e-4 and brighter.max() <= 8
     shaded = (soft.shadow > 250) & (soft.instance == 0)
     assert shaded.sum() > 500
     assert (none.rgb[shaded].mean(1) - soft.rgb[shaded].mean(1)).min() > 5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import moderngl
@@ -12,9 +13,12 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render.programs import link, set_uniform, unit_square, use_camera
+from humansim_ros.types import Array
 
 #: Cells along a side of a shadow.
 CELLS = 64
+#: Height of the shadow in metres: above a rug.
+_HEIGHT = 0.01
 #: Metres around the body that the shadow covers.
 _MARGIN = 0.35
 #: Height in metres at which the shadow of a surface has faded to 1/e.
@@ -38,9 +42,20 @@ class ContactShadow:
 
     @property
     def corners(self) -> NDArray[np.float32]:
-        """(4, 3) corners of the square on the floor."""
-        (x, y), s = self.corner, self.side
-        return np.array([(x, y, 0), (x + s, y, 0), (x, y + s, 0), (x + s, y + s, 0)], dtype=np.float32)
+        """(4, 3) corners of the part of the square that is not without shadow."""
+        (left, top), (right, bottom) = self._dark
+        return np.array([(x, y, _HEIGHT) for x in (left, right) for y in (top, bottom)], dtype=np.float32)
+
+    @cached_property
+    def _dark(self) -> tuple[Array, Array]:
+        """Low and high corner (x, y) of the shadow in ``map``, metres."""
+        columns, rows = (np.flatnonzero(self.darkness.any(axis=axis)) for axis in (0, 1))
+        low = np.array([each.min(initial=CELLS) for each in (columns, rows)])
+        high = np.array([each.max(initial=0) for each in (columns, rows)])
+        # a cell is interpolated to the centers of its neighbours
+        cells = np.clip([low - 0.5, np.maximum(high, low) + 1.5], 0, CELLS)
+        corners = np.array(self.corner) + cells * (self.side / CELLS)
+        return corners[0], corners[1]
 
 
 def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> ContactShadow:

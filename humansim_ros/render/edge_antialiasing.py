@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Float32Array
 
 #: Largest difference of depth, in metres, between an outline and its surface half a pixel inside.
 _RIM = 0.1
@@ -132,9 +132,13 @@ def share_beyond(distance: Array, slope: Array) -> Array:
     return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
 
 
-def blend(images: Sequence[NDArray[np.uint8]], depth: NDArray[np.float32], outline: EdgeCrossings) -> None:
-    """Blend visible outlines into images (H, W) or (H, W, C) in place. ``depth``: (H, W) of the images."""
-    z, z_neighbour = depth.ravel()[outline.pixel], depth.ravel()[outline.neighbour]
+def blend(
+    images: Sequence[NDArray[np.uint8]], z: Float32Array, z_neighbour: Float32Array, outline: EdgeCrossings
+) -> None:
+    """Blend visible outlines into images (H, W) or (H, W, C) in place.
+
+    ``z``, ``z_neighbour``: depth (N,) of the pixels of the crossings, and of their neighbours.
+    """
     # the surface in front is the outlined one, not an occluder; and another surface is behind it
     front, behind = np.minimum(z, z_neighbour), np.maximum(z, z_neighbour)
     visible = np.flatnonzero((np.abs(front - outline.depth) < _RIM) & (behind > outline.depth))
@@ -143,7 +147,7 @@ def blend(images: Sequence[NDArray[np.uint8]], depth: NDArray[np.float32], outli
     pixel, neighbour = outline.pixel[order], outline.neighbour[order]
     share = outline.share[order, None].astype(np.float32)
     for image in images:
-        flat = image.reshape(depth.size, -1)
+        flat = image.reshape(image.shape[0] * image.shape[1], -1)
         own = flat[pixel]
         flat[pixel] = np.rint(own + share * (flat[neighbour].astype(np.float32) - own)).astype(np.uint8)
 

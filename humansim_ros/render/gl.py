@@ -196,9 +196,10 @@ class GLRenderer(Renderer):
         if sun is not None and posed:
             shaded += sun.update(posed)
         clouds = [points for points, draw in zip(projected, drawn, strict=True) if draw]
+        touched = image_bounds(clouds, camera)
         rectangle = image_bounds([*clouds, *(ProjectedPoints(points, camera) for points in shaded)], camera)
         target = self._targets.of(camera.size)
-        target.start(rectangle, layer.depth_buffer, layer.rgba)
+        target.start(rectangle, layer.depth_buffer, layer.rgba, touched)
         ids, outline = TriangleIds(), None
         if not rectangle.empty:
             self._contact_shadows.draw(shadows, camera)
@@ -224,7 +225,8 @@ class GLRenderer(Renderer):
             alone = {body.body.instance: self._alone(body, points) for body, points in labelled}
         instances = tuple(body.instance for body in bodies)
         return RenderedFrame(
-            passes, instances, camera, layer, rectangle, ids, triangle_ids, depth, rgba, outline, alone
+            *(passes, instances, camera, layer, touched, rectangle),
+            *(ids, triangle_ids, depth, rgba, outline, alone),
         )
 
     def _static_labels(

@@ -109,7 +109,8 @@ class StaticLayer:
 
 @dataclass(eq=False)
 class RenderedFrame:
-    """Rendered images of bodies before one camera, within the rectangle that the bodies may touch.
+    """Rendered images of bodies before one camera, within the rectangle that the bodies may touch; colours
+    within ``coloured``, which has their shadows, too.
 
     It does not refer to the bodies. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w)
     metres, 0 where no body is. ``rgba``: (h, w, 4), alpha is the share of direct light that bodies leave.
@@ -122,6 +123,7 @@ class RenderedFrame:
     camera: Camera
     layer: StaticLayer
     rectangle: Rectangle
+    coloured: Rectangle
     ids: TriangleIds
     triangle_ids: NDArray[np.uint32]
     depth: Float32Array
@@ -139,13 +141,24 @@ class RenderedFrame:
         whole.setflags(write=False)
         return whole
 
+    def _depth_at(self, pixels: Indices) -> Float32Array:
+        """Depth (N,) of pixels of the whole image, without a copy of the whole image."""
+        depth = self.layer.depth.ravel()[pixels]
+        row, column = np.divmod(pixels, self.camera.size[0])
+        (x0, y0), (x1, y1) = self.rectangle.low, self.rectangle.high
+        within = np.flatnonzero((row >= y0) & (row < y1) & (column >= x0) & (column < x1))
+        own = self.depth[row[within] - y0, column[within] - x0]
+        depth[within] = np.where(own > 0, own, depth[within])
+        return depth
+
     @property
     def nbytes(self) -> int:
         """Approximate memory."""
         pixels, own = self.camera.size[0] * self.camera.size[1], self.triangle_ids.size
         masks = 0 if self.alone is None else pixels * len(self.alone)
         depth = 4 * pixels if "whole_depth" in vars(self) else 0
-        return 12 * own + masks + depth + (0 if self._geometry is None else 64 * own)
+        colours = 0 if self.rgba is None else self.rgba.nbytes
+        return 8 * own + colours + masks + depth + (0 if self._geometry is None else 64 * own)
 
     def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
         """Surface points that the pixels show. ``bodies``: those that were rendered."""
@@ -166,9 +179,7 @@ class RenderedFrame:
             channels: Names of the channels.
             adjacent: Adjacent frames that the channels need.
         """
-        images: dict[str, Any] = self.layer.images(
-            {*channels, "depth"} if self.outline is not None else channels
-        )
+        images: dict[str, Any] = self.layer.images(channels)
         if self.static_labels is not None:
             images |= self.static_labels.images(channels)
         for name, fill in _FILL.items():
@@ -176,7 +187,8 @@ class RenderedFrame:
                 fill(self, name, images, bodies)
         blended = [*([images["rgb"]] if "rgb" in images else []), *images.get("alpha", {}).values()]
         if self.outline is not None and blended:
-            blend(blended, images["depth"], self.outline)
+            here, beside = self._depth_at(self.outline.pixel), self._depth_at(self.outline.neighbour)
+            blend(blended, here, beside, self.outline)
         for which, (frame, other) in adjacent.items():
             depth, touched = None, self.rectangle.slices
             if other is not None:
@@ -222,12 +234,12 @@ def _fill_from_ids(frame: RenderedFrame, name: str, images: dict[str, Any], _: S
 def _fill_rgb(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
     if frame.rgba is not None and frame.rgba.size:
         # (many times faster than an assignment of three channels out of four)
-        images[name][frame.rectangle.slices] = cv2.cvtColor(frame.rgba, cv2.COLOR_RGBA2RGB)
+        images[name][frame.coloured.slices] = cv2.cvtColor(frame.rgba, cv2.COLOR_RGBA2RGB)
 
 
 def _fill_shadow(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
     if frame.rgba is not None:
-        images[name][frame.rectangle.slices] = 255 - frame.rgba[..., 3]
+        images[name][frame.coloured.slices] = 255 - frame.rgba[..., 3]
 
 
 def _fill_alpha(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:

@@ -78,24 +78,30 @@ class RenderTarget:
         }
         self._colour, self._seen = (ctx.framebuffer(self._textures[2:], self._depth_buffer) for _ in range(2))
         self._colour.depth_mask = False  # shadows change colours and hide nothing
-        self._rectangle = Rectangle(0, 0, *size)
+        #: pixels of colours, and of depth and triangle ids
+        self._coloured = self._identified = Rectangle(0, 0, *size)
 
     def start(
         self,
         rectangle: Rectangle,
         depth_buffer: Float32Array | None = None,
         rgba: NDArray[np.uint8] | None = None,
+        bodies: Rectangle | None = None,
     ) -> None:
         """Limit drawing to a rectangle, and initialise it.
 
-        ``depth_buffer``, ``rgba``: (H, W) and (H, W, 4) of the whole image behind; if None, nothing is behind
-        and the colour is undefined.
+        Args:
+            rectangle: Pixels to draw.
+            depth_buffer: (H, W) of the whole image behind; if None, nothing is behind.
+            rgba: (H, W, 4) of the whole image behind; if None, the colour is undefined.
+            bodies: Pixels whose depth and triangle ids will be read; all if None. Shadows have neither.
         """
         self._limit_to(rectangle)
+        self._identified = rectangle if bodies is None else bodies
         # writing: a clear costs Mesa more, and so does a copy, which with a scissor becomes a draw
-        zeros = bytes(4 * rectangle.shape[0] * rectangle.shape[1])
-        self._write(self._textures[0], zeros)
-        self._write(self._textures[1], zeros)
+        zeros = bytes(4 * self._identified.shape[0] * self._identified.shape[1])
+        for texture in self._textures[:2]:
+            texture.write(zeros, viewport=self._identified.xywh, alignment=1)
         if depth_buffer is None:
             self._write(self._depth_buffer, np.ones(rectangle.shape, np.float32).tobytes())
         else:
@@ -105,10 +111,10 @@ class RenderTarget:
         self._colour.use()
 
     def _write(self, image: moderngl.Texture, pixels: bytes) -> None:
-        image.write(pixels, viewport=self._rectangle.xywh, alignment=1)
+        image.write(pixels, viewport=self._coloured.xywh, alignment=1)
 
     def _limit_to(self, rectangle: Rectangle) -> None:
-        self._rectangle = rectangle
+        self._coloured = self._identified = rectangle
         for framebuffer in (*self._framebuffers.values(), self._colour, self._seen):
             framebuffer.scissor = rectangle.xywh
 
@@ -153,13 +159,14 @@ class RenderTarget:
         self._framebuffers[lit].use()
 
     def read(self, name: str, lit: bool) -> NDArray[Any]:
-        """Read an attachment within the rectangle, (H, W) or (H, W, C)."""
+        """Read an attachment within its rectangle, (H, W) or (H, W, C)."""
         attachment, components, dtype = _ATTACHMENTS[name]
+        rectangle = self._coloured if name == "rgba" else self._identified
         pixels = self._framebuffers[lit].read(
-            self._rectangle.xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
+            rectangle.xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
         )
         image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
-        return image.reshape(*self._rectangle.shape, *(() if components == 1 else (components,)))
+        return image.reshape(*rectangle.shape, *(() if components == 1 else (components,)))
 
     def release(self) -> None:
         """Free the memory on the device."""

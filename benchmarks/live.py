@@ -55,13 +55,26 @@ from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene import DEMO_SCENE
 
-#: Number of cameras, and topics of each camera that the subscriber subscribes to.
+
+@dataclass(frozen=True)
+class Case:
+    """Topics of each camera that the subscriber subscribes to, number and size of the cameras, and rate."""
+
+    kinds: tuple[str, ...]
+    cameras: int = 4
+    size: tuple[int, int] = (640, 480)
+    rate: float = 30.0
+
+
+RGB_INFO = ("image_raw", "camera_info")
 CASES = {
-    "rgb": (4, ("image_raw",)),
-    "rgb + info": (4, ("image_raw", "camera_info")),
-    "rgb + info + depth + part": (4, ("image_raw", "camera_info", "depth/image", "part/image")),
-    "rgb, 8 cameras": (8, ("image_raw",)),
-    "rgb as JPEG": (4, ("image_raw/compressed",)),
+    "rgb": Case(("image_raw",)),
+    "rgb + info": Case(RGB_INFO),
+    "rgb + info + depth + part": Case((*RGB_INFO, "depth/image", "part/image")),
+    "rgb, 8 cameras": Case(("image_raw",), 8),
+    "rgb as JPEG": Case(("image_raw/compressed",)),
+    "rgb + info, 12 cameras, 15 Hz": Case(RGB_INFO, 12, rate=15.0),
+    "rgb + info, 1920x1080, 15 Hz": Case(RGB_INFO, size=(1920, 1080), rate=15.0),
 }
 MESSAGE_TYPES = {"camera_info": CameraInfo, "image_raw/compressed": CompressedImage}
 #: Frames of every topic before a run: cameras render their static scene and adapt their stride.
@@ -109,6 +122,8 @@ TABLE = (
     Setting(ALL_FOUR, 1),
     Setting("rgb as JPEG", cores()),
     Setting("rgb, 8 cameras", cores()),
+    Setting("rgb + info, 12 cameras, 15 Hz", cores()),
+    Setting("rgb + info, 1920x1080, 15 Hz", cores()),
 )
 
 
@@ -122,16 +137,20 @@ def set_nice(pids: Iterable[int], nice: int) -> None:
             Path(f"/proc/{pid}/autogroup").write_text(str(nice))
 
 
-def with_cameras(scene: Path, number: int, folder: Path) -> Path:
-    """Write the demo scene with ``number`` cameras: some of its own, or more on a circle around it."""
-    content = yaml.safe_load(scene.read_text())
-    cameras = content["cameras"]
+def scene_of(case: Case, folder: Path) -> Path:
+    """Write the demo scene with the cameras of a case: some of its own, or more on a circle around it."""
+    content = yaml.safe_load(resource_path(DEMO_SCENE).read_text())
+    number, cameras = case.cameras, content["cameras"]
     for i in range(len(cameras), number):
         angle = 2 * np.pi * (i + 0.5) / (number - len(cameras))
         position = [round(float(x), 3) for x in (3.2 * np.cos(angle), 2.9 * np.sin(angle), 2.0)]
         cameras[f"camera_{i + 1}"] = {**next(iter(cameras.values())), "position": position}
-    content["cameras"] = dict(list(cameras.items())[:number])
-    changed = folder / f"{number}_cameras.yaml"
+    chosen = list(cameras.items())[:number]
+    content |= {
+        "rate": case.rate,
+        "cameras": {name: {**own, "size": list(case.size)} for name, own in chosen},
+    }
+    changed = folder / f"{number}_cameras_{case.size[0]}_{case.rate:g}.yaml"
     changed.write_text(yaml.safe_dump(content, sort_keys=False))
     return changed
 
@@ -167,8 +186,8 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int, loops: in
     Returns:
         Figures of the run, see COLUMNS.
     """
-    number, kinds = CASES[setting.case]
-    scene = with_cameras(resource_path(DEMO_SCENE), number, folder)
+    kinds = CASES[setting.case].kinds
+    scene = scene_of(CASES[setting.case], folder)
     cameras = list(Scene.load(scene).cameras)
     executor = SingleThreadedExecutor() if setting.plain_spin else make_executor()
     node = rclpy.create_node("live_benchmark")
@@ -297,7 +316,7 @@ def main() -> None:
     prepare_transport()
     rclpy.init()
     runs: dict[Setting, list[dict[str, Any]]] = defaultdict(list)
-    print(f"{cores()} cores, demo scene at 640x480, 30 Hz, {arguments.seconds:g} s each")
+    print(f"{cores()} cores, demo scene at 640x480, 30 Hz unless named, {arguments.seconds:g} s each")
     print(f"{'subscribed, per camera':42} processes", *(heading(*c) for c in COLUMNS.values()))
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(arguments.repeat):

@@ -143,12 +143,15 @@ class RenderedFrame:
 
     def _depth_at(self, pixels: Indices) -> Float32Array:
         """Depth (N,) of pixels of the whole image, without a copy of the whole image."""
-        depth = self.layer.depth.ravel()[pixels]
-        row, column = np.divmod(pixels, self.camera.size[0])
-        (x0, y0), (x1, y1) = self.rectangle.low, self.rectangle.high
-        within = np.flatnonzero((row >= y0) & (row < y1) & (column >= x0) & (column < x1))
-        own = self.depth[row[within] - y0, column[within] - x0]
-        depth[within] = np.where(own > 0, own, depth[within])
+        depth = self.layer.depth.take(pixels)
+        row = pixels // self.camera.size[0]  # (divmod takes several times as long)
+        column = pixels - row * self.camera.size[0] - self.rectangle.x0
+        row -= self.rectangle.y0
+        height, width = self.rectangle.shape
+        within = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
+        own = self.depth.take(row[within] * width + column[within])
+        covered = np.flatnonzero(own > 0)
+        depth[within[covered]] = own[covered]
         return depth
 
     @property

@@ -59,7 +59,7 @@ class SceneViewSource(ViewSource):
         workers: int | None = None,
         has_cameras: bool = True,
     ) -> None:
-        self.scene = scene
+        self.scene = scene = scene.at_full_rate()
         self.title = title or (scene.path.stem if scene.path else "scene")
         self.messages = [] if scene.actors else ["The scene has no people."]
         if not has_cameras:

@@ -13,8 +13,8 @@ from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.scene_source import ImageWorkers, Request
-from humansim_ros.view.source import JOINTS
+from humansim_ros.view.scene_source import ImageWorkers, Request, SceneViewSource
+from humansim_ros.view.source import JOINTS, FrameRequest
 
 pytestmark = pytest.mark.process
 
@@ -42,7 +42,7 @@ def workers(scene: Scene) -> Iterator[ImageWorkers]:
 COPIES = """
 import sys, time
 from humansim_ros import Scene
-from humansim_ros.view.scene_source import ImageWorkers, Request
+from humansim_ros.view.scene_source import ImageWorkers, Request, SceneViewSource
 workers = ImageWorkers(Scene.load(sys.argv[1]), 2, copies=True)
 image = workers.exact(Request(7, ("front", "side"), ("rgb",), 160)).images["side"]["rgb"]
 print(*(process.pid for process in workers._workers.processes), image.tobytes().hex(), flush=True)
@@ -144,3 +144,15 @@ def test_a_process_that_dies_is_told(workers: ImageWorkers) -> None:
         process.wait()
     with pytest.raises(HumansimError, match="died"):
         workers.exact(request(2))
+
+
+def test_the_page_shows_cameras_with_rates_of_their_own_in_every_frame(scene: Scene) -> None:
+    slow = scene.config.model_dump()
+    slow["cameras"]["front"] |= {"rate": 5.0, "offset": 0.1}
+    source = SceneViewSource(Scene.from_dict(slow), workers=1)
+    try:
+        shown = source.frame(4, FrameRequest(("front",), ("rgb",), wait=True)).images["front"]["rgb"]
+    finally:
+        source.close()
+    with Simulation(scene, ("rgb",)) as simulation:
+        np.testing.assert_array_equal(shown, simulation.frame(4).views["front"].rgb)

@@ -135,9 +135,13 @@ def share_beyond(distance: Array, slope: Array) -> Array:
 def blend(
     images: Sequence[NDArray[np.uint8]], z: Float32Array, z_neighbour: Float32Array, outline: EdgeCrossings
 ) -> None:
-    """Blend visible outlines into images (H, W) or (H, W, C) in place.
+    """Blend visible outlines into images in place.
 
-    ``z``, ``z_neighbour``: depth (N,) of the pixels of the crossings, and of their neighbours.
+    Args:
+        images: (H, W) or (H, W, C).
+        z: Depth (N,) of the pixels of the crossings.
+        z_neighbour: Depth (N,) of their neighbours.
+        outline: The N crossings.
     """
     # the surface in front is the outlined one, not an occluder; and another surface is behind it
     front, behind = np.minimum(z, z_neighbour), np.maximum(z, z_neighbour)

@@ -18,6 +18,7 @@ COMMANDS = [
     "scanner = humansim_ros.ros.nodes.__main__:scanner",
     "camera = humansim_ros.ros.nodes.__main__:camera",
     "camera_rig = humansim_ros.ros.nodes.__main__:camera_rig",
+    "skinner_rig = humansim_ros.ros.nodes.__main__:skinner_rig",
     "evaluator = humansim_ros.ros.nodes.__main__:evaluator",
     "recorder = humansim_ros.ros.nodes.__main__:recorder",
 ]

@@ -1,6 +1,4 @@
-"""Start all nodes of a scene: motion player, one skinner per human, camera processes, a recorder, an
-evaluator.
-"""
+"""Start all nodes of a scene: motion player, skinners, camera processes, a recorder, an evaluator."""
 
 from __future__ import annotations
 

@@ -31,7 +31,8 @@ from humansim_ros.ros.processes.node_processes import NodeProcess, scene_process
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
 EXECUTABLES = {
-    *("humansim", "motion_player", "skinner", "camera", "camera_rig", "scanner", "recorder", "evaluator")
+    *("humansim", "motion_player", "skinner", "skinner_rig", "camera", "camera_rig", "scanner"),
+    *("recorder", "evaluator"),
 }
 SOURCES = ("LICENSES", "humansim_ros", "resource", *SHARED_FOLDERS)
 SOURCE_FILES = (
@@ -315,6 +316,26 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
         assert shared == dict(zip(names, threads, strict=True))
     monkeypatch.setenv("LP_NUM_THREADS", "7")
     assert processes.render_threads(scene_processes(path, 5)) == {"OPENCV_FOR_THREADS_NUM": "1"}
+
+
+def test_humans_are_spread_over_as_many_processes_as_there_are_cores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("humans: {a: {}, b: {}, c: {}}\ncameras: {front: {}}")
+
+    def spread(count: int, only: str = "skinners") -> list[tuple[str, str, tuple[str, ...]]]:
+        monkeypatch.setattr(processes, "cores", lambda: count)
+        return [(p.executable, p.node_name, p.visible_nodes) for p in scene_processes(path, only=only)]
+
+    def alone(human: str) -> tuple[str, str, tuple[str, ...]]:
+        return "skinner", f"skinner_{human}", (f"skinner_{human}",)
+
+    first = "skinner_rig", "_skinner_rig_1", ("skinner_a", "skinner_c")
+    assert spread(2) == [first, alone("b")]
+    assert spread(8) == [alone("a"), alone("b"), alone("c")]
+    assert spread(1) == [("skinner_rig", "_skinner_rig_1", ("skinner_a", "skinner_b", "skinner_c"))]
+    assert spread(1, "skinner_c,skinner_b") == [("skinner_rig", "_skinner_rig_2", ("skinner_b", "skinner_c"))]
 
 
 def test_only_some_nodes_of_a_scene_are_started(tmp_path: Path) -> None:

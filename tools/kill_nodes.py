@@ -42,6 +42,7 @@ from humansim_ros.jobs.workers import children_of
 from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.ros.runtime import make_executor, prepare_transport
+from humansim_ros.scene.names import skinner_node
 
 #: Shortest and longest time between a return and the next kill, seconds.
 PAUSE = (4.0, 12.0)
@@ -104,27 +105,35 @@ class Kill:
     ended: list[int] = field(default_factory=list)
 
 
+def humans_of(process: NodeProcess) -> list[str]:
+    """Humans that a process skins."""
+    if process.executable not in ("skinner", "skinner_rig"):
+        return []
+    return [name.removeprefix(skinner_node("")) for name in process.visible_nodes]
+
+
 def victims_of(scene: Path, processes: int | None) -> list[Victim]:
     """All processes of a scene with their topics."""
     found = scene_processes(scene, processes)
-    humans = [str(each.parameters["human"]) for each in found if each.executable == "skinner"]
-    motions = {f"/humans/{human}/motion": MultiDOFJointState for human in humans}
+    humans = {each.node_name: humans_of(each) for each in found}
+    motions = {f"/humans/{name}/motion": MultiDOFJointState for names in humans.values() for name in names}
     flowing: dict[str, dict[str, Any]] = {"motion_player": motions}
     latched: dict[str, dict[str, Any]] = {
         "motion_player": {f"{motion}/legend": String for motion in motions},
     }
     for each in found:
-        if each.executable == "skinner":
-            human = f"/humans/{each.parameters['human']}"
-            latched[each.node_name] = {f"{human}/mesh": Mesh}
-            flowing[each.node_name] = {f"{human}/{name}": kind for name, kind in FLOWING_OF_HUMANS.items()}
+        if names := humans[each.node_name]:
+            latched[each.node_name], flowing[each.node_name] = (
+                {f"/humans/{human}/{name}": kind for human in names for name, kind in topics.items()}
+                for topics in ({"mesh": Mesh}, FLOWING_OF_HUMANS)
+            )
         elif each.executable != "motion_player":
             latched[each.node_name], flowing[each.node_name] = (
                 {f"/{camera}/{name}": kind for camera in each.visible_nodes for name, kind in topics.items()}
                 for topics in (LATCHED_OF_CAMERAS, FLOWING_OF_CAMERAS)
             )
     # a camera needs all skinners, and a skinner needs the player
-    rank = {"motion_player": 0, "skinner": 1}
+    rank = {"motion_player": 0, "skinner": 1, "skinner_rig": 1}
     return [
         Victim(
             each,

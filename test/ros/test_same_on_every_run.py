@@ -322,9 +322,11 @@ def test_nodes_in_one_process_show_what_simulation_shows(
     from humansim_ros.ros.nodes.camera_rig import CameraRigNode
     from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
     from humansim_ros.ros.nodes.skinner import SkinnerNode
+    from humansim_ros.ros.nodes.skinner_rig import SkinnerRigNode
 
     namespace = f"process_{run}"
-    kinds = [(MotionPlayerNode, []), (SkinnerNode, ["anna"]), (SkinnerNode, ["bob"]), (CameraRigNode, [])]
+    alone, together = [(SkinnerNode, ["anna"]), (SkinnerNode, ["bob"])], [(SkinnerRigNode, [])]
+    kinds = [(MotionPlayerNode, []), *(together if run else alone), (CameraRigNode, [])]
     nodes: list[Any] = [
         kind(
             scene=loaded(everything),

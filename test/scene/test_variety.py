@@ -181,8 +181,8 @@ def test_they_come_beside_the_scenes_own_humans_and_every_process_knows_them(tmp
     loaded = Scene.load(path)
     assert list(loaded.actors) == ["anna", "person_1", "person_2"]
     assert [actor.instance for actor in loaded.actors.values()] == [1, 2, 3]
-    skinners = [p.parameters["human"] for p in scene_processes(path) if p.executable == "skinner"]
-    assert skinners == ["anna", "person_1", "person_2"]
+    skinners = [name for process in scene_processes(path, only="skinners") for name in process.visible_nodes]
+    assert sorted(skinners) == ["skinner_anna", "skinner_person_1", "skinner_person_2"]
 
 
 @pytest.mark.slow

@@ -36,9 +36,12 @@ def run(name: str) -> int:
 
 
 #: Functions of the installed scripts.
-motion_player, skinner, camera, camera_rig, scanner, recorder, evaluator = (
+motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder, evaluator = (
     partial(run, name)
-    for name in ("motion_player", "skinner", "camera", "camera_rig", "scanner", "recorder", "evaluator")
+    for name in (
+        *("motion_player", "skinner", "skinner_rig", "camera", "camera_rig", "scanner"),
+        *("recorder", "evaluator"),
+    )
 )
 
 

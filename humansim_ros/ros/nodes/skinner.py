@@ -109,11 +109,14 @@ _PLAYER_GONE_AFTER = 3.0
 
 
 class SkinnerNode(SceneNode):
-    """Computes joints and vertices of a body from the joints of a motion."""
+    """Computes joints and vertices of a body from the joints of a motion.
 
-    def __init__(self, **options: Any) -> None:
+    A skinner of a rig is given the name of its ``human``, which others read from a parameter.
+    """
+
+    def __init__(self, human: str = "", **options: Any) -> None:
         super().__init__("skinner", **options)
-        name = self.text_parameter("human", "", "Human of the scene; empty: the first")
+        name = human or self.text_parameter("human", "", "Human of the scene; empty: the first")
         marker_rate = self.number_parameter(
             "marker_rate", 10.0, 0.1, 1000.0, "Maximum number of marker messages per second (they are large)"
         )

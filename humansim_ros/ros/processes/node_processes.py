@@ -19,6 +19,8 @@ WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 #: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
 #: _, so that users see the same nodes for any number of processes.
 RIG_NODE = "_camera_rig"
+#: Node that holds the skinners of its process; hidden like that of the cameras.
+SKINNER_RIG_NODE = "_skinner_rig"
 #: Exit code of a node that has reported wrong input: another start would report it again.
 WRONG_INPUT = 2
 #: Names for several nodes of a scene, or for one without its name.
@@ -107,7 +109,9 @@ class NodeProcess:
     @property
     def visible_nodes(self) -> tuple[str, ...]:
         """Names of its nodes without hidden ones."""
-        cameras = self.parameters.get("cameras")
+        cameras, humans = (self.parameters.get(name) for name in ("cameras", "humans"))
+        if isinstance(humans, list):
+            return tuple(skinner_node(str(name)) for name in humans)
         return tuple(cameras) if isinstance(cameras, list) else (self.node_name,)
 
     @property
@@ -185,8 +189,10 @@ def scene_processes(
     record: RecordOptions | None = None,
     evaluate: EvaluateOptions | None = None,
 ) -> list[NodeProcess]:
-    """List the processes of a scene: motion player, one skinner per human, camera processes, one per laser
+    """List the processes of a scene: motion player, processes of skinners, camera processes, one per laser
     scanner, a recorder, an evaluator.
+
+    There is at most one process of skinners for each core; they share the humans.
 
     Args:
         scene_path: Scene file.
@@ -208,6 +214,7 @@ def scene_processes(
     chosen = _chosen_nodes(names, only, path)
     # with their numbers in the scene: on several hosts, no two processes have a number in common
     cameras = [(i, name) for i, name in enumerate(names.cameras, 1) if name in chosen]
+    humans = [(i, name) for i, name in enumerate(names.humans, 1) if skinner_node(name) in chosen]
     namespace = relative_namespace(namespace)
     time = time or TimeOptions()
     in_lockstep = names.lockstep if time.lockstep is None else time.lockstep
@@ -219,14 +226,14 @@ def scene_processes(
     of_cameras = {**scene, **({"frame_prefix": frame_prefix} if frame_prefix else {})}
     listed = [
         NodeProcess("motion_player", PLAYER_NODE, {**scene_file, **time.parameters, **recorder}),
-        *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
+        *_skinner_processes(humans, scene),
         *_camera_processes(cameras, cores() if processes is None else processes, of_cameras),
         *(
             NodeProcess("scanner", name, {**of_cameras, "scanner": name, "start_scene": False})
             for name in names.scanners
         ),
     ]
-    here = [process for process in listed if process.node_name in chosen or process.renders]
+    here = [process for process in listed if not chosen.isdisjoint(process.visible_nodes)]
     if record is not None:
         here.append(_recorder(record, names, scene, time.wait_for))
     if evaluate is not None:
@@ -320,15 +327,30 @@ def _check_free(node: str, verb: str, names: SceneNames) -> None:
         raise RosError(f"{text}: give the camera another name", key=f"cameras.{node}")
 
 
+def _skinner_processes(
+    humans: Sequence[tuple[int, str]], scene: Mapping[str, ParameterValue]
+) -> Iterator[NodeProcess]:
+    """``humans``: number and name of each."""
+    for number, names in _shares(humans, cores()):
+        if len(names) == 1:
+            yield NodeProcess("skinner", skinner_node(names[0]), {**scene, "human": names[0]})
+        else:
+            yield NodeProcess("skinner_rig", f"{SKINNER_RIG_NODE}_{number}", {**scene, "humans": names})
+
+
+def _shares(numbered: Sequence[tuple[int, str]], most: int) -> Iterator[tuple[int, list[str]]]:
+    """Divide names among at most ``most`` processes: the number of the first name of each, and its names."""
+    count = min(most, len(numbered))
+    for i in range(count):
+        yield numbered[i][0], [name for _, name in numbered[i::count]]
+
+
 def _camera_processes(
     cameras: Sequence[tuple[int, str]], processes: int, scene: Mapping[str, ParameterValue]
 ) -> Iterator[NodeProcess]:
     """``cameras``: number and name of each."""
-    count = min(processes, len(cameras))
     scene = {**scene, "start_scene": False}  # the skinners will come
-    for i in range(count):
-        number = cameras[i][0]
-        names = [name for _, name in cameras[i::count]]
+    for number, names in _shares(cameras, processes):
         if len(names) == 1:
             yield NodeProcess("camera", names[0], {**scene, "camera": names[0]})
         else:

@@ -201,15 +201,15 @@ class Leg:
         thigh, shin, foot = ([j for j, number in part.items() if number == k] for k in range(3))
         return cls(*main, thigh, shin, foot)
 
-    def stretch(self, positions: Array, thigh: float, shin: float) -> None:
-        """Give thigh and shin of joints (N, J, 3) these lengths in metres, in place."""
+    def stretch(self, positions: Array, thigh: Array, shin: Array) -> None:
+        """Give thigh and shin of joints (N, J, 3) lengths (N,) in metres, in place."""
         for joints, start, end, length in (
             ([*self.shin, *self.foot], self.hip, self.knee, thigh),
             (self.foot, self.knee, self.ankle, shin),
         ):
             line = positions[:, end] - positions[:, start]
-            longer = length / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9) - 1
-            positions[:, joints] += (longer * line)[:, None]
+            longer = length / np.maximum(np.linalg.norm(line, axis=-1), 1e-9) - 1
+            positions[:, joints] += (longer[:, None] * line)[:, None]
 
     def turn(
         self, positions: Array, rotations: Array, thigh: Array, shin: Array, foot: Array | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -271,35 +272,95 @@ class PathMotion(WorldMotion):
         return self.path.stepping(self.gait, self.size)
 
     def sample(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
-        return self._poses(self.file_times(times, file_offset))
+        times = self.file_times(times, file_offset)
+        return JointPoses(self.names, *_Walks((self,), len(times)).poses(times))
 
     def sample_with_velocities(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
-        t = self.file_times(times, file_offset)
-        poses = self._poses(np.concatenate([t - VELOCITY_STEP, t, t + VELOCITY_STEP]))
-        before, positions, after = np.split(poses.positions, 3)
-        rotation_before, rotations, rotation_after = np.split(poses.rotations, 3)
-        linear, angular = central_difference(
-            before, after, rotation_before, rotation_after, 2 * VELOCITY_STEP
-        )
-        return JointPoses(self.names, positions, rotations, linear * self.speed, angular * self.speed)
+        (poses,) = sample_together([self], [self.file_times(times, file_offset)])
+        return poses
 
-    def _poses(self, times: Array) -> JointPoses:
-        """Poses at times (N,), seconds of the path."""
-        times = times % self.cycle_length
-        heading, phase, share = self._stepping(times).T
-        positions, rotations = turned(*self.gait.at(phase, share), heading)
-        positions *= self.size
-        positions[..., :2] += self.path.positions(times)[:, None]
+
+def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> list[JointPoses]:
+    """Sample walks with one gait: many people take little longer than one.
+
+    Args:
+        motions: Walks with the same gait.
+        times: File times of each, (N,) seconds, with the same N.
+
+    Returns:
+        Poses of each with velocities, as of :meth:`PathMotion.sample_with_velocities`.
+    """
+    count = len(times[0])
+    around = np.concatenate([[t - VELOCITY_STEP, t, t + VELOCITY_STEP] for t in times])
+    positions, rotations = (
+        each.reshape(len(motions), 3, count, *each.shape[1:]).swapaxes(0, 1)
+        for each in _Walks(motions, 3 * count).poses(around.ravel())
+    )
+    linear, angular = central_difference(
+        positions[0], positions[2], rotations[0], rotations[2], 2 * VELOCITY_STEP
+    )
+    each = zip(motions, positions[1], rotations[1], linear, angular, strict=True)
+    return [
+        JointPoses(motion.names, place, rotation, velocity * motion.speed, turning * motion.speed)
+        for motion, place, rotation, velocity, turning in each
+    ]
+
+
+@dataclass(frozen=True)
+class _Walks:
+    """Walks of M people with one gait. Arrays of N samples have those of each person in turn.
+
+    Attributes:
+        motions: The walks.
+        count: Number of samples of each.
+    """
+
+    motions: Sequence[PathMotion]
+    count: int
+
+    def _of_each(self, evaluate: Callable[[PathMotion, Array], Array], values: Array) -> Array:
+        """Values (K N, ...) of a function of each person's own part of some values (K N,)."""
+        parts = values.reshape(-1, len(self.motions), self.count)
+        found = [evaluate(motion, parts[:, i].ravel()) for i, motion in enumerate(self.motions)]
+        shape = found[0].shape[1:]
+        each = np.stack([one.reshape(len(parts), self.count, *shape) for one in found], axis=1)
+        return each.reshape(len(values), *shape)
+
+    def _stepping(self, times: Array) -> Array:
+        """Heading, phase and share of the stride (3, K N) at times."""
+        return self._of_each(lambda motion, at: np.asarray(motion._stepping(at)), times).T
+
+    def _times_of(self, phases: Array) -> Array:
+        """Seconds of the paths (K N,) at which phases are reached."""
+        return self._of_each(lambda motion, at: np.interp(at, motion._phases, motion._stepping.x), phases)
+
+    def _ground(self, times: Array) -> Array:
+        """Places (K N, 2) of the paths at times."""
+        return self._of_each(lambda motion, at: motion.path.positions(at), times)
+
+    @property
+    def _sizes(self) -> Array:
+        """(N,) sizes of the people relative to the motion."""
+        return np.repeat([motion.size for motion in self.motions], self.count)
+
+    def poses(self, times: Array) -> tuple[Array, Array]:
+        """Positions (N, J, 3) and rotations (N, J, 4) at times (N,), seconds of the paths."""
+        gait, sizes = self.motions[0].gait, self._sizes
+        times = times % np.repeat([motion.cycle_length for motion in self.motions], self.count)
+        heading, phase, share = self._stepping(times)
+        positions, rotations = turned(*gait.at(phase, share), heading)
+        positions *= sizes[:, None, None]
+        positions[..., :2] += self._ground(times)[:, None]
         matrices = quaternion_to_matrix(rotations)
         moves = self._shifts(times, phase)
         moves *= _whole(share / _PINNED)[:, None]
         shifts, turns = moves[..., :3], moves[..., 3]
         shifts *= np.minimum(1.0, _MAX_SHIFT / np.maximum(np.linalg.norm(shifts, axis=-1), 1e-9))[..., None]
-        legs = self.gait.legs
+        legs = gait.legs
         goals = positions[:, [leg.ankle for leg in legs]].swapaxes(0, 1) + shifts
-        for leg, lengths in zip(legs, self.gait.leg_lengths, strict=True):
+        for leg, (thigh, shin) in zip(legs, gait.leg_lengths, strict=True):
             # a pose between two others has legs that are too short
-            leg.stretch(positions, *(self.size * lengths).tolist())
+            leg.stretch(positions, sizes * thigh, sizes * shin)
         joints = positions[:, [(leg.hip, leg.knee, leg.ankle) for leg in legs]]
         hips, knees, ankles = joints.transpose(2, 1, 0, 3).reshape(3, -1, 3)
         thighs, shins = two_bone(hips, knees, ankles, goals.reshape(-1, 3))
@@ -308,17 +369,17 @@ class PathMotion(WorldMotion):
             legs, *(part.reshape(2, -1, 3, 3) for part in (thighs, shins, feet)), strict=True
         ):
             leg.turn(positions, matrices, *parts)
-        return JointPoses(self.names, positions, matrix_to_quaternion(matrices))
+        return positions, matrix_to_quaternion(matrices)
 
     def _shifts(self, times: Array, phases: Array) -> Array:
         """How both feet move, metres, and turn, radians, to stay where they stand: (2, N, 4).
 
         Args:
-            times: Seconds of the path, (N,).
+            times: Seconds of the paths, (N,).
             phases: Phases at these times, (N,).
         """
         feet, middles, at, weights = [], [], [], []
-        for foot, stances in enumerate(self.gait.stances):
+        for foot, stances in enumerate(self.motions[0].gait.stances):
             number = np.floor(phases).astype(int) * len(stances) - 1
             number += np.searchsorted(stances[:, 0], phases % 1.0, side="right")
             (cycle, which), (next_cycle, following) = (
@@ -326,7 +387,7 @@ class PathMotion(WorldMotion):
             )
             (first, last), (start, end) = (cycle + stances[which].T, next_cycle + stances[following].T)
             in_air = np.clip((phases - last) / np.maximum(start - last, 1e-9), 0.0, 1.0)
-            left, back = np.interp(np.stack([last, start]), self._phases, self._stepping.x)
+            left, back = np.split(self._times_of(np.concatenate([last, start])), 2)
             feet.append(np.full(2 * len(times), foot))
             middles.append(np.concatenate([first + last, start + end]) / 2)
             at.append(np.concatenate([np.where(in_air > 0, left, times), back]))
@@ -336,27 +397,27 @@ class PathMotion(WorldMotion):
         return np.asarray(now + np.array(weights)[..., None] * (after - now))
 
     def _to_plant(self, feet: Indices, middles: Array, times: Array) -> Array:
-        """Way of feet to where they stand: (N, 4), metres, and radians of their turn.
+        """Way of feet to where they stand: (K N, 4), metres, and radians of their turn.
 
         Args:
-            feet: 0 left, 1 right, (N,).
-            middles: Phases in the middle of the stances, (N,).
-            times: Times at which the feet are not there yet, (N,), seconds.
+            feet: 0 left, 1 right, (K N,).
+            middles: Phases in the middle of the stances, (K N,).
+            times: Times at which the feet are not there yet, (K N,), seconds.
         """
-        count = len(times)
-        both = np.concatenate([np.interp(middles, self._phases, self._stepping.x), times])
-        heading, phase, share = self._stepping(both).T
+        gait, count = self.motions[0].gait, len(times)
+        sizes = np.resize(self._sizes, count)
+        both = np.concatenate([self._times_of(middles), times])
+        heading, phase, share = self._stepping(both)
         c, s = np.cos(heading), np.sin(heading)
         # where the foot is planted, where it is, and how it rolls from heel to toe straight ahead
         phases = np.concatenate([phase, phase[count:], middles])
         shares = np.concatenate([share, np.ones(2 * count)])
-        planted, now, rolled, flat = np.split(
-            self.size * self.gait.ankles(np.tile(feet, 4), phases, shares), 4
-        )
+        ankles = gait.ankles(np.tile(feet, 4), phases, shares)
+        planted, now, rolled, flat = sizes[:, None] * ankles.reshape(4, count, 3)
         roll = (rolled - flat) * share[:count, None]
-        roll[:, 0] += self.size * self.gait.stride * share[:count] * (phase[count:] - middles)
+        roll[:, 0] += sizes * gait.stride * share[:count] * (phase[count:] - middles)
         (x, y), (u, v) = (planted + roll)[:, :2].T, now[:, :2].T
-        ground = self.path.positions(both)
+        ground = self._ground(both)
         moves = np.zeros((count, 4))
         moves[:, 0] = c[:count] * x - s[:count] * y - (c[count:] * u - s[count:] * v)
         moves[:, 1] = s[:count] * x + c[:count] * y - (s[count:] * u + c[count:] * v)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +16,7 @@ from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
-from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion
+from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
@@ -283,3 +285,22 @@ class Actor:
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
         return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
+
+
+def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, JointPoses]:
+    """Joint poses of humans by name at a scene time, as of :meth:`Actor.joint_poses`.
+
+    Those who walk along paths with one gait are computed together.
+    """
+    walking: dict[int, dict[str, PathMotion]] = defaultdict(dict)
+    for name, actor in actors.items():
+        if isinstance(actor.motion, PathMotion) and actor.keyframes is None:
+            walking[id(actor.motion.gait)][name] = actor.motion
+    together: dict[str, JointPoses] = {}
+    for motions in walking.values():
+        times = [
+            motion.file_times(seconds + actors[name].offset, actors[name].ahead)
+            for name, motion in motions.items()
+        ]
+        together |= zip(motions, sample_together(list(motions.values()), times), strict=True)
+    return {name: together.get(name) or actor.joint_poses(seconds) for name, actor in actors.items()}

@@ -18,7 +18,7 @@ from humansim_ros.io.schema_errors import validated
 from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, normalised
-from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.objects import ObjectPose
@@ -225,7 +225,7 @@ class Playback:
         """
         self.elapsed = elapsed
         seconds = elapsed * 1e-9
-        poses = {name: _paced(actor.joint_poses(seconds), pace) for name, actor in self.actors.items()}
+        poses = {name: _paced(each, pace) for name, each in joint_poses_of(self.actors, seconds).items()}
         objects = {name: self._object_at(name, seconds) for name in self.scene.moving_objects}
         objects = {name: replace(place, velocity=_velocity(place, pace)) for name, place in objects.items()}
         cameras = {

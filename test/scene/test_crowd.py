@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -15,6 +16,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning, SceneError
 from humansim_ros.motion.path_motion import FloorPath
 from humansim_ros.motion.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene.actor import joint_poses_of
 from humansim_ros.scene.config import check_config
 from humansim_ros.scene.crowd import with_crowd
 from humansim_ros.scene.floor_plan import FloorPlan
@@ -199,6 +201,20 @@ def test_simulation_shows_the_plan_at_any_time() -> None:
         assert np.linalg.norm(hips - actor.motion.path.positions(np.array([seconds]))[0]) < 0.15  # type: ignore[attr-defined]
         assert (late.humans[name].vertices == again.humans[name].vertices).all()
         assert (late.humans[name].vertices != early.humans[name].vertices).any()
+
+
+def test_people_are_sampled_together_to_the_same_bits_as_alone() -> None:
+    crowd = {"count": 4, "seed": 2, "duration": 20}
+    scene = Scene.from_dict({"cameras": CAMERA, "room": {"size": list(ROOM)}, "crowd": crowd})
+    actors = dict(scene.actors)
+    slow = replace(actors["walker_2"], offset=0.3, ahead=0.2)
+    actors["walker_2"] = replace(slow, motion=replace(slow.motion, speed=0.5))
+    for seconds in (0.0, 3.37, 19.99, 25.0):
+        for name, poses in joint_poses_of(actors, seconds).items():
+            alone = actors[name].joint_poses(seconds)
+            assert alone.names == poses.names
+            for field in ("positions", "rotations", "linear", "angular"):
+                assert np.array_equal(getattr(alone, field), getattr(poses, field)), (name, field)
 
 
 def test_person_with_another_speed_stays_on_the_path_and_with_another_motion_starts_where_it_began() -> None:

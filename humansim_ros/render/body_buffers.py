@@ -248,6 +248,8 @@ class PosedBody:
 #: Pixels of tolerance when a triangle is tested for pixel centers: projections are in single precision, and
 #: the device rounds them to 1/256 of a pixel.
 _ROUNDING = np.float32(1 / 64)
+#: Half of it, times the length of an edge of a triangle between two columns and two rows of pixel centers.
+_NEAR_EDGE = np.float32(3 / 128)
 #: Share of its depth by which a surface is behind others beyond doubt.
 _BEHIND = 0.999
 
@@ -289,11 +291,10 @@ class ProjectedPoints:
         cells = np.empty((len(self.depth), 2), np.int32)
         own = -1 - np.arange(len(self.depth), dtype=np.int32)
         for axis, (places, size) in enumerate(zip(self.pixels, self.camera.size, strict=True)):
-            low, high = np.ceil(places - _ROUNDING), np.floor(places + _ROUNDING)
-            on_line = ~((high < low) | (high < 0) | (low >= size))  # true for NaN
-            cell = np.clip(np.nan_to_num(low, copy=False), 0, size).astype(np.int32)
-            np.copyto(cell, own, where=on_line)
-            cells[:, axis] = cell
+            low = np.ceil(places - _ROUNDING)
+            between = (low > places + _ROUNDING) | (low < 0) | (low >= size)  # false for NaN
+            np.clip(low, 0, size, out=low)
+            cells[:, axis] = np.where(between, np.nan_to_num(low) if self.camera.distorted else low, own)
         return cells.view(np.int64)[:, 0]
 
     def covering(self, corners: Sequence[NDArray[np.intp]]) -> NDArray[np.bool_]:
@@ -305,6 +306,38 @@ class ProjectedPoints:
         first, second, third = (self._cells.take(corner) for corner in corners)
         different = ((first ^ second) | (first ^ third)).view(np.int32).reshape(-1, 2)
         return np.asarray((different[:, 0] != 0) & (different[:, 1] != 0))
+
+    def unhidden(self, corners: Sequence[NDArray[np.intp]], nearest: Float32Array) -> NDArray[np.bool_]:
+        """(M,) whether each triangle may show in the image, with surfaces before it.
+
+        Tested are triangles with one pixel center between their corners, as most small ones: whether they
+        cover it, and whether another surface before them does.
+
+        Args:
+            corners: Vertices of the triangles, three of (M,).
+            nearest: (H, W) depth of a surface that each pixel shows, or of one behind it, metres. Updated
+                with these triangles.
+        """
+        x, y = ([axis.take(corner) for corner in corners] for axis in self.pixels)
+        column, row = (np.ceil(_least(each) - _ROUNDING) for each in (x, y))
+        width, height = self.camera.size
+        single = (_greatest(x) < column + (1 - _ROUNDING)) & (_greatest(y) < row + (1 - _ROUNDING))
+        single &= (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        tested = np.flatnonzero(single)
+        column, row = column.take(tested), row.take(tested)
+        x, y = [each.take(tested) - column for each in x], [each.take(tested) - row for each in y]
+        # distances to the edges, times their lengths, which are less than 3 pixels
+        sides = [x[i] * y[j] - x[j] * y[i] for i, j in ((0, 1), (1, 2), (2, 0))]
+        low, high = _least(sides), _greatest(sides)
+        shown = (low > -_NEAR_EDGE) | (high < _NEAR_EDGE)
+        depths = [self.depth.take(corner.take(tested)) for corner in corners]
+        pixels = row.astype(np.intp) * width + column.astype(np.intp)
+        covers = (low > _NEAR_EDGE) | (high < -_NEAR_EDGE)
+        np.minimum.at(nearest.reshape(-1), pixels[covers], _greatest(depths)[covers])
+        shown &= nearest.take(pixels) >= _BEHIND * _least(depths)
+        result = np.ones(len(single), bool)
+        result[tested] = shown
+        return result
 
     def crossing(self, starts: Indices, ends: Indices) -> NDArray[np.bool_]:
         """(M,) whether straight edges between points, (M,) each, may cross a line between pixel centers."""
@@ -324,6 +357,14 @@ class ProjectedPoints:
         if rectangle.empty or rectangle.near:
             return rectangle.empty
         return float(static[rectangle.slices].max()) < _BEHIND * float(self.depth.min())
+
+
+def _least(three: Sequence[Float32Array]) -> Float32Array:
+    return np.minimum(np.minimum(three[0], three[1]), three[2])
+
+
+def _greatest(three: Sequence[Float32Array]) -> Float32Array:
+    return np.maximum(np.maximum(three[0], three[1]), three[2])
 
 
 def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle:

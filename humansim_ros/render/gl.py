@@ -54,7 +54,7 @@ from humansim_ros.render.rendered_frame import (
 from humansim_ros.render.renderer import Body, Renderer, RenderRequest, check_bodies
 from humansim_ros.render.static_layers import StaticLayers, camera_key
 from humansim_ros.render.target import Rectangle, RenderTargets
-from humansim_ros.types import Indices
+from humansim_ros.types import Float32Array, Indices
 
 if TYPE_CHECKING:
     from humansim_ros.render.pyrender import PyrenderRenderer
@@ -208,7 +208,7 @@ class GLRenderer(Renderer):
             target.use(passes.lit)
             each = zip(posed, drawn, strict=True)
             facing = [body.posed.facing(camera.center) if draw else None for body, draw in each]
-            ids = self._draw(posed, projected, facing, rectangle, passes.lit)
+            ids = self._draw(posed, projected, facing, rectangle, passes.lit, layer.depth.copy())
             if passes.outlined and clouds:
                 angle = straight_angle(camera, rectangle)
                 edges = [
@@ -251,7 +251,8 @@ class GLRenderer(Renderer):
             target.start(rectangle)
             target.use(False)
             facing = body.posed.facing(camera.center)
-            self._draw([body], [projected], [facing], rectangle, False)
+            nearest = np.full(camera.size[::-1], np.inf, np.float32)
+            self._draw([body], [projected], [facing], rectangle, False, nearest)
             mask[rectangle.slices] = target.read("triangle_id", False) > 0
         return mask
 
@@ -262,11 +263,17 @@ class GLRenderer(Renderer):
         facing: Sequence[NDArray[np.bool_] | None],
         rectangle: Rectangle,
         lit: bool,
+        nearest: Float32Array,
     ) -> TriangleIds:
         """Draw the triangles that may be visible of one body or more, each with its own id.
 
-        ``facing``: of each body, (N,) whether a triangle shows its front; None for a hidden body. ``lit``:
-        draw colours too.
+        Args:
+            bodies: The bodies.
+            projected: Their vertices in the image.
+            facing: Of each body, (N,) whether a triangle shows its front; None for a hidden body.
+            rectangle: Pixels that the bodies may touch.
+            lit: Draw colours too.
+            nearest: (H, W) depth of what hides them, metres; overwritten.
         """
         ids = TriangleIds()
         if not bodies:
@@ -276,8 +283,8 @@ class GLRenderer(Renderer):
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         straight = straight_angle(camera, rectangle)
         # the nearest first: what they hide is not shaded
-        nearest = np.argsort([points.depth.min() for points in projected], kind="stable")
-        for number in nearest.tolist():
+        order = np.argsort([points.depth.min() for points in projected], kind="stable")
+        for number in order.tolist():
             body, points, front = bodies[number], projected[number], facing[number]
             if front is None:
                 continue
@@ -293,6 +300,7 @@ class GLRenderer(Renderer):
             visible = np.flatnonzero(front) if culled else np.arange(len(front))
             if not rectangle.near:
                 visible = visible[points.covering([c.take(visible) for c in body.topology.corners])]
+                visible = visible[points.unhidden([c.take(visible) for c in body.topology.corners], nearest)]
             body.draw(lit, visible)
             ids.add(number, body.body, visible)
         return ids

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from humansim_ros.camera import Camera
 from humansim_ros.render.body_buffers import ProjectedPoints
@@ -33,6 +34,70 @@ def test_every_triangle_that_covers_a_pixel_center_is_drawn_and_few_others() -> 
     inside = (np.ceil(np.maximum(low, 0)) <= np.floor(np.minimum(high, np.array(SIZE) - 1))).all(axis=1)
     assert np.mean(drawn & ~inside) < 0.02  # within 1/64 of a pixel of a center
     assert 0.2 < covers.mean() < 0.5
+
+
+def shown(
+    depths: list[float], triangles: list[list[tuple[float, float]]], behind: float = np.inf
+) -> list[bool]:
+    """Whether triangles at pixels and depths, drawn one after the other, may show before a wall."""
+    nearest = np.full(SIZE[::-1], behind, np.float32)
+    corner = [np.array([i]) for i in range(3)]
+    each = zip(triangles, depths, strict=True)
+    return [bool(seen(np.array(t), depth).unhidden(corner, nearest)[0]) for t, depth in each]
+
+
+def test_triangles_behind_others_at_their_pixel_are_not_drawn() -> None:
+    around, beside = [(4.6, 4.6), (5.6, 4.7), (5.0, 5.7)], [(4.1, 4.1), (5.4, 4.1), (4.1, 5.4)]
+    large = [(4.6, 4.6), (7.6, 4.7), (5.0, 7.7)]
+    assert shown([2, 3, 1], [around] * 3) == [True, False, True]
+    assert shown([2, 2.001], [around] * 2) == [True, True]  # beyond doubt only
+    assert shown([2, 3], [around, large]) == [True, True]
+    assert shown([2, 3, 3], [beside, around, large]) == [False, True, True]  # it covers no center
+    assert shown([2], [around], behind=1.9) == [False]
+    on_center = [(5.0, 5.0), (5.9, 5.1), (5.1, 5.9)]
+    assert shown([2, 3], [on_center, around]) == [True, True]  # perhaps it covers the center
+    assert shown([2], [[(-1.4, -1.4), (-0.6, -1.4), (-1.0, -0.6)]]) == [True]  # outside nothing is known
+
+
+@pytest.mark.parametrize("channel", ["depth", "face"])
+def test_hidden_triangles_are_those_that_rays_do_not_meet(channel: str) -> None:
+    """Of two small people, one before the other: depth and triangle are those of embree."""
+    import trimesh
+
+    from humansim_ros.humans.loading import load_human
+    from humansim_ros.render.gl import GLRenderer
+    from humansim_ros.render.renderer import Body
+
+    human = load_human("adult_man")
+    K = np.array([[110.0, 0, 79.5], [0, 110.0, 59.5], [0, 0, 1]])
+    R = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    camera = Camera((160, 120), K, R, R @ np.array([0, 0, -1.0]))
+    standing = human.mesh.vertices[:, [2, 0, 1]]
+    bodies = [
+        Body(human.mesh, (standing + place).astype(np.float32), human.triangle_parts, number)
+        for number, place in enumerate(((3.0, 0.0, 0.0), (3.6, 0.12, 0.0)), 1)
+    ]
+    with GLRenderer() as renderer:
+        view = renderer.render(bodies, camera, ("depth", "face", "instance"))
+    meshes = [trimesh.Trimesh(body.vertices, human.mesh.triangles, process=False) for body in bodies]
+    rows, columns = np.nonzero(np.ones((120, 160)))
+    rays = camera.rays(np.stack([columns, rows], axis=-1).astype(float)) @ R
+    triangle = trimesh.util.concatenate(meshes).ray.intersects_first(
+        np.tile(camera.center, (len(rays), 1)), rays
+    )
+    count = len(human.mesh.triangles)
+    expected = np.where(triangle < 0, 0, triangle % count + 1).reshape(120, 160)
+    agree = view.face == expected
+    assert np.mean(~agree[expected > 0]) < 0.01  # rays that meet an edge
+    assert np.mean((view.face > 0) != (expected > 0)) < 0.001
+    if channel == "depth":
+        hit = triangle.reshape(120, 160)
+        corners = np.concatenate([body.vertices[human.mesh.triangles] for body in bodies]).astype(float)
+        normals = np.cross(*(corners[:, i] - corners[:, 0] for i in (1, 2)))
+        where = agree & (expected > 0)
+        n, a = normals[hit[where]], corners[hit[where], 0] - camera.center
+        distance = (n * a).sum(1) / (n * rays.reshape(120, 160, 3)[where]).sum(1)
+        assert np.abs(view.depth[where] - distance).max() < 1e-3
 
 
 def test_triangle_on_a_pixel_center_is_drawn() -> None:

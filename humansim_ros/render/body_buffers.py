@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import moderngl
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh, padded, split_seams
+from humansim_ros.mesh.simplification import Simplification, compact
 from humansim_ros.render.caches import LruCache, WeakCache
 from humansim_ros.render.contact_shadow import REACH, ContactShadow
 from humansim_ros.render.edge_antialiasing import ImageEdges
@@ -62,18 +63,39 @@ class _MeshBuffers:
     """Parts of bodies that follow from their mesh alone."""
 
     def __init__(
-        self, ctx: moderngl.Context, mesh: Mesh, programs: tuple[moderngl.Program, moderngl.Program]
+        self,
+        ctx: moderngl.Context,
+        mesh: Mesh,
+        programs: tuple[moderngl.Program, moderngl.Program],
+        material: MaterialBuffers | None = None,
     ) -> None:
         self.ctx, self.programs = ctx, programs
-        self.topology, self.expanded, self.material = (
-            Topology(mesh),
-            ExpandedMesh(mesh),
-            MaterialBuffers(ctx, mesh),
-        )
+        self.topology, self.expanded = Topology(mesh), ExpandedMesh(mesh)
+        self._owns_material = material is None
+        self.material = material or MaterialBuffers(ctx, mesh)
         self.closed = mesh.closed
         self.has_skin_mask = mesh.texture is not None and mesh.skin is not None
         self.uv_colors = ctx.buffer(self.expanded.uv_colors.tobytes())
         self._bodies: dict[int, _BodyBuffers] = {}
+        self._levels: dict[int, tuple[Indices, _MeshBuffers]] = {}
+
+    def level(self, number: int, mesh: Mesh, levels: Simplification) -> tuple[Indices, _MeshBuffers]:
+        """Vertices (v,) of a level of the mesh, and its buffers."""
+        if number not in self._levels:
+            _, uv, corners = split_seams(mesh)
+            triangles, coordinates = levels.level(number, mesh.triangles, corners)
+            kept, simpler = compact(triangles)
+            shown = replace(
+                mesh,
+                vertices=mesh.vertices[kept],
+                faces=padded(simpler),
+                uv=uv,
+                uv_faces=None if uv is None else padded(coordinates),
+                colors=None if mesh.colors is None else mesh.colors[kept],
+                shading=None,
+            )
+            self._levels[number] = kept, _MeshBuffers(self.ctx, shown, self.programs, self.material)
+        return self._levels[number]
 
     def body(self, instance: int) -> _BodyBuffers:
         """Return the buffers of an instance: bodies of one frame may share a mesh."""
@@ -84,7 +106,10 @@ class _MeshBuffers:
     def release(self) -> None:
         for body in self._bodies.values():
             body.release()
-        self.material.release()
+        for _, level in self._levels.values():
+            level.release()
+        if self._owns_material:
+            self.material.release()
         self.uv_colors.release()
 
 
@@ -167,6 +192,15 @@ class PosedBody:
     body: Body
     posed: PosedMesh
     _buffers: _BodyBuffers
+
+    def level(self, number: int) -> PosedBody:
+        """The body with a level of its mesh."""
+        levels = self.body.levels
+        if not number or levels is None:
+            return self
+        kept, mesh = self._buffers.mesh.level(number, self.body.mesh, levels)
+        posed = self.posed.level(number, mesh.topology, kept)
+        return PosedBody(self.body, posed, mesh.body(self.body.instance))
 
     @property
     def topology(self) -> Topology:

@@ -38,6 +38,7 @@ from humansim_ros.render.caches import LruCache
 from humansim_ros.render.channels import ADJACENT_NAMES, ALL_CHANNELS, CHANNEL_TABLE, View, comparing_with
 from humansim_ros.render.contact_shadow import ContactShadowPass
 from humansim_ros.render.context import OpenGLContext, keep_image_blocks
+from humansim_ros.render.detail import coarsest, pays
 from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.lens_tessellation import TessellatedMesh
 from humansim_ros.render.lighting import Lighting, RendererName
@@ -122,21 +123,44 @@ class GLRenderer(Renderer):
         self._context.check()
 
     def render_request(self, request: RenderRequest) -> View:
-        bodies, passes = self._moving(request.bodies), Passes.of(request.channels)
+        bodies = self._moving(request.bodies)
         with self._context.current():
             self._bodies.release_unused()
-            frame = self._frame(bodies, request.camera, passes, request)
-            adjacent: AdjacentFrames = {}
-            for name in ADJACENT_NAMES:
-                channels, other = comparing_with(name, request.channels), request.adjacent(name)
-                if other is None or not channels:
-                    continue
-                other, rendered = replace(other, bodies=self._moving(other.bodies)), None
-                if any(CHANNEL_TABLE[channel].occlusion for channel in channels):
-                    # with the passes of this frame: it will be requested next
-                    rendered = self._frame(other.bodies, other.camera, passes, request)
-                adjacent = {**adjacent, name: (other, rendered)}
-            return frame.view(bodies, request.channels, adjacent)
+            coloured = {name for name in request.channels if "lit" in CHANNEL_TABLE[name].passes}
+            levels = self._levels(bodies, request.camera) if coloured else ()
+            if not any(levels):
+                return self._view(bodies, request)
+            frame = self._frame(bodies, request.camera, Passes.of(coloured), request, levels)
+            colours = frame.view(bodies, coloured, {})
+            exact = set(request.channels) - coloured
+            if not exact:
+                return colours
+            view = self._view(bodies, replace(request, channels=exact))
+            return view.with_channels(**{name: getattr(colours, name) for name in coloured})
+
+    def _view(self, bodies: Sequence[Body], request: RenderRequest) -> View:
+        """Channels of whole meshes."""
+        passes = Passes.of(request.channels)
+        frame = self._frame(bodies, request.camera, passes, request)
+        adjacent: AdjacentFrames = {}
+        for name in ADJACENT_NAMES:
+            channels, other = comparing_with(name, request.channels), request.adjacent(name)
+            if other is None or not channels:
+                continue
+            other, rendered = replace(other, bodies=self._moving(other.bodies)), None
+            if any(CHANNEL_TABLE[channel].occlusion for channel in channels):
+                # with the passes of this frame: it will be requested next
+                rendered = self._frame(other.bodies, other.camera, passes, request)
+            adjacent = {**adjacent, name: (other, rendered)}
+        return frame.view(bodies, request.channels, adjacent)
+
+    def _levels(self, bodies: Sequence[Body], camera: Camera) -> tuple[int, ...]:
+        """Level of detail of each body for colours; none to draw all whole, as with shadows of the sun."""
+        if self._static.sun_shadows is not None or all(body.levels is None for body in bodies):
+            return ()
+        posed = [self._bodies.pose(body).posed for body in bodies]
+        levels = coarsest([body.levels for body in bodies], np.stack([each.box for each in posed]), camera)
+        return levels if pays([body.levels for body in bodies], levels) else ()
 
     def coverage(self, body: Body, camera: Camera) -> Indices:
         """Count the pixels that each triangle of a body covers, also where another surface hides it.
@@ -167,24 +191,36 @@ class GLRenderer(Renderer):
         return [body for body in bodies if id(body) not in static]
 
     def _frame(
-        self, bodies: Sequence[Body], camera: Camera, passes: Passes, request: RenderRequest
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        passes: Passes,
+        request: RenderRequest,
+        levels: tuple[int, ...] = (),
     ) -> RenderedFrame:
-        """Cached rendering of a frame; renders on a miss."""
+        """Cached rendering of a frame; renders on a miss. ``levels``: of each body; none if all are whole."""
         moving, backdrop = request.moving_camera, request.backdrop
-        view = camera_key(camera), moving, id(backdrop)
+        view = camera_key(camera), moving, id(backdrop), levels
         frame = self._frames.get(bodies, view)
         if frame is None or not frame.passes.covers(passes):
             layer = self._static.layer(camera, moving, backdrop, passes.lit)
-            frame = self._render(bodies, camera, passes, layer)
+            frame = self._render(bodies, camera, passes, layer, levels)
             if self._static_bodies:
                 frame.static_labels = self._static_labels(camera, passes, moving, layer)
             self._frames.put(bodies, view, frame)
         return frame
 
     def _render(
-        self, bodies: Sequence[Body], camera: Camera, passes: Passes, layer: StaticLayer
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        passes: Passes,
+        layer: StaticLayer,
+        levels: tuple[int, ...] = (),
     ) -> RenderedFrame:
         posed = [self._bodies.pose(body) for body in bodies]
+        if levels:
+            posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
         projected = [ProjectedPoints(body.posed.points, camera) for body in posed]
         drawn = [not points.is_hidden(layer.depth) for points in projected]
         shadows = []

@@ -348,6 +348,8 @@ class PosedMesh:
     def __init__(self, topology: Topology, vertices: Float32Array) -> None:
         self.topology = topology
         self.vertices = vertices
+        #: Simpler surfaces in this pose, by level.
+        self.levels: dict[int, PosedMesh] = {}
         self.points: Float32Array = np.ascontiguousarray(vertices.T)
 
     @cached_property
@@ -377,6 +379,17 @@ class PosedMesh:
         normals = np.stack([triangles @ component for component in self.areas])
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
         return np.ascontiguousarray(normals.T)
+
+    @cached_property
+    def box(self) -> Float32Array:
+        """(2, 3) lowest and highest corner of a box around it."""
+        return np.stack([self.points.min(axis=1), self.points.max(axis=1)])
+
+    def level(self, number: int, topology: Topology, kept: Indices) -> PosedMesh:
+        """A simpler surface with some vertices (v,) of this one."""
+        if number not in self.levels:
+            self.levels[number] = PosedMesh(topology, self.vertices.take(kept, axis=0))
+        return self.levels[number]
 
     @cached_property
     def human_shadow(self) -> ContactShadow:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, AdjacentName, View, check_channels
 from humansim_ros.types import Float32Array, Image
 
@@ -34,6 +35,7 @@ class Body:
         instance: Label, 1 to 65535, different for each body; or 0 for a body without labels, which has
             colour, depth and shadow only and needs a mesh of its own.
         kind: Human or object.
+        levels: Simpler versions of the mesh; colours may show them where nobody sees the difference.
     """
 
     mesh: Mesh
@@ -41,6 +43,7 @@ class Body:
     parts: NDArray[np.uint8]
     instance: int
     kind: Kind = "human"
+    levels: Simplification | None = None
 
     def __post_init__(self) -> None:
         for name in ("vertices", "parts"):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import in_section, warn_about
 from humansim_ros.humans.human import Human
+from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
@@ -71,6 +72,7 @@ class Actor:
         offset: Time that the motion is ahead of the scene, seconds of the scene.
         ahead: Time that the motion is ahead after a change while it played, seconds of its file.
         keyframes: Keyframes that move, rotate and scale the space of the motion over scene time.
+        levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Actor:
     offset: float = 0.0
     ahead: float = 0.0
     keyframes: KeyframeTrack | None = None
+    levels: Simplification | None = None
 
     @classmethod
     def build(
@@ -176,7 +179,7 @@ class Actor:
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
-        return replace(changed, keyframes=self.keyframes)
+        return replace(changed, keyframes=self.keyframes, levels=self.levels)
 
     @staticmethod
     def _fit(world: WorldMotion, human: Human, config: MotionConfig, source: SceneSource) -> Retargeter:
@@ -278,7 +281,7 @@ class Actor:
 
     def body(self, vertices: NDArray[np.float32]) -> Body:
         """Body for renderers from the vertices (V, 3) of a frame."""
-        return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
+        return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance, levels=self.levels)
 
     def joints_of(self, poses: JointPoses) -> tuple[Array, Array]:
         """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""

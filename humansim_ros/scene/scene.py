@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.levels import levels_of
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_blocks
 from humansim_ros.mesh.mesh import Mesh
@@ -60,6 +61,8 @@ _DURATION, _STEP = 60.0, 0.2
 _FROM_HUMANS, _FROM_CAMERAS, _FROM_OBJECTS = 0.35, 0.4, 0.05
 #: Heights between which static meshes are obstacles.
 _LOW, _HIGH = 0.05, 1.8
+#: Humans from which on those who are small in an image are drawn with fewer triangles.
+_MANY = 8
 #: Positions tried for an object: _TRIES times _BATCH at once.
 _TRIES, _BATCH = 20, 20
 
@@ -317,6 +320,8 @@ class Scene(Pictured):
                 if name not in paths:
                     raise
                 raise type(error)(error.message, key="crowd.motions") from error.__cause__
+        if len(actors) >= _MANY:
+            actors = {name: _with_levels(actor, source) for name, actor in actors.items()}
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
         robot = Robot.of_scene(config, source)
@@ -457,6 +462,15 @@ def _add_objects(
                 raise SceneError("a human has this name: a labelled object needs a name of its own")
             label = _next_label(actors, objects) if config.label else 0
             objects[name] = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)
+
+
+def _with_levels(actor: Actor, source: SceneSource) -> Actor:
+    """A human with levels of detail, unless keyframes change its size."""
+    if actor.keyframes is not None:
+        return actor
+    human = actor.human
+    levels = source.once(lambda: levels_of(human), "levels", id(human.mesh.vertices), human.skinning)
+    return replace(actor, levels=levels)
 
 
 def _next_label(actors: Mapping[str, Actor], objects: Mapping[str, SceneObject]) -> int:

@@ -159,6 +159,16 @@ def test_frames_before_a_clock_that_is_set_back_are_forgotten() -> None:
     assert pacing.late_cameras(8, 1.0, 0.3) == []
 
 
+def test_slow_camera_is_waited_for_longer() -> None:
+    pacing = FramePacing()
+    for stamp in (1, 2, 3):
+        pacing.add_sent(stamp, 0.0)
+    pacing.add_finished("slow", 1, 2.4)  # after its first frame took longer than others are waited for
+    assert pacing.late_cameras(4, 0.1, 2.5) == ["slow"]
+    assert pacing.late_cameras(4, 0.1, 2.4 + 4 * 2.3) == ["slow"]
+    assert pacing.late_cameras(4, 0.1, 2.4 + 10.1) == []
+
+
 def test_reports_of_frames_that_were_not_sent_and_repeated_ones_delay_nothing_for_ever() -> None:
     """As from the cameras of another player, or from a stranger who repeats one report for ever."""
     pacing = FramePacing()

@@ -23,8 +23,9 @@ _MAX_SENT = 128
 _PERIODS_OF_GRACE = 2.5
 #: Camera processes that are waited for.
 _MAX_CAMERAS = 100
-#: Seconds without a report after which a camera no longer delays the others.
-_GIVE_UP_AFTER = 2.0
+#: Seconds without a report after which a camera no longer delays the others; of a slow camera so many times
+#: the time of its last frame, up to the largest number of seconds.
+_GIVE_UP_AFTER, _FRAMES_WAITED, _LONGEST_WAIT = 2.0, 4.0, 10.0
 #: Seconds without a report after which a camera is forgotten during a pause.
 _FORGET_AFTER = 10.0
 #: Seconds after which a paused pose is sent again: later images push earlier ones out of the queue to a slow
@@ -66,29 +67,35 @@ class FramePacing:
         self._sent: deque[tuple[int, float]] = deque(maxlen=_MAX_SENT)
         # by camera: the newest stamp that it has finished, and the time of this report
         self._finished: dict[str, tuple[int, float]] = {}
+        # by camera, also of those that are given up: its newest stamp, and seconds from sending to the report
+        self._took: dict[str, tuple[int, float]] = {}
 
     def add_sent(self, stamp: int, now: float) -> None:
         """Record a frame that is sent."""
         if self._sent and stamp <= self._sent[-1][0]:  # the clock has been set back
             self._sent.clear()
-            self._finished.clear()
+            self.forget_cameras()
         self._sent.append((stamp, now))
 
     def add_finished(self, camera: str, stamp: int, now: float) -> None:
         """Record the report of a camera that it has finished a frame, and with it all earlier ones.
 
-        Only frames of the last two seconds count: reports of other frames are of the cameras of another
+        Only frames of the last ten seconds count: reports of other frames are of the cameras of another
         player, or of a camera that no longer delays the others.
         """
-        if not any(sent == stamp and now - at <= _GIVE_UP_AFTER for sent, at in self._sent):
+        took = next((now - at for sent, at in self._sent if sent == stamp), float("inf"))
+        repeated = took > _GIVE_UP_AFTER and self._took.get(camera, (None, 0.0))[0] == stamp
+        if took > _LONGEST_WAIT or repeated:
             return
         finished, _ = self._finished.get(camera, (None, 0.0))
         if finished != stamp and (finished is not None or len(self._finished) < _MAX_CAMERAS):
             self._finished[camera] = (stamp, now)
+            self._took[camera] = stamp, took
 
     def forget_cameras(self) -> None:
         """Forget all reports, because a camera is gone: each camera counts again when it reports."""
         self._finished.clear()
+        self._took.clear()
 
     def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
         """Names of the cameras that have no time for a frame of this stamp.
@@ -109,7 +116,8 @@ class FramePacing:
             oldest, sent_at = pending[0]
             if len(pending) == 2 and stamp - oldest <= _PERIODS_OF_GRACE * period:
                 continue
-            if now - max(heard, sent_at) > _GIVE_UP_AFTER:
+            wait = min(max(_GIVE_UP_AFTER, _FRAMES_WAITED * self._took[camera][1]), _LONGEST_WAIT)
+            if now - max(heard, sent_at) > wait:
                 # it has ended, or waits for something: it counts again when it reports
                 del self._finished[camera]
             else:

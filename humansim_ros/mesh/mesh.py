@@ -167,20 +167,34 @@ class Mesh:
 
         From outside, back faces of a closed surface are never visible and need not be drawn.
         """
-        edges = self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-        forward = edges[:, 0] * len(self.vertices) + edges[:, 1]
-        backward = edges[:, 1] * len(self.vertices) + edges[:, 0]
-        forward.sort()
-        backward.sort()
-        if not np.diff(forward).all() or not np.array_equal(forward, backward):
-            return False
-        a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
-        return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
+        owner = np.zeros(len(self.triangles), np.intp)
+        return bool(closed_surfaces(self.vertices[self.triangles], self.triangles, owner)[0])
 
     def _split(self, faces: FaceIndices) -> FaceIndices:
         both = faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 2, 3)
         keep = np.stack([np.ones(len(faces), dtype=bool), self.faces[:, 3] >= 0], axis=1)
         return np.ascontiguousarray(both[keep])
+
+
+def closed_surfaces(
+    points: Array, triangles: NDArray[np.integer], owner: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """(M,) whether each of several surfaces is closed and faces outwards, see :attr:`Mesh.closed`.
+
+    ``points``: (N, 3, 3) corners of all triangles. ``triangles``: (N, 3) their vertices; surfaces do not
+    share any. ``owner``: (N,) surface of each triangle.
+    """
+    start, end = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64).T
+    count, owners = int(triangles.max(initial=0)) + 1, np.repeat(owner, 3)
+    forward, backward = start * count + end, end * count + start
+    order = np.argsort(forward)
+    forward = forward[order]
+    twice = np.flatnonzero(forward[1:] == forward[:-1])
+    found = forward.take(np.searchsorted(forward, backward), mode="clip")
+    closed = np.bincount(owner, np.linalg.det(points)) > 0
+    closed[owners[order[twice]]] = False
+    closed[owners[found != backward]] = False
+    return np.asarray(closed)
 
 
 def padded(triangles: NDArray[np.integer]) -> FaceIndices:

@@ -7,13 +7,14 @@ both sides of its surface. Like the sun, ambient light passes through the back f
 
 from __future__ import annotations
 
-import cv2
+from collections.abc import Mapping, Sequence
+
 import moderngl
 import numpy as np
 
 from humansim_ros.render.programs import columns, depth_program, set_uniform, shader, unit_square
 from humansim_ros.render.static_scene import StaticScene
-from humansim_ros.types import Array, Float32Array
+from humansim_ros.types import Array
 
 #: Depth maps along a side of the common texture, and texels along a side of each.
 _SIDE, _TEXELS = 12, 208
@@ -33,7 +34,7 @@ class LightMap:
     """
 
     def __init__(self, ctx: moderngl.Context, static: StaticScene) -> None:
-        self._ctx = ctx
+        self._ctx, self._corners = ctx, ctx.buffer(unit_square(1))
         box, charts = static.box, static.chart()
         assert box is not None
         low, high = box.min(axis=1).astype(float), box.max(axis=1).astype(float)
@@ -44,20 +45,15 @@ class LightMap:
         maps = ctx.depth_texture((_SIDE * _TEXELS, _SIDE * _TEXELS))
         maps.compare_func = ""
         self._draw_maps(static, maps)
-        surface = self._surface(static, charts.size)
-        known = surface[0, ..., 3:].copy()
-        weight, unknown = _sum(known)[..., None], known[..., 0] == 0
+        points, normals = self._surface(static, charts.size)
         # texels around a chart repeat its border: each texel has all its neighbours
-        for image in surface:
-            image[unknown] = (_sum(image) / np.maximum(weight, 1))[unknown]
-        light = self._light(surface, maps)
-        maps.release()
-        del surface
-        for image in light:
-            image[:] = _sum(image * (weight > 0))
-        shares = _shares(light)
-        shares = np.where(known > 0, shares, _sum(shares * known) / np.maximum(weight, 1))
-        self._texture = ctx.texture(charts.size, 4, np.rint(255 * shares).astype(np.uint8).tobytes())
+        wide = self._spread(points, points), self._spread(normals, points)
+        light = self._light(*wide, maps)
+        inputs = {"sky": light[0], "ground": light[1], "points": points}
+        shares = self._image(charts.size, "light_shares.frag", inputs)
+        self._texture = self._spread(shares, points, "f1")
+        for image in (maps, points, normals, *wide, *light, shares):
+            image.release()
 
     def use(self) -> None:
         """Bind the map to its texture unit."""
@@ -88,8 +84,10 @@ class LightMap:
         self._ctx.cull_face = "back"
         framebuffer.release()
 
-    def _surface(self, static: StaticScene, size: tuple[int, int]) -> Float32Array:
-        """(2, H, W, 4) points and normals of the texels; the fourth component is 0 where no surface is."""
+    def _surface(self, static: StaticScene, size: tuple[int, int]) -> list[moderngl.Texture]:
+        """Images of the points and normals of the texels; the points have a fourth component, 0 where no
+        surface is.
+        """
         images = [self._ctx.texture(size, 4, dtype="f4") for _ in range(2)]
         program = self._ctx.program(
             vertex_shader=shader(["chart.vert"]), fragment_shader=shader(["chart.frag"])
@@ -104,73 +102,71 @@ class LightMap:
         static.whole.draw_all(program)
         self._ctx.wireframe = False
         static.whole.draw_all(program)
-        surface = np.stack([_pixels(framebuffer, number) for number in range(2)])
         framebuffer.release()
-        for image in images:
-            image.release()
-        return surface
+        return images
 
-    def _light(self, surface: Float32Array, maps: moderngl.Texture) -> Float32Array:
-        """(2, H, W, 4) light of sky and ground: visible and total on the front, the same on the back.
+    def _light(
+        self, points: moderngl.Texture, normals: moderngl.Texture, maps: moderngl.Texture
+    ) -> list[moderngl.Texture]:
+        """Images of the light of sky and of ground: visible and total on the front, the same on the back.
 
-        Each texel tests one ninth of the directions, its neighbours test the others.
+        Each texel tests one ninth of the directions, its neighbours test the others. The texels of each ninth
+        are side by side: ninth (column, row) of texels (3 x + column, 3 y + row).
         """
-        height, width = surface.shape[1:3]
-        count = _SIDE * _SIDE // 9
-        program = self._ctx.program(
-            vertex_shader=shader(["fullscreen.vert"]),
-            fragment_shader=shader(["ambient_light.frag"], [f"COUNT {count}", f"TEXELS {_TEXELS}"]),
-        )
+        width, height = (-(-side // 3) for side in points.size)
+        switches = [f"COUNT {_SIDE * _SIDE // 9}", f"TEXELS {_TEXELS}"]
+        program = self._program("ambient_light.frag", switches)
         set_uniform(program, "centre", tuple(self._centre))
         set_uniform(program, "texel", 2 * float(self._extent.max()) / _TEXELS)
-        inputs = [self._ctx.texture((width, height), 4, image.tobytes(), dtype="f4") for image in surface]
-        for unit, (name, image) in enumerate(
-            zip(("points", "normals", "maps"), (*inputs, maps), strict=True), _BAKING
-        ):
-            image.use(unit)
-            set_uniform(program, name, unit)
-        images = [self._ctx.texture((-(-width // 3), -(-height // 3)), 4, dtype="f4") for _ in range(2)]
+        images = [self._ctx.texture((3 * width, 3 * height), 4, dtype="f4") for _ in range(2)]
         framebuffer = self._ctx.framebuffer(images)
-        framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
         corners = _TEXELS * np.stack(np.divmod(np.arange(_SIDE * _SIDE), _SIDE)[::-1], axis=1)
-        whole = self._ctx.vertex_array(program, [(self._ctx.buffer(unit_square(1)), "2f", "corner")])
-        light = np.empty_like(surface)
         for row, column in np.ndindex(3, 3):
             own = slice(3 * row + column, None, 9)
             set_uniform(program, "first", (column, row))
+            set_uniform(program, "origin", (column * width, row * height))
             set_uniform(program, "directions", self._directions[own].astype("f4").tobytes())
             set_uniform(program, "axes", self._axes[own].astype("f4").tobytes())
             set_uniform(program, "corners", corners[own].astype("i4").tobytes())
-            whole.render()
-            for number, whole_light in enumerate(light):
-                part = whole_light[row::3, column::3]
-                part[:] = _pixels(framebuffer, number)[: part.shape[0], : part.shape[1]]
+            framebuffer.viewport = column * width, row * height, width, height
+            self._draw(framebuffer, program, {"points": points, "normals": normals, "maps": maps})
         framebuffer.release()
-        for image in (*inputs, *images):
-            image.release()
-        return light
+        return images
 
+    def _spread(
+        self, image: moderngl.Texture, known: moderngl.Texture, dtype: str = "f4"
+    ) -> moderngl.Texture:
+        """The image, whose unknown texels get the mean of their known neighbours."""
+        return self._image(image.size, "spread.frag", {"image": image, "known": known}, dtype)
 
-def _pixels(framebuffer: moderngl.Framebuffer, number: int) -> Float32Array:
-    """(H, W, 4) of an attachment."""
-    pixels = framebuffer.read(components=4, attachment=number, dtype="f4")
-    return np.frombuffer(pixels, np.float32).reshape(*framebuffer.size[::-1], 4)
+    def _image(
+        self, size: tuple[int, int], file: str, inputs: Mapping[str, moderngl.Texture], dtype: str = "f4"
+    ) -> moderngl.Texture:
+        """Image of a fragment shader with input images."""
+        image = self._ctx.texture(size, 4, dtype=dtype)
+        framebuffer = self._ctx.framebuffer([image])
+        self._draw(framebuffer, self._program(file), inputs)
+        framebuffer.release()
+        return image
 
+    def _program(self, file: str, switches: Sequence[str] = ()) -> moderngl.Program:
+        return self._ctx.program(
+            vertex_shader=shader(["fullscreen.vert"]), fragment_shader=shader([file], switches)
+        )
 
-def _sum(image: Float32Array) -> Float32Array:
-    """(H, W, C) sums over each pixel and its neighbours."""
-    return np.asarray(cv2.boxFilter(image, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT))
-
-
-def _shares(light: Float32Array) -> Float32Array:
-    """(H, W, 4) visible over total light: sky and ground on the front, sky and ground on the back.
-
-    ``light``: (2, H, W, 4).
-    """
-    visible, total = light[..., ::2], light[..., 1::2]
-    shares = np.where(total > 1e-3, visible / np.maximum(total, 1e-3), 1)
-    return shares.transpose(1, 2, 3, 0).reshape(*light.shape[1:])
+    def _draw(
+        self,
+        framebuffer: moderngl.Framebuffer,
+        program: moderngl.Program,
+        inputs: Mapping[str, moderngl.Texture],
+    ) -> None:
+        """Fill the viewport of a framebuffer."""
+        framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        for unit, (name, image) in enumerate(inputs.items(), _BAKING):
+            image.use(unit)
+            set_uniform(program, name, unit)
+        self._ctx.vertex_array(program, [(self._corners, "2f", "corner")]).render()
 
 
 def directions(count: int) -> Array:

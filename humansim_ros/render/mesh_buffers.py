@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 
 from humansim_ros.mesh.mesh import Material, Mesh, split_seams
 from humansim_ros.render.contact_shadow import ContactShadow, contact_shadow
-from humansim_ros.render.programs import set_uniform
+from humansim_ros.render.programs import MAP_UNITS, set_uniform
 from humansim_ros.types import Array, Float32Array, Indices
 
 _WHITE = b"\xff\xff\xff"
-#: Texture unit of the first map of a material.
-_FIRST_MAP = 9
+_PLAIN = np.full((1, 1, 3), 255, np.uint8)
+#: Layers that all devices have.
+_MAX_LAYERS = 256
 #: Vertex attributes of the shaders and their numbers of components, in the order of the columns of
-#: :meth:`ExpandedMesh.attributes`, and after them the place in the light map.
-_LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3), ("light_uv", 2))
+#: :meth:`ExpandedMesh.attributes`, and after them, of static meshes, the layer of the texture and the place
+#: in the light map.
+_LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3), ("layer", 1), ("light_uv", 2))
 
 
 class ExpandedMesh:
@@ -50,11 +52,23 @@ class ExpandedMesh:
 
 
 class MaterialBuffers:
-    """Texture and material of a mesh on the device."""
+    """Texture and material of a mesh on the device.
 
-    def __init__(self, ctx: moderngl.Context, mesh: Mesh) -> None:
+    Args:
+        ctx: OpenGL context.
+        mesh: The mesh.
+        images: Images of static meshes, the layers of one texture; the image of the mesh alone if None.
+    """
+
+    def __init__(
+        self, ctx: moderngl.Context, mesh: Mesh, images: Sequence[NDArray[np.uint8]] | None = None
+    ) -> None:
         self.material = material = mesh.material
-        self.texture = _texture(ctx, mesh.texture, mesh.skin)
+        self.texture: moderngl.Texture | moderngl.TextureArray
+        if images is None:
+            self.texture = _texture(ctx, mesh.texture, mesh.skin)
+        else:
+            self.texture = _texture_array(ctx, images)
         self._maps: dict[str, moderngl.Texture] = {}
         if material is not None:
             alpha = None if material.alpha_map is None else material.alpha_map[..., None].repeat(3, axis=2)
@@ -68,20 +82,32 @@ class MaterialBuffers:
                 one.repeat_x, one.repeat_y = material.wrap
 
     @classmethod
-    def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[MaterialBuffers]:
-        """Materials of several static meshes; meshes with the same image and no material share one."""
-        shared: dict[tuple[int, int], MaterialBuffers] = {}
-        made: list[MaterialBuffers] = []
-        for mesh in meshes:
-            key = id(mesh.texture), id(mesh.skin)
+    def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[tuple[MaterialBuffers, int]]:
+        """Materials of static meshes, and the layer of the texture of each. Meshes without a material share
+        one if their images have the same size: each draw call takes long.
+        """
+        images: dict[Any, list[NDArray[np.uint8]]] = {}
+        places: dict[int, tuple[Any, int]] = {}
+        made: dict[Any, MaterialBuffers] = {}
+        found: list[tuple[Any, int]] = []
+        for number, mesh in enumerate(meshes):
+            image = _PLAIN if mesh.texture is None else mesh.texture
             # a material says how its texture repeats, so that it has a texture of its own
-            known = shared.get(key) if mesh.material is None else None
-            made.append(known or cls(ctx, mesh))
-            if mesh.material is None:
-                shared[key] = made[-1]
-            # the mean of several samples in each pixel, of one mip level each, is as smooth as of two
-            made[-1].texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
-        return made
+            place = places.get(id(image)) if mesh.material is None else ((number,), 0)
+            if place is None:
+                key: tuple[int, ...] = image.shape[:2]
+                while len(images.get(key, ())) == _MAX_LAYERS:
+                    key = (*key, 0)
+                place = places[id(image)] = key, len(images.get(key, ()))
+            found.append(place)
+            if place[1] == len(images.setdefault(place[0], [])):
+                images[place[0]].append(image)
+        for (key, _), mesh in zip(found, meshes, strict=True):
+            if key not in made:
+                made[key] = cls(ctx, mesh, images[key])
+                # the mean of several samples in each pixel, of one mip level each, is as smooth as of two
+                made[key].texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
+        return [(made[key], layer) for key, layer in found]
 
     @staticmethod
     def matter(program: moderngl.Program) -> bool:
@@ -107,9 +133,9 @@ class MaterialBuffers:
         for name in ("metallic", "roughness", "specular", "emission"):
             set_uniform(program, name, getattr(material, name))
         set_uniform(program, "normal_scale", material.normal_scale if material.normals is not None else 0.0)
-        for unit, (name, image) in enumerate(self._maps.items(), _FIRST_MAP):
-            image.use(unit)
-            set_uniform(program, name, unit)
+        for name, image in self._maps.items():
+            image.use(MAP_UNITS[name])
+            set_uniform(program, name, MAP_UNITS[name])
 
     def release(self) -> None:
         """Free the memory on the device."""
@@ -118,8 +144,8 @@ class MaterialBuffers:
 
 
 class TriangleBuffers:
-    """Triangles (N, 3) of vertices with attributes (V, 11), or (V, 13) with a place in the light map, on the
-    device; ``with`` releases them.
+    """Triangles (N, 3) of vertices on the device; ``with`` releases them. Attributes are (V, 11); of static
+    meshes (V, 12), with the layer of the texture, or (V, 14), with a place in the light map.
     """
 
     def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
@@ -236,46 +262,65 @@ def _texture(
     height, width = image.shape[:2]
     if skin is not None:
         image = np.dstack([image, 255 - skin])
-    made = ctx.texture(
-        (width, height), image.shape[2], np.ascontiguousarray(image[::-1]).tobytes(), alignment=1
-    )
-    _add_mipmaps(made, image[::-1])
+    image = np.ascontiguousarray(image[::-1])
+    made = ctx.texture((width, height), image.shape[2], image, alignment=1)
+    _add_mipmaps(made, image[None])
     made.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return made
 
 
-_TEXTURE_2D, _UNSIGNED_BYTE = 0x0DE1, 0x1401
+def _texture_array(ctx: moderngl.Context, images: Sequence[NDArray[np.uint8]]) -> moderngl.TextureArray:
+    """Texture whose layers are images (H, W, 3) of one size."""
+    height, width = images[0].shape[:2]
+    # with alpha, which Mesa would have to add
+    layers = np.asarray(
+        np.stack([cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA) for image in images]), np.uint8
+    )
+    made = ctx.texture_array((width, height, len(layers)), 4, layers.tobytes())
+    _add_mipmaps(made, layers)
+    return made
+
+
+_TEXTURE_2D, _TEXTURE_ARRAY, _UNSIGNED_BYTE = 0x0DE1, 0x8C1A, 0x1401
 #: Internal format and format of OpenGL by number of components.
 _FORMATS = {3: (0x8051, 0x1907), 4: (0x8058, 0x1908)}
 
 
-def _add_mipmaps(texture: moderngl.Texture, image: NDArray[np.uint8]) -> None:
-    """Add the smaller levels of a new texture: llvmpipe takes 0.5 s for those of a room, OpenCV 0.01 s."""
-    upload = _tex_image()
+def _add_mipmaps(texture: moderngl.Texture | moderngl.TextureArray, layers: NDArray[np.uint8]) -> None:
+    """Add the smaller levels of a new texture: llvmpipe takes 0.5 s for those of a room, OpenCV 0.01 s.
+
+    ``layers``: (L, H, W, C) of the first level.
+    """
+    array = isinstance(texture, moderngl.TextureArray)
+    upload = _tex_image("glTexImage3D" if array else "glTexImage2D")
     if upload is None or texture.components not in _FORMATS:
         texture.build_mipmaps()
         return
     internal, layout = _FORMATS[texture.components]
     texture.use(0)  # rows are not padded: the upload of the first level has set it
     level = 0
-    while max(image.shape[:2]) > 1:
+    while max(layers.shape[1:3]) > 1:
         level += 1
-        height, width = (max(1, side // 2) for side in image.shape[:2])
-        image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-        pixels = image.ctypes.data
-        upload(_TEXTURE_2D, level, internal, width, height, 0, layout, _UNSIGNED_BYTE, pixels)
+        height, width = (max(1, side // 2) for side in layers.shape[1:3])
+        smaller = [cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA) for one in layers]
+        layers = np.asarray(np.stack(smaller), np.uint8).reshape(len(layers), height, width, -1)
+        size = (width, height, len(layers)) if array else (width, height)
+        target = _TEXTURE_ARRAY if array else _TEXTURE_2D
+        upload(target, level, internal, *size, 0, layout, _UNSIGNED_BYTE, layers.ctypes.data)
 
 
 @cache
-def _tex_image() -> Callable[..., None] | None:
-    """glTexImage2D, which moderngl has for the first level only; None where EGL does not tell it."""
+def _tex_image(name: str) -> Callable[..., None] | None:
+    """glTexImage2D or glTexImage3D, which moderngl has for the first level only; None where EGL does not
+    tell it.
+    """
     try:
         find = ctypes.CDLL("libEGL.so.1").eglGetProcAddress
     except (OSError, AttributeError):
         return None
     find.restype, find.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
-    address = find(b"glTexImage2D")
-    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int] * 8, ctypes.c_void_p)
+    address = find(name.encode())
+    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int] * (8 + name.endswith("3D")), ctypes.c_void_p)
     return kind(address) if address else None
 
 

@@ -18,6 +18,8 @@ from humansim_ros.types import Array
 _FAR = 200.0
 #: GL_CLIP_DISTANCE0: clips points beyond the field of view of the lens.
 _CLIP_DISTANCE = 0x3000
+#: Texture units of the maps of a material.
+MAP_UNITS = {"metal_rough": 9, "normal_map": 10, "emissive_map": 11, "alpha_map": 12}
 _SHADERS = Path(__file__).parent / "shaders"
 
 
@@ -73,6 +75,9 @@ def lit_program(
     set_uniform(program, "ground_color", lighting.brightness(lighting.ground_color))
     set_uniform(program, "brightness", lighting.brightness((1.0, 1.0, 1.0))[0])
     set_uniform(program, "min_alpha", np.radians(lighting.sun_size_deg) / 4)
+    # also for meshes without maps: samplers of different kinds cannot share a unit
+    for name, unit in MAP_UNITS.items():
+        set_uniform(program, name, unit)
     return program
 
 

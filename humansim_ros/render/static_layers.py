@@ -1,15 +1,15 @@
 """Cached images of the static scene, one per camera and backdrop.
 
-The colours of a still camera are the mean of images that are shifted by fractions of a pixel, so that they
-need no more memory than one image. Where the first few images agree, the others are not drawn.
+The colours of a still camera are the mean of images that are shifted by fractions of a pixel. The device adds
+them up, one after the other in each of its tiles, whose textures stay in the cache of the processor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import moderngl
@@ -29,15 +29,12 @@ from humansim_ros.render.renderer import Backdrop, Body
 from humansim_ros.render.static_scene import StaticScene, StaticTriangles
 from humansim_ros.render.sun_shadows import ShadowInputs, SunShadows
 from humansim_ros.render.target import RenderTarget, RenderTargets
-from humansim_ros.types import Float32Array, Image
+from humansim_ros.types import Image
 
 #: Shifted images of a still camera, which are averaged: a number of Fibonacci spreads them best. And of a
 #: moving camera if surfaces are transparent, or if the image is so small (pixels along its longer side) that
 #: much of a room is narrower than a pixel.
 _OFFSETS, _MOVING_OFFSETS, _SMALL = 13, 4, 128
-#: The images that are drawn first, evenly within a pixel, and the largest difference (of 255) of their
-#: colours, in a pixel and around it, where they suffice.
-_FEW, _ALIKE = (2, 3, 7, 11), 20
 #: Mip levels by which the textures of the single image of a moving camera are finer than usual: a pixel has
 #: two samples of them.
 _MOVING_MIP_BIAS = -1.5
@@ -109,10 +106,13 @@ class StaticLayers:
         )
 
     def _programs(self, switches: Sequence[str], sun: bool = True) -> tuple[moderngl.Program, ...]:
-        """Programs for opaque surfaces, for their colours alone, and for transparent ones if any."""
+        """Programs for opaque surfaces, for their colours alone, for nothing but OpenGL's depth, and for
+        transparent ones if any.
+        """
         kinds = (
-            ("SMOOTH_TEXTURES",),
+            () if self._scene.blends else ("SMOOTH_TEXTURES",),
             ("COLOUR",),
+            ("COLOUR", "UNSEEN"),
             *((("COLOUR", "TRANSPARENT"),) if self._scene.blends else ()),
         )
         return tuple(lit_program(self._ctx, self._lighting, (*switches, *kind), sun) for kind in kinds)
@@ -212,23 +212,32 @@ class StaticLayers:
         count = _MOVING_OFFSETS if view.moving_camera else _OFFSETS
         # the samples of a pixel share its texels: finer ones than usual
         mip_bias = -0.75 * float(np.log2(count))
-        shifts = offsets(count)
-        few = [shifts.pop(number) for number in reversed(_FEW)] if count > len(_FEW) else shifts
-        rest = shifts if few is not shifts else []
-        images = (self._image(programs, view, behind, shift, mip_bias) for shift in few)
-        total, low, high = _total(images)
-        mean = np.asarray(cv2.convertScaleAbs(total, alpha=1 / len(few)), dtype=np.uint8)
-        if not rest:
-            return mean
-        alike = cv2.inRange(cv2.subtract(high, low), np.zeros(4), np.full(4, float(_ALIKE)))
-        hidden = (cv2.erode(alike, np.ones((3, 3), np.uint8)) > 0).astype(np.float32)
-        del low, high, alike
-        pixels = np.flatnonzero(hidden == 0)
-        sums = total.reshape(-1, 4)[pixels]
-        del total
-        for shift in rest:
-            sums += self._image(programs, view, behind, shift, mip_bias, hidden).reshape(-1, 4)[pixels]
-        mean.reshape(-1, 4)[pixels] = (sums + count // 2) // count
+        if self._scene.blends:
+            images = (self._image(programs, view, behind, shift, mip_bias) for shift in offsets(count))
+            return np.asarray(np.rint(sum(image.astype(np.float32) for image in images) / count), np.uint8)
+        _, colours, unseen = programs
+        set_uniform(colours, "mip_bias", mip_bias)
+        with view.target.sum_of_images("static_map.texel" in colours) as sums:
+            for shift in offsets(count):
+                sums.start_image()
+                use_camera(self._ctx, unseen, view.camera, shift)
+                view.triangles.draw(unseen)
+                sums.add_visible()
+                use_camera(self._ctx, colours, view.camera, shift)
+                view.triangles.draw(colours)
+            rgba, *sunlight = sums.read()
+        mean = np.asarray(cv2.convertScaleAbs(rgba, alpha=255 / count), np.uint8)
+        mean[..., 3] = 255
+        if sunlight:
+            seen = rgba[..., 3:]
+            share = sunlight[0] / np.maximum(seen, count) + 1 - np.minimum(seen, count) / count
+            mean[..., 3:] = np.rint(255 * share)
+        # some images are empty there; or surfaces coincide, and all are added
+        row, column = np.nonzero(rgba[..., 3] != count)
+        total = rgba[row, column]
+        back = np.asarray(self._lighting.background) if behind is None else behind[row, column]
+        empty = 1 - np.minimum(total[:, 3:], count) / count
+        mean[row, column, :3] = np.rint(255 * total[:, :3] / np.maximum(total[:, 3:], count) + empty * back)
         return mean
 
     def _image(
@@ -238,25 +247,22 @@ class StaticLayers:
         behind: Image | None,
         offset: tuple[float, float],
         mip_bias: float,
-        hidden: Float32Array | None = None,
     ) -> NDArray[np.uint8]:
-        """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels.
-
-        ``hidden``: (H, W) 1 at pixels that are not drawn.
-        """
+        """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels."""
         camera, target = view.camera, view.target
         for program in programs:
             use_camera(self._ctx, program, camera, offset)
             set_uniform(program, "mip_bias", mip_bias)
-        colour = self._lighting.background if behind is None else (0, 0, 0)
-        self._draw(target, view.triangles, programs[not view.single], colour, not view.single, hidden)
+        self._draw(
+            target, view.triangles, programs[0], self._lighting.background if behind is None else (0, 0, 0)
+        )
         if behind is not None:
             target.fill(behind)
-        if len(programs) > 2:
+        if len(programs) > 3:
             target.use_colour()
             self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
             self._ctx.blend_func = _BLENDING  # type: ignore[assignment]  # four factors are allowed
-            view.triangles.draw_transparent(programs[2], camera.center)
+            view.triangles.draw_transparent(programs[3], camera.center)
         return target.read("rgba", lit=True)
 
     def _ground(self, image: Image, camera: Camera, visibility: NDArray[np.floating]) -> Image:
@@ -271,17 +277,10 @@ class StaticLayers:
         triangles: StaticTriangles,
         program: moderngl.Program,
         colour: Sequence[int] = (0, 0, 0),
-        colours_only: bool = False,
-        hidden: Float32Array | None = None,
     ) -> None:
-        """Clear a target to a colour and draw the opaque triangles, except at ``hidden`` pixels (H, W)."""
+        """Clear a target to a colour and draw the opaque triangles."""
         target.clear(colour)
-        if hidden is not None:
-            target.hide(hidden)
-        if colours_only:
-            target.use_visible_colour()
-        else:
-            target.use(program is not self._ids)
+        target.use(program is not self._ids)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         triangles.draw(program)
 
@@ -300,21 +299,6 @@ def camera_key(camera: Camera) -> bytes:
 
 def _tolerance(moving_camera: bool) -> float:
     return VISIBLE if moving_camera else TOLERANCE
-
-
-def _total(
-    images: Iterable[NDArray[np.uint8]],
-) -> tuple[NDArray[np.uint16], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Sum, least and largest values of images of one shape."""
-    total: Any = None
-    for image in images:
-        if total is None:
-            total, low, high = image.astype(np.uint16), image.copy(), image.copy()
-            continue
-        cv2.add(total, image, dst=total, dtype=cv2.CV_16U)
-        np.minimum(low, image, out=low)
-        np.maximum(high, image, out=high)
-    return total, low, high
 
 
 def offsets(count: int) -> list[tuple[float, float]]:

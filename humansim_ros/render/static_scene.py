@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.mesh.mesh import Mesh, padded
+from humansim_ros.mesh.mesh import Mesh, closed_surfaces, padded
 from humansim_ros.mesh.normals import welded
 from humansim_ros.render.charts import Charts
 from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
@@ -29,6 +28,7 @@ from humansim_ros.types import Array, Float32Array, Indices
 FLOOR_SLACK = 0.02
 #: Texels of the light map along the longest side of the scene.
 _LIGHT_TEXELS = 208
+_WHITE = np.full((1, 3), 255, np.uint8)
 
 
 class StaticScene:
@@ -41,21 +41,24 @@ class StaticScene:
 
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
-        self._materials = MaterialBuffers.of_meshes(ctx, meshes)
-        attributes: list[Float32Array] = [np.zeros((0, 11), np.float32)]
-        corners: list[NDArray[Any]] = [np.zeros((0, 3), np.int32)]
-        first = 0
-        for mesh in meshes:
-            expanded = ExpandedMesh(mesh)
-            attributes.append(
-                expanded.attributes(PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)))
-            )
-            corners.append(expanded.corners + np.int32(first))
-            first += len(attributes[-1])
-        self._attributes, self._corners = np.concatenate(attributes), np.concatenate(corners)
+        # small ones hide parts of large ones, which are not shaded then; and those of one material together
+        made = MaterialBuffers.of_meshes(ctx, meshes)
+        number = {id(one): number for number, (one, _) in enumerate(made)}
+        keys = [(_size_class(mesh), number[id(one)]) for mesh, (one, _) in zip(meshes, made, strict=True)]
+        order = sorted(range(len(meshes)), key=keys.__getitem__)
+        meshes = [meshes[number] for number in order]
+        self._materials = [made[number][0] for number in order]
         self._counts = [len(mesh.triangles) for mesh in meshes]
         self._owner: Indices = np.repeat(np.arange(len(meshes)), self._counts)
-        self._opaque = [mesh.material is None for mesh in meshes]
+        self._opaque = np.array([mesh.material is None for mesh in meshes], bool)
+        self._attributes, self._corners = np.zeros((0, 12), np.float32), np.zeros((0, 3), np.int32)
+        if meshes:
+            whole = _joined(meshes)
+            expanded, posed = ExpandedMesh(whole), PosedMesh(Topology(whole), whole.vertices.astype("f4"))
+            layers = np.repeat([made[number][1] for number in order], [len(mesh.vertices) for mesh in meshes])
+            self._attributes = np.column_stack([expanded.attributes(posed), layers[expanded.source]])
+            self._attributes = self._attributes.astype(np.float32)
+            self._corners = expanded.corners
         self._buffers = TriangleBuffers(ctx, self._attributes, self._corners)
 
     def chart(self) -> Charts:
@@ -112,16 +115,15 @@ class StaticScene:
     @cached_property
     def _closed_boxes(self) -> Array:
         """(M, 2, 3) lowest and highest corners of the bounding boxes of closed meshes, NaN for others."""
-        boxes: Array = np.full((len(self._counts), 2, 3), np.nan)
-        for number, opaque in enumerate(self._opaque):
-            corners = self._corners[self._owner == number]
-            used, corners = np.unique(corners, return_inverse=True)
-            points = self._attributes[used, :3]
-            places = welded(points)
-            whole: Array = np.empty((int(places.max()) + 1, 3))
-            whole[places] = points
-            if opaque and Mesh(whole, padded(places[corners].reshape(-1, 3).astype(np.int32))).closed:
-                boxes[number] = whole.min(axis=0), whole.max(axis=0)
+        points = self._attributes[self._corners, :3].astype(float)
+        starts = np.cumsum([0, *self._counts])[:-1]
+        boxes = np.stack(
+            [bound.reduceat(points, starts).reshape(-1, 3, 3) for bound in (np.minimum, np.maximum)]
+        )
+        boxes = np.stack([boxes[0].min(axis=1), boxes[1].max(axis=1)], axis=1)
+        owner = np.repeat(self._owner, 3)
+        places = welded(np.column_stack([points.reshape(-1, 3), owner])).reshape(-1, 3)
+        boxes[~self._opaque | ~closed_surfaces(points, places, self._owner)] = np.nan
         return boxes
 
     def _visible(self, eye: Array) -> Indices:
@@ -143,7 +145,8 @@ class StaticScene:
         ``tolerance`` pixels.
         """
         visible = self._visible(camera.center)
-        mesh = TessellatedMesh(self._attributes, self._corners[visible], np.arange(len(visible)))
+        corners = self._corners[visible].astype(np.intp)
+        mesh = TessellatedMesh(self._attributes, corners, np.arange(len(visible)))
         if camera.distorted:
             mesh = LensView(camera).tessellate(mesh.attributes, mesh.triangles, tolerance)
         parents = visible[mesh.parents]
@@ -202,6 +205,39 @@ class StaticTriangles:
         """Draw the triangles whose material blends, sorted by distance from ``eye``, farthest first."""
         transparent = [one.blends for one in self._materials]
         self._buffers.draw(program, self._materials, self._counts, transparent, eye)
+
+
+def _size_class(mesh: Mesh) -> int:
+    """Logarithm of the size of a mesh, rounded down."""
+    return int(np.floor(np.log2(max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-3))))
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Shape, texture coordinates and colours of several meshes, which share no vertices."""
+    from scipy.sparse import block_diag
+
+    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    uvs = [np.zeros((1, 2)) if mesh.uv is None else mesh.uv for mesh in meshes]
+    first_uvs = np.cumsum([0, *map(len, uvs)])
+    faces = [mesh.triangles + first for mesh, first in zip(meshes, firsts, strict=False)]
+    uv_faces = [
+        (np.zeros_like(mesh.triangles) if mesh.uv_triangles is None else mesh.uv_triangles) + first
+        for mesh, first in zip(meshes, first_uvs, strict=False)
+    ]
+    colors = [
+        _WHITE.repeat(len(mesh.vertices), axis=0) if mesh.colors is None else mesh.colors for mesh in meshes
+    ]
+    shading = None
+    if any(mesh.shading is not None for mesh in meshes):
+        shading = block_diag([Topology(mesh).shading for mesh in meshes], format="csr")
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        padded(np.concatenate(faces)),
+        np.concatenate(uvs),
+        padded(np.concatenate(uv_faces)),
+        np.concatenate(colors),
+        shading=shading,
+    )
 
 
 def bounding_box(points: Sequence[Float32Array]) -> Float32Array:

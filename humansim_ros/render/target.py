@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import moderngl
 import numpy as np
@@ -66,7 +67,7 @@ class RenderTarget:
     """
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
-        self.size = size
+        self._ctx, self.size = ctx, size
         self._textures = [
             ctx.texture(size, 1, dtype="f4"),
             ctx.texture(size, 1, dtype="u4"),
@@ -76,7 +77,7 @@ class RenderTarget:
         self._framebuffers = {
             lit: ctx.framebuffer(self._textures[: 2 + lit], self._depth_buffer) for lit in (False, True)
         }
-        self._colour, self._seen = (ctx.framebuffer(self._textures[2:], self._depth_buffer) for _ in range(2))
+        self._colour = ctx.framebuffer(self._textures[2:], self._depth_buffer)
         self._colour.depth_mask = False  # shadows change colours and hide nothing
         #: pixels of colours, and of depth and triangle ids
         self._coloured = self._identified = Rectangle(0, 0, *size)
@@ -115,7 +116,7 @@ class RenderTarget:
 
     def _limit_to(self, rectangle: Rectangle) -> None:
         self._coloured = self._identified = rectangle
-        for framebuffer in (*self._framebuffers.values(), self._colour, self._seen):
+        for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.scissor = rectangle.xywh
 
     def clear(self, colour: Sequence[int]) -> None:
@@ -125,10 +126,6 @@ class RenderTarget:
         self._framebuffers[False].clear()
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
-
-    def hide(self, pixels: Float32Array) -> None:
-        """Draw nothing, until the next clear, where an image (H, W) of zeros and ones is one."""
-        self._depth_buffer.write((1 - pixels).tobytes(), alignment=1)
 
     def fill(self, image: NDArray[np.uint8]) -> None:
         """Show an image (H, W, 3) where nothing is drawn."""
@@ -146,9 +143,15 @@ class RenderTarget:
         width, height = self._depth_buffer.size
         return np.frombuffer(self._depth_buffer.read(alignment=1), np.float32).reshape(height, width)
 
-    def use_visible_colour(self) -> None:
-        """Draw into the colours and OpenGL's depth buffer, which is faster than into all images."""
-        self._seen.use()
+    @contextmanager
+    def sum_of_images(self, sunlight: bool) -> Iterator[SumOfImages]:
+        """Add up images, for the duration of ``with``. ``sunlight``: of shares of the sun, too."""
+        self.clear((0, 0, 0))
+        sums = SumOfImages(self._ctx, self._depth_buffer, sunlight)
+        try:
+            yield sums
+        finally:
+            sums.release()
 
     def use_colour(self) -> None:
         """Draw into the colours only."""
@@ -170,11 +173,59 @@ class RenderTarget:
 
     def release(self) -> None:
         """Free the memory on the device."""
-        for framebuffer in (*self._framebuffers.values(), self._colour, self._seen):
+        for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.release()
         for attachment in self._textures:
             attachment.release()
         self._depth_buffer.release()
+
+
+class SumOfImages:
+    """The sum of images, on the device.
+
+    Drawing into one framebuffer lets llvmpipe draw all images in one tile before it goes on to the next.
+    """
+
+    def __init__(self, ctx: moderngl.Context, depth_buffer: moderngl.Texture, sunlight: bool) -> None:
+        self._ctx = ctx
+        self._textures = [ctx.texture(depth_buffer.size, n, dtype="f4") for n in (4, 1)[: 1 + sunlight]]
+        self._framebuffer = ctx.framebuffer(self._textures, depth_buffer)
+        self._framebuffer.use()
+        self._framebuffer.clear()
+
+    def start_image(self) -> None:
+        """Draw only OpenGL's depths of the next image."""
+        self._write(depths=True)
+        self._framebuffer.clear()
+        self._ctx.enable_only(moderngl.DEPTH_TEST)
+
+    def add_visible(self) -> None:
+        """Draw colours at the depths that have been drawn, and add them."""
+        self._write(depths=False)
+        self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+        self._ctx.depth_func = "=="
+        self._ctx.blend_func = moderngl.ONE, moderngl.ONE
+
+    def _write(self, depths: bool) -> None:
+        mask = (not depths,) * 4
+        self._framebuffer.color_mask = cast(Any, mask if len(self._textures) == 1 else (mask,) * 2)
+        self._framebuffer.depth_mask = depths
+        self._framebuffer.use()  # the masks count from here on
+        self._ctx.depth_func = "<"
+
+    def read(self) -> list[Float32Array]:
+        """(H, W, 4) sums of colours from 0 to 1 and number of images; (H, W, 1) sums of shares of the sun."""
+        sums = [np.empty((*one.size[::-1], one.components), np.float32) for one in self._textures]
+        for number, one in enumerate(sums):
+            self._framebuffer.read_into(one, components=one.shape[2], attachment=number, dtype="f4")
+        return sums
+
+    def release(self) -> None:
+        """Free the memory on the device."""
+        self._ctx.depth_func = "<"
+        self._framebuffer.release()
+        for one in self._textures:
+            one.release()
 
 
 #: Image sizes whose render targets are cached.

@@ -38,18 +38,21 @@ def context() -> Iterator[moderngl.Context]:
     made.release()
 
 
-def test_meshes_with_one_image_share_its_texture(context: moderngl.Context) -> None:
+def test_images_of_one_size_are_layers_of_one_texture(context: moderngl.Context) -> None:
     first, second = picture(1), picture(2)
-    meshes = [poster(0, first), poster(1, second), poster(2, first), poster(3, first.copy())]
-    of = [one.texture for one in MaterialBuffers.of_meshes(context, meshes)]
-    assert of[0] is of[2]
-    assert len({id(one) for one in of}) == 3
+    images = [first, second, first, first.copy(), second[:16]]
+    made = MaterialBuffers.of_meshes(context, [poster(y, image) for y, image in enumerate(images)])
+    assert len({id(one) for one, _ in made[:4]}) == 1 and made[4][0] is not made[0][0]
+    assert [layer for _, layer in made] == [0, 1, 0, 2, 0]
+    layers = np.frombuffer(made[0][0].texture.read(), np.uint8).reshape(3, 32, 32, 4)
+    # the first row of an image is its upper one
+    np.testing.assert_array_equal(layers[..., :3], [first[::-1], second[::-1], first[::-1]])
 
 
 def test_a_material_says_how_its_own_texture_repeats(context: moderngl.Context) -> None:
     plain = poster(0, picture(1))
     clamped = replace(plain, material=Material(wrap=(False, False)))
-    one, other, third = MaterialBuffers.of_meshes(context, [plain, clamped, plain])
+    one, other, third = (made for made, _ in MaterialBuffers.of_meshes(context, [plain, clamped, plain]))
     assert one.texture is third.texture
     assert one.texture.repeat_x and not other.texture.repeat_x
 

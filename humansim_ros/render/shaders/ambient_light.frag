@@ -4,6 +4,7 @@ uniform sampler2D points;
 uniform sampler2D normals;
 uniform sampler2D maps;
 uniform ivec2 first;           // texel of the light map
+uniform ivec2 origin;          // of the image of these points
 uniform vec3 directions[COUNT];
 uniform vec3 axes[3 * COUNT];  // of the maps: the scene is within -1 and 1 along each
 uniform ivec2 corners[COUNT];  // of the maps
@@ -12,9 +13,10 @@ uniform float texel;           // metres
 layout(location = 0) out vec4 sky;  // on the front: visible, total; on the back: visible, total
 layout(location = 1) out vec4 ground;
 void main() {
-    ivec2 place = min(3 * ivec2(gl_FragCoord.xy) + first, textureSize(points, 0) - 1);
+    ivec2 place = min(3 * (ivec2(gl_FragCoord.xy) - origin) + first, textureSize(points, 0) - 1);
     vec3 n = texelFetch(normals, place, 0).xyz, p = texelFetch(points, place, 0).xyz - centre;
     sky = ground = vec4(0.0);
+    if (n == vec3(0.0)) return;  // no surface
     for (int i = 0; i < COUNT; i++) {
         float cosine = dot(n, directions[i]);
         vec3 from = p + sign(cosine) * (1.5 * texel) * n;

@@ -6,6 +6,7 @@ uniform float k[8];
 uniform float valid_radius;       // of the lens, in the normalised image plane
 uniform float near;
 out float gl_ClipDistance[1];
+invariant gl_Position;
 vec2 through_lens(vec2 n) {
     float r2 = dot(n, n);
     if (lens == 2) {

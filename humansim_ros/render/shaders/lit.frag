@@ -3,13 +3,16 @@
 // inverse. A back face is lit as a front face that looks the same way. Features that not every scene needs are switched on
 // by name: SHADELESS, FILMIC, STATIC_SHADOWS and MOVING_SHADOWS of the static scene and of moving bodies, SKIN_AND_CLOTH,
 // AMBIENT_OCCLUSION, PBR for glTF materials, TRANSPARENT for surfaces that blend, COLOUR without depth and triangle id,
-// STATIC_SCENE for static meshes, SMOOTH_TEXTURES for two samples of their texture in each pixel.
+// UNSEEN without colour, STATIC_SCENE for static meshes, SMOOTH_TEXTURES for two samples of their texture in each pixel.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
-uniform sampler2D surface;  // alpha of humans: 0 is skin and 1 is cloth
 #ifdef STATIC_SCENE
+flat in float v_layer;
+uniform sampler2DArray surface;
 uniform float mip_bias;  // mip levels by which textures are coarser than usual
+#else
+uniform sampler2D surface;  // alpha of humans: 0 is skin and 1 is cloth
 #endif
 uniform vec3 sun;        // direction to the light
 uniform vec3 sun_color;
@@ -17,7 +20,8 @@ uniform vec3 sky_color;  // from above
 uniform vec3 ground_color;
 uniform uint first_id;
 #ifdef COLOUR
-out vec4 rgb;
+layout(location = 0) out vec4 rgb;       // alpha: 1, which sums count
+layout(location = 1) out float sunlight;  // share of the sun
 #else
 layout(location = 0) out float depth;
 layout(location = 1) out uint triangle_id;
@@ -48,11 +52,14 @@ void main() {
     n = perturbed_normal(n, v_world, v_uv);
     if ((one_sided && !gl_FrontFacing) || (masked && opaque < cutoff)) discard;
 #endif
+#ifdef UNSEEN
+    return;
+#endif
 #ifdef SMOOTH_TEXTURES
     vec2 diagonal = 0.25 * (dFdx(v_uv) + dFdy(v_uv));
-    vec4 texel = 0.5 * (texture(surface, v_uv - diagonal, mip_bias) + texture(surface, v_uv + diagonal, mip_bias));
+    vec4 texel = 0.5 * (texture(surface, vec3(v_uv - diagonal, v_layer), mip_bias) + texture(surface, vec3(v_uv + diagonal, v_layer), mip_bias));
 #elif defined(STATIC_SCENE)
-    vec4 texel = texture(surface, v_uv, mip_bias);
+    vec4 texel = texture(surface, vec3(v_uv, v_layer), mip_bias);
 #else
     vec4 texel = texture(surface, v_uv);
 #endif
@@ -109,6 +116,10 @@ void main() {
     light += cloth * FUZZ * v_terms.y * display * (ambient + sun_color * (sunlit * facing));
 #endif
     rgb = vec4(tone_mapped(light), unshadowed);
+#endif
+#ifdef COLOUR
+    sunlight = rgb.a;
+    rgb = vec4(min(rgb.rgb, 1.0), 1.0);
 #endif
 #ifdef TRANSPARENT
     rgb.a = opaque;

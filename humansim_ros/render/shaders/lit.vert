@@ -11,6 +11,10 @@ out vec3 v_color;
 #if defined(STATIC_SHADOWS) || defined(PBR)
 out vec3 v_world;
 #endif
+#ifdef STATIC_SCENE
+in float layer;
+flat out float v_layer;
+#endif
 #ifdef AMBIENT_OCCLUSION
 in vec2 light_uv;
 out vec2 v_light_uv;
@@ -27,6 +31,9 @@ void main() {
     v_color = color;
 #if defined(STATIC_SHADOWS) || defined(PBR)
     v_world = position;
+#endif
+#ifdef STATIC_SCENE
+    v_layer = layer;
 #endif
 #ifdef AMBIENT_OCCLUSION
     v_light_uv = light_uv;

@@ -126,6 +126,37 @@ def compare(title: str, draws: dict[str, Draw], shots: Sequence[tuple[Body, Came
     return rows
 
 
+#: Cameras of a new renderer: number, size, lens.
+FIRST_FRAMES = [
+    (4, (640, 480), "ideal"),
+    (1, (1920, 1080), "ideal"),
+    (4, (1920, 1080), "ideal"),
+    *((1, (1280, 1024), lens) for lens in LENSES),
+]
+
+
+def first_frames(scene: Scene) -> object:
+    """Print and return milliseconds of the first frame of a new renderer: rgb of the room, best of three."""
+    rows = []
+    print(f"\n{'ms: first frame of a new renderer, rgb of the room':<52} {'wall':>8} {'CPU':>8}")
+    positions = [(2.8, 2.3, 2.2), (-2.8, 2.3, 2.2), (-2.8, -2.3, 2.2), (2.8, -2.3, 2.2)]
+    for count, size, lens in FIRST_FRAMES:
+        times = []
+        for _ in range(3):
+            renderer = GLRenderer(scene.static_meshes)
+            start = time.perf_counter(), time.process_time()
+            for position in positions[:count]:
+                camera = Camera.look_at(position, (0, 0, 1), size=size)
+                renderer.render([], through(camera, lens), ("rgb",))
+            times.append((time.perf_counter() - start[0], time.process_time() - start[1]))
+            renderer.close()
+        wall, cpu = (1e3 * min(column) for column in zip(*times, strict=True))
+        name = f"{count} of {size[0]}x{size[1]}, {lens}"
+        print(f"{name:<52} {wall:8.0f} {cpu:8.0f}")
+        rows.append({"cameras": name, "wall_ms": wall, "cpu_ms": cpu})
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -160,6 +191,7 @@ def main() -> None:
     title = "ms: rgb, depth, instance, part, first frame"
     draws = {lens: first(renderer, lens) for lens in LENSES}
     figures[title] = compare(title, draws, shots, max(options.rounds // 16, 1))
+    figures["ms: first frame of a new renderer"] = first_frames(scene)
     if options.json:
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
 

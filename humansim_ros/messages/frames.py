@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from itertools import pairwise
-from statistics import median
+from statistics import median_low
 from threading import RLock
 from typing import Any, Generic, TypeVar
 
@@ -55,15 +55,16 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: 
 def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
     """Find the stamps of frames in which a camera takes a picture at a steady rate of its own.
 
-    Stamps count of frames whose picture is lost, too: where a gap is a multiple of the median interval.
+    Stamps count of frames whose picture is lost, too: where a gap is a multiple of the median interval. With
+    fewer than two pictures the rate is unknown: the camera is taken to have one in each frame.
 
     Args:
         stamps: Stamps of all frames in ascending order.
         own: Stamps of the pictures of the camera in ascending order.
     """
     if len(own) < 2 or len(stamps) < 2:
-        return set(own)
-    period = median(after - before for before, after in pairwise(own))
+        return set(stamps)
+    period = median_low(after - before for before, after in pairwise(own))
     steps = sorted(after - before for before, after in pairwise(stamps))
     half = steps[len(steps) // 10] / 2  # few stamps may be of a clock that was set
 

@@ -295,6 +295,7 @@ def changed(human: Human, kind: str) -> Mesh:
     )
 
 
+@pytest.mark.daily("with faces of no area")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",

@@ -52,6 +52,7 @@ def stature(mesh: Mesh) -> float:
     return float(np.ptp(mesh.vertices[:, 1]))
 
 
+@pytest.mark.daily("hands")
 @pytest.mark.slow
 @pytest.mark.parametrize("bones", [ARM, ("wrist",)], ids=["arms", "hands"])
 def test_floating_limbs_are_rigged_to_their_bones_with_a_warning(

@@ -102,6 +102,7 @@ def metashape_calibration(kind: str, **values: float) -> str:
     return f"<calibration><projection>{kind}</projection>{size}{numbers}</calibration>"
 
 
+@pytest.mark.nightly
 def test_a_lens_of_metashape_that_no_model_has_is_fitted_over_the_image(tmp_path: Path) -> None:
     k1, k2, k3, k4, p1, p2, p3, p4 = -0.21, 0.09, -0.02, 0.004, 1.5e-3, -8e-4, 0.3, -0.1
     text = metashape_calibration("frame", k1=k1, k2=k2, k3=k3, k4=k4, p1=p1, p2=p2, p3=p3, p4=p4, b2=1.0)

@@ -471,6 +471,7 @@ def test_yaml_tags_create_no_objects(tmp_path: Path) -> None:
     assert not made.exists()
 
 
+@pytest.mark.daily("nested")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "text",

@@ -610,6 +610,7 @@ def test_wrong_values_have_their_key(tmp_path: Path, content: Any, said: str) ->
     assert said in refused(tmp_path, content)
 
 
+@pytest.mark.daily("long key")
 @pytest.mark.parametrize(
     "content",
     [

@@ -214,6 +214,7 @@ def test_errors_have_key_and_line(tmp_path: Path, text: str, said: str) -> None:
     assert_refused(tmp_path, text, said)
 
 
+@pytest.mark.daily("realsense")
 @pytest.mark.slow
 @pytest.mark.parametrize("form", FORMATS)
 def test_damaged_files_are_refused_or_read(tmp_path: Path, form: str) -> None:
@@ -260,6 +261,7 @@ def damage(text: str, rng: random.Random) -> str:
     return "".join(lines)
 
 
+@pytest.mark.daily("nested")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "text",

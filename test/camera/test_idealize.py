@@ -173,6 +173,7 @@ def test_labels_are_not_interpolated() -> None:
     assert set(np.unique(idealize(CAMERA).to_ideal(labels, cv2.INTER_NEAREST))) == {0, 3, 900}
 
 
+@pytest.mark.daily("True-equidistant")
 @pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
 @pytest.mark.parametrize("center", [False, True])
@@ -271,6 +272,7 @@ def renderer() -> Iterator[GLRenderer]:
     renderer.close()
 
 
+@pytest.mark.daily("rational_polynomial")
 @pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
 def test_an_idealized_image_agrees_with_a_rendering_of_the_ideal_camera(

@@ -63,6 +63,7 @@ def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
             assert cell[60:].std() > 5, (row, column)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["own_male_T_dm.obj", *if_shared("mh2007_male_T_dm.obj")])
 def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, name: str) -> None:
     out = tmp_path / "human.npz"

@@ -46,6 +46,7 @@ def tile(sheet: np.ndarray, layout: _Layout, camera: int, channels: int = 1, cha
     return sheet[top : top + height, left : left + width]
 
 
+@pytest.mark.daily("5-3")
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "columns"), [(1, 1), (2, 2), (5, 3), (64, 8)])

@@ -226,6 +226,7 @@ def test_the_index_of_a_bag_has_the_licences_of_its_people(exports: tuple[Path, 
     assert here["licenses"] == there["licenses"] == dict.fromkeys(here["humans"], "CC0-1.0")
 
 
+@pytest.mark.nightly
 def test_the_licence_of_a_scene_is_that_of_its_data_sets(tmp_path: Path) -> None:
     scene = Scene.from_dict({**yaml.safe_load(SCENE), "license": " CC-BY-4.0 "})
     rows = chosen_formats(["coco"])
@@ -249,6 +250,7 @@ def test_jpeg_images_are_those_of_the_bag(tmp_path: Path, exports: tuple[Path, P
         assert np.abs(found - cv2.imread(str(file)).astype(int)).mean() < 4  # colours are not swapped
 
 
+@pytest.mark.nightly
 def test_each_frame_of_a_moving_camera_has_its_pose(tmp_path: Path) -> None:
     (tmp_path / "flight.txt").write_text("0 3 0 1.5 0.5 0.5 -0.5 -0.5\n1 4 0 1.5 0.5 0.5 -0.5 -0.5\n")
     text = yaml.safe_load(SCENE)
@@ -308,6 +310,7 @@ def poor_bag(tmp_path_factory: pytest.TempPathFactory, bag: Path) -> Path:
     return copy_without(bag, tmp_path_factory.mktemp("poor") / "bag", lambda topic, _: topic in missing)
 
 
+@pytest.mark.daily("labels", "coco")
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_topic_that_is_missing_is_named_with_the_command_that_records_it(
     format: str, poor_bag: Path

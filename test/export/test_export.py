@@ -126,6 +126,7 @@ def test_records_of_frames_are_read_only_from_files(tmp_path: Path, scene: Scene
     assert content(root) == content(whole)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_several_processes_write_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
     root = tmp_path / "out"

@@ -77,6 +77,7 @@ def test_results_of_an_export(run: Run, tmp_path: Path) -> None:
     assert len(content) < 3 << 20
 
 
+@pytest.mark.nightly
 def test_a_rendered_scene_is_the_same_truth(run: Run, root: Path) -> None:
     """An export from frame 0 on has the numbers of images that a scene has."""
     exported(root / "from_0", "coco", small_scene(), frames="0:3")

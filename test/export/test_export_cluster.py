@@ -60,6 +60,7 @@ def test_workers_write_the_files_of_one_process_also_if_one_dies(
     assert content(tmp_path / "out") == content(whole)
 
 
+@pytest.mark.nightly
 def test_frames_that_fail_are_named_and_resumed(cluster: None, tmp_path: Path, whole: Path) -> None:
     root = tmp_path / "out"
     made = job(root, FORMATS, frames=FRAMES)

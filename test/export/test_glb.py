@@ -221,6 +221,7 @@ def test_people_with_one_body_share_its_mesh() -> None:
     assert len(glb.json["meshes"]) == len(glb.json["images"]) == 1 and len(glb.json["skins"]) == 2
 
 
+@pytest.mark.nightly
 def test_our_own_readers_take_the_file(tmp_path: Path) -> None:
     path = tmp_path / "people.glb"
     path.write_bytes(glb_bytes({"anna": animated("anna")}, RATE))

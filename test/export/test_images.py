@@ -38,6 +38,7 @@ def read(path: Path) -> np.ndarray:
     return image
 
 
+@pytest.mark.daily("bent")
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_images_are_those_of_the_cameras(root: Path, frame: Frame, camera: str) -> None:
     image = read(root / "images" / camera / "000004.png")

@@ -48,6 +48,7 @@ def samples(root: Path) -> dict[str, dict[str, bytes]]:
     return found
 
 
+@pytest.mark.nightly
 def test_a_sample_has_the_truth_of_its_image(whole: Path, scene: Scene) -> None:
     found = samples(whole)
     assert list(found) == [f"{camera}/00000{n}" for n in (3, 4, 5) for camera in ("noisy", "bent")]

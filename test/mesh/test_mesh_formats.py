@@ -60,6 +60,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trimesh_files, "_parse_in_process", trimesh_files.parse)
 
 
+@pytest.mark.daily("stl")
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_mesh_has_the_triangles_of_its_file(tmp_path: Path, suffix: str) -> None:

@@ -384,6 +384,7 @@ def mutated(value: Any, rng: random.Random) -> Any:
     return rng.choice(EVIL)
 
 
+@pytest.mark.daily("3")
 @pytest.mark.parametrize("seed", range(4))
 def test_bodies_of_mutated_legends_are_finite(seed: int) -> None:
     rng, actor, whole = random.Random(seed), scene().actors["first"], legend()

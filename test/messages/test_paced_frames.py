@@ -81,6 +81,7 @@ def receiver() -> Receiver:
     return Receiver()
 
 
+@pytest.mark.daily("1-0-1000000000000000000", "5-0--10000000000")
 @pytest.mark.parametrize("offset", [10 * SECOND, 10**9 * SECOND, -10 * SECOND, 2 * SECOND])
 @pytest.mark.parametrize("before", [0, 50])
 @pytest.mark.parametrize("rate", [1, 5])

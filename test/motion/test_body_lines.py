@@ -88,6 +88,7 @@ def test_the_body_has_the_lines_of_every_real_person(stem: str) -> None:
     assert max(found.values()) < 15, found
 
 
+@pytest.mark.daily("lafan1-one_axis-walk", "bandai_namco-random_axes-raised arms")
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("axes", [None, one_axis, an_l, random_axes])
 @pytest.mark.parametrize("family", ["mixamo", "lafan1", "cmu", "bandai_namco"])

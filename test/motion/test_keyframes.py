@@ -155,6 +155,7 @@ def animations(draw: Any) -> Keyframes:
     return Keyframes(timeline, tracks)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(animations())

@@ -149,6 +149,7 @@ def test_penetration_of_limbs_agrees_with_the_hulls_of_their_meshes() -> None:
     assert np.abs(np.mean(errors)) < 0.01
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_hand_penetrates_the_trunk_when_rays_say_so() -> None:
     """The left arm moves through the body; ray casting gives the depth of the hand inside the mesh."""

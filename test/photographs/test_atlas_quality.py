@@ -58,6 +58,7 @@ def colours_at(textured: TexturedPerson, uv: NDArray[np.float64]) -> NDArray[np.
     return np.concatenate(found)[:, 0].astype(np.float32)
 
 
+@pytest.mark.nightly
 def test_a_person_of_one_colour_gets_a_texture_of_one_colour() -> None:
     """No background at the border of the person, no gap where it is hidden, nothing else between islands."""
     man = painted(load_human("adult_man"), (200, 90, 50), (200, 90, 50))

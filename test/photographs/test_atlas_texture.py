@@ -114,6 +114,7 @@ def test_hidden_parts_look_like_the_other_side(man: Human) -> None:
     assert quality[True] > 22 and quality[True] > quality[False] + 1
 
 
+@pytest.mark.nightly
 def test_views_that_show_nothing_are_told_and_left_out(man: Human) -> None:
     views = texture_views(man, list(studio_cameras(4).values()))
     away = Camera.look_at((3, 0, 1), (6, 0, 1))

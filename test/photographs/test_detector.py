@@ -53,6 +53,7 @@ def command(photos: PhotoSet, *rest: str) -> str:
     return " ".join([sys.executable, str(photos.path.parent / "detect.py"), *rest])
 
 
+@pytest.mark.daily("openpose")
 @pytest.mark.parametrize("form", ["coco", "openpose", "own"])
 def test_points_of_a_command_are_kept_beside_the_views(photos: PhotoSet, form: str) -> None:
     assert not photos.points.any()

@@ -71,6 +71,7 @@ def test_each_view_of_each_frame_shows_the_body_before_and_after(fit: PersonFit,
         assert parts - 1 >= 2 * len(photos.names)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_bars_are_as_long_as_the_distances(fit: PersonFit, photos: PhotoSet) -> None:
     known = np.where(fit.outliers, np.nan, fit.residuals)
@@ -88,6 +89,7 @@ def test_a_point_that_is_left_out_is_red(fit: PersonFit, photos: PhotoSet) -> No
     assert len(places(draw_report(right, photos), LEFT_OUT)) < 200  # the legend
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_line_says_why_keypoints_are_worse_than_before(fit: PersonFit, photos: PhotoSet) -> None:
     worse = replace(fit, residuals=fit.residuals + 5)

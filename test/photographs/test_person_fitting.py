@@ -97,6 +97,7 @@ def test_unequal_twists_at_the_start_lead_no_sequence_to_another_minimum(tmp_pat
     assert errors.mean() < 0.018 and errors.max() < 0.15, errors.round(3)
 
 
+@pytest.mark.nightly
 def test_a_fit_tells_the_human_that_it_started_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     studio = make_studio(tmp_path, "child", "walk", 4, noise=1.0, images=False)
     photos = read_views(studio.path)
@@ -213,6 +214,7 @@ def test_a_person_who_is_cut_off_in_all_views_is_fitted_in_parts(tmp_path: Path)
     assert np.isnan(fit.residuals[:, :, legs]).all()
 
 
+@pytest.mark.nightly
 def test_a_sequence_becomes_a_motion_that_a_scene_plays(tmp_path: Path) -> None:
     studio = make_studio(
         tmp_path, "adult_woman", "walk", "shelf", frames=6, images=False, keypoints="halpe26"

@@ -107,6 +107,7 @@ def some_fit(man: Human, frames: int = 2) -> PersonFit:
     )
 
 
+@pytest.mark.nightly
 def test_a_fit_is_written_and_read_back(man: Human, tmp_path: Path) -> None:
     fit = some_fit(man)
     write_fit(tmp_path / "fit.yaml", fit)
@@ -122,6 +123,7 @@ def test_a_fit_is_written_and_read_back(man: Human, tmp_path: Path) -> None:
     assert "secret" not in text and len(text.splitlines()) < 200
 
 
+@pytest.mark.daily("changes6-frames", "changes4-frames")
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -153,6 +155,7 @@ def test_something_else_is_no_fit(tmp_path: Path) -> None:
         read_fit(tmp_path / "fit.yaml")
 
 
+@pytest.mark.nightly
 def test_an_offset_moves_the_surface_out_near_its_control_alone(man: Human) -> None:
     field = surface_offsets("adult_man")
     vertices = man.mesh.vertices

@@ -62,6 +62,7 @@ def mean_iou(fit: PersonFit, photos: PhotoSet) -> float:
     return float(np.mean(list(silhouette_iou(fit, photos).values())))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_rendered_body_covers_the_silhouettes(
     rough: PersonFit, fine: PersonFit, photos: PhotoSet
@@ -151,6 +152,7 @@ def test_left_and_right_have_the_same_girths(fine: PersonFit) -> None:
             assert girths["r_" + name[2:]] == girth
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_masks_of_the_body_itself_bring_back_its_girths(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

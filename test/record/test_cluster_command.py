@@ -30,6 +30,7 @@ def content(bag: Path) -> tuple[set[tuple[str, str]], list[tuple[str, int, bytes
         return topics, [(each.topic, stamp, bytes(data)) for each, stamp, data in reader.messages()]
 
 
+@pytest.mark.nightly
 def test_workers_record_the_bag_of_one_machine(cluster: None, tmp_path: Path) -> None:
     scene, bags = write_scene(tmp_path), {name: tmp_path / name / "bag" for name in ("alone", "shards")}
     assert humansim("record", scene, "-o", bags["alone"], "--frames", FRAMES, "--jobs", 1).returncode == 0

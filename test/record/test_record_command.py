@@ -90,6 +90,7 @@ def test_resume_starts_a_recording_that_has_not_begun(scene: Path, tmp_path: Pat
     assert code == 2 and "there is no bag to continue here" in err
 
 
+@pytest.mark.nightly
 def test_the_summary_says_rate_size_and_cost_of_each_step(scene: Path, tmp_path: Path) -> None:
     code, out, err = run(
         scene, tmp_path / "bag", "--seconds", 0.2, "--jobs", 2, "--topics", "*/depth/image,/humans/*/joints"

@@ -53,6 +53,7 @@ def is_freed(context: moderngl.Context) -> bool:
     return isinstance(context.mglo, moderngl.InvalidObject)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_memory_of_renderers_that_are_dropped_comes_back(name: RendererName) -> None:
     assert growth(lambda: image_of(renderer_or_skip(name=name), LARGE)) < GAPS

@@ -79,6 +79,7 @@ def test_levels_are_closed_surfaces_of_fewer_vertices_of_the_mesh(name: str) -> 
         assert (source[coordinates] == triangles).all()  # no seam is torn
 
 
+@pytest.mark.nightly
 def test_labels_are_those_of_the_whole_mesh_and_colours_do_not_depend_on_them() -> None:
     crowd = {"count": 8, "seed": 4, "duration": 10}
     scene = Scene.from_dict({"cameras": CAMERA, "room": {"size": [16, 10, 3]}, "crowd": crowd})

@@ -219,6 +219,7 @@ def test_a_moving_camera_sees_the_same_shadows(scene: Scene, people: list[Body])
     assert (np.abs(kept.shadow.astype(int) - passing.shadow) > 8).mean() < 0.002
 
 
+@pytest.mark.daily("False")
 @pytest.mark.slow
 @pytest.mark.parametrize("bent", [False, True])
 def test_a_photograph_takes_the_shadows_that_a_floor_there_would(people: list[Body], bent: bool) -> None:

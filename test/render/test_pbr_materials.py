@@ -266,6 +266,7 @@ def test_what_is_cut_out_casts_no_shadow(tmp_path: Path) -> None:
         assert (seen.rgb[row, column].max() > 100) == lit
 
 
+@pytest.mark.daily("1-1")
 @pytest.mark.slow
 @pytest.mark.parametrize(("metallic", "roughness"), [(0, 0.2), (0, 1), (1, 0.1), (1, 0.6), (1, 1)])
 def test_in_even_light_nothing_sends_back_more_than_falls_on_it(

@@ -92,6 +92,7 @@ HARD = {
 BENT = {"distortion": (0.0, 0.0, 0.0, 0.0), "model": "equidistant"}
 
 
+@pytest.mark.daily("moderngl-in a box")
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::humansim_ros.errors.HumansimWarning")
 @pytest.mark.parametrize("place", HARD)

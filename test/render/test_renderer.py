@@ -242,6 +242,7 @@ def test_any_image_size(empty: Renderer, size: tuple[int, int]) -> None:
     np.testing.assert_array_equal(view.instance == 1, expected)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_cameras_of_different_size_share_a_renderer(room: Renderer, scene: Scene, name: RendererName) -> None:
     bodies = walkers(scene, 0.5)

@@ -49,6 +49,7 @@ def errors(image: Image, many: NDArray[np.float64], low: int, high: int) -> tupl
     return np.abs(found - part)[edge], float(np.minimum(part, 1 - part)[edge].mean())
 
 
+@pytest.mark.daily("45-distortion0")
 @pytest.mark.parametrize("distortion", [(), BARREL])
 @pytest.mark.parametrize("angle", [3, 17, 45])
 def test_outlines_are_as_bright_as_they_cover_pixels(angle: float, distortion: tuple[float, ...]) -> None:
@@ -82,6 +83,7 @@ def decibels(image: Image, reference: NDArray[np.float64]) -> float:
     return float(10 * np.log10(255**2 / ((image.astype(float) - reference) ** 2).mean()))
 
 
+@pytest.mark.daily("distortion0")
 @pytest.mark.parametrize("distortion", [(), BARREL])
 def test_the_room_is_smooth_and_its_depth_is_that_of_a_still_camera(
     distortion: tuple[float, ...], monkeypatch: pytest.MonkeyPatch

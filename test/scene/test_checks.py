@@ -398,6 +398,7 @@ def test_people_who_pass_through_each_other_are_found_with_the_time() -> None:
     assert 0.3 < float(seconds[1]) <= times[14] + 0.05
 
 
+@pytest.mark.nightly
 def test_random_people_in_each_other_are_one_finding_of_variety() -> None:
     scene = {
         "room": None,

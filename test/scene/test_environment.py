@@ -210,6 +210,7 @@ randomise: {seed: %d, light: true, colours: true, textures: true, clutter: 8,
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_same_seed_draws_the_same_and_another_another(tmp_path: Path) -> None:
     first, again, other = (load(tmp_path, RANDOM % seed) for seed in (3, 3, 4))

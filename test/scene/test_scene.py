@@ -445,6 +445,7 @@ def test_a_broken_motion_or_body_of_a_scene_is_named_itself(write: Write, tmp_pa
         Scene.load(write(GOOD.replace("file: walk", "joint_names: mine")))
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=60)
 @given(
     st.recursive(

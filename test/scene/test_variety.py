@@ -74,6 +74,7 @@ def test_more_people_do_not_change_the_first(tmp_path: Path) -> None:
     assert list(many.values())[:2] == list(few.values())
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_people_differ_and_keep_apart(tmp_path: Path) -> None:
     people = drawn(tmp_path, count=12, seed=2, area=[-4, -4, 4, 4], spacing=1.2, room=None)
@@ -136,6 +137,7 @@ def test_people_who_find_no_place_are_named(tmp_path: Path) -> None:
     assert len(people) == 6
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_random_people_keep_away_from_objects_and_the_scenes_own_humans(tmp_path: Path) -> None:
     """The pillar is taller than people and wider than they are: they must not stand in it."""
@@ -154,6 +156,7 @@ def test_random_people_keep_away_from_objects_and_the_scenes_own_humans(tmp_path
         assert [finding.text for finding in found if "person" in finding.text] == []
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_object_around_everybody_is_a_room(tmp_path: Path) -> None:
     hall = {"hall": {"size": [7, 7, 4], "position": [0, 0, 2]}}

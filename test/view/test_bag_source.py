@@ -109,6 +109,7 @@ def topic(name: str, kind: str) -> BagTopic:
 # --- what is shown
 
 
+@pytest.mark.nightly
 def test_frames_have_the_joints_cameras_and_images_of_the_scene(source: BagViewSource, truth: Frame) -> None:
     assert source.title == "walk" and source.frames == FRAMES and source.period == 50_000_000
     assert source.channels == ("rgb", JOINTS, "depth", "instance", "part", "face", "normal")
@@ -455,6 +456,7 @@ def test_an_estimate_is_beside_the_truth_with_its_error(tmp_path: Path, scene: S
     source.close()
 
 
+@pytest.mark.nightly
 def test_the_skin_of_an_unknown_body_is_found_from_its_vertices(tmp_path: Path) -> None:
     """Between the frames it is found from, it is where the person has it."""
     child = load_human("child")
@@ -480,6 +482,7 @@ def test_the_skin_of_an_unknown_body_is_found_from_its_vertices(tmp_path: Path) 
 # --- humansim view
 
 
+@pytest.mark.nightly
 def test_the_command_opens_a_bag_and_its_bodies(tmp_path: Path, scene: Scene, bag: Path) -> None:
     """A body that is not built in is known if its file is given."""
     from humansim_ros.view.inputs import TopicOptions, open_source

@@ -36,6 +36,7 @@ def test_a_scene_that_is_opened_and_saved_has_the_same_bytes(path: Path, tmp_pat
     assert (tmp_path / "s" / path.name).read_bytes() == path.read_bytes()
 
 
+@pytest.mark.daily("demo")
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_placing_everything_changes_one_line_for_each_key(path: Path) -> None:
     opened = SceneDocument.load(path)
@@ -180,6 +181,7 @@ def test_what_keyframes_move_is_placed_where_it_is_at_that_time(seconds: float) 
     np.testing.assert_allclose(opened.pose("humans", "rider", seconds).position[:2], [0.5, 0.5], atol=2e-4)
 
 
+@pytest.mark.nightly
 def test_steps_are_undone_and_redone_and_labelled() -> None:
     opened = document()
     texts = [opened.text()]
@@ -349,6 +351,7 @@ def test_a_text_stays_within_the_limit_of_scene_files() -> None:
         opened.set("rate", 10)
 
 
+@pytest.mark.daily("room")
 @pytest.mark.parametrize("text", [ROOMLESS, NEW_SCENE], ids=["no room", "room"])
 def test_new_cameras_see_the_people_from_directions_of_their_own(text: str) -> None:
     opened = document(text)

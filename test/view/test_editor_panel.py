@@ -80,6 +80,7 @@ def opened(folder: Path) -> Iterator[Page]:
     page.app.close()
 
 
+@pytest.mark.nightly
 def test_people_objects_and_cameras_are_added_duplicated_renamed_and_removed(page: Page) -> None:
     editor = page.editor
     editor.add("humans")
@@ -121,6 +122,7 @@ def test_a_drag_of_the_gizmo_places_the_item(page: Page) -> None:
     np.testing.assert_allclose(page.app.source.cameras["camera_1"].center, [2, 2, 2])
 
 
+@pytest.mark.nightly
 def test_controls_of_all_sections_change_their_keys_and_show_what_is_wrong_in_place(page: Page) -> None:
     page.editor.select("camera camera_1")
     page.type("fov_deg", "75")
@@ -224,6 +226,7 @@ def test_files_of_people_do_not_grow_over_edits(page: Page) -> None:
     assert page.app.server.files == before
 
 
+@pytest.mark.nightly
 def test_messages_that_posted_functions_cannot_use_do_not_end_the_page(
     page: Page, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -290,6 +293,7 @@ def test_a_saved_scene_is_what_the_page_shows(page: Page) -> None:
     assert "# theirs" not in page.path.read_text()
 
 
+@pytest.mark.nightly
 def test_the_outfits_on_offer_are_of_the_body(page: Page) -> None:
     page.editor.select("person walker")
     for body in ("adult_man", "child", "adult_woman"):
@@ -351,6 +355,7 @@ def test_an_error_of_a_top_level_key_stands_in_the_folder_of_its_control(page: P
     assert {handle._impl.parent_container_id for handle in own} == {page.editor._keys._impl.uuid}
 
 
+@pytest.mark.nightly
 def test_commands_run_on_the_saved_scene_with_their_progress_and_can_be_stopped(page: Page) -> None:
     commands = page.app.commands
     assert commands is not None

@@ -72,6 +72,7 @@ def test_a_joint_is_not_placed_nowhere(draft: PersonDraft, place: list[float]) -
         draft.moved("l_tail", np.zeros(3))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_written_person_equals_the_person_of_the_command_and_shows_its_weights(
     draft: PersonDraft, folder: Path
@@ -192,6 +193,7 @@ def drag(panel: Panel, joint: str, by: list[float]) -> None:
         sphere = panel.node(f"/human/joints/{joint}")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_mesh_becomes_a_person_of_the_scene_with_a_joint_that_was_dragged(panel: Panel) -> None:
     human = panel.human

@@ -150,6 +150,7 @@ def test_the_tracks_of_another_source_replace_those_that_are_being_read(scene: S
     assert list(found[-1][1].table()["visible"]["anna"]) == ["left"]
 
 
+@pytest.mark.nightly
 def test_an_unexpected_error_is_told_and_the_next_tracks_are_read(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -302,6 +303,7 @@ def test_errors_of_an_estimate_are_those_of_evaluate(tmp_path: Path, bag: Path) 
     assert "ghost" in found.note and "p7" not in found.note
 
 
+@pytest.mark.daily("topic-scene")
 @pytest.mark.parametrize("truth", ["scene", "bag"])
 @pytest.mark.parametrize("form", ["csv", "topic"])
 def test_files_of_an_estimate_are_compared_with_a_scene_and_a_bag_as_evaluate_does(

@@ -79,6 +79,7 @@ def imported_names(path: Path) -> Iterator[tuple[str, str]]:
             yield from ((a.name, "") for a in node.names if a.name.partition(".")[0] == "humansim_ros")
 
 
+@pytest.mark.daily("tools/figures/robot_picture.py", "benchmarks/sensor.py")
 @pytest.mark.parametrize(
     "path",
     sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")),

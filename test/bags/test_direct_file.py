@@ -124,6 +124,7 @@ def test_chunks_in_aligned_memory_give_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "slots" / "bag" / "bag_0.mcap").read_bytes() == expected
 
 
+@pytest.mark.daily("True")
 @pytest.mark.parametrize("refused", [False, True])
 def test_a_bag_that_was_cut_anywhere_is_continued_to_the_same_bytes(
     refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

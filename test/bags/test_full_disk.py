@@ -75,6 +75,7 @@ def summary_size(path: Path) -> int:
     return path.stat().st_size - end
 
 
+@pytest.mark.daily("333333-60000")
 @pytest.mark.parametrize("image", [10, 3000, 60_000])
 @pytest.mark.parametrize("limit", [100_000, 100_100, 333_333])
 def test_a_full_disk_ends_a_bag_with_a_whole_group(image: int, limit: int, tmp_path: Path) -> None:

@@ -134,6 +134,7 @@ def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
         BagReader(tmp_path / "empty")
 
 
+@pytest.mark.daily("True-zstd")
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
 @pytest.mark.parametrize("of_others", [False, True])
@@ -172,6 +173,7 @@ def test_a_cut_bag_is_announced(tmp_path: Path) -> None:
         assert set(by_reader(folder)) < set(content_of(FRAMES))
 
 
+@pytest.mark.daily("sqlite3")
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_damaged_bytes_give_no_invented_messages(storage: Storage, tmp_path: Path) -> None:
     folder = make_bag(tmp_path / "bag", storage)

@@ -121,6 +121,7 @@ def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(
         shutil.rmtree(whole)
 
 
+@pytest.mark.daily("zstd")
 @pytest.mark.parametrize("compression", ["none", "zstd"])
 def test_a_bag_that_was_cut_is_continued_to_the_same_bytes(compression: Compression, tmp_path: Path) -> None:
     folder, frames = tmp_path / "bag", 30

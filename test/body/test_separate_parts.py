@@ -79,6 +79,7 @@ def test_floating_limbs_are_rigged_to_their_bones_with_a_warning(
             assert (got[part] == f"{side}_{bone}").mean() > 0.7, bone
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_floating_head_leaves_the_joints_where_they_are(child: Human) -> None:
     names, vertices = child.skeleton.names, child.mesh.vertices.copy()
@@ -95,6 +96,7 @@ def test_a_floating_head_leaves_the_joints_where_they_are(child: Human) -> None:
     assert (got[used][head[used]] == "vt3").mean() > 0.95
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_sword_beside_the_hand_does_not_lengthen_the_arm_and_stays_rigid(child: Human) -> None:
     hand = child.skeleton.tails[child.skeleton.bone("r_wrist")]

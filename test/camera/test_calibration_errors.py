@@ -171,6 +171,10 @@ def ros(old: str, new: str) -> str:
     return ROS.replace(old, new)
 
 
+@pytest.mark.daily(
+    "text2-:1: image_width: the image size must be 1 to 8192",
+    "text94-:7: cameras.left.calibration: a camera with a calibration file",
+)
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -523,6 +527,7 @@ def test_a_rotation_with_a_small_error_is_corrected(tmp_path: Path) -> None:
     np.testing.assert_allclose(r @ r.T, np.eye(3), atol=1e-15)
 
 
+@pytest.mark.daily("colmap", "opencv_xml")
 @pytest.mark.filterwarnings("ignore:.*does not hold the image size")
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_truncated_files_are_refused_or_read(tmp_path: Path, form: Any) -> None:

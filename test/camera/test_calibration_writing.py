@@ -62,6 +62,7 @@ def test_all_lenses_of_all_formats_are_tested() -> None:
     assert len(all_lenses()) > 35
 
 
+@pytest.mark.daily("transforms-plumb_bob", "mvsnet-None")
 @pytest.mark.filterwarnings("ignore:.*does not hold the image size")
 @pytest.mark.parametrize(("name", "model"), all_lenses())
 def test_written_files_read_back_the_same_cameras(tmp_path: Path, name: str, model: str | None) -> None:

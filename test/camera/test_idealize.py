@@ -208,6 +208,7 @@ def test_fits_agree_with_opencv(alpha: int) -> None:
     np.testing.assert_allclose(ours.diagonal(), theirs.diagonal(), rtol=0.01)  # theirs looks at 81 points
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_maps_are_finite_beyond_the_lens() -> None:
     wide = Camera(SIZE, np.diag([90.0, 90, 1]) + K_MIDDLE, np.eye(3), np.zeros(3), (0.0,) * 4, "equidistant")

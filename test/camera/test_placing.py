@@ -86,6 +86,7 @@ def test_a_rolled_camera_places_a_rig_with_its_roll() -> None:
     assert_in_place(found, in_file, rig)
 
 
+@pytest.mark.daily("0.5-2")
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("noise", [0.0, 0.5])
 def test_floor_points_in_images_place_a_rig(seed: int, noise: float) -> None:
@@ -132,6 +133,7 @@ def test_floor_points_with_known_places_give_the_whole_pose(seed: int) -> None:
     assert 0.1 < found.residuals["map_mm"] < 12
 
 
+@pytest.mark.daily("0-standing", "3-floor")
 @pytest.mark.parametrize("side", ["floor", "z_up", "z_down", "standing"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_board_places_a_rig(seed: int, side: str) -> None:

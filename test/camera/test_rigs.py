@@ -22,6 +22,7 @@ def centers(cameras: dict[str, Camera]) -> np.ndarray:
     return np.array([camera.center for camera in cameras.values()])
 
 
+@pytest.mark.daily("ideal")
 @pytest.mark.parametrize("optics", [OPTICS, BARREL, FISHEYE], ids=["ideal", "barrel", "fisheye"])
 def test_all_cameras_see_the_target_at_the_centre_and_are_upright(optics: Optics) -> None:
     rigs = (

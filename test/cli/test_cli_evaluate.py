@@ -44,6 +44,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 def test_the_public_function_returns_what_the_command_writes(files: Path, tmp_path: Path) -> None:
     given = (files / "scene.yaml", files / "swapped.csv")
     result = evaluate(*given, scale=0.001, axes="y-up")

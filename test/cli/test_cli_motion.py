@@ -208,6 +208,7 @@ def test_a_strip_shows_the_figure_and_the_person(command: Command, tmp_path: Pat
         assert (np.ptp(skin.astype(int), axis=-1) > 60).sum() > 400  # shirt, trousers
 
 
+@pytest.mark.daily(".mp4")
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_a_video_plays_the_whole_motion(command: Command, tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"walk{suffix}"
@@ -252,6 +253,7 @@ BAD: list[tuple[list[str], str]] = [
 ]
 
 
+@pytest.mark.daily("joints nothing.bvh", "retarget walk --root-scale -1")
 @pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
 def test_errors_are_one_line(
     command: Command, words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

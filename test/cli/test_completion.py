@@ -48,6 +48,7 @@ def test_completion_does_not_load_what_takes_a_second_to_load() -> None:
     assert done.stderr.strip().splitlines()[-1] == "[]" and done.stdout.split() == ["rgb,depth"]
 
 
+@pytest.mark.daily("humansim run --motion wav-expected2", "humansim run --joint-names laf-expected9")
 @pytest.mark.parametrize(
     ("line", "expected"),
     [

@@ -41,6 +41,7 @@ def test_the_doctor_finds_this_machine_usable_and_prints_json() -> None:
     assert found["Python"]["text"].startswith(".".join(map(str, sys.version_info[:3])))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_machine_without_opengl_is_wrong_and_the_package_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -183,6 +184,7 @@ def test_shared_memory_without_limit_is_enough(tmp_path: Path, monkeypatch: pyte
     assert finding.state == "ok" and "no limit" in finding.text
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_speed_is_that_of_pictures_that_are_drawn() -> None:
     """The renderer keeps pictures: the same camera again takes no time."""

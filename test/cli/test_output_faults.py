@@ -182,6 +182,7 @@ def test_errors_of_the_system_are_one_line_and_a_traceback_if_asked(
     assert said.startswith("Traceback ") and "in command" in said and said.endswith(f"{line[-30:]}\n")
 
 
+@pytest.mark.daily("write_mp4-out.mp4")
 @pytest.mark.parametrize(("write", "name"), [(write_mp4, "out.mp4"), (write_gif, "out.gif")])
 def test_a_video_that_is_cut_off_is_not_kept(write: Any, name: str, tmp_path: Path) -> None:
     """ffmpeg writes the last part when it ends, and its exit code is lost."""

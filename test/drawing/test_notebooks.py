@@ -149,6 +149,7 @@ def test_pictures_load_the_drawing_only_when_they_are_shown() -> None:
     assert done.stdout.strip() == "False"
 
 
+@pytest.mark.nightly
 @pytest.mark.gl
 def test_a_plot_shows_images_and_joints_at_their_pixels(frame: Frame) -> None:
     figure = frame.plot()

@@ -95,6 +95,7 @@ def test_every_channel_has_a_row() -> None:
     assert len({picture[: layout.tile[1] // 2].tobytes() for picture in drawn.values()}) > 9
 
 
+@pytest.mark.daily("1-channels0")
 @pytest.mark.gl
 @pytest.mark.parametrize(("count", "channels"), [(1, ("rgb",)), (3, ("rgb", "depth")), (4, ("rgb",))])
 def test_the_last_tile_is_the_scene_from_above(count: int, channels: tuple[str, ...]) -> None:

@@ -130,6 +130,7 @@ def test_a_room_ends_the_coverage_and_furniture_and_objects_are_drawn() -> None:
     assert height / width == pytest.approx(2, rel=0.06)
 
 
+@pytest.mark.daily("size1-alone and straight down")
 @pytest.mark.parametrize(
     "cameras",
     [

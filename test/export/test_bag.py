@@ -139,6 +139,7 @@ def test_interruptions_and_processes_do_not_change_the_files(tmp_path: Path, bag
     assert content(root) == content(tmp_path / "whole")
 
 
+@pytest.mark.daily("100000-webdataset/shard-000000.tar")
 @pytest.mark.parametrize(
     ("limit", "file"), [(4_000, "images/noisy/000000.png"), (100_000, "webdataset/shard-000000.tar")]
 )
@@ -167,6 +168,7 @@ def test_another_bag_does_not_continue_an_export(tmp_path: Path, bag: Path) -> N
         export(bag_job(tmp_path / "out", other, "anipose"), resume=True)
 
 
+@pytest.mark.daily("options1")
 @pytest.mark.parametrize("options", [{"images": "png", "depth": "png"}, {"storage": "sqlite3"}])
 def test_compressed_images_and_other_storages_are_read(
     options: dict[str, str], tmp_path: Path, exports: tuple[Path, Path]
@@ -187,6 +189,7 @@ def test_compressed_images_and_other_storages_are_read(
             np.testing.assert_array_equal(found, truth)
 
 
+@pytest.mark.nightly
 def test_labels_as_png_give_the_files_of_the_scene(tmp_path: Path, exports: tuple[Path, Path]) -> None:
     patterns = recorded_patterns([EXPORT_FORMATS["coco"], EXPORT_FORMATS["labels"]], "coco17")
     other = recorded(tmp_path / "bag", small_scene(), patterns, labels="png")
@@ -240,6 +243,7 @@ def test_the_licence_of_a_scene_is_that_of_its_data_sets(tmp_path: Path) -> None
     assert job(tmp_path / "other", "coco", scene, license="MIT").plan.license == "MIT"
 
 
+@pytest.mark.nightly
 def test_jpeg_images_are_those_of_the_bag(tmp_path: Path, exports: tuple[Path, Path]) -> None:
     other = recorded(
         tmp_path / "bag", small_scene(), ["*/image_raw", "*/camera_info", "*/extrinsics"], images="jpeg"
@@ -335,6 +339,7 @@ def command(patch: pytest.MonkeyPatch, *words: Any) -> int:
     return main()
 
 
+@pytest.mark.nightly
 def test_the_command_exports_all_frames_of_a_bag(
     tmp_path: Path, bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

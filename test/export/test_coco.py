@@ -62,6 +62,7 @@ def scores(root: Path, name: str, kind: str, shift: float = 0.0) -> np.ndarray:
     return np.asarray(evaluation.stats)
 
 
+@pytest.mark.daily("instances-bbox")
 @pytest.mark.parametrize(
     ("name", "kind"), [("person_keypoints", "keypoints"), ("instances", "bbox"), ("instances", "segm")]
 )
@@ -100,6 +101,7 @@ def test_keypoints_are_those_of_the_frame(root: Path, frame: Frame, camera: str)
         assert row["num_keypoints"] == inside.sum() and (values[~inside] == 0).all()
 
 
+@pytest.mark.nightly
 def test_points_outside_of_the_image_are_not_labelled(tmp_path: Path) -> None:
     import yaml
     from export_support import SCENE
@@ -125,6 +127,7 @@ def test_data_sets_carry_the_licences_of_their_people(root: Path) -> None:
         assert document["licenses"] == [{"id": 1, "name": "CC0-1.0", "url": address}]
 
 
+@pytest.mark.nightly
 def test_the_licence_of_the_user_comes_first_and_is_the_licence_of_each_image(tmp_path: Path) -> None:
     root = exported(tmp_path / "out", "coco,croissant", license="CC-BY-4.0")
     index = json.loads((root / "index.json").read_text())

@@ -14,6 +14,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(tmp_path_factory.mktemp("card") / "out", "croissant,yolo")
 
 
+@pytest.mark.nightly
 def test_files_have_the_hashes_of_the_index(root: Path) -> None:
     card = json.loads((root / "croissant.json").read_text())
     files = {row["contentUrl"]: row for row in card["distribution"] if row["@type"] == "cr:FileObject"}

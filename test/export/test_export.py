@@ -42,6 +42,7 @@ def content(root: Path) -> dict[str, bytes]:
     return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
+@pytest.mark.nightly
 def test_the_index_has_the_hash_of_every_file(whole: Path) -> None:
     index = index_of(whole)
     files = content(whole)
@@ -91,6 +92,7 @@ def stop_after(frames: int) -> Callable[[FrameProgress], None]:
     return check
 
 
+@pytest.mark.nightly
 def test_an_interrupted_export_continues_to_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
     """A frame of which a file is missing is written again; finished ones are not."""
     root = tmp_path / "out"
@@ -107,6 +109,7 @@ def test_an_interrupted_export_continues_to_the_same_files(tmp_path: Path, scene
     assert export(made, resume=True).new == 0
 
 
+@pytest.mark.nightly
 def test_records_of_frames_are_read_only_from_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
     """One that is cut is written again; a pipe in its place is refused, and not waited for."""
     root = tmp_path / "out"
@@ -159,6 +162,7 @@ def test_a_folder_without_an_export_is_not_continued(tmp_path: Path, scene: Scen
         export(job(tmp_path, FORMATS, scene), resume=True)
 
 
+@pytest.mark.nightly
 def test_a_file_that_cannot_be_written_leaves_whole_frames(tmp_path: Path, scene: Scene, whole: Path) -> None:
     root = tmp_path / "out"
     made = job(root, FORMATS, scene, frames="2:6")

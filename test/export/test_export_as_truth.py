@@ -58,6 +58,7 @@ def run(
     return evaluate
 
 
+@pytest.mark.nightly
 def test_results_of_an_export(run: Run, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     code, result, text = run("set", "results.json", "--report", str(page))

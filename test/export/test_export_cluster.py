@@ -110,6 +110,7 @@ def test_wrong_options_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert not Path(output).exists()
 
 
+@pytest.mark.nightly
 def test_the_command_exports_on_ray(
     cluster: None, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

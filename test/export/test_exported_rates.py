@@ -60,6 +60,7 @@ def bag_job(root: Path, bag: Path, formats: str = FORMATS) -> Export:
     return Export(source, ExportPlan.of(source, None), root)
 
 
+@pytest.mark.nightly
 def test_a_bag_has_the_pictures_of_each_camera_and_the_world_of_each_frame(bag: Path) -> None:
     found: dict[str, list[int]] = {}
     with rosbags_highlevel.AnyReader([bag]) as reader:
@@ -95,6 +96,7 @@ def test_a_recording_of_one_camera_has_a_message_for_each_frame_and_can_be_resum
     assert content[0] == content[1] and len(content[0]) == 7 + 2
 
 
+@pytest.mark.nightly
 def test_exports_of_the_scene_and_of_its_bag_have_the_pictures_of_each_camera(
     tmp_path: Path, bag: Path
 ) -> None:
@@ -156,6 +158,7 @@ def test_a_project_of_pose2sim_needs_every_camera_in_each_frame(tmp_path: Path) 
         export(job(tmp_path / "out", "openpose", timed_scene()))
 
 
+@pytest.mark.nightly
 def test_a_video_has_the_rate_of_its_camera(tmp_path: Path) -> None:
     export(job(tmp_path / "out", "mp4", timed_scene(), frames=f"0:{FRAMES}"))
     for camera, pictures in PICTURES.items():

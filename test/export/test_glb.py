@@ -149,6 +149,7 @@ def written() -> Glb:
     return Glb(glb_bytes({name: animated(name) for name in scene().actors}, RATE))
 
 
+@pytest.mark.daily("ben")
 @pytest.mark.parametrize("person", ["anna", "ben"])
 def test_skinned_vertices_are_those_of_the_human_in_each_frame(person: str) -> None:
     human = scene().actors[person].human

@@ -17,6 +17,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(tmp_path_factory.mktemp("mot") / "out", "mot", frames="3:6")
 
 
+@pytest.mark.nightly
 def test_boxes_are_those_of_the_whole_people(root: Path) -> None:
     with Simulation(small_scene(), ("instance", "amodal")) as simulation:
         frame = simulation.frame(4)
@@ -52,6 +53,7 @@ def test_images_are_links_that_count_from_1(root: Path) -> None:
     assert links[0].resolve() == root / "images/noisy/000003.png" and links[0].exists()
 
 
+@pytest.mark.nightly
 def test_a_person_outside_of_the_image_has_no_box(tmp_path: Path) -> None:
     import yaml
     from export_support import SCENE

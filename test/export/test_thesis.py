@@ -30,6 +30,7 @@ def frame(scene: Scene) -> Frame:
         return simulation.frame(4)
 
 
+@pytest.mark.daily("bert")
 @pytest.mark.parametrize("human", ["anna", "bert"])
 def test_vertices_are_read_back(root: Path, frame: Frame, human: str) -> None:
     path = root / f"thesis/{human}/000004.verts"

@@ -92,6 +92,7 @@ def test_webdataset_reads_all_samples(whole: Path, scene: Scene) -> None:
         assert sample["png"].shape[2] == 3 and sample["labels.npz"]["instance"].dtype == np.uint16
 
 
+@pytest.mark.nightly
 def test_shards_depend_on_the_frames_only(whole: Path, scene: Scene, tmp_path: Path) -> None:
     """Small shards have one frame each; joined they are the large one. No temporary file is left."""
     small = exported(tmp_path / "out", "webdataset", scene, frames=FRAMES, shard_size=1)

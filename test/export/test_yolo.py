@@ -26,6 +26,7 @@ def frame() -> Frame:
         return simulation.frame(4)
 
 
+@pytest.mark.daily("bent")
 @pytest.mark.parametrize("camera", ["noisy", "bent"])
 def test_labels_are_the_boxes_and_keypoints(root: Path, frame: Frame, camera: str) -> None:
     size = np.array(frame.cameras[camera].size)

@@ -56,6 +56,7 @@ def obj_file(path: Path, mesh: Mesh) -> Path:
     return path
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_cached_humans_are_those_that_this_version_makes(figure: Path, tmp_path: Path) -> None:
     """The cache does not know the code, so CACHE_VERSION must rise with each change of its results."""

@@ -94,6 +94,7 @@ def test_the_rest_pose_gives_the_stored_vertices(man: Human) -> None:
     np.testing.assert_allclose(posed, man.mesh.vertices, atol=1e-6)
 
 
+@pytest.mark.daily("own_female_A_dm.obj-14855")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("figure", "vertices"),
@@ -202,6 +203,7 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
+@pytest.mark.daily("heads that are very far away", "faces of the wrong shape")
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize(
     "what",

@@ -112,6 +112,7 @@ def test_heights_are_in_the_order_of_the_body(name: str, body: str) -> None:
     assert heights[-1] <= stature + 1e-6
 
 
+@pytest.mark.daily("smpl24-tall_heavy_man", "halpe26-adult_woman")
 @pytest.mark.parametrize("body", PEOPLE)
 @pytest.mark.parametrize("name", KEYPOINT_SETS)
 def test_points_of_the_skin_are_on_it_and_joints_inside(name: str, body: str) -> None:

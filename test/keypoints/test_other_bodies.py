@@ -54,6 +54,7 @@ def test_points_are_carried_over_to_bodies_with_a_fitted_skeleton(name: str, bod
     assert error.max() < 0.08
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", if_shared("human_male_T_uv_m.obj"))
 def test_bare_makehuman_bodies_have_exact_points_but_for_the_eyes(name: str) -> None:

@@ -736,6 +736,7 @@ def test_a_walk_across_the_origin_has_no_added_positions(tmp_path: Path) -> None
         assert motion.positions == expected
 
 
+@pytest.mark.daily("0.97")
 @pytest.mark.parametrize("where", [0.1, 0.97])
 def test_a_fault_far_down_a_big_file_names_its_line(tmp_path: Path, where: float) -> None:
     """Rows are read in blocks of bytes: lines must be counted over all of them."""

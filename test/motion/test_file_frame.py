@@ -153,6 +153,7 @@ def test_a_t_pose_that_its_root_raises_tells_the_up_axis_of_floor_work() -> None
     assert frame_of(PERSON.motion(*raised(PERSON, rotations, root, Z_UP))).up == "z"
 
 
+@pytest.mark.daily("walks-rest pose-bandai_namco", "raises the arms-one axis-bandai_namco")
 @pytest.mark.parametrize("family", ["mixamo", "lafan1", "cmu", "bandai_namco"])
 @pytest.mark.parametrize("axes", ["rest pose", "one axis"])
 @pytest.mark.parametrize("name", STANDING)
@@ -163,6 +164,7 @@ def test_nobody_is_warned_of_a_person_who_stands(family: str, axes: str, name: s
     assert (frame.up, frame.confidence, frame.warning) == ("y", 1.0, None)
 
 
+@pytest.mark.daily("walks-rest pose-turn1--z-z", "bows-one axis-turn2-x-y or z")
 @pytest.mark.parametrize(
     ("turn", "up", "instead"),
     [
@@ -209,6 +211,7 @@ REAL = (
 )
 
 
+@pytest.mark.daily("adakri_run", "loadbvh_test")
 @pytest.mark.parametrize("name", REAL)
 def test_nobody_is_warned_of_real_files(shared_data: Path, name: str) -> None:
     with warnings.catch_warnings():

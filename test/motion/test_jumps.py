@@ -72,6 +72,7 @@ def test_continue_starts_again_where_the_person_is_not_at_the_rest_frame() -> No
     assert np.linalg.norm(after - before) < 0.1
 
 
+@pytest.mark.daily("20-200000.0")
 @pytest.mark.parametrize("far", [2e5, 1e9])
 @pytest.mark.parametrize("first", [0, 20, 57])
 def test_frames_that_are_kilometres_away_do_not_count(far: float, first: int) -> None:

@@ -282,6 +282,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         read_keyframes(tmp_path / "huge.xml")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_time_and_memory_follow_the_size_of_the_file(tmp_path: Path) -> None:
     frame = '<frame number="{}"><position x="1" y="2" z="3"/></frame>\n'

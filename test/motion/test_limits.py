@@ -239,6 +239,7 @@ def test_clamping_a_cone_keeps_the_azimuth_of_the_bone(rng: np.random.Generator)
     assert after @ down >= before @ down - 1e-12
 
 
+@pytest.mark.nightly
 @settings(max_examples=40, deadline=None)
 @given(rng=quaternions)
 def test_clamping_is_continuous(rng: np.random.Generator) -> None:
@@ -311,6 +312,7 @@ def test_angles_do_not_depend_on_the_pose_the_skeleton_was_made_in() -> None:
         np.testing.assert_allclose(theirs[name], value, atol=1e-6, err_msg=name)
 
 
+@pytest.mark.daily("own_biovision", "own_rokoko")
 @pytest.mark.parametrize(
     "stem",
     [
@@ -348,6 +350,7 @@ def broken(**changes: object) -> str:
 PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
 
 
+@pytest.mark.daily("text13-nothing turns from up towards down", "text8-not at right angles")
 @pytest.mark.parametrize(
     ("text", "message"),
     [

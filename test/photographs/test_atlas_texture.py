@@ -136,6 +136,7 @@ def test_an_empty_mask_of_all_views_is_an_error(man: Human) -> None:
         texture_atlas(undressed(man), [replace(view, mask=nothing) for view in views])
 
 
+@pytest.mark.nightly
 def test_views_without_overlap_are_told(man: Human) -> None:
     """One camera sees the upper half of the front, the other the lower half of the back."""
     vertices = in_a_pose(man)

@@ -81,6 +81,7 @@ def test_bars_are_as_long_as_the_distances(fit: PersonFit, photos: PhotoSet) -> 
     np.testing.assert_allclose(np.array(lengths) / max(lengths), expected / expected.max(), atol=0.02)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_point_that_is_left_out_is_red(fit: PersonFit, photos: PhotoSet) -> None:
     right = replace(fit, outliers=np.zeros_like(fit.outliers))

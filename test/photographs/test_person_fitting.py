@@ -112,6 +112,7 @@ def test_a_fit_tells_the_human_that_it_started_from(tmp_path: Path, monkeypatch:
     np.testing.assert_allclose(read_fit(tmp_path / "fit.yaml").joints(), own.joints(), atol=1e-4)
 
 
+@pytest.mark.nightly
 def test_a_raised_arm_does_not_stick_at_the_limit_of_its_elbow(tmp_path: Path) -> None:
     """The upper arm has to turn about itself, so that the elbow can bend that way."""
     studio = make_studio(
@@ -167,6 +168,7 @@ def _frame(studio: Studio, number: int) -> Path:
     return change_views(studio.path, views={name: {"points": f"one/{name}.json"} for name in photos.names})
 
 
+@pytest.mark.nightly
 def test_a_fit_continues_from_another_one(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, cameras=4, noise=1.0, images=False)
     photos = read_views(studio.path)

@@ -74,6 +74,7 @@ def test_points_show_the_bones_between_them_and_the_root(model: PoseModel) -> No
     }
 
 
+@pytest.mark.nightly
 def test_a_stature_that_no_point_shows_and_an_implausible_body_are_told(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, cameras=4, images=False)
     for file in (tmp_path / "points").glob("*.json"):
@@ -99,6 +100,7 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_studio(tmp_path_factory.mktemp("views"), cameras=4, images=False).path
 
 
+@pytest.mark.daily("10.0")
 @pytest.mark.parametrize("unit", [0.001, 10.0])
 def test_a_calibration_in_another_unit_is_refused_with_its_key(views: Path, unit: float) -> None:
     other = change_views(views, unit=unit)

@@ -202,6 +202,7 @@ def with_mask(photos: PhotoSet, view: int, mask: NDArray[np.bool_], folder: Path
     return replace(photos, frames=(tuple(frame),))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_empty_silhouette_is_named_and_the_others_are_used(
     rough: PersonFit, photos: PhotoSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

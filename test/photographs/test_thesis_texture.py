@@ -154,6 +154,7 @@ def test_nothing_is_chosen_where_nothing_is_seen() -> None:
 # counts
 
 
+@pytest.mark.nightly
 def test_counts_of_a_person_are_those_of_the_face_images(woman: Human, views: list[TextureView]) -> None:
     counts = count_faces(woman, views)
     assert (counts.visible <= counts.covered).all()

@@ -186,6 +186,7 @@ def test_views_with_exchanged_sides_are_found_and_exchanged_back(name: str, view
     assert np.nanmedian(np.linalg.norm(found.positions - body, axis=1)) < 0.012
 
 
+@pytest.mark.daily("views2")
 @pytest.mark.parametrize("views", [(0,), (1,), (0, 1)])
 def test_the_face_decides_which_of_two_views_is_exchanged(views: tuple[int, ...]) -> None:
     cameras = [list(ring(8).values())[number] for number in (0, 2)]

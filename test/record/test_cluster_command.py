@@ -42,6 +42,7 @@ def test_workers_record_the_bag_of_one_machine(cluster: None, tmp_path: Path) ->
     assert content(bags["shards"]) == content(bags["alone"])
 
 
+@pytest.mark.nightly
 def test_several_scenes_get_a_bag_each(cluster: None, tmp_path: Path) -> None:
     first = write_scene(tmp_path)
     second = first.with_name("other.yaml")

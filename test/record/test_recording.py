@@ -163,6 +163,7 @@ def test_each_field_of_the_bag_is_that_of_the_simulation(
     )
 
 
+@pytest.mark.nightly
 def test_qos_and_type_hashes_are_those_of_the_nodes(scene: Scene, tmp_path: Path) -> None:
     import yaml
 

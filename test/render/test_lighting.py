@@ -210,6 +210,7 @@ def test_exposure_and_tone_mapping_do_what_they_say(tone: str) -> None:
     np.testing.assert_allclose(seen, 255 * np.sqrt(np.minimum(x, 1)), atol=1)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_moving_camera_sees_the_same_shadows(scene: Scene, people: list[Body]) -> None:
     renderer: GLRenderer = renderer_or_skip(scene.static_meshes, SHARP)

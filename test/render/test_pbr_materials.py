@@ -134,6 +134,7 @@ def srgb_of(linear_light: Array) -> Array:
     )
 
 
+@pytest.mark.daily("False-1-0.5", "True-1-0.5")
 @pytest.mark.slow
 @pytest.mark.parametrize(("metallic", "roughness"), [(0, 1), (0, 0.4), (0.5, 0.6), (1, 0.5), (1, 1)])
 @pytest.mark.parametrize("by_texture", [False, True])

@@ -81,6 +81,7 @@ def body_pixels(
     return inner(view_instance.astype(int)) & (first < count) & (first + 1 == view_instance)
 
 
+@pytest.mark.daily("ideal")
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["ideal", "fisheye"])
 def test_faces_normals_and_texture_coordinates_are_what_rays_hit(scene: Scene, camera: Camera) -> None:

@@ -99,6 +99,7 @@ def test_markers_land_where_the_camera_projects_them(
 # ray casting
 
 
+@pytest.mark.daily("moderngl-1.45")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seconds"), [*(("moderngl", s) for s in (0.0, 0.35, 0.8, 1.45)), ("pyrender", 0.8)]

@@ -187,6 +187,7 @@ def test_people_beyond_the_image_are_not_drawn_and_one_around_the_camera_is(scen
     renderer.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_fisheye_sees_the_wall_right_beside_it() -> None:
     straight = Camera.look_at((0.6, 0.1, -0.2), (-1, 0.3, 0), (640, 480), 1.0)

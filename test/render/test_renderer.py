@@ -62,6 +62,7 @@ def test_only_the_asked_channels_come(empty: Renderer) -> None:
         assert [name for name in CHANNELS if hasattr(view, name)] == [channel]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_channel_does_not_depend_on_what_else_is_asked(room: Renderer, scene: Scene) -> None:
     bodies, camera = walkers(scene, 0.4), scene.cameras["camera_1"]
@@ -274,6 +275,7 @@ def test_two_renderers_do_not_disturb_each_other(
     first.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_same_input_gives_the_same_bytes(scene: Scene, name: RendererName) -> None:
     camera = scene.cameras["camera_3"]
@@ -344,6 +346,7 @@ def test_an_unknown_channel_is_refused(empty: Renderer) -> None:
         empty.render([], along_x(), ["rgb", "sonar"])
 
 
+@pytest.mark.nightly
 def test_colours_are_rendered_when_they_are_needed_first(scene: Scene) -> None:
     """Truth alone needs no light, and leaves nothing that changes the colours after it."""
     camera, people = Camera.look_at((3, 0, 1.5), (0, 0, 1), size=(160, 120)), walkers(scene, 0.5)

@@ -146,6 +146,7 @@ def test_the_floor_beside_a_box_sees_as_much_of_the_sky_as_rays_do() -> None:
     assert np.abs(found - expected).mean() < 0.01 and np.percentile(np.abs(found - expected), 98) < 0.06
 
 
+@pytest.mark.nightly
 def test_where_nothing_stands_before_it_the_light_is_that_without_occlusion() -> None:
     floor = quad([(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)], (200, 160, 120))
     camera = Camera.look_at((0, 0, 2), (2, 0, 0), (160, 120), 1.0)

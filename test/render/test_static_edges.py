@@ -59,6 +59,7 @@ def test_outlines_are_as_bright_as_they_cover_pixels(angle: float, distortion: t
     assert off.mean() < 0.3 * jagged, (off.mean(), jagged)
 
 
+@pytest.mark.nightly
 def test_surfaces_that_intersect_without_an_edge_have_a_smooth_line() -> None:
     level = quad([(2, -3, 0.6), (6, -3, 0.6), (6, 3, 0.6), (2, 3, 0.6)], (255, 255, 255))
     upright = quad([(3.5, -3, 0), (3.9, 3, 0), (3.9, 3, 2), (3.5, -3, 2)], (60, 60, 60))

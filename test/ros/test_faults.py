@@ -73,6 +73,7 @@ def expected(scene: Path) -> list[tuple[int, int, bytes]]:
     return sorted(sent, key=lambda each: each[0])
 
 
+@pytest.mark.nightly
 def test_a_recording_has_the_faults_of_the_simulation_and_says_what_they_are(
     scene: Path, tmp_path: Path
 ) -> None:

@@ -70,6 +70,7 @@ def test_reports_of_frames_that_were_not_sent_are_of_no_member(stamp: int) -> No
     assert list(state.members) == list(CAMERAS)
 
 
+@pytest.mark.nightly
 def test_names_of_reports_are_bounded() -> None:
     state = begun()
     for number in range(100_000):
@@ -230,6 +231,7 @@ EVENTS = st.lists(
 )
 
 
+@pytest.mark.nightly
 @settings(max_examples=300, deadline=None)
 @given(EVENTS)
 @example(

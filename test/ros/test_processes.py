@@ -189,6 +189,7 @@ BROKEN_MOTIONS = {
 }
 
 
+@pytest.mark.daily("empty")
 @pytest.mark.parametrize("name", BROKEN_MOTIONS)
 def test_a_broken_motion_is_refused_with_its_file(name: str, tmp_path: Path) -> None:
     text, words = BROKEN_MOTIONS[name]

@@ -448,6 +448,7 @@ def documented_scenes() -> Iterator[Any]:
                 yield pytest.param(block, ROOT, id=f"{path.name}-{number}")
 
 
+@pytest.mark.daily("scanners.md-0", "sensor_effect.md-0")
 @pytest.mark.slow
 @pytest.mark.parametrize(("text", "folder"), list(documented_scenes()))
 def test_scenes_of_the_package_and_of_its_documents_have_no_findings(text: str, folder: Path) -> None:
@@ -459,6 +460,7 @@ def test_scenes_of_the_package_and_of_its_documents_have_no_findings(text: str, 
     assert check_scene(Scene.from_dict(content, folder), processors=4) == []
 
 
+@pytest.mark.daily("depth_and_labels")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["depth_and_labels", "hello_scene"])
 def test_scenes_of_the_examples_have_no_findings(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -474,6 +476,7 @@ def test_scenes_of_the_examples_have_no_findings(name: str, monkeypatch: pytest.
         runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_scene_of_a_generated_rig_has_no_findings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = "camera rig --ring 4 --radius 3 --height 1.8 --look-at 0 0 1 -o"
@@ -544,6 +547,7 @@ def test_points_of_a_moving_object_return_to_its_mesh() -> None:
 # --- faults
 
 
+@pytest.mark.daily("faults0-camera0-flicker.frequency-90 Hz is a multiple of the rate of 30 Hz")
 @pytest.mark.parametrize(
     ("faults", "camera", "key", "text"),
     [
@@ -565,6 +569,7 @@ def test_faults_that_nobody_sees_are_found(faults: Any, camera: Any, key: str, t
     assert text in finding.text
 
 
+@pytest.mark.daily("faults1-sensor1")
 @pytest.mark.parametrize(
     ("faults", "sensor"),
     [
@@ -606,6 +611,7 @@ def test_a_fault_of_a_rig_is_found_once(tmp_path: Path) -> None:
 # --- laser scanners
 
 
+@pytest.mark.daily("scanner9-never meets anybody", "scanner5-never meets anybody")
 @pytest.mark.parametrize(
     ("scanner", "text"),
     [

@@ -243,6 +243,7 @@ def test_cameras_are_moved_and_turned_no_farther_than_asked(tmp_path: Path) -> N
     np.testing.assert_array_equal(there.K, here.K)
 
 
+@pytest.mark.daily("1")
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_clutter_is_on_the_floor_away_from_all_obstacles(tmp_path: Path, seed: int) -> None:

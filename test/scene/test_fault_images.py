@@ -129,6 +129,7 @@ def test_all_cameras_with_a_seed_see_the_same_lamp() -> None:
     assert not np.allclose(left, other)
 
 
+@pytest.mark.nightly
 def test_the_exposure_steps_and_stays_until_the_next_step() -> None:
     config = FaultsConfig.model_validate({"exposure_steps": {"probability": 0.02, "stops": [-2, 0.5]}})
     schedule = FaultSchedule(config, "left", RATE)

@@ -65,6 +65,7 @@ def test_a_frame_has_the_same_faults_in_any_order_and_other_seeds_and_cameras_ha
     assert [times.at_time(index * PERIOD) for index in range(300)] == forward
 
 
+@pytest.mark.daily("lengths0-0.1")
 @pytest.mark.parametrize(("lengths", "share"), [([1, 1], 0.1), ([3, 3], 1 - 0.9**3)])
 def test_the_share_of_lost_frames_follows_from_probability_and_length(
     lengths: list[int], share: float

@@ -130,6 +130,7 @@ def first_hit(camera: Camera, bodies: list[Body]) -> tuple[NDArray[np.generic], 
     return depth, labels[first], face
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_labels_go_on_from_those_of_the_humans_in_the_order_of_the_file(simulation: Simulation) -> None:
     frame = simulation.frame(4)
@@ -158,6 +159,7 @@ def test_masks_of_objects_are_where_rays_meet_them(
     assert set(np.unique(view.instance)) == {0, *NUMBERS.values()}
 
 
+@pytest.mark.daily("4-bent")
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", ["front", "bent", "flying"])
 @pytest.mark.parametrize("index", FRAMES)
@@ -198,6 +200,7 @@ def test_details_of_objects_are_what_rays_meet(simulation: Simulation, camera: s
     assert compared > 4000
 
 
+@pytest.mark.daily("front")
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", ["front", "bent"])
 def test_hidden_parts_of_objects_are_in_their_amodal_masks(simulation: Simulation, camera: str) -> None:
@@ -251,6 +254,7 @@ def test_joints_say_which_object_hides_them(simulation: Simulation) -> None:
     assert told >= {NUMBERS["screen"], NUMBERS["ball"]}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_boxes_of_objects_are_round_the_rays_that_meet_them(simulation: Simulation) -> None:
     for camera, index in (("front", 4), ("bent", 10)):
@@ -311,6 +315,7 @@ def test_a_label_changes_nothing_but_labels(tmp_path: Path, shadows: str) -> Non
         assert labelled.instance.max() == 6
 
 
+@pytest.mark.nightly
 def test_labelled_clutter_has_the_positions_of_clutter_without_labels(tmp_path: Path) -> None:
     plain, labelled = (
         Scene.load(written(tmp_path, SCENE + f"randomise: {{clutter: 3{more}}}\n"))

@@ -113,6 +113,7 @@ def check(played: Simulation, index: int, frames: int) -> None:
 TOGETHER = {**SPARSE, "pattern": {"elevations_deg": [-20, 5, -10, 10], "columns": 36}}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_sweep_of_a_walking_person_is_what_embree_finds_at_each_firing() -> None:
     with simulation(scene({**TOGETHER, "position": [1.4, 0.2, 1.1]})) as played:

@@ -337,6 +337,7 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
 ]
 
 
+@pytest.mark.daily("name0")
 @pytest.mark.parametrize("name", ["x" * 5000, "a\\0b", "~nobody_of_this_name/x"])
 def test_names_that_no_file_can_have_are_refused(write: Write, name: str) -> None:
     quoted = f'"{name}"'
@@ -352,6 +353,7 @@ def test_names_that_no_file_can_have_are_refused(write: Write, name: str) -> Non
             Scene.load(write(text))
 
 
+@pytest.mark.daily("unknown key of a motion", "a Python object")
 @pytest.mark.parametrize(
     ("text", "line", "key", "message"), [w[1:] for w in WRONG], ids=[w[0] for w in WRONG]
 )

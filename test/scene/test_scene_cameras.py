@@ -287,6 +287,7 @@ def test_a_camera_follows_its_trajectory_and_the_depth_of_a_wall_follows_it(fold
             np.testing.assert_allclose(seen[:, 0], -2.0, atol=2e-3)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_moving_camera_renders_as_a_static_one_at_its_pose(folder: Path) -> None:
     trajectory(folder)
@@ -433,6 +434,7 @@ def test_truth_is_the_same_with_and_without_a_sensor(folder: Path) -> None:
         np.testing.assert_array_equal(bayer[1::2, 1::2], plain.rgb[1::2, 1::2, 2])
 
 
+@pytest.mark.nightly
 def test_noise_is_that_of_the_scene_time(folder: Path) -> None:
     text = f"rate: 20\nroom: null\n{WALL}cameras: {{a: {{size: [64, 48], {PLACE}, sensor: {{noise: {{}}}}}}}}"
     first, again = film(folder, text, 2), film(folder, text, 2)

@@ -72,6 +72,7 @@ def test_short_forms_and_numbers_as_names_fit(scene: dict[str, Any]) -> None:
     assert list(validator().iter_errors(scene)) == []
 
 
+@pytest.mark.daily("scene0")
 @pytest.mark.parametrize(
     "scene",
     [

@@ -36,6 +36,7 @@ def arrays(frame: Frame) -> list[np.ndarray]:
     return [*views, *(state.vertices for state in frame.humans.values())]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_frames_follow_each_other_by_a_period_without_adding_up_errors(simulation: Simulation) -> None:
     frames = [frame for frame, _ in zip(simulation, range(3), strict=False)]
@@ -43,6 +44,7 @@ def test_frames_follow_each_other_by_a_period_without_adding_up_errors(simulatio
     assert simulation.scene.frame_time(3_000_000) == 100_000_000_000_000
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_same_scene_gives_the_same_bytes(simulation: Simulation, tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)

@@ -55,6 +55,7 @@ def paths_of(folder: Path, times: Any = None) -> dict[str, Any]:
     return {name: actor.joint_paths(times)[..., :2].reshape(-1, 2) for name, actor in actors.items()}
 
 
+@pytest.mark.nightly
 def test_a_seed_draws_the_same_people_and_another_seed_others(tmp_path: Path) -> None:
     first = drawn(tmp_path, count=4, seed=3)
     assert list(first) == ["person_1", "person_2", "person_3", "person_4"]
@@ -93,6 +94,7 @@ def test_only_configured_bodies_and_motions_are_chosen(tmp_path: Path) -> None:
     assert {(person.body, person.motion.file) for person in people} == {("child", "run")}
 
 
+@pytest.mark.nightly
 def test_random_people_walk_through_nothing() -> None:
     """A seed with runners."""
     assert people_findings(4, 6) == []
@@ -123,6 +125,7 @@ def test_paths_of_any_time_stay_in_the_room_and_apart(tmp_path: Path) -> None:
     assert nearest > 0.1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_who_finds_no_place_for_a_motion_gets_one_that_stays_in_place(tmp_path: Path) -> None:
     """A run of five metres does not fit between a wall and its like; waving does."""
@@ -188,6 +191,7 @@ def test_they_come_beside_the_scenes_own_humans_and_every_process_knows_them(tmp
     assert sorted(skinners) == ["skinner_anna", "skinner_person_1", "skinner_person_2"]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_they_are_simulated(tmp_path: Path) -> None:
     simulation = Simulation(Scene.load(scene(tmp_path, count=3)), ("instance",))

@@ -192,6 +192,7 @@ def test_pixels_have_the_numbers_of_the_scene(
         source.describe("other", 0, 0)
 
 
+@pytest.mark.daily("options1")
 @pytest.mark.parametrize("options", [{"storage": "sqlite3"}, {"images": "png", "depth": "png"}])
 def test_other_storages_and_compressed_images(
     options: dict[str, str], tmp_path: Path, scene: Scene, truth: Frame

@@ -104,6 +104,7 @@ def test_people_objects_and_cameras_are_added_duplicated_renamed_and_removed(pag
     assert "person" in page.app.source.people
 
 
+@pytest.mark.nightly
 def test_a_drag_of_the_gizmo_places_the_item(page: Page) -> None:
     page.editor.select("person walker")
     gizmo = page.app.server.viser.scene._handle_from_node_name["/editor"]
@@ -155,6 +156,7 @@ def test_controls_of_all_sections_change_their_keys_and_show_what_is_wrong_in_pl
     assert Scene.load(page.path).config.light.shadows == "contact"  # not saved
 
 
+@pytest.mark.nightly
 def test_every_selection_shows_its_keys_with_the_values_of_the_file(page: Page) -> None:
     page.editor.add("objects")
     for choice in page.editor.choices():
@@ -169,6 +171,7 @@ def test_every_selection_shows_its_keys_with_the_values_of_the_file(page: Page) 
     assert page.app.source.period == round(1e9 / 12)
 
 
+@pytest.mark.nightly
 def test_keys_are_added_where_the_gizmo_is_dragged_at_the_time_shown(page: Page) -> None:
     page.editor.select("person walker")
     keyframes = page.editor.keyframes
@@ -186,6 +189,7 @@ def test_keys_are_added_where_the_gizmo_is_dragged_at_the_time_shown(page: Page)
     assert keyframe_times(page.document, "humans", "walker") == [0]
 
 
+@pytest.mark.nightly
 def test_a_calibration_is_loaded_and_idealised_with_its_command(page: Page) -> None:
     shutil.copy(page.path, page.path.parent / "cameras.yaml")
     page.editor.calibration.load("cameras.yaml", as_file=True)
@@ -205,6 +209,7 @@ def test_a_calibration_is_loaded_and_idealised_with_its_command(page: Page) -> N
     assert "missing.toml" in page.told[-1]
 
 
+@pytest.mark.nightly
 def test_files_of_people_do_not_grow_over_edits(page: Page) -> None:
     def served() -> list[str]:
         files = page.app.server.files
@@ -271,6 +276,7 @@ def test_messages_that_posted_functions_cannot_use_do_not_end_the_page(
         thread.join()
 
 
+@pytest.mark.nightly
 def test_the_motion_of_a_person_is_shown_as_a_picture(page: Page) -> None:
     page.editor.select("person walker")
     walking = page.editor.picture._image
@@ -280,6 +286,7 @@ def test_the_motion_of_a_person_is_shown_as_a_picture(page: Page) -> None:
     assert not page.editor.picture._folder.visible
 
 
+@pytest.mark.nightly
 def test_a_saved_scene_is_what_the_page_shows(page: Page) -> None:
     page.editor.add("humans")
     page.editor.save(str(page.path))
@@ -306,6 +313,7 @@ def test_the_outfits_on_offer_are_of_the_body(page: Page) -> None:
         assert others == {"(default)"}
 
 
+@pytest.mark.nightly
 def test_another_body_leaves_an_outfit_that_it_does_not_have_in_one_step(page: Page) -> None:
     first, second = load_human("adult_woman").outfits, load_human("adult_man").outfits
     worn = next(name for name in first if name not in second)
@@ -321,6 +329,7 @@ def test_another_body_leaves_an_outfit_that_it_does_not_have_in_one_step(page: P
     assert page.document.text() == before
 
 
+@pytest.mark.nightly
 def test_an_estimate_of_the_tab_is_shown_beside_the_truth_and_survives_edits(page: Page) -> None:
     assert page.app.commands is not None
     write_estimate(page.path, page.path.parent / "poses.csv", 3, {"walker": 0.02})
@@ -422,6 +431,7 @@ def test_the_page_saves_and_names_files_below_the_folder_of_the_scene_only(uncha
         page.editor.set(("humans", "walker", "body"), "/etc/passwd")
 
 
+@pytest.mark.nightly
 def test_a_file_that_others_change_is_shown_unless_there_are_edits(page: Page) -> None:
     page.path.write_text(page.path.read_text().replace("walker", "runner"))
     assert page.editor.file_changed()
@@ -448,6 +458,7 @@ def test_a_file_that_is_broken_while_it_is_shown_keeps_the_panel_alive(page: Pag
     assert page.document.errors() == []
 
 
+@pytest.mark.nightly
 def test_the_joints_of_a_motion_are_listed_and_assigned_in_a_table_beside_the_scene(page: Page) -> None:
     shutil.copy(STAND_INS["own_mixamo"].path(), page.path.parent / "walk.bvh")
     page.editor.select("person walker")

@@ -40,6 +40,7 @@ def draft(folder: Path) -> PersonDraft:
     return PersonDraft.of(folder, {"mesh": "person.obj"})
 
 
+@pytest.mark.nightly
 def test_the_joints_of_a_mesh_are_near_the_true_ones(draft: PersonDraft) -> None:
     true = MESHES[PERSON].joints
     shift = draft.mesh.vertices.min(0) - MESHES[PERSON].vertices.min(0)

@@ -41,6 +41,7 @@ def content(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.nightly
 def test_a_point_moves_and_comes_back(document: PhotoDocument) -> None:
     before = document.state.points
     column = document.keypoints.index("nose")
@@ -117,6 +118,7 @@ def test_an_outline_goes_around_what_is_seen() -> None:
     np.testing.assert_allclose([line.min(0), line.max(0)], [[10, 20], [60, 50]], atol=1)
 
 
+@pytest.mark.daily("0-view_1-nose-5-480")
 @pytest.mark.parametrize(
     ("frame", "view", "point", "x", "y"),
     [
@@ -142,6 +144,7 @@ def test_what_is_not_there_is_refused(
     assert document.state is state
 
 
+@pytest.mark.nightly
 def test_accept_writes_the_edited_points_and_the_fit_only(tmp_path: Path) -> None:
     made = make_studio(tmp_path, images=False, noise=1.0)
     document = PhotoDocument.load(made.path)

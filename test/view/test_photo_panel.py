@@ -100,6 +100,7 @@ def test_hostile_requests_change_nothing(unchanged: Opened, wrong: dict[str, str
     assert unchanged.document.state is state and len(str(told.value)) < 300
 
 
+@pytest.mark.nightly
 def test_solving_shows_the_person_and_can_be_undone(page: Opened) -> None:
     assert page.show() and not page.source.people
     page.panel.toggle_solving()
@@ -156,6 +157,7 @@ def test_the_page_writes_what_read_points_reads(page: Opened) -> None:
     assert read_points(path, page.document.keypoints)[0][0].tolist() == [10, 20, 1]
 
 
+@pytest.mark.nightly
 def test_each_frame_has_its_photographs_and_points(tmp_path: Path) -> None:
     made = make_studio(tmp_path, frames=2)
     (tmp_path / "view_3" / "000001.jpg").write_bytes(b"no picture")

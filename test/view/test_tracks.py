@@ -238,6 +238,7 @@ def with_estimate(
     return folder
 
 
+@pytest.mark.nightly
 def test_tracks_of_a_bag_are_the_tracks_of_its_scene(scene: Scene, bag: Path) -> None:
     source = BagViewSource(bag)
     tracker, of_scene = tracker_of(source), SceneTracks(scene, 20, ("left", "away")).start()

@@ -233,6 +233,7 @@ def page(tmp_path: Path) -> Iterator[Uploads]:
     made.app.close()
 
 
+@pytest.mark.nightly
 def test_a_new_folder_is_an_empty_scene_that_shows_people_before_it_has_cameras(page: Uploads) -> None:
     app = page.app
     assert app.editor is not None
@@ -258,6 +259,7 @@ def test_a_new_folder_is_an_empty_scene_that_shows_people_before_it_has_cameras(
     opened.source.close()
 
 
+@pytest.mark.nightly
 def test_a_file_of_a_browser_becomes_the_value_of_its_key(page: Uploads) -> None:
     app = page.app
     assert app.editor is not None

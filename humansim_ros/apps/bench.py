@@ -95,9 +95,10 @@ class BenchResult:
         holds = "holds" if self.holds else "does not hold"
         these = f"these {count}" if count > 1 else "this one"
         names = f"{', '.join(self.channels)} of all cameras"
+        most = f"{self.max_hz:.{0 if self.max_hz >= 10 else 1}f}"
         lines = [
             f"this machine {holds} {_cameras(count)} at {rate}",
-            f"at {rate} up to {_cameras(self.max_cameras)}; {these} at up to {self.max_hz:.{0 if self.max_hz >= 10 else 1}f} Hz",
+            f"at {rate} up to {_cameras(self.max_cameras)}; {these} at up to {most} Hz",
             f"measured: {self.measured_hz:.1f} Hz with {names}; a tenth of it is kept free",
             f"on {self.cores} cores with {self.processes} camera processes; milliseconds per frame: "
             + ", ".join(f"{name} {ms:.1f}" for name, ms in self.cameras.items()),

@@ -20,7 +20,6 @@ import numpy as np
 
 Shots = dict[str, Any]
 Draw = Callable[[int], object]
-_NEAR, _FAR = 0.05, 200.0
 
 
 def open3d(shots: Shots) -> tuple[str, Draw]:
@@ -90,8 +89,8 @@ def aitviewer(shots: Shots) -> tuple[str, Draw]:
 
 def blender(shots: Shots) -> tuple[str, Draw]:
     import bpy
+    from workbench import add_camera, place
 
-    width, height = (int(n) for n in shots["size"])
     bpy.ops.wm.read_factory_settings(use_empty=True)
     mesh = bpy.data.meshes.new("body")
     mesh.from_pydata(shots["vertices"][0].tolist(), [], shots["corners"].tolist())
@@ -108,27 +107,14 @@ def blender(shots: Shots) -> tuple[str, Draw]:
     mesh.materials.append(material)
     scene = bpy.context.scene
     scene.collection.objects.link(bpy.data.objects.new("body", mesh))
-    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    scene.render.engine = "BLENDER_WORKBENCH"
-    scene.display.shading.color_type = "TEXTURE"
-    scene.display.render_aa = "OFF"  # the default, eight samples, takes six times as long
-    scene.render.resolution_x, scene.render.resolution_y = width, height
-    scene.render.image_settings.compression = 0
-    camera.data.clip_start, camera.data.clip_end = _NEAR, _FAR
+    camera = add_camera(shots["size"])
     file = str(Path(tempfile.gettempdir()) / f"humansim_bench_{os.getpid()}.png")
     scene.render.filepath = file
-    from mathutils import Matrix
 
     def draw(number: int) -> object:
         mesh.vertices.foreach_set("co", shots["vertices"][number].astype(np.float32).ravel())
         mesh.update()
-        k, pose = shots["K"][number], np.linalg.inv(shots["extrinsics"][number])
-        camera.matrix_world = Matrix((pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())
-        camera.data.lens = k[0, 0] * camera.data.sensor_width / width
-        camera.data.shift_x = -(k[0, 2] + 0.5 - width / 2) / width
-        camera.data.shift_y = (k[1, 2] + 0.5 - height / 2) / width
+        place(camera, shots["K"][number], np.linalg.inv(shots["extrinsics"][number]), shots["size"])
         bpy.ops.render.render(write_still=True)
         return Path(file).read_bytes()
 

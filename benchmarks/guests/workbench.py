@@ -23,14 +23,10 @@ from mathutils import Matrix
 _NEAR, _FAR = 0.05, 200.0
 
 
-def open_scene(views: dict[str, np.ndarray], files: list[str]) -> bpy.types.Object:
-    """Make Blender's scene; returns its camera."""
-    width, height = (int(number) for number in views["size"])
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def add_camera(size: np.ndarray) -> bpy.types.Object:
+    """Let Workbench draw Blender's scene with a new camera, which is returned, in one sample a pixel."""
+    width, height = (int(number) for number in size)
     scene = bpy.context.scene
-    scene.render.fps = round(float(views["rate"]))
-    for file in files:
-        bpy.ops.import_scene.gltf(filepath=file)
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(camera)
     scene.camera = camera
@@ -58,9 +54,13 @@ def main() -> None:
     os.dup2(2, 1)
     with np.load(sys.argv[1]) as archive:
         views = dict(archive)
-    camera = open_scene(views, sys.argv[2:])
-    file = str(Path(tempfile.gettempdir()) / f"humansim_bench_{os.getpid()}.png")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
+    scene.render.fps = round(float(views["rate"]))
+    for glb in sys.argv[2:]:
+        bpy.ops.import_scene.gltf(filepath=glb)
+    camera = add_camera(views["size"])
+    file = str(Path(tempfile.gettempdir()) / f"humansim_bench_{os.getpid()}.png")
     scene.render.filepath = file
     print(f"Blender {bpy.app.version_string}", file=answers, flush=True)
     for line in sys.stdin:

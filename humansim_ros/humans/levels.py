@@ -34,10 +34,9 @@ def levels_of(human: Human) -> Simplification | None:
     """Levels of detail of a human, made once; None for a mesh of few triangles."""
     if len(human.mesh.triangles) < _FEWEST:
         return None
-    name = f"{_key(human)}.npz"
     cache = cache_folder()
-    own = None if cache is None else cache / "levels" / name
-    for path in (resource_root() / FOLDER / name, own):
+    own = None if cache is None else path_of(human, cache / "levels")
+    for path in (path_of(human, resource_root() / FOLDER), own):
         if path is not None and path.is_file():
             with suppress(MeshError):
                 return read_levels(path)

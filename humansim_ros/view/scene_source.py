@@ -158,10 +158,11 @@ class SceneViewSource(ViewSource):
         return found
 
     def _by_person(self, sweep: Sweep) -> dict[str, Array]:
+        """Points of a sweep in ``map`` by person; "" for other surfaces. Nobody without points."""
         points = sweep.points @ quaternion_to_matrix(sweep.rotation).T + sweep.position
-        labels = {name: self.scene.labels[name] for name in self.scene.actors}
-        people = {name: points[sweep.instances == label] for name, label in labels.items()}
-        people[""] = points[~np.isin(sweep.instances, list(labels.values()))]
+        actors = self.scene.actors
+        people = {name: points[sweep.instances == actor.instance] for name, actor in actors.items()}
+        people[""] = points[~np.isin(sweep.instances, [actor.instance for actor in actors.values()])]
         return {name: seen for name, seen in people.items() if len(seen)}
 
     @cached_property

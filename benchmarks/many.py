@@ -1,16 +1,17 @@
 """Cost of a frame by number of humans, and time to load a human.
 
-    python benchmarks/many.py [--frames 30]
+    python benchmarks/many.py [--frames 30] [--counts 1 2 5 10 30]
 
-1, 2, 5 and 10 random humans are simulated in one process for one 640x480 camera: motion, skinning, and the
-channels rgb, depth, instance and part, beside a bare draw of the same humans. Times are CPU milliseconds of
-this process, medians over frames, which other work on the machine affects little. The last column is the cost
-of one more human, relative to one.
+1, 2, 5, 10 and 30 random humans are simulated in one process for one 640x480 camera: motion, skinning, and
+the channels rgb, depth, instance and part, beside a bare draw of the same humans and, if
+HUMANSIM_BENCH_BLENDER names a Python with bpy, Blender's Workbench. All take turns frame by frame. Times are
+medians over frames; other work on the machine affects processor time little, and ratios least.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -22,27 +23,18 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.core import BareDraw, Shot  # noqa: E402
+from benchmarks.core import BareDraw, Shot, workbench  # noqa: E402
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
 from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.io.assets import resource_path  # noqa: E402
 from humansim_ros.scene import HumanState, Scene, Simulation  # noqa: E402
 
 CAMERA = {"size": [640, 480], "position": [5.5, 5.0, 2.4], "look_at": [0, 0, 0.8], "fov_deg": 60}
-VARIETY = {"seed": 1, "area": [-2.5, -2.5, 2.5, 2.5], "spacing": 1.0}
+#: Half the side of the square of ten people, in metres; more people have as much room each.
+HALF_SIDE = 2.5
 SCENE: dict[str, Any] = {"rate": 30, "room": {"size": [12, 12, 2.8]}, "cameras": {"eye": CAMERA}}
-COUNTS = (1, 2, 5, 10)
-
-
-def median_ms(work: Callable[[int], object], frames: int) -> float:
-    """Median CPU milliseconds of a function of the frame number."""
-    work(0)
-    times = []
-    for frame in range(1, frames + 1):
-        start = time.process_time()
-        work(frame)
-        times.append(time.process_time() - start)
-    return 1000 * float(np.median(times))
+COUNTS = (1, 2, 5, 10, 30)
+BARE = "bare draw"
 
 
 def bare_draw(scene: Scene, states: Mapping[str, HumanState]) -> Callable[[int], None]:
@@ -63,9 +55,11 @@ def bare_draw(scene: Scene, states: Mapping[str, HumanState]) -> Callable[[int],
     return draw
 
 
-def measure(count: int, frames: int) -> list[float]:
-    """CPU milliseconds per frame: bare draw, skinning, rgb, all channels, and the whole frame."""
-    scene = Scene.from_dict(SCENE | {"variety": {**VARIETY, "count": count}})
+def measure(count: int, frames: int, blender: str) -> dict[str, tuple[float, float]]:
+    """CPU and elapsed milliseconds of each work for a frame, all works in turn: medians over frames."""
+    half = HALF_SIDE * max(count / 10, 1) ** 0.5
+    variety = {"seed": 1, "area": [-half, -half, half, half], "spacing": 1.0, "count": count}
+    scene = Scene.from_dict(SCENE | {"variety": variety})
     simulation = Simulation(scene)
     camera = scene.cameras["eye"]
     states = {name: actor.at(1.0) for name, actor in scene.actors.items()}
@@ -74,39 +68,47 @@ def measure(count: int, frames: int) -> list[float]:
         bodies = [actor.body(states[name].vertices) for name, actor in scene.actors.items()]
         return simulation.renderer.render(bodies, camera, channels)
 
-    parts = [
-        median_ms(bare_draw(scene, states), frames),
-        median_ms(lambda frame: [actor.at(frame / 30) for actor in scene.actors.values()], frames),
-        median_ms(lambda _: render("rgb"), frames),
-        median_ms(lambda _: render(*simulation.channels), frames),
-        median_ms(simulation.frame, frames),
-    ]
+    works: dict[str, Callable[[int], object]] = {
+        BARE: bare_draw(scene, states),
+        "motion, skinning": lambda frame: [actor.at(frame / 30) for actor in scene.actors.values()],
+        "rgb": lambda _: render("rgb"),
+        "the four": lambda _: render(*simulation.channels),
+        "whole frame": simulation.frame,
+    }
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+    with workbench(blender, scene, [camera] * (frames + 1)) as (title, draw):
+        for frame in range(frames + 1):
+            for name, work in works.items():
+                cpu, elapsed = time.process_time(), time.perf_counter()
+                work(frame)
+                times[name].append((time.process_time() - cpu, time.perf_counter() - elapsed))
+            if title:  # the processor time of another process is not at hand
+                times.setdefault("Workbench", []).append((float("nan"), draw(frame) / 1000))
     simulation.close()
-    return parts
+    return {name: tuple(1000 * np.median(rows[1:], axis=0)) for name, rows in times.items()}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=30)
-    frames = parser.parse_args().frames
-    print(
-        f"{'humans':>6} {'bare':>7} {'skinning':>9} {'rgb':>7} {'all':>7} {'frame':>7}   CPU ms; 1 more human"
-    )
-    first: float | None = None
-    for count in COUNTS:
-        parts = measure(count, frames)
-        more = "" if first is None else f"{(parts[-1] - first) / (count - 1):6.1f}"
-        first = parts[-1] if first is None else first
-        print(
-            f"{count:6} {parts[0]:7.1f} {parts[1]:9.1f} "
-            + " ".join(f"{ms:7.1f}" for ms in parts[2:])
-            + f"   {more}"
-        )
+    parser.add_argument("--counts", type=int, nargs="+", default=COUNTS)
+    options = parser.parse_args()
+    blender = os.environ.get("HUMANSIM_BENCH_BLENDER", sys.executable)
+    print(f"{'humans':>6} {'work':16} {'CPU ms':>8} {'times bare':>11} {'elapsed ms':>11} {'times bare':>11}")
+    for count in options.counts:
+        parts = measure(count, options.frames, blender)
+        bare = parts[BARE]
+        for name, (cpu, elapsed) in parts.items():
+            ratios = cpu / bare[0], elapsed / bare[1]
+            print(f"{count:6} {name:16} {cpu:8.1f} {ratios[0]:11.2f} {elapsed:11.1f} {ratios[1]:11.2f}")
     print()
     for name in built_in_humans():
-        path = resource_path(f"assets/humans/{name}.npz")
-        ms = median_ms(lambda _, path=path: load_human(path), 15)
-        print(f"{name:16} loads in {ms:5.1f} ms of CPU")
+        path, times = resource_path(f"assets/humans/{name}.npz"), []
+        for _ in range(15):
+            start = time.process_time()
+            load_human(path)
+            times.append(time.process_time() - start)
+        print(f"{name:16} loads in {1000 * np.median(times):5.1f} ms of CPU")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ BENCHMARKS = {
     "live": ("--seconds", "1", "--cases", "rgb + info + depth + part", "--processes", "1"),
     "lockstep": ("--frames", "10", "--sleep", "0.01"),
     "look": ("--rounds", "2"),
-    "many": ("--frames", "2"),
+    "many": ("--frames", "2", "--counts", "1", "2"),
     "pose_detector": ("--help",),  # the detector has an environment of its own
     "record": ("--frames", "4", "--jobs", "1"),
     "recorder": ("--seconds", "1"),

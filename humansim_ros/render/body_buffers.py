@@ -300,7 +300,9 @@ class ProjectedPoints:
         self.camera = camera
         p = (camera.optical_from_world[:3] if camera.distorted else camera.P).astype(np.float32)
         x, y, self.depth = p[:, :3] @ points + p[:, 3:]
-        self.near, self.behind = bool(self.depth.min() < 2 * NEAR), bool(self.depth.max() < 0)
+        #: depth of the nearest point, metres
+        self.closest = float(self.depth.min())
+        self.near, self.behind = self.closest < 2 * NEAR, bool(self.depth.max() < 0)
         if not self.near:
             x /= self.depth
             y /= self.depth
@@ -314,6 +316,17 @@ class ProjectedPoints:
             return self.plane
         x, y = camera.K[:2, :2] @ camera.lens.distort(np.stack(self.plane, axis=1)).T + camera.K[:2, 2:]
         return x.astype(np.float32), y.astype(np.float32)
+
+    @cached_property
+    def extent(self) -> tuple[Array, Array]:
+        """Lowest and highest x and y of ``plane``, (2,) each."""
+        low, high = (np.array([bound(axis) for axis in self.plane], float) for bound in (np.min, np.max))
+        return low, high
+
+    @cached_property
+    def _rectangle(self) -> Rectangle:
+        """Pixels that a surface between the points may touch."""
+        return image_bounds([self], self.camera)
 
     @cached_property
     def _cells(self) -> NDArray[np.int64]:
@@ -380,17 +393,17 @@ class ProjectedPoints:
     @property
     def is_outside(self) -> bool:
         """Whether a surface between the points leaves no trace in the image."""
-        return image_bounds([self], self.camera).empty
+        return self._rectangle.empty
 
     def is_hidden(self, static: Float32Array) -> bool:
         """Whether a surface between the points is outside the image, or all of it is behind the static scene.
 
         ``static``: (H, W) depth of the static scene, metres.
         """
-        rectangle = image_bounds([self], self.camera)
+        rectangle = self._rectangle
         if rectangle.empty or rectangle.near:
             return rectangle.empty
-        return float(static[rectangle.slices].max()) < _BEHIND * float(self.depth.min())
+        return float(static[rectangle.slices].max()) < _BEHIND * self.closest
 
 
 def _least(three: Sequence[Float32Array]) -> Float32Array:
@@ -411,8 +424,7 @@ def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle
             continue
         if cloud.near:
             return Rectangle(0, 0, width, height, near=True)
-        low = np.minimum(low, [axis.min() for axis in cloud.plane])
-        high = np.maximum(high, [axis.max() for axis in cloud.plane])
+        low, high = np.minimum(low, cloud.extent[0]), np.maximum(high, cloud.extent[1])
     if camera.distorted:
         low, high = LensView(camera).image_of(low, high)
     if not np.isfinite(low).all():

@@ -319,7 +319,7 @@ class GLRenderer(Renderer):
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         straight = straight_angle(camera, rectangle)
         # the nearest first: what they hide is not shaded
-        order = np.argsort([points.depth.min() for points in projected], kind="stable")
+        order = np.argsort([points.closest for points in projected], kind="stable")
         for number in order.tolist():
             body, points, front = bodies[number], projected[number], facing[number]
             if front is None:

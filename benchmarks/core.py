@@ -34,7 +34,7 @@ from humansim_ros.export.glb import AnimatedHuman, glb_bytes
 from humansim_ros.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
 from humansim_ros.render.body_buffers import ProjectedPoints, contour
-from humansim_ros.render.contact_shadow import contact_shadow
+from humansim_ros.render.contact_shadow import ShadowCaster
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
@@ -438,7 +438,7 @@ def stages(shot: Shot, repeat: int) -> list[dict[str, object]]:
     work: dict[str, Callable[[], object]] = {
         "area vectors of the triangles": lambda: PosedMesh(topology, vertices).areas,
         "area vectors and vertex normals": lambda: PosedMesh(topology, vertices).normals,
-        "contact shadow": lambda: contact_shadow(posed.points, areas),
+        "contact shadow": lambda: ShadowCaster(posed.points, areas).shadow,
         "triangles that face the camera": lambda: posed.facing(camera.center),
         "contour edges": lambda: contour(posed, projected, facing, 0.0),
         "crossings of the contour with pixels": lambda: edge_crossings(edges, camera.size),

@@ -15,7 +15,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh, padded, split_seams
 from humansim_ros.mesh.simplification import Simplification, compact
 from humansim_ros.render.caches import LruCache, WeakCache
-from humansim_ros.render.contact_shadow import REACH, ContactShadow
+from humansim_ros.render.contact_shadow import REACH, ShadowCaster
 from humansim_ros.render.edge_antialiasing import ImageEdges
 from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
 from humansim_ros.render.mesh_buffers import (
@@ -223,9 +223,9 @@ class PosedBody:
         return self.body.kind == "human" or float(self.posed.points[2].min()) < REACH
 
     @property
-    def contact_shadow(self) -> ContactShadow:
-        """Contact shadow of the body on the floor."""
-        return self.posed.human_shadow if self.body.kind == "human" else self.posed.object_shadow
+    def shadow_caster(self) -> ShadowCaster:
+        """Contact shadow of the body on the floor, computed when it is needed."""
+        return self.posed.human_caster if self.body.kind == "human" else self.posed.object_caster
 
     def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
         """Draw the triangles of some indices (M,)."""
@@ -389,11 +389,6 @@ class ProjectedPoints:
     def crossing(self, starts: Indices, ends: Indices) -> NDArray[np.bool_]:
         """(M,) whether straight edges between points, (M,) each, may cross a line between pixel centers."""
         return np.asarray(self._cells.take(starts) != self._cells.take(ends))
-
-    @property
-    def is_outside(self) -> bool:
-        """Whether a surface between the points leaves no trace in the image."""
-        return self._rectangle.empty
 
     def is_hidden(self, static: Float32Array) -> bool:
         """Whether a surface between the points is outside the image, or all of it is behind the static scene.

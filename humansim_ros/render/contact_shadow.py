@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render.programs import link, set_uniform, unit_square, use_camera
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Float32Array
 
 #: Cells along a side of a shadow.
 CELLS = 64
@@ -58,24 +58,44 @@ class ContactShadow:
         return corners[0], corners[1]
 
 
-def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> ContactShadow:
-    """Compute the shadow of a body on the floor z = 0: its surface from below, faded with height, blurred.
+@dataclass(frozen=True, eq=False)
+class ShadowCaster:
+    """A body whose contact shadow is computed when it is needed.
 
-    ``points``: (3, V) points on the surface. ``areas``: (V,) surface area of each, square metres.
+    ``points``: (3, V) points on its surface. ``areas``: (V,) surface area of each, square metres.
     """
-    low, high = points[:2].min(axis=1) - _MARGIN, points[:2].max(axis=1) + _MARGIN
-    side = float((high - low).max())
-    cell = side / CELLS
-    below = np.flatnonzero(points[2] < REACH)
-    x, y = ((points[:2, below] - low[:, None]) / np.float32(cell)).astype(np.intp)
-    amount = areas[below] * np.exp(-np.maximum(points[2, below], 0) / np.float32(_FADE))
-    grid = np.bincount(y * CELLS + x, amount, CELLS * CELLS).reshape(CELLS, CELLS)
-    # a closed surface covers each cell at least twice
-    coverage = np.minimum(grid / (2 * cell * cell), 1.0).astype(np.float32)
-    near = cv2.GaussianBlur(coverage, (0, 0), 0.03 / cell)
-    wide = cv2.GaussianBlur(coverage, (0, 0), 0.11 / cell)
-    darkness = _STRENGTH * np.clip(0.55 * near + 0.9 * wide, 0, 1)
-    return ContactShadow((float(low[0]), float(low[1])), side, np.rint(255 * darkness).astype(np.uint8))
+
+    points: Float32Array
+    areas: Float32Array
+
+    @cached_property
+    def _square(self) -> tuple[Float32Array, float]:
+        """Lowest x and y of a square around the shadow, and the length of its sides, metres."""
+        low, high = self.points[:2].min(axis=1) - _MARGIN, self.points[:2].max(axis=1) + _MARGIN
+        return low, float((high - low).max())
+
+    @property
+    def corners(self) -> Float32Array:
+        """(4, 3) corners of the square."""
+        (x, y), side = self._square
+        places = [(x + i * side, y + j * side, _HEIGHT) for i in (0, 1) for j in (0, 1)]
+        return np.array(places, dtype=np.float32)
+
+    @cached_property
+    def shadow(self) -> ContactShadow:
+        """The shadow on the floor z = 0: the surface from below, faded with height, blurred."""
+        low, side = self._square
+        cell = side / CELLS
+        below = np.flatnonzero(self.points[2] < REACH)
+        x, y = ((self.points[:2, below] - low[:, None]) / np.float32(cell)).astype(np.intp)
+        amount = self.areas[below] * np.exp(-np.maximum(self.points[2, below], 0) / np.float32(_FADE))
+        grid = np.bincount(y * CELLS + x, amount, CELLS * CELLS).reshape(CELLS, CELLS)
+        # a closed surface covers each cell at least twice
+        coverage = np.minimum(grid / (2 * cell * cell), 1.0).astype(np.float32)
+        near = cv2.GaussianBlur(coverage, (0, 0), 0.03 / cell)
+        wide = cv2.GaussianBlur(coverage, (0, 0), 0.11 / cell)
+        darkness = _STRENGTH * np.clip(0.55 * near + 0.9 * wide, 0, 1)
+        return ContactShadow((float(low[0]), float(low[1])), side, np.rint(255 * darkness).astype(np.uint8))
 
 
 #: Cells along a side of a rectangle that a lens may bend.

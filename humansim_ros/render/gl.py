@@ -36,7 +36,7 @@ from humansim_ros.render.body_buffers import (
 )
 from humansim_ros.render.caches import LruCache
 from humansim_ros.render.channels import ADJACENT_NAMES, ALL_CHANNELS, CHANNEL_TABLE, View, comparing_with
-from humansim_ros.render.contact_shadow import ContactShadowPass
+from humansim_ros.render.contact_shadow import ContactShadow, ContactShadowPass
 from humansim_ros.render.context import OpenGLContext, keep_image_blocks
 from humansim_ros.render.detail import coarsest, pays
 from humansim_ros.render.edge_antialiasing import edge_crossings
@@ -225,8 +225,7 @@ class GLRenderer(Renderer):
         drawn = [not points.is_hidden(layer.depth) for points in projected]
         shadows = []
         if passes.lit and self._static.contact_shadows:
-            casting = (body.contact_shadow for body in posed if body.near_floor)
-            shadows = [each for each in casting if not ProjectedPoints(each.corners.T, camera).is_outside]
+            shadows = _contact_shadows(posed, camera, layer.depth)
         shaded = [shadow.corners.T for shadow in shadows]
         sun = self._static.sun_shadows if passes.lit else None
         if sun is not None and posed:
@@ -340,6 +339,19 @@ class GLRenderer(Renderer):
             body.draw(lit, visible)
             ids.add(number, body.body, visible)
         return ids
+
+
+def _contact_shadows(
+    bodies: Sequence[PosedBody], camera: Camera, static: Float32Array
+) -> list[ContactShadow]:
+    """Contact shadows of bodies, except those that leave no trace. ``static``: (H, W) depth, metres."""
+
+    def shown(corners: Float32Array) -> bool:
+        return not ProjectedPoints(corners.T, camera).is_hidden(static)
+
+    casters = (body.shadow_caster for body in bodies if body.near_floor)
+    shadows = (caster.shadow for caster in casters if shown(caster.corners))
+    return [shadow for shadow in shadows if shown(shadow.corners)]
 
 
 #: Beyond all ids of triangles; single precision is exact up to here.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.mesh.mesh import Material, Mesh, split_seams
-from humansim_ros.render.contact_shadow import ContactShadow, contact_shadow
+from humansim_ros.render.contact_shadow import ShadowCaster
 from humansim_ros.render.programs import MAP_UNITS, set_uniform
 from humansim_ros.types import Array, Float32Array, Indices
 
@@ -437,14 +437,14 @@ class PosedMesh:
         return self.levels[number]
 
     @cached_property
-    def human_shadow(self) -> ContactShadow:
-        """Contact shadow, from the vertices."""
-        return contact_shadow(self.points, self.topology.vertex_areas)
+    def human_caster(self) -> ShadowCaster:
+        """What casts a contact shadow: the vertices."""
+        return ShadowCaster(self.points, self.topology.vertex_areas)
 
     @cached_property
-    def object_shadow(self) -> ContactShadow:
-        """Contact shadow, from samples: an object may have few vertices and may be scaled."""
-        return contact_shadow(*self.samples)
+    def object_caster(self) -> ShadowCaster:
+        """What casts a contact shadow: samples, because an object may have few vertices and may be scaled."""
+        return ShadowCaster(*self.samples)
 
     @property
     def samples(self) -> tuple[Float32Array, Float32Array]:

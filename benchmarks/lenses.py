@@ -85,8 +85,9 @@ def bare(meshes: Sequence[Mesh]) -> Draw:
             static._draw(target, static._scene.whole, program)
             posed = renderer._bodies.pose(replace(body))
             projected = ProjectedPoints(posed.posed.points, there)
-            facing = posed.posed.facing(there.center)
-            renderer._draw([posed], [projected], [facing], Rectangle(0, 0, *there.size), True)
+            nothing = np.full(there.size[::-1], np.inf, np.float32)
+            rectangle = Rectangle(0, 0, *there.size)
+            renderer._draw([posed], [projected], [0], target, rectangle, True, nothing)
             return [target.read(name, True) for name in ("rgba", "depth", "triangle_id")]
 
     return draw

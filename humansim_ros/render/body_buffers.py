@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -324,7 +324,7 @@ class ProjectedPoints:
         return low, high
 
     @cached_property
-    def _rectangle(self) -> Rectangle:
+    def rectangle(self) -> Rectangle:
         """Pixels that a surface between the points may touch."""
         return image_bounds([self], self.camera)
 
@@ -395,10 +395,73 @@ class ProjectedPoints:
 
         ``static``: (H, W) depth of the static scene, metres.
         """
-        rectangle = self._rectangle
+        rectangle = self.rectangle
         if rectangle.empty or rectangle.near:
             return rectangle.empty
         return float(static[rectangle.slices].max()) < _BEHIND * self.closest
+
+
+#: Pixels between those that are looked at to guess which bodies others hide, and the border of its rectangle
+#: that a body is taken not to fill, as a share of each side.
+_CELL, _UNFILLED = 4, 1 / 6
+#: Fewest bodies that are drawn between two reads of depths, and the largest number of reads in a frame.
+_FEWEST_DRAWN, _MAX_READS = 4, 8
+
+
+class HiddenBodies:
+    """Which bodies others hide: the depths tell that have been drawn so far.
+
+    A read waits until all that has been drawn is finished. Depths are read when they are likely to show that
+    a body is hidden.
+
+    Args:
+        bodies: Vertices of the bodies in the order in which they are drawn.
+        static: (H, W) depth of the static scene, metres.
+        rectangle: Pixels that the bodies may touch.
+        read: Reads depths (h, w) of the bodies drawn so far within the rectangle, 0 for none.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[ProjectedPoints],
+        static: Float32Array,
+        rectangle: Rectangle,
+        read: Callable[[], Float32Array],
+    ) -> None:
+        #: (H, W) depth of a surface that each pixel shows, or of one behind it, metres
+        self.depth = static.copy()
+        self._within, self._read = self.depth[rectangle.slices], read
+        self._likely = _likely_hidden(bodies, static) if len(bodies) > _FEWEST_DRAWN else set()
+        self._drawn, self._enough = 0, max(_FEWEST_DRAWN, len(bodies) / _MAX_READS)
+
+    def contains(self, body: ProjectedPoints) -> bool:
+        """Whether others hide the next body. It is drawn then unless they do."""
+        if body in self._likely:
+            if self._drawn >= self._enough:
+                depth = self._read()
+                np.copyto(self._within, depth, where=depth > 0)
+                self._drawn = 0
+            if body.is_hidden(self.depth):
+                return True
+        self._drawn += 1
+        return False
+
+
+def _likely_hidden(bodies: Sequence[ProjectedPoints], static: Float32Array) -> set[ProjectedPoints]:
+    """Bodies that would be hidden if the bodies before them filled the middle of their rectangles."""
+    found = set()
+    nearest = static[::_CELL, ::_CELL].copy()
+    for body in bodies:
+        rows, columns = (slice(one.start // _CELL, one.stop // _CELL + 1) for one in body.rectangle.slices)
+        if not body.near and float(nearest[rows, columns].max()) < _BEHIND * body.closest:
+            found.add(body)
+        borders = (round(_UNFILLED * (one.stop - one.start)) for one in (rows, columns))
+        rows, columns = (
+            slice(one.start + border, one.stop - border)
+            for one, border in zip((rows, columns), borders, strict=True)
+        )
+        np.minimum(nearest[rows, columns], np.float32(body.closest), out=nearest[rows, columns])
+    return found
 
 
 def _least(three: Sequence[Float32Array]) -> Float32Array:

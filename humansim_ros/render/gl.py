@@ -28,6 +28,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.body_buffers import (
     BodyCache,
+    HiddenBodies,
     PosedBody,
     ProjectedPoints,
     contour,
@@ -54,7 +55,7 @@ from humansim_ros.render.rendered_frame import (
 )
 from humansim_ros.render.renderer import Body, Renderer, RenderRequest, check_bodies
 from humansim_ros.render.static_layers import StaticLayers, camera_key
-from humansim_ros.render.target import Rectangle, RenderTargets
+from humansim_ros.render.target import Rectangle, RenderTarget, RenderTargets
 from humansim_ros.types import Float32Array, Indices
 
 if TYPE_CHECKING:
@@ -241,15 +242,13 @@ class GLRenderer(Renderer):
             if sun is not None and layer.shadow_inputs is not None:
                 sun.apply(layer.shadow_inputs, target, camera)
             target.use(passes.lit)
-            each = zip(posed, drawn, strict=True)
-            facing = [body.posed.facing(camera.center) if draw else None for body, draw in each]
-            ids = self._draw(posed, projected, facing, rectangle, passes.lit, layer.depth.copy())
+            numbers = [number for number, draw in enumerate(drawn) if draw]
+            ids, facing = self._draw(posed, projected, numbers, target, rectangle, passes.lit, layer.depth)
             if passes.outlined and clouds:
                 angle = straight_angle(camera, rectangle)
                 edges = [
-                    contour(body.posed, points, front, angle)
-                    for body, points, front in zip(posed, projected, facing, strict=True)
-                    if front is not None
+                    contour(posed[number].posed, projected[number], front, angle)
+                    for number, front in sorted(facing.items())
                 ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
         triangle_ids, depth = (target.read(name, passes.lit) for name in ("triangle_id", "depth"))
@@ -285,9 +284,8 @@ class GLRenderer(Renderer):
             target = self._targets.of(camera.size)
             target.start(rectangle)
             target.use(False)
-            facing = body.posed.facing(camera.center)
-            nearest = np.full(camera.size[::-1], np.inf, np.float32)
-            self._draw([body], [projected], [facing], rectangle, False, nearest)
+            nothing = np.full(camera.size[::-1], np.inf, np.float32)
+            self._draw([body], [projected], [0], target, rectangle, False, nothing)
             mask[rectangle.slices] = target.read("triangle_id", False) > 0
         return mask
 
@@ -295,34 +293,45 @@ class GLRenderer(Renderer):
         self,
         bodies: Sequence[PosedBody],
         projected: Sequence[ProjectedPoints],
-        facing: Sequence[NDArray[np.bool_] | None],
+        numbers: Sequence[int],
+        target: RenderTarget,
         rectangle: Rectangle,
         lit: bool,
-        nearest: Float32Array,
-    ) -> TriangleIds:
-        """Draw the triangles that may be visible of one body or more, each with its own id.
+        behind: Float32Array,
+    ) -> tuple[TriangleIds, dict[int, NDArray[np.bool_]]]:
+        """Draw the triangles that may be visible of some bodies, each with its own id.
 
         Args:
-            bodies: The bodies.
+            bodies: The bodies of the frame.
             projected: Their vertices in the image.
-            facing: Of each body, (N,) whether a triangle shows its front; None for a hidden body.
+            numbers: The bodies to draw.
+            target: Target that is in use.
             rectangle: Pixels that the bodies may touch.
             lit: Draw colours too.
-            nearest: (H, W) depth of what hides them, metres; overwritten.
+            behind: (H, W) depth of what hides them, metres.
+
+        Returns:
+            The triangles that were drawn; and of each body that others do not hide, by its number, (N,)
+            whether each triangle shows its front.
         """
-        ids = TriangleIds()
-        if not bodies:
-            return ids
+        ids, facing = TriangleIds(), dict[int, NDArray[np.bool_]]()
+        if not numbers:
+            return ids, facing
         camera, program = projected[0].camera, self._lit if lit else self._ids
         use_camera(self._ctx, program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         straight = straight_angle(camera, rectangle)
         # the nearest first: what they hide is not shaded
-        order = np.argsort([points.closest for points in projected], kind="stable")
-        for number in order.tolist():
-            body, points, front = bodies[number], projected[number], facing[number]
-            if front is None:
+        order = sorted(numbers, key=lambda number: projected[number].closest)
+        hidden = HiddenBodies(
+            *([projected[number] for number in order], behind),
+            *(target.identified, lambda: target.read("depth", lit)),
+        )
+        for number in order:
+            body, points = bodies[number], projected[number]
+            if hidden.contains(points):
                 continue
+            front = facing[number] = body.posed.facing(camera.center)
             set_uniform(program, "first_id", ids.count)
             set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
             tessellated = body.tessellated(camera, straight) if camera.distorted else None
@@ -331,14 +340,14 @@ class GLRenderer(Renderer):
                 ids.add(number, body.body, tessellated.parents)
                 continue
             # from outside a closed surface its back faces never show; a near camera may be inside
-            culled = body.closed and not rectangle.near
-            visible = np.flatnonzero(front) if culled else np.arange(len(front))
-            if not rectangle.near:
-                visible = visible[points.covering([c.take(visible) for c in body.topology.corners])]
-                visible = visible[points.unhidden([c.take(visible) for c in body.topology.corners], nearest)]
+            visible = np.flatnonzero(front) if body.closed and not points.near else np.arange(len(front))
+            if not points.near:
+                corners = body.topology.corners
+                visible = visible[points.covering([c.take(visible) for c in corners])]
+                visible = visible[points.unhidden([c.take(visible) for c in corners], hidden.depth)]
             body.draw(lit, visible)
             ids.add(number, body.body, visible)
-        return ids
+        return ids, facing
 
 
 def _contact_shadows(

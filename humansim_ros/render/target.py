@@ -119,6 +119,11 @@ class RenderTarget:
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.scissor = rectangle.xywh
 
+    @property
+    def identified(self) -> Rectangle:
+        """Pixels whose depths and triangle ids are read."""
+        return self._identified
+
     def clear(self, colour: Sequence[int]) -> None:
         """Clear the whole image to a colour (sRGB, 0 to 255) at infinite distance."""
         self._limit_to(Rectangle(0, 0, *self._depth_buffer.size))

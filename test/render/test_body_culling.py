@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
+from render_scenes import along_x, body, box, quad, wall
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.body_buffers import ProjectedPoints
+from humansim_ros.humans.loading import load_human
+from humansim_ros.render import Body, GLRenderer, Lighting
+from humansim_ros.render.body_buffers import HiddenBodies, PosedBody, ProjectedPoints
+from humansim_ros.render.target import Rectangle
 
 SIZE = (32, 24)
 CAMERA = Camera(SIZE, np.array([[20.0, 0, 15.5], [0, 20.0, 11.5], [0, 0, 1]]), np.eye(3), np.zeros(3))
@@ -64,10 +71,6 @@ def test_hidden_triangles_are_those_that_rays_do_not_meet(channel: str) -> None:
     """Of two small people, one before the other: depth and triangle are those of embree."""
     import trimesh
 
-    from humansim_ros.humans.loading import load_human
-    from humansim_ros.render.gl import GLRenderer
-    from humansim_ros.render.renderer import Body
-
     human = load_human("adult_man")
     K = np.array([[110.0, 0, 79.5], [0, 110.0, 59.5], [0, 0, 1]])
     R = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
@@ -117,3 +120,58 @@ def test_body_is_hidden_outside_the_image_and_behind_everything() -> None:
     peephole = near.copy()
     peephole[9, 11] = 5.0
     assert not seen(box).is_hidden(peephole)
+
+
+def test_bodies_behind_the_middle_of_others_are_likely_hidden() -> None:
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    middle, end = np.array([15, 11]), np.array([29, 21])
+    large, small, beside = square * np.array([14, 10]) + middle, square + middle, square + end
+    far = np.full(SIZE[::-1], 9.0, np.float32)
+    order = [seen(large, 2.0), seen(beside, 3.0), *(seen(small, depth) for depth in (3.0, 4.0, 5.0, 6.0))]
+    reads: list[int] = []
+
+    def read() -> np.ndarray:
+        reads.append(1)
+        depth = np.zeros(SIZE[::-1], np.float32)
+        depth[1:22, 1:30] = 2.0
+        return depth
+
+    hidden = HiddenBodies(order, far, Rectangle(0, 0, *SIZE), read)
+    # the depths are read when four bodies have been drawn, and show what is behind them
+    assert [hidden.contains(body) for body in order] == [False, False, False, False, True, True]
+    assert len(reads) == 1 and hidden.depth.min() == 2.0 and hidden.depth.max() == 9.0
+    few = HiddenBodies(order[:4], far, Rectangle(0, 0, *SIZE), read)
+    assert not any(few.contains(body) for body in order[:4]) and len(reads) == 1
+
+
+@pytest.mark.parametrize("shadow", ["contact", pytest.param("soft", marks=pytest.mark.nightly)])
+def test_people_behind_others_and_behind_walls_leave_no_trace(
+    shadow: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The images are the same as with everybody drawn."""
+    human = load_human("adult_man")
+    standing = human.mesh.vertices[:, [2, 0, 1]]
+    bodies = [body(box((2, 0.3 * n - 0.9, 1), 0.4), n) for n in range(1, 6)]
+    for number, place in enumerate([(6.0, 0.0), (6.5, -0.5), (7.0, 0.5), (5.0, 2.5), (5.5, -4.0)], 6):
+        vertices = (standing + np.append(place, 0)).astype(np.float32)
+        bodies.append(Body(human.mesh, vertices, human.triangle_parts, number))
+    floor = quad([(0, 5, 0), (0, -5, 0), (9, -5, 0), (9, 5, 0)])
+    camera, channels = along_x((160, 120), 90), ("rgb", "depth", "instance", "face", "alpha", "shadow")
+    drawn: list[int] = []
+    draw = PosedBody.draw
+
+    def counted(one: PosedBody, *rest: Any) -> None:
+        drawn.append(one.body.instance)
+        draw(one, *rest)
+
+    monkeypatch.setattr(PosedBody, "draw", counted)
+    with GLRenderer([floor, wall(4, 2, 1.1, 1.1)], Lighting(shadows=shadow)) as renderer:
+        view, some = renderer.render(bodies, camera, channels), set(drawn)
+        drawn.clear()
+        monkeypatch.setattr(ProjectedPoints, "is_hidden", lambda points, _: points.rectangle.empty)
+        whole = renderer.render([replace(body) for body in bodies], camera, channels)
+    assert set(np.unique(whole.instance)) - {0} == some == {1, 2, 3, 4, 5, 10}
+    assert len(drawn) == len(bodies)
+    for name in channels[:4] + channels[5:]:
+        assert np.array_equal(getattr(view, name), getattr(whole, name)), name
+    assert all(np.array_equal(view.alpha[number], whole.alpha[number]) for number in range(1, 11))

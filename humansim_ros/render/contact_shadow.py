@@ -76,9 +76,9 @@ class ShadowCaster:
 
     @property
     def corners(self) -> Float32Array:
-        """(4, 3) corners of the square."""
+        """(4, 3) corners of the square, row by row along y."""
         (x, y), side = self._square
-        places = [(x + i * side, y + j * side, _HEIGHT) for i in (0, 1) for j in (0, 1)]
+        places = [(x + i * side, y + j * side, _HEIGHT) for j in (0, 1) for i in (0, 1)]
         return np.array(places, dtype=np.float32)
 
     @cached_property

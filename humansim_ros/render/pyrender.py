@@ -282,10 +282,11 @@ class _PosedShape:
         """Return the contact shadow at a height above the floor."""
         key = "shadow", height
         if key not in self._nodes:
-            shadow = self._posed.human_shadow if self._human else self._posed.object_shadow
-            corners = shadow.corners + np.array([0, 0, height], np.float32)
-            darkness = np.dstack([np.zeros((*shadow.darkness.shape, 3), np.uint8), shadow.darkness[::-1]])
-            texture = self._library.Texture(source=darkness, source_channels="RGBA")
+            caster = self._posed.human_caster if self._human else self._posed.object_caster
+            corners, darkness = caster.corners, caster.shadow.darkness
+            corners[:, 2] = height
+            image = np.dstack([np.zeros((*darkness.shape, 3), np.uint8), darkness[::-1]])
+            texture = self._library.Texture(source=image, source_channels="RGBA")
             material = self._library.MetallicRoughnessMaterial(
                 baseColorTexture=texture, alphaMode="BLEND", doubleSided=True
             )

@@ -26,8 +26,8 @@ from humansim_ros.scene import Scene
 if TYPE_CHECKING:
     from humansim_ros.messages.topics import Topic
 
-#: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a camera that
-#: prepares its first frame delays the others for up to two seconds.
+#: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: frames are few
+#: while cameras prepare their first ones.
 _MAX_LOST, _LATE_AFTER = 0.05, 5
 #: Seconds between two looks for simulated time that has not started: a busy machine starts a suite in five.
 _CLOCK_CHECK_EVERY = 10.0

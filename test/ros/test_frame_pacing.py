@@ -43,6 +43,7 @@ class SimulatedCamera:
 
     cost: Callable[[int], float]
     queue: deque[int] = field(default_factory=lambda: deque(maxlen=3))
+    sent: list[int] = field(default_factory=list)
     done: list[int] = field(default_factory=list)
     rendering: int | None = None
     busy_until: float = 0.0
@@ -62,9 +63,15 @@ class SimulatedCamera:
         return [done for done in self.done if done >= frame]
 
 
-def play(seconds: float, **costs: Callable[[int], float]) -> dict[str, SimulatedCamera]:
-    """Play for some seconds at 30 Hz for cameras with these costs; events are exact to 1 ms."""
+def play(
+    seconds: float, are_known: bool = False, **costs: Callable[[int], float]
+) -> dict[str, SimulatedCamera]:
+    """Play for some seconds at 30 Hz for cameras with these costs; events are exact to 1 ms.
+
+    ``are_known``: whether the middleware has told the sender that each camera is a process that runs.
+    """
     pacing = FramePacing()
+    pacing.set_processes(len(costs) if are_known else 0, 0.0)
     cameras = {name: SimulatedCamera(cost) for name, cost in costs.items()}
     number = 0
     for millisecond in range(round(1000 * seconds)):
@@ -80,6 +87,7 @@ def play(seconds: float, **costs: Callable[[int], float]) -> dict[str, Simulated
         if not pacing.late_cameras(stamp, PERIOD, now):
             pacing.add_sent(stamp, now)
             for camera in cameras.values():
+                camera.sent.append(number)
                 camera.queue.append(number)
         number += 1
     return cameras
@@ -128,6 +136,34 @@ def test_a_very_slow_camera_gets_evenly_spaced_frames() -> None:
     gaps = {later - earlier for earlier, later in pairwise(done)}
     assert len(done) >= 140
     assert gaps <= {5, 6, 7}
+
+
+def test_while_all_cameras_prepare_their_first_frame_few_frames_are_sent() -> None:
+    """Others would only keep the skinners busy, and push each other out of the queues of the cameras."""
+    cameras = play(
+        20,
+        are_known=True,
+        left=lambda frame: 0.02 if frame else 8.0,
+        right=lambda frame: 0.02 if frame else 12.0,
+    )
+    before_the_first_report = [frame for frame in cameras["left"].sent if frame < 8 * 30]
+    gaps = [later - earlier for earlier, later in pairwise(before_the_first_report)]
+    assert gaps == sorted(gaps)
+    assert gaps[0] == 1
+    assert len(gaps) <= 10
+    assert all(set(range(13 * 30, 598)) <= set(camera.done) for camera in cameras.values())
+
+
+def test_cameras_that_need_seconds_for_each_frame_show_the_same_frames() -> None:
+    cameras = play(200, are_known=True, left=lambda _: 6.0, right=lambda _: 7.0)
+    left, right = (set(camera.done) for camera in cameras.values())
+    assert len(left & right) >= 0.8 * len(left | right)
+    assert len(left & right) >= 0.9 * (200 / 7.0)
+
+
+def test_cameras_that_all_need_longer_than_they_are_waited_for_get_a_frame_every_two_seconds() -> None:
+    sent = play(60, are_known=True, only=lambda _: 1e9)["only"].sent
+    assert {later - earlier for earlier, later in pairwise(sent[9:])} <= {60, 61}
 
 
 def test_a_camera_that_never_reports_again_delays_the_others_for_seconds_only() -> None:
@@ -259,8 +295,9 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
         each.destroy_node()
 
 
-#: A camera process that reports the first frame, and no other.
+#: A camera process that reports the first frame, and no other; or none, with an argument.
 CAMERA_PROCESS = """
+import sys
 import rclpy
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
@@ -277,13 +314,21 @@ alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
 done = node.create_publisher(Header, "frame_done", DATA)
 while not (alive.get_subscription_count() and done.get_subscription_count()):
     rclpy.spin_once(node, timeout_sec=0.05)
-frames = node.create_subscription(TimeReference, SCENE_TIME, report, DATA)
+if not sys.argv[1:]:
+    frames = node.create_subscription(TimeReference, SCENE_TIME, report, DATA)
 rclpy.spin(node)
 """
 
 
-def test_a_camera_that_has_died_delays_the_others_no_longer(ros: None, tmp_path: Path) -> None:
-    """The middleware tells the player, long before it gives a silent camera up."""
+@pytest.mark.parametrize(
+    ("arguments", "cause"), [([], "/front"), (["silent"], "cameras, none of which has reported yet")]
+)
+def test_a_camera_that_has_died_delays_the_others_no_longer(
+    ros: None, tmp_path: Path, arguments: list[str], cause: str
+) -> None:
+    """The middleware tells the player that it runs, and, long before the player gives it up, that it has
+    died.
+    """
     player = node(MotionPlayerNode, write_scene(tmp_path), "motion_player")
     lockstep, client = Lockstep(player), Client("other")
     client.executor.add_node(player)
@@ -292,9 +337,9 @@ def test_a_camera_that_has_died_delays_the_others_no_longer(ros: None, tmp_path:
     def late() -> list[str]:
         return player.playing._pacing.late_cameras(lockstep.play(), PERIOD, now)
 
-    with subprocess.Popen([sys.executable, "-c", CAMERA_PROCESS]) as camera:
+    with subprocess.Popen([sys.executable, "-c", CAMERA_PROCESS, *arguments]) as camera:
         try:
-            assert client.spin_until(late)
+            assert client.spin_until(lambda: late() == [cause])
         finally:
             camera.kill()
     assert client.spin_until(lambda: not late())

@@ -26,6 +26,8 @@ _MAX_CAMERAS = 100
 #: Seconds without a report after which a camera no longer delays the others; of a slow camera so many times
 #: the time of its last frame, up to the largest number of seconds.
 _GIVE_UP_AFTER, _FRAMES_WAITED, _LONGEST_WAIT = 2.0, 4.0, 10.0
+#: Cause of drops while camera processes run, of which none reports.
+_UNHEARD = "cameras, none of which has reported yet"
 #: Seconds without a report after which a camera is forgotten during a pause.
 _FORGET_AFTER = 10.0
 #: Seconds after which a paused pose is sent again: later images push earlier ones out of the queue to a slow
@@ -60,6 +62,9 @@ class FramePacing:
     be complete. Therefore the sender skips them for all cameras, and a camera renders every frame that it
     gets.
 
+    While camera processes run of which none reports, as while all of them draw their static scenes, frames
+    become rarer: skinners and queues of cameras would else be full of frames that hardly a camera completes.
+
     Stamps are nanoseconds; ``now`` is in monotonic seconds.
     """
 
@@ -69,6 +74,8 @@ class FramePacing:
         self._finished: dict[str, tuple[int, float]] = {}
         # by camera, also of those that are given up: its newest stamp, and seconds from sending to the report
         self._took: dict[str, tuple[int, float]] = {}
+        #: Number of camera processes that run, and when it has changed or a report has counted.
+        self._processes, self._heard = 0, 0.0
 
     def add_sent(self, stamp: int, now: float) -> None:
         """Record a frame that is sent."""
@@ -80,20 +87,28 @@ class FramePacing:
     def add_finished(self, camera: str, stamp: int, now: float) -> None:
         """Record the report of a camera that it has finished a frame, and with it all earlier ones.
 
-        Only frames of the last ten seconds count: reports of other frames are of the cameras of another
-        player, or of a camera that no longer delays the others.
+        Only frames that were sent count: others are reported by the cameras of another player. Frames of more
+        than ten seconds ago count if no other camera does: else a camera that needs so long delays nobody.
         """
-        took = next((now - at for sent, at in self._sent if sent == stamp), float("inf"))
-        repeated = took > _GIVE_UP_AFTER and self._took.get(camera, (None, 0.0))[0] == stamp
-        if took > _LONGEST_WAIT or repeated:
+        took = next((now - at for sent, at in self._sent if sent == stamp), None)
+        if took is None or (took > _LONGEST_WAIT and self._finished):
             return
+        if took > _GIVE_UP_AFTER and stamp <= self._took.get(camera, (0, 0.0))[0]:
+            return  # a repeated report
+        self._heard = now
         finished, _ = self._finished.get(camera, (None, 0.0))
         if finished != stamp and (finished is not None or len(self._finished) < _MAX_CAMERAS):
             self._finished[camera] = (stamp, now)
             self._took[camera] = stamp, took
 
+    def set_processes(self, number: int, now: float) -> None:
+        """Record how many camera processes run. If one has ended, cameras count again when they report."""
+        if number < self._processes:
+            self.forget_cameras()
+        self._processes, self._heard = number, now
+
     def forget_cameras(self) -> None:
-        """Forget all reports, because a camera is gone: each camera counts again when it reports."""
+        """Forget all reports."""
         self._finished.clear()
         self._took.clear()
 
@@ -108,6 +123,8 @@ class FramePacing:
             period: Time between frames, nanoseconds.
             now: Monotonic seconds.
         """
+        if self._is_unheard(now):
+            return [_UNHEARD]
         late = []
         for camera, (finished, heard) in list(self._finished.items()):
             pending = [sent for sent in self._sent if sent[0] > finished]
@@ -123,6 +140,16 @@ class FramePacing:
             else:
                 late.append(camera)
         return late
+
+    def _is_unheard(self, now: float) -> bool:
+        """Whether no camera reports, and the last frame was sent too recently for another one.
+
+        The time between frames grows with the silence, from one period to two seconds.
+        """
+        if self._finished or not self._processes or not self._sent:
+            return False
+        last = self._sent[-1][1]
+        return now - last < min(last - self._heard, _GIVE_UP_AFTER)
 
     def may_send_paused(self, unfinished: int, now: float) -> bool:
         """Whether a frame may be sent during a pause.
@@ -263,8 +290,7 @@ class RealtimePlaying(Playing):
         self._send_waiting()
 
     def _on_liveliness(self, change: QoSLivelinessChangedInfo) -> None:
-        if change.alive_count_change < 0:  # a camera process has ended or died
-            self._pacing.forget_cameras()
+        self._pacing.set_processes(change.alive_count, time.monotonic())
 
     def _send_waiting(self) -> None:
         """Publish the next waiting frames for which the cameras have time."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -27,27 +25,22 @@ from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
     DepthCapture,
     Exposure,
-    JointMotion,
     SceneState,
     capture,
     capture_depth,
     capture_rectified_depth,
 )
-from humansim_ros.scene.config import frame_at
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
-from humansim_ros.scene.sweeps import Scanning, Sweep
+from humansim_ros.scene.states import SceneStates
+from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-#: Poses, humans and state at one scene time.
-_Snapshot = tuple[ScenePoses, dict[str, HumanState], SceneState]
 
 
 @dataclass(frozen=True, repr=False)
@@ -213,16 +206,12 @@ class Simulation:
         renderer: Renderer | None = None,
     ) -> None:
         self.scene = scene
-        self.playback = Playback(scene)
         self.channels: tuple[str, ...] = (channels,) if isinstance(channels, str) else tuple(channels)
         check_channels(self.channels)
         self.start = start
-        self._scanning = {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
-        longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
-        # the adjacent frames, and the frames of a sweep
-        steps = {camera.timing.step for camera in scene.scene_cameras.values()}
-        size = 3 * max(1, len(steps)) + bool(longest) + math.ceil(longest * 1e-9 / scene.period)
-        self._recent: deque[tuple[int, int, _Snapshot]] = deque(maxlen=size)
+        compared = [name for name in ADJACENT_NAMES if comparing_with(name, self.channels)]
+        self._states = SceneStates(scene, start, compared)
+        self.playback = self._states.playback
         self.renderer: Renderer = renderer or scene.make_renderer()
 
     def __repr__(self) -> str:
@@ -265,16 +254,15 @@ class Simulation:
         self.renderer.check_usable()  # before playback is set to the frame, which another thread may be using
         asked = self._cameras(cameras)
         chosen = {name: camera for name, camera in asked.items() if index in camera.timing}
-        steps = {camera.timing.step for camera in chosen.values()}
-        adjacent = {step: self._adjacent(index, step) for step in steps}
+        adjacent = self._states.adjacent(index, {camera.timing.step for camera in chosen.values()})
         faults = {name: camera.faults.at(index) for name, camera in chosen.items() if camera.faults}
         frozen = {
             name: self._frozen(camera, camera.faults.pictured(index))
             for name, camera in chosen.items()
             if camera.faults and faults[name].picture and "rgb" in self.channels
         }
-        sweeps = {name: self._sweeps(name, index) for name in self._chosen_scanners(scanners)}
-        poses, humans, state = self._at(self.scene.frame_time(index))
+        sweeps = {name: self._states.sweeps(name, index) for name in self._chosen_scanners(scanners)}
+        poses, humans, state = self._states.at(index)
         captured = {
             name: state.camera_frame(
                 self.renderer,
@@ -321,35 +309,15 @@ class Simulation:
             sweeps=sweeps,
         )
 
-    def _adjacent(self, index: int, step: int) -> dict[AdjacentName, SceneState]:
-        """States ``step`` frames after and before a frame, as far as the channels need them."""
-        return {
-            name: self._at(self.scene.frame_time(index + sign * step))[2]
-            for name, sign in zip(ADJACENT_NAMES, (1, -1), strict=True)
-            if comparing_with(name, self.channels)
-        }
-
     def _measured(self, camera: SceneCamera, sensor: DepthSensor, state: SceneState) -> DepthCapture:
         self.renderer.check_usable()
         return capture_depth(self.renderer, camera, sensor, state.exposure(camera), state.scene_time)
 
     def _chosen_scanners(self, names: Collection[str] | None) -> list[str]:
-        if unknown := set(names or ()) - self._scanning.keys():
-            raise SceneError(f"no scanner {min(unknown)!r}; the scanners are {', '.join(self._scanning)}")
-        return [name for name in self._scanning if names is None or name in names]
-
-    def _sweeps(self, scanner: str, index: int) -> list[Sweep]:
-        """Sweeps of a scanner that end after the frame before, and not after frame ``index``."""
-        if index == 0:
-            return []
-        scanning, frame_time = self._scanning[scanner], self.scene.frame_time
-        sweeps = []
-        for number in scanning.due(frame_time(index - 1), frame_time(index)):
-            first = frame_at(scanning.scanner.pattern.start(number), self.scene.config.rate)
-            first -= frame_time(first) > scanning.scanner.pattern.start(number)
-            states = [self._at(frame_time(each))[2] for each in range(first, index + 1)]
-            sweeps.append(scanning.sweep(number, states, self.start))
-        return sweeps
+        known = self.scene.scanners
+        if unknown := set(names or ()) - known.keys():
+            raise SceneError(f"no scanner {min(unknown)!r}; the scanners are {', '.join(known)}")
+        return [name for name in known if names is None or name in names]
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
         known = self.scene.scene_cameras
@@ -363,40 +331,10 @@ class Simulation:
 
     def _frozen(self, camera: SceneCamera, index: int) -> Image:
         """Image of an earlier frame, at which a camera has frozen."""
-        state = self._at(self.scene.frame_time(index))[2]
+        state = self._states.at(index).state
         faults = NO_FAULTS if camera.faults is None else camera.faults.at(index)
         exposure = state.exposure(camera)
         return capture(self.renderer, camera, exposure, ("rgb",), state.scene_time, faults).rgb
-
-    def _at(self, elapsed: int) -> _Snapshot:
-        """Everything at a scene time in nanoseconds.
-
-        The last ones are cached: with flow a frame is adjacent to others, and renderers reuse its bodies.
-        """
-        version = self.playback.version
-        for time, cached_version, snapshot in self._recent:
-            if time == elapsed and version == cached_version:
-                self.playback.elapsed = elapsed
-                return snapshot
-        poses = self.playback.show(elapsed)
-        humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
-
-        def joints_of(name: str) -> JointMotion:
-            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
-
-        state = SceneState(
-            stamp=self.start + elapsed,
-            scene_time=elapsed,
-            scene=self.scene,
-            actors=self.playback.actors,
-            vertices={name: human.vertices for name, human in humans.items()},
-            joints_of=joints_of,
-            objects=poses.objects,
-            cameras=poses.cameras,
-        )
-        if self._scanning or any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
-            self._recent.append((elapsed, version, (poses, humans, state)))
-        return poses, humans, state
 
 
 class _OnAccess(Mapping[str, DepthCapture]):

@@ -1,0 +1,117 @@
+"""States of a scene at its frames, and what laser scanners measure of them: all that needs no renderer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName
+from humansim_ros.scene.actor import HumanState
+from humansim_ros.scene.capture import JointMotion, SceneState
+from humansim_ros.scene.config import frame_at
+from humansim_ros.scene.playback import Playback, ScenePoses
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.sweeps import Scanning, Sweep
+
+#: Pictures of a camera from the present one to each of the adjacent ones.
+_DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))
+
+
+class Moment(NamedTuple):
+    """A scene at one scene time: its poses, its humans by name, and its state for cameras and scanners."""
+
+    poses: ScenePoses
+    humans: dict[str, HumanState]
+    state: SceneState
+
+
+class SceneStates:
+    """States of a scene, each computed once while frames follow each other.
+
+    Args:
+        scene: The scene.
+        start: Stamp of frame 0, nanoseconds.
+        compared: Names of the adjacent frames that cameras compare a frame with.
+
+    Attributes:
+        playback: Clock and motions, at the state that was asked for last.
+    """
+
+    def __init__(self, scene: Scene, start: int = 1, compared: Collection[AdjacentName] = ()) -> None:
+        self.playback = Playback(scene)
+        self._scene, self._start = scene, start
+        self._directions = {name: _DIRECTIONS[name] for name in compared}
+        self._scanning = {name: Scanning(scene, scanner) for name, scanner in scene.scanners.items()}
+        longest = max((scanner.pattern.period for scanner in scene.scanners.values()), default=0.0)
+        #: Frames before the present one that sweeps need.
+        self._sweep_frames = 1 + math.ceil(longest * 1e-9 / scene.period)
+        #: States that are needed again, by scene time and version of the motions.
+        self._kept: dict[tuple[int, int], Moment] = {}
+
+    def at(self, index: int) -> Moment:
+        """Everything at a frame."""
+        return self._at(self._scene.frame_time(index))
+
+    def adjacent(self, index: int, steps: Collection[int]) -> dict[int, Mapping[AdjacentName, SceneState]]:
+        """States some frames after and before a frame, as far as cameras compare with them.
+
+        ``steps``: numbers of frames between two pictures of a camera. The result is by step.
+        """
+        self._forget(index)
+        return {
+            step: {name: self.at(index + sign * step).state for name, sign in self._directions.items()}
+            for step in steps
+        }
+
+    def sweeps(self, scanner: str, index: int) -> list[Sweep]:
+        """Sweeps of a scanner that end after the frame before, and not after frame ``index``."""
+        if index == 0:
+            return []
+        self._forget(index)
+        scanning, frame_time = self._scanning[scanner], self._scene.frame_time
+        sweeps = []
+        for number in scanning.due(frame_time(index - 1), frame_time(index)):
+            first = frame_at(scanning.scanner.pattern.start(number), self._scene.config.rate)
+            first -= frame_time(first) > scanning.scanner.pattern.start(number)
+            states = [self.at(each).state for each in range(first, index + 1)]
+            sweeps.append(scanning.sweep(number, states, self._start))
+        return sweeps
+
+    def _forget(self, index: int) -> None:
+        """Forget the states that frames from frame ``index`` on do not need, if they follow each other."""
+        if not self._kept:
+            return
+        frames = set(range(index - self._sweep_frames, index + 1)) if self._scanning else set()
+        for timing in {camera.timing for camera in self._scene.scene_cameras.values()}:
+            number = timing.number(index)
+            frames |= {timing.frame(number + each) for each in (0, *self._directions.values())}
+        needed = {(self._scene.frame_time(frame), self.playback.version) for frame in frames}
+        self._kept = {key: moment for key, moment in self._kept.items() if key in needed}
+
+    def _at(self, elapsed: int) -> Moment:
+        """Everything at a scene time in nanoseconds; renderers reuse the bodies of a state that is kept."""
+        key = elapsed, self.playback.version
+        if key in self._kept:
+            self.playback.elapsed = elapsed
+            return self._kept[key]
+        poses = self.playback.show(elapsed)
+        humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
+
+        def joints_of(name: str) -> JointMotion:
+            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
+
+        state = SceneState(
+            stamp=self._start + elapsed,
+            scene_time=elapsed,
+            scene=self._scene,
+            actors=self.playback.actors,
+            vertices={name: human.vertices for name, human in humans.items()},
+            joints_of=joints_of,
+            objects=poses.objects,
+            cameras=poses.cameras,
+        )
+        moment = Moment(poses, humans, state)
+        if self._scanning or self._directions:
+            self._kept[key] = moment
+        return moment

@@ -22,6 +22,7 @@ from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
+from humansim_ros.scene.states import SceneStates
 from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.types import Array, Image
 from humansim_ros.view.picking import PIXEL_CHANNELS, pixel_info
@@ -149,7 +150,7 @@ class SceneViewSource(ViewSource):
             most = 1 + math.ceil(scanner.pattern.period / self.period)
             for number in range(index, max(index - most, 0), -1):
                 if self._scans.get(name, (None,))[0] != number:
-                    sweeps = self._simulation.frame(number, cameras=(), scanners=[name]).sweeps[name]
+                    sweeps = self._states.sweeps(name, number)
                     if not sweeps:
                         continue
                     self._scans[name] = number, self._by_person(sweeps[-1])
@@ -164,6 +165,11 @@ class SceneViewSource(ViewSource):
         people = {name: points[sweep.instances == actor.instance] for name, actor in actors.items()}
         people[""] = points[~np.isin(sweep.instances, [actor.instance for actor in actors.values()])]
         return {name: seen for name, seen in people.items() if len(seen)}
+
+    @cached_property
+    def _states(self) -> SceneStates:
+        """States for the sweeps, which need no renderer."""
+        return SceneStates(self.scene)
 
     @cached_property
     def _simulation(self) -> Simulation:

@@ -45,7 +45,8 @@ def test_a_message_has_bones_and_end_points_of_each_person_and_the_cameras() -> 
     ]
 
 
-def test_scans_lie_on_the_people_and_things_of_their_frame() -> None:
+def test_scans_lie_on_the_people_and_things_of_their_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Scene, "make_renderer", None)  # rays need none
     scene = Scene.from_dict(
         {
             "rate": 30,

@@ -17,7 +17,7 @@ from humansim_ros.jobs.frame_job import cores
 from humansim_ros.messages.frames import Frames
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.lockstep.settings import TimeOptions
-from humansim_ros.ros.processes.node_processes import scene_processes
+from humansim_ros.ros.processes.node_processes import NodeProcess, scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene import Scene
@@ -149,69 +149,70 @@ def measure(
     Raises:
         HumansimError: The scene or a channel is wrong, a node ended, or a topic sends nothing.
     """
-    scene = Scene.load(path)
-    fast = _measure_at(_RATE, scene, path, channels, seconds, processes, report)
-    if fast.measured_hz >= scene.config.rate:
+    bench = _Bench(Scene.load(path), path, channels, seconds, processes, report)
+    rate = bench.scene.config.rate
+    fast = bench.at(_RATE)
+    if fast.measured_hz >= rate:
         return fast
-    report(f"they do not reach {scene.config.rate:g} Hz: starting them again, at this rate")
-    slow = _measure_at(scene.config.rate, scene, path, channels, seconds, processes, report)
-    return max(fast, slow, key=lambda result: result.measured_hz)
+    report(f"they do not reach {rate:g} Hz: starting them again, at this rate")
+    return max(fast, bench.at(rate), key=lambda result: result.measured_hz)
 
 
-def _measure_at(
-    rate: float,
-    scene: Scene,
-    path: Path,
-    channels: Sequence[str],
-    seconds: float,
-    processes: int | None,
-    report: Callable[[str], None],
-) -> BenchResult:
-    """Measure as :func:`measure` does. ``rate``: frames per second that the motion player sends."""
-    topics = topics_of(scene, channels)
-    counted = in_step(scene.scene_cameras)
-    whole = [topic for topic in topics if topic.split("/")[1] in counted]
-    step = scene.scene_cameras[counted[0]].timing.step
-    pictures = sum(1 / camera.timing.step for camera in scene.scene_cameras.values())
-    started = [
-        replace(
-            process,
-            parameters={
-                **process.parameters,
-                **({"rate": rate} if process.executable == "motion_player" else {}),
-            },
-            log_level="error",
+@dataclass(frozen=True)
+class _Bench:
+    """A measurement; the attributes are the arguments of :func:`measure`."""
+
+    scene: Scene
+    path: Path
+    channels: Sequence[str]
+    seconds: float
+    processes: int | None
+    report: Callable[[str], None]
+
+    def at(self, rate: float) -> BenchResult:
+        """Start the nodes, measure, and stop them. ``rate``: frames per second that are asked for."""
+        topics = topics_of(self.scene, self.channels)
+        counted = in_step(self.scene.scene_cameras)
+        whole = [topic for topic in topics if topic.split("/")[1] in counted]
+        started = self._nodes(rate)
+        prepare_transport(len(started) + 1, network=False)
+        with Supervisor(started) as nodes, _Subscriber(topics, whole) as subscriber:
+            self.report(f"starting {len(started)} nodes, and drawing lens and static scene of each camera")
+            subscriber.wait_for_all(nodes)
+            self.report(f"measuring for {self.seconds:g} s")
+            subscriber.spin(_SETTLING)
+            subscriber.reset()
+            pids = {"subscriber": os.getpid(), **nodes.pids}
+            begin, before = time.monotonic(), CpuTime.now(pids)
+            subscriber.spin(self.seconds)
+            if dead := nodes.dead():
+                raise RosError(str(dead))
+            used, elapsed = CpuTime.now(pids).since(before), time.monotonic() - begin
+        frames = subscriber.complete * self.scene.scene_cameras[counted[0]].timing.step
+        names = [process.node_name for process in started if process.renders]
+        in_cameras = sum(used.processes[name] for name in names)
+        pictures = sum(1 / camera.timing.step for camera in self.scene.scene_cameras.values())
+        return BenchResult(
+            cameras={name: subscriber.milliseconds(name) for name in self.scene.cameras},
+            pictures=pictures,
+            channels=tuple(self.channels),
+            rate=self.scene.config.rate,
+            measured_hz=frames / elapsed,
+            frame_ms=1e3 * (used.total - in_cameras) / max(1, frames),
+            camera_ms=1e3 * in_cameras / max(1, frames) / pictures,
+            processes=len(names),
+            cores=cores(),
+            other_cores=max(0.0, (used.machine - used.total) / elapsed),
         )
-        for process in scene_processes(path, processes, time=TimeOptions(lockstep=False))
-    ]
-    prepare_transport(len(started) + 1, network=False)
-    with Supervisor(started) as nodes, _Subscriber(topics, whole) as subscriber:
-        report(f"starting {len(started)} nodes, and drawing lens and static scene of each camera")
-        subscriber.wait_for_all(nodes)
-        report(f"measuring for {seconds:g} s")
-        subscriber.spin(_SETTLING)
-        subscriber.reset()
-        pids = {"subscriber": os.getpid(), **nodes.pids}
-        begin, before = time.monotonic(), CpuTime.now(pids)
-        subscriber.spin(seconds)
-        if dead := nodes.dead():
-            raise RosError(str(dead))
-        used, elapsed = CpuTime.now(pids).since(before), time.monotonic() - begin
-    names = {process.node_name for process in started if process.executable in ("camera", "camera_rig")}
-    frames = max(1, subscriber.complete) * step
-    in_cameras = sum(used.processes[name] for name in names)
-    return BenchResult(
-        cameras={name: subscriber.milliseconds(name) for name in scene.cameras},
-        pictures=pictures,
-        channels=tuple(channels),
-        rate=scene.config.rate,
-        measured_hz=subscriber.complete * step / elapsed,
-        frame_ms=1e3 * (used.total - in_cameras) / frames,
-        camera_ms=1e3 * in_cameras / frames / pictures,
-        processes=len(names),
-        cores=cores(),
-        other_cores=max(0.0, (used.machine - used.total) / elapsed),
-    )
+
+    def _nodes(self, rate: float) -> list[NodeProcess]:
+        """Processes of the scene that log errors only; the motion player has this rate."""
+        nodes = scene_processes(self.path, self.processes, time=TimeOptions(lockstep=False))
+        own = {"motion_player": {"rate": rate}}
+        return [
+            replace(node, parameters={**node.parameters, **own.get(node.executable, {})}, log_level="error")
+            for node in nodes
+        ]
 
 
 class _Subscriber:

@@ -1,4 +1,6 @@
-"""Live cameras with rates of their own: in lockstep they send the pictures of Simulation, and no others."""
+"""Live cameras with rates of their own: in lockstep they send the pictures of Simulation, and no others; in
+real time, those of the frames that the player has sent.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from ros_support import rclpy
+from rclpy.parameter import Parameter
+from ros_support import Client, rclpy
+from sensor_msgs.msg import CameraInfo, TimeReference
 from waiting import PATIENCE
 
 from humansim_ros import messages
+from humansim_ros.ros.nodes.camera_rig import CameraRigNode
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 
@@ -84,6 +91,41 @@ def test_frames_without_a_picture_wait_for_no_answer(humansim_domain: int) -> No
         assert stamps_of(answers) == [1 + PERIOD, 1 + 4 * PERIOD]
         graph.remove_node(tracker)
         tracker.destroy_node()
+
+
+def test_in_real_time_each_camera_takes_the_first_frame_of_each_of_its_periods(
+    ros: None, tmp_path: Path
+) -> None:
+    """This is the frame of its grid, unless a busy player has skipped it."""
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene_dict(CAMERAS) | {"humans": {}}))
+    overrides = [Parameter("scene", value=str(tmp_path / "scene.yaml"))]
+    player = MotionPlayerNode(parameter_overrides=overrides)
+    rig = CameraRigNode(parameter_overrides=[*overrides, Parameter("start_scene", value=False)])
+    client = Client(executor=make_executor())
+    client.subscribe(TimeReference, ["/scene_time"])
+    client.subscribe(CameraInfo, [f"/{name}/camera_info" for name in PICTURES])
+    for node in (player, *rig.nodes):
+        client.executor.add_node(node)
+    client.spin_until_matched(player, *rig.nodes)
+    client.received.clear()
+    infos = {name: client.received[f"/{name}/camera_info"] for name in PICTURES}
+    assert client.spin_until(lambda: min(map(len, infos.values())) >= 6)
+    player.playing.timer.cancel()
+    assert client.spin_until(lambda: player.playback_clock.last in client.received["/scene_time"])
+    sent = {messages.read_frame_number(each): stamp for stamp, each in client.received["/scene_time"].items()}
+    first_index, first_stamp = next(iter(sent.items()))
+    assert all(stamp - first_stamp == PERIOD * (index - first_index) for index, stamp in sent.items())
+    for name, pictures in PICTURES.items():
+        begin = min(stamp for stamp in infos[name] if stamp >= first_stamp)
+        stamps = {index: stamp for index, stamp in sent.items() if stamp >= begin}
+        periods = {(index - pictures.start) // pictures.step: index for index in reversed(stamps)}
+        expected = {stamps[index] for index in periods.values()}
+        assert client.spin_until(lambda name=name, expected=expected: max(infos[name]) >= max(expected))
+        assert {stamp for stamp in infos[name] if stamp >= begin} == expected
+    for node in (player, rig):
+        node.close()
+        node.destroy_node()
+    client.close()
 
 
 @pytest.mark.slow

@@ -284,6 +284,20 @@ def rotate(matrices: NDArray[Any], vectors: NDArray[Any]) -> Array:
     return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
+def compose_poses(
+    outer: tuple[NDArray[Any], NDArray[Any]], inner: tuple[NDArray[Any], NDArray[Any]]
+) -> tuple[Array, Array]:
+    """Poses of things whose poses are given in the axes of others.
+
+    Args:
+        outer: Positions (..., 3) and quaternions (..., 4) xyzw of the others.
+        inner: Positions (..., 3) and quaternions (..., 4) xyzw of the things in these axes.
+    """
+    (positions, rotations), (offsets, turns) = outer, inner
+    arms = rotate(quaternion_to_matrix(rotations), offsets)
+    return positions + arms, multiply_quaternions(normalised(rotations), normalised(turns))
+
+
 def unit_vectors(vectors: NDArray[Any]) -> Array:
     """Vectors (..., 3) divided by their length; a zero vector stays zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

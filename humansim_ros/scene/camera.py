@@ -28,7 +28,7 @@ from humansim_ros.scene.environment import load_backdrop
 from humansim_ros.scene.faults import CalibrationError, FaultSchedule, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.randomise import random_numbers
-from humansim_ros.scene.robot import Robot, Route, carried
+from humansim_ros.scene.robot import Robot, Route, carried, robot_of_mount
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
 from humansim_ros.scene.timing import CameraTiming
@@ -466,12 +466,13 @@ def in_step(cameras: Mapping[str, SceneCamera]) -> list[str]:
 def _completed(camera: SceneCamera, config: SceneConfig, robot: Robot | None) -> SceneCamera:
     """Camera with its mount and its faults."""
     section = config.cameras.get(camera.left or camera.name, config.rig)
-    if section is not None and section.mount is not None:
-        if robot is None:
-            key = "rig" if section is config.rig else f"cameras.{camera.name}"
-            raise SceneError("the scene has no robot: give it a section 'robot'", key=f"{key}.mount")
-        camera = camera.mounted_on(robot)
-    if section is None or section.faults is None:
+    if section is None:
+        return camera
+    with in_section("rig" if section is config.rig else f"cameras.{camera.left or camera.name}"):
+        carrier = robot_of_mount(section.mount, robot)
+    if carrier is not None:
+        camera = camera.mounted_on(carrier)
+    if section.faults is None:
         return camera
     return replace(camera, faults=FaultSchedule(section.faults, camera.name, camera.timing))
 

@@ -11,14 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import in_section
+from humansim_ros.errors import SceneError, in_section
 from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
-from humansim_ros.rotations import (
-    multiply_quaternions,
-    normalised,
-    quaternion_to_matrix,
-    rotation_vector_to_quaternion,
-)
+from humansim_ros.rotations import compose_poses, quaternion_to_matrix, rotation_vector_to_quaternion
 from humansim_ros.scene.camera_config import TrajectoryConfig
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.objects import ObjectPose, SceneObject
@@ -53,17 +48,17 @@ def carried(base: ObjectPose, pose: ObjectPose) -> ObjectPose:
         base: Pose of the base in ``map``; its size has no effect.
         pose: Pose and velocity of the thing in the axes of the base; without velocity it is fixed there.
     """
-    turn = quaternion_to_matrix(base.rotation)
-    arm = turn @ pose.position
-    rotation = multiply_quaternions(normalised(base.rotation), normalised(pose.rotation))
+    position, rotation = compose_poses((base.position, base.rotation), (pose.position, pose.rotation))
     velocity = base.velocity
     if velocity is not None:
+        arm = position - base.position
         linear, angular = velocity.linear + np.cross(velocity.angular, arm), velocity.angular
         if pose.velocity is not None:
+            turn = quaternion_to_matrix(base.rotation)
             linear = linear + turn @ pose.velocity.linear
             angular = angular + turn @ pose.velocity.angular
         velocity = Velocity(linear, angular)
-    return ObjectPose(base.position + arm, rotation, pose.size, velocity)
+    return ObjectPose(position, rotation, pose.size, velocity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +186,18 @@ class Robot:
     @cached_property
     def _vibration(self) -> Vibration | None:
         return None if self.config.vibration is None else Vibration(self.config.vibration)
+
+
+def robot_of_mount(mount: str | None, robot: Robot | None) -> Robot | None:
+    """The robot that carries a thing with a key ``mount``; None without the key.
+
+    ``robot``: the robot of the scene. Raises SceneError of this key if it has none.
+    """
+    if mount is None:
+        return None
+    if robot is None:
+        raise SceneError("the scene has no robot: give it a section 'robot'", key="mount")
+    return robot
 
 
 def robot_object(robot: Robot, source: SceneSource, instance: int) -> SceneObject:

@@ -10,14 +10,14 @@ import scipy
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
-from humansim_ros.rotations import multiply_quaternions, normalised
+from humansim_ros.rotations import compose_poses
 from humansim_ros.scanner.casting import Poses
 from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
 from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning
 from humansim_ros.scanner.returns import Measuring
 from humansim_ros.scene.config import SceneConfig
 from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.robot import Robot, Route
+from humansim_ros.scene.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.scanner_config import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -81,10 +81,8 @@ class SceneScanner:
                 config.intensity,
             )
             route = _route(config, source)
-            if config.mount is not None and robot is None:
-                raise SceneError("the scene has no robot: give it a section 'robot'", key="mount")
+            mount = robot_of_mount(config.mount, robot)
         stamp = config.stamp or model.stamp
-        mount = None if config.mount is None else robot
         return cls(name, pattern, measuring, layout, stamp, route, mount, config.seed)
 
     @property
@@ -103,9 +101,7 @@ class SceneScanner:
         if robot is None:
             robot = poses_of([self.mount.body_at(time) for time in seconds.tolist()])
         place = self.route.path
-        arms = robot.to_map(np.repeat(place.positions, len(robot.positions), axis=0))
-        rotations = multiply_quaternions(normalised(robot.rotations), place.rotations)
-        return Poses(robot.positions + arms, rotations)
+        return Poses(*compose_poses((robot.positions, robot.rotations), (place.positions, place.rotations)))
 
     def pose(self, seconds: float, robot: ObjectPose | None = None) -> ObjectPose:
         """Pose in ``map`` at a scene time in seconds.

@@ -198,7 +198,7 @@ class TestMessages:
 @pytest.mark.parametrize(
     ("sections", "message"),
     [
-        ({"robot": None}, "the scene has no robot"),
+        ({"robot": None}, r"cameras\.front\.mount: the scene has no robot"),
         ({"objects": {"robot": "box"}}, "give objects.robot another name"),
         ({"robot": {"path": TestPath.PATH, "odometry": "/odom"}}, "moved by path and by odometry"),
         ({"robot": {"path": TestPath.PATH, "yaw_deg": 3}}, "has its own start"),

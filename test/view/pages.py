@@ -171,6 +171,11 @@ def until(condition: Any) -> None:
     assert wait_until(condition)
 
 
+def tracks_of(page: Any) -> Any:
+    """What the script of the page gets of the tracks, as far as they have been read."""
+    return page.evaluate("fetch('/humansim/tracks.json').then((answer) => answer.json())")
+
+
 # --- controls of the panels
 
 

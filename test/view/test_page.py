@@ -25,6 +25,7 @@ from pages import (
     tab,
     three_vertices,
     tiles_of,
+    tracks_of,
     until,
 )
 from waiting import PATIENCE, wait_until
@@ -194,10 +195,7 @@ def test_the_pictures_of_the_docs(chromium: Any) -> None:
         until(lambda: tiles_of(page))
         pause(page)
         scrub(page, 20)
-        page.wait_for_function(
-            "fetch('/humansim/tracks.json').then((a) => a.json()).then((t) => "
-            "t.planned > 0 && t.sampled.length === t.planned)"
-        )
+        until(lambda: 0 < (table := tracks_of(page))["planned"] == len(table["sampled"]))
         page.get_by_label("Curve", exact=True).select_option("joint position")
         page.get_by_label("Joint of the curve").select_option("l_ankle")
         page.add_style_tag(content=".mantine-Notifications-root { opacity: 0 }")  # there is no GPU

@@ -12,7 +12,7 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 from labs import write_estimate
-from pages import browser, needs_browser, opened_page, pause, running_app, until
+from pages import browser, needs_browser, opened_page, pause, running_app, tracks_of, until
 
 from humansim_ros import Scene, Simulation
 
@@ -49,16 +49,9 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]
         page = opened_page(chromium, app.server.url, people=2)
         pause(page)
         page.get_by_role("slider", name="Time").wait_for()
-        page.wait_for_function(
-            "fetch('/humansim/tracks.json').then((a) => a.json()).then((t) => "
-            "t.planned > 0 && t.sampled.length === t.planned)"
-        )
+        until(lambda: 0 < (table := tracks_of(page))["planned"] == len(table["sampled"]))
         yield page, app
         page.close()
-
-
-def table_of(page: Any) -> Any:
-    return page.evaluate("fetch('/humansim/tracks.json').then((answer) => answer.json())")
 
 
 def test_a_click_and_a_drag_move_the_time(opened: tuple[Any, Any]) -> None:
@@ -91,7 +84,7 @@ def test_the_keyboard_moves_the_time_of_the_timeline(opened: tuple[Any, Any]) ->
 
 def test_tracks_show_people_keyframes_visibility_and_drops(opened: tuple[Any, Any]) -> None:
     page, app = opened
-    table = table_of(page)
+    table = tracks_of(page)
     assert table["keys"] == {"anna": [0, 30]}
     assert 0 < len(table["drops"]["left"]) < table["frames"]
     with Simulation(Scene.load(app.source.scene.path), channels=("depth", "instance", "part")) as simulation:
@@ -117,7 +110,7 @@ def test_curves_have_their_values_beside_the_cursor(opened: tuple[Any, Any]) -> 
     values = page.locator("#humansim-timeline .values")
     until(lambda: values.inner_text().split("\n") == [f"x {x:.2f} m", f"y {y:.2f} m", f"z {z:.2f} m"])
     page.get_by_label("Curve", exact=True).select_option("visibility")
-    table = table_of(page)
+    table = tracks_of(page)
     shown = {
         camera: table["visible"]["ben"][camera][table["sampled"].index(9)] for camera in ("left", "right")
     }

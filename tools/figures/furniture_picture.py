@@ -23,6 +23,7 @@ _PLACES = {
     "door": 4.2,
     "screen": 2.6,
     "shelf": 1.2,
+    "robot": 0.46,
     "table": -0.6,
     "chair": -2.0,
     "box": -3.0,

@@ -69,7 +69,7 @@ def leaves(mosaic: Any) -> list[str]:
 def test_the_files_are_the_layouts_of_the_demo_scene() -> None:
     names = read_names(DEMO)
     written = [(ROOT / "config" / name).read_text() for name in ("humansim.rviz", "humansim_foxglove.json")]
-    assert written == [rviz_layout(names), foxglove_layout(names)], "run python tools/viewer_layouts.py"
+    assert written == [rviz_layout(names), foxglove_layout(names)]
 
 
 def test_rviz_subscribes_to_topics_of_the_scene_as_they_are_published(

@@ -9,9 +9,10 @@ Names are relative: a node puts them into its namespace, a recording into ``/``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from operator import attrgetter, methodcaller
 from typing import Any, Generic, TypeVar
 
 from numpy.typing import NDArray
@@ -163,6 +164,20 @@ class Topic(Generic[Content]):
         return frame.faults[self.camera] if self.faulty else NO_FAULTS
 
 
+def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings: Any) -> Topic[None]:
+    """Topic with one message for the scene. ``settings``: other attributes of the topic."""
+    return Topic(name, kind, lambda *_: build(), lambda _: None, latched=True, per_frame=False, **settings)
+
+
+def _label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
+    """Builders of the legends of labels, by what these number."""
+    legends = {"instance": lambda: messages.instance_legend(scene.labels)}
+    if scene.actors:
+        skeleton = next(iter(scene.actors.values())).human.skeleton
+        legends["part"] = lambda: messages.part_legend(skeleton)
+    return legends
+
+
 #: Scene time and number of each frame.
 SCENE_TIME_TOPIC: Topic[tuple[int, int]] = Topic(
     SCENE_TIME,
@@ -233,15 +248,7 @@ class HumanTopics:
             lambda body, stamp: self.marker_builder.build(name, actor.instance, body, stamp),
             state,
         )
-        self.mesh: Topic[None] = Topic(
-            f"{root}/mesh",
-            MeshMessage,
-            lambda *_: messages.mesh_message(actor.human.mesh),
-            lambda _: None,
-            latched=True,
-            per_frame=False,
-        )
-
+        self.mesh = _sent_once(f"{root}/mesh", MeshMessage, lambda: messages.mesh_message(actor.human.mesh))
         self.keypoints: dict[str, Topic[HumanState]] = {
             keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
         }
@@ -377,54 +384,58 @@ class CameraTopics:
         self.depth_sensor: DepthSensorTopics | None = None
         if camera.depth_sensor is not None:
             self.depth_sensor = DepthSensorTopics(camera, camera.depth_sensor, frame)
-        self.truth: dict[str, Topic[CameraTruth]] = {
-            kind: Topic(
-                f"{name}/{kind}",
-                PointCloud2,
-                self._truth_builder(kind),
+
+        def of_truth(
+            path: str,
+            build: Callable[..., Any],
+            kind: type[Any] = PointCloud2,
+            needs: str = "joints",
+            **settings: Any,
+        ) -> Topic[CameraTruth]:
+            needed = frozenset(REQUIRED_CHANNELS[needs])
+            return Topic(
+                f"{name}/{path}",
+                kind,
+                build,
                 lambda simulated: simulated.truth[name],
-                shown=kind == "joints",
                 camera=name,
-                channels=frozenset(needed),
+                channels=needed,
+                **settings,
             )
-            for kind, needed in REQUIRED_CHANNELS.items()
+
+        self.truth = {
+            kind: of_truth(kind, self._truth_builder(kind), needs=kind, shown=kind == "joints")
+            for kind in REQUIRED_CHANNELS
         }
-        self.keypoints: dict[str, Topic[CameraTruth]] = {
-            keypoints: Topic(
-                f"{name}/keypoints/{keypoints}",
-                PointCloud2,
-                self._keypoint_builder(keypoints),
-                lambda simulated: simulated.truth[name],
-                camera=name,
-                channels=frozenset(REQUIRED_CHANNELS["joints"]),
-                optional=True,
-            )
+        self.keypoints = {
+            keypoints: of_truth(f"keypoints/{keypoints}", self._keypoint_builder(keypoints), optional=True)
             for keypoints in KEYPOINT_SETS
         }
         # about four pixels in an image of 640 x 480
         radius = max(2.0, min(camera.camera.size) / 120)
-        self.overlay: Topic[CameraTruth] = Topic(
-            f"{name}/overlay",
-            ImageMarker,
+        self.overlay = of_truth(
+            "overlay",
             lambda truth, stamp: messages.overlay_message([*truth.joints.values()], radius, stamp, frame),
-            lambda simulated: simulated.truth[name],
-            camera=name,
-            channels=frozenset(REQUIRED_CHANNELS["joints"]),
+            ImageMarker,
         )
         self.legends: Sequence[Topic[None]] = self._legend_topics()
         self.faults: Sequence[Topic[FrameFaults]] = [] if camera.faults is None else [self._faults_topic()]
 
-        def posed(simulated: Frame) -> Camera:
-            return simulated.published_cameras[name]
+        def posed(path: str, kind: type[Any], build: Callable[[Camera, int], Any]) -> Topic[Camera]:
+            return Topic(
+                f"{name}/{path}",
+                kind,
+                build,
+                lambda simulated: simulated.published_cameras[name],
+                latched=True,
+                per_frame=camera.moves,
+                camera=name,
+            )
 
-        self.extrinsics: Topic[Camera] = Topic(
-            f"{name}/extrinsics",
+        self.extrinsics = posed(
+            "extrinsics",
             TransformStamped,
             lambda camera, stamp: messages.extrinsics_message(camera, stamp, frame),
-            posed,
-            latched=True,
-            per_frame=camera.moves,
-            camera=name,
         )
         self.true_extrinsics: Topic[Camera] | None = None
         if camera.faults is not None and camera.faults.calibration is not None:
@@ -435,14 +446,8 @@ class CameraTopics:
                 per_frame=camera.moves or camera.drifts,
                 explains=True,
             )
-        self.projection: Topic[Camera] = Topic(
-            f"{name}/projection",
-            Float64MultiArray,
-            lambda camera, _: messages.projection_message(camera),
-            posed,
-            latched=True,
-            per_frame=camera.moves,
-            camera=name,
+        self.projection = posed(
+            "projection", Float64MultiArray, lambda camera, _: messages.projection_message(camera)
         )
         self.twist, self.pose = moving_camera_topics(name)
 
@@ -569,34 +574,26 @@ class CameraTopics:
             "boxes": messages.boxes_message,
             "visible_vertices": messages.visible_vertices_message,
         }
-        build = builders[kind]
-        labels, frame = self._scene.labels, self._frame
-
-        def message(truth: CameraTruth, stamp: int) -> PointCloud2:
-            return build(
-                [(labels[name], value) for name, value in getattr(truth, kind).items()], stamp, frame
-            )
-
-        return message
+        return self._builder(builders[kind], attrgetter(kind))
 
     def _keypoint_builder(self, keypoints: str) -> Callable[[CameraTruth, int], PointCloud2]:
         """Function that builds the messages of one keypoint set."""
+        return self._builder(messages.joint_view_message, methodcaller("keypoints", keypoints))
+
+    def _builder(
+        self, build: Callable[..., PointCloud2], values: Callable[[CameraTruth], Mapping[str, Any]]
+    ) -> Callable[[CameraTruth, int], PointCloud2]:
         labels, frame = self._scene.labels, self._frame
 
         def message(truth: CameraTruth, stamp: int) -> PointCloud2:
-            views = truth.keypoints(keypoints).items()
-            return messages.joint_view_message([(labels[name], view) for name, view in views], stamp, frame)
+            return build([(labels[name], value) for name, value in values(truth).items()], stamp, frame)
 
         return message
 
     def _legend_topics(self) -> Sequence[Topic[None]]:
         scene, actors = self._scene, list(self._scene.actors.values())
         joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
-        legends: dict[str, Callable[[], String]] = {
-            "instance": lambda: messages.instance_legend(scene.labels)
-        }
-        if actors:
-            legends["part"] = lambda: messages.part_legend(actors[0].human.skeleton)
+        legends = _label_legends(scene)
         licenses = {actor.name: text for actor in actors if (text := actor.human.license)}
         legends["joints"] = lambda: messages.joints_legend(
             joints, scene.object_labels, licenses, scene.config.license or ""
@@ -606,20 +603,11 @@ class CameraTopics:
 
         if (faults := self._camera.faults) is not None:
             legends["faults"] = lambda: messages.faults_legend(faults)
-
-        def topic(kind: str, build: Callable[[], String]) -> Topic[None]:
-            return Topic(
-                f"{self._name}/{kind}/legend",
-                String,
-                lambda *_: build(),
-                lambda _: None,
-                latched=True,
-                per_frame=False,
-                camera=self._name,
-                optional=kind == "keypoints",
-            )
-
-        return [topic(*legend) for legend in legends.items()]
+        name = self._name
+        return [
+            _sent_once(f"{name}/{kind}/legend", String, build, camera=name, optional=kind == "keypoints")
+            for kind, build in legends.items()
+        ]
 
     def _faults_topic(self) -> Topic[FrameFaults]:
         name, frame = self._name, self._frame
@@ -801,28 +789,19 @@ class ScannerTopics:
         def last(simulated: Frame) -> Sweep:
             return simulated.sweeps[name][-1]
 
+        def of_sweep(path: str, kind: type[Any], build: Callable[[Sweep], Any]) -> Topic[Sweep]:
+            return Topic(f"{name}/{path}", kind, lambda sweep, _: build(sweep), last, scanner=name)
+
         if layout == "scan":
-            self.points: Topic[Sweep] = Topic(
-                f"{name}/scan",
-                LaserScan,
-                lambda sweep, _: messages.scan_message(sweep, scanner, frame),
-                last,
-                scanner=name,
+            self.points = of_sweep(
+                "scan", LaserScan, lambda sweep: messages.scan_message(sweep, scanner, frame)
             )
         else:
-            self.points = Topic(
-                f"{name}/points",
-                PointCloud2,
-                lambda sweep, _: messages.points_message(sweep, layout, frame),
-                last,
-                scanner=name,
+            self.points = of_sweep(
+                "points", PointCloud2, lambda sweep: messages.points_message(sweep, layout, frame)
             )
-        self.truth: Topic[Sweep] = Topic(
-            f"{name}/truth/points",
-            PointCloud2,
-            lambda sweep, _: messages.scanner_truth_message(sweep, layout, frame),
-            last,
-            scanner=name,
+        self.truth = of_sweep(
+            "truth/points", PointCloud2, lambda sweep: messages.scanner_truth_message(sweep, layout, frame)
         )
         self.extrinsics: Topic[ObjectPose] = Topic(
             f"{name}/extrinsics",
@@ -834,22 +813,9 @@ class ScannerTopics:
             latched=True,
             per_frame=scanner.moves,
         )
-        actors = list(scene.actors.values())
-        legends: dict[str, Callable[[], String]] = {
-            "instance": lambda: messages.instance_legend(scene.labels)
-        }
-        if actors:
-            legends["part"] = lambda: messages.part_legend(actors[0].human.skeleton)
-        self.legends: Sequence[Topic[None]] = [
-            Topic(
-                f"{name}/{kind}/legend",
-                String,
-                lambda *_, build=build: build(),
-                lambda _: None,
-                latched=True,
-                per_frame=False,
-            )
-            for kind, build in legends.items()
+        self.legends = [
+            _sent_once(f"{name}/{kind}/legend", String, build)
+            for kind, build in _label_legends(scene).items()
         ]
 
     def __iter__(self) -> Iterator[Topic[Any]]:

@@ -11,17 +11,16 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.io.files import size_text
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.panels.files import FileChoice
-from humansim_ros.view.panels.page import Page, plain_markdown
+from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 from humansim_ros.view.server import PREFIX, check_value, inside
 
 _START, _STOP = "Start", "Stop"
@@ -84,9 +83,9 @@ class CommandsPanel:
             self._output = gui.add_markdown("")
         self._choice.on_click(lambda event: app.post(lambda: self.choose(event.target.value)))
         self._button.on_click(lambda _: app.post(self.toggle))
-        self._other.on_update(lambda event: self._used(event, lambda: self.choose(str(self._other.value))))
+        self._other.on_update(by_user(app.post, lambda: self.choose(str(self._other.value))))
         for handle in (self._frames, self._formats):
-            handle.on_update(lambda event: self._used(event, lambda: self.choose(self._command)))
+            handle.on_update(by_user(app.post, lambda: self.choose(self._command)))
         app.server.result = self.result
         self.choose(COMMANDS[0])
 
@@ -113,10 +112,6 @@ class CommandsPanel:
         """Show the line of an evaluation, and the estimate beside the truth; an empty name is none."""
         self.choose("evaluate")
         self._app.compare(self._document.folder / name if name else None)
-
-    def _used(self, event: Any, action: Callable[[], None]) -> None:
-        if event.client_id is not None:
-            self._app.post(action)
 
     def toggle(self) -> None:
         """Start the command, or stop the one that runs."""

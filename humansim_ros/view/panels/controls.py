@@ -15,12 +15,15 @@ from humansim_ros.scene.config import LIVE, SceneConfig
 from humansim_ros.scene.objects import BUILT_IN_MESHES
 from humansim_ros.view.document import SceneDocument, SceneFault
 from humansim_ros.view.panels.files import upload_button
-from humansim_ros.view.panels.page import plain_markdown
+from humansim_ros.view.panels.page import by_user, plain_markdown
 from humansim_ros.view.scene_keys import SceneKey, alternatives, find_key
 from humansim_ros.view.uploads import files_in, kind_of_key
 
 #: Changes a key; None removes it.
 KeyChange = Callable[[tuple[YamlKey, ...], Any], None]
+#: Functions of a control: its value for the document, and how it shows a value of the document.
+ReadValue = Callable[[SceneKey, Any], Any]
+ShowValue = Callable[[Any, Any, SceneDocument, SceneKey], None]
 
 _OFF = "(default)"
 
@@ -123,25 +126,25 @@ class SectionControls:
         optional = type(None) in get_args(found.annotation)
         kind = kind_of_key(found.keys)
         names = self._names_for(found, kind)
+        read: ReadValue = _read_plain
+        show: ShowValue = _show_plain
         if names:
             handle = gui.add_dropdown(label, (_OFF, *names), **options)
-            control = KeyControl(found, handle, folder, self._order, _read_choice, _show_choice, tuple(names))
+            read, show = _read_choice, _show_choice
         elif single is bool and not optional:
             handle = gui.add_checkbox(label, False, **options)
-            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_plain)
         elif get_origin(single) is Literal and not optional:
             handle = gui.add_dropdown(label, tuple(map(str, get_args(single))), **options)
-            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_plain)
         elif single in (int, float) and not optional:
             start = 0 if single is int else 0.0
             handle = gui.add_number(label, start, step=1 if single is int else 0.01, **options)
-            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_number)
+            show = _show_number
         elif single == ByteColor and not optional:
             handle = gui.add_rgb(label, (0, 0, 0), **options)
-            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_plain)
         else:
             handle = gui.add_text(label, "", **options)
-            control = KeyControl(found, handle, folder, self._order, _read_text, _show_text)
+            read, show = _read_text, _show_text
+        control = KeyControl(found, handle, folder, self._order, read, show, tuple(names))
         self._register(control)
         if kind is not None:
             upload_button(
@@ -164,11 +167,7 @@ class SectionControls:
     def _register(self, control: KeyControl) -> None:
         control.show(self._document)
         self.controls[control.key.keys] = control
-        control.handle.on_update(lambda event: self._used(control, event.client_id))
-
-    def _used(self, control: KeyControl, client: int | None) -> None:
-        if client is not None:  # else the program has changed it
-            self._post(lambda: self.changed(control))
+        control.handle.on_update(by_user(self._post, lambda: self.changed(control)))
 
     def changed(self, control: KeyControl) -> None:
         """A user has changed a control."""
@@ -212,8 +211,8 @@ class KeyControl:
         handle: Any,
         folder: Any,
         order: float,
-        read: Callable[[SceneKey, Any], Any],
-        show: Callable[[Any, Any, SceneDocument, SceneKey], None],
+        read: ReadValue,
+        show: ShowValue,
         names: tuple[str, ...] = (),
     ) -> None:
         self.key, self.handle, self.names = key, handle, names
@@ -249,10 +248,7 @@ class KeyControl:
         if self._error is not None:
             self._error.content = text
             return
-        if self._folder is None:
-            self._error = gui.add_markdown(text, order=self._order + 0.5)
-            return
-        with self._folder:
+        with contextlib.nullcontext() if self._folder is None else self._folder:
             self._error = gui.add_markdown(text, order=self._order + 0.5)
 
 

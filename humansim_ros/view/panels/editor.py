@@ -26,7 +26,7 @@ from humansim_ros.view.edits import (
 from humansim_ros.view.panels.controls import SectionControls, choices_of
 from humansim_ros.view.panels.files import FileChoice
 from humansim_ros.view.panels.matching import MatchingTools
-from humansim_ros.view.panels.page import Page, plain_markdown
+from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import check_value, inside
 
@@ -80,18 +80,18 @@ class EditorPanel:
             self._path = gui.add_text("File", path, hint="scene file (.yaml) to save")
             self._overwrite = gui.add_checkbox("Overwrite", False, visible=False)
             self._save = gui.add_button("Save")
-        self._on(
-            self._history, "on_click", lambda: self.undo() if self._history.value == _UNDO else self.redo()
-        )
-        self._on(self._adding, "on_click", lambda: self.add(_PLURAL[self._adding.value]))
-        self._on(self._choice, "on_update", lambda: self.select(self._choice.value))
-        self._on(
-            self._actions,
-            "on_click",
-            lambda: self.duplicate() if self._actions.value == _COPY else self.remove_selected(),
-        )
-        self._on(self._save, "on_click", lambda: self.save(self._path.value, self._overwrite.value))
-        self._on(self._rename, "on_click", lambda: self.rename(self._name.value))
+        for event, action in (
+            (self._history.on_click, lambda: self.undo() if self._history.value == _UNDO else self.redo()),
+            (self._adding.on_click, lambda: self.add(_PLURAL[self._adding.value])),
+            (self._choice.on_update, lambda: self.select(self._choice.value)),
+            (
+                self._actions.on_click,
+                lambda: self.duplicate() if self._actions.value == _COPY else self.remove_selected(),
+            ),
+            (self._save.on_click, lambda: self.save(self._path.value, self._overwrite.value)),
+            (self._rename.on_click, lambda: self.rename(self._name.value)),
+        ):
+            event(by_user(app.post, action))
         self.refresh()
 
     # --- edits
@@ -242,8 +242,9 @@ class EditorPanel:
 
         with modal:
             gui.add_markdown(f"**{plain_markdown(key)}**: {plain_markdown(message)}\n\nSave it anyway?")
-            self._on(gui.add_button(_SAVE_WRONG, color="red"), "on_click", lambda: answer(yes))
-            self._on(gui.add_button("Do not save"), "on_click", lambda: answer(None))
+            post = self._app.post
+            gui.add_button(_SAVE_WRONG, color="red").on_click(by_user(post, lambda: answer(yes)))
+            gui.add_button("Do not save").on_click(by_user(post, lambda: answer(None)))
 
     # --- selection and elements of the tab
 
@@ -424,15 +425,6 @@ class EditorPanel:
             f"The same without the page:\n\n```yaml\n{command[:2000]}\n```" if command else ""
         )
 
-    def _on(self, handle: Any, event: str, action: Callable[[], Any]) -> None:
-        """Run an action in the thread of the page when a user uses a control."""
-
-        def called(given: Any) -> None:
-            if given.client_id is not None:
-                self._app.post(action)
-
-        getattr(handle, event)(called)
-
 
 # --- parts for some items only: keyframes, calibrations, ideal cameras, pictures of motions
 
@@ -519,7 +511,7 @@ class CalibrationTools:
             load = gui.add_button("Load")
         self._boxes: dict[str, Any] = {}
         load.on_click(lambda _: app.post(self._load))
-        self._ideal.on_update(lambda event: self._used(app, event.client_id))
+        self._ideal.on_update(by_user(app.post, lambda: self.idealize(bool(self._ideal.value))))
 
     def describe(self, file: str) -> None:
         """Show what is in a calibration file, with a box for each camera. Raises HumansimError."""
@@ -576,10 +568,6 @@ class CalibrationTools:
             raise HumansimError("choose a camera of the file")
         only = None if len(chosen) == len(self._boxes) else chosen
         self.load(self.file.value, self._floor.value, bool(self._as_file.value), only)
-
-    def _used(self, app: Page, client: int | None) -> None:
-        if client is not None:
-            app.post(lambda: self.idealize(bool(self._ideal.value)))
 
 
 class MotionPicture:

@@ -7,7 +7,7 @@ from typing import Any
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.panels.page import Page
+from humansim_ros.view.panels.page import Page, by_user
 from humansim_ros.view.uploads import KINDS, files_in, keep_file
 
 #: Runs a function in the thread of the page, which shows its errors.
@@ -96,11 +96,11 @@ class FileChoice:
         more: Sequence[str] = (),
         upload: str | None = None,
     ) -> None:
-        self._app, self._document, self._kind, self._chosen = app, document, kind, chosen
+        self._document, self._kind, self._chosen = document, kind, chosen
         self._more = tuple(more)
         self._list = app.gui.add_dropdown(label, self._options())
         self.button = upload_button(app.gui, document, kind, self.take, app.post, label=upload)
-        self._list.on_update(self._used)
+        self._list.on_update(by_user(app.post, lambda: self._chosen(self.value)))
 
     @property
     def value(self) -> str:
@@ -125,7 +125,3 @@ class FileChoice:
 
     def _options(self) -> tuple[str, ...]:
         return (self.NONE, *self._more, *files_in(self._document.folder, self._kind))
-
-    def _used(self, event: Any) -> None:
-        if event.client_id is not None:
-            self._app.post(lambda: self._chosen(self.value))

@@ -15,7 +15,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.inputs import EmptySource
 from humansim_ros.view.panels.files import FileChoice
-from humansim_ros.view.panels.page import Page, plain_markdown
+from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 from humansim_ros.view.person_draft import PersonDraft
 
 _DETECTED = "detected"
@@ -111,11 +111,11 @@ class HumanPanel:
             (self._add, self.add),
             (self._leave, self.leave),
         ):
-            self._on(button, action)
-        self._joint.on_update(lambda event: self._used(event, self._show_joint))
-        self._place.on_update(lambda event: self._used(event, self._typed))
-        self._shown.on_update(lambda event: self._used(event, self._draw))
-        self._name.on_update(lambda event: self._used(event, self._show))
+            button.on_click(by_user(app.post, action))
+        self._joint.on_update(by_user(app.post, self._show_joint))
+        self._place.on_update(by_user(app.post, self._typed))
+        self._shown.on_update(by_user(app.post, self._draw))
+        self._name.on_update(by_user(app.post, self._show))
         self._show()
 
     # --- the steps (in the thread of the page)
@@ -413,14 +413,6 @@ class HumanPanel:
         if self.draft is None:
             raise HumansimError("choose a mesh first")
         return self.draft
-
-    def _on(self, button: Any, action: Callable[[], None]) -> None:
-        button.on_click(lambda event: self._used(event, action))
-
-    def _used(self, event: Any, action: Callable[[], None]) -> None:
-        """Run an action in the thread of the page when a user uses a control."""
-        if event.client_id is not None:
-            self._app.post(action)
 
 
 def _same(draft: PersonDraft, changes: dict[str, Any]) -> bool:

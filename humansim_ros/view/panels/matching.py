@@ -17,7 +17,7 @@ from humansim_ros.motion.joint_tables import JointTable, built_in_tables
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.scene.actor import Actor
 from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.panels.page import Page, plain_markdown
+from humansim_ros.view.panels.page import Page, by_user, plain_markdown
 
 _NONE = "(none)"
 #: Most joints that are offered.
@@ -46,13 +46,7 @@ class MatchingTools:
             self._joint = gui.add_dropdown("Joint", (_NONE,), hint="joint of the file")
             button = gui.add_button("Assign", hint="writes a joint table beside the scene")
         self._role.on_update(lambda _: app.post(self._show_joint))
-        button.on_click(
-            lambda event: (
-                app.post(lambda: self.assign(self._role.value, self._joint.value))
-                if event.client_id is not None
-                else None
-            )
-        )
+        button.on_click(by_user(app.post, lambda: self.assign(self._role.value, self._joint.value)))
 
     def show(self, name: str, actor: Actor | None) -> None:
         """Show the joints of a person; nothing for None."""

@@ -146,6 +146,19 @@ class Page(Protocol):
         """Show the numbers of a pixel, given as shares of the width and height of an image."""
 
 
+def by_user(post: Callable[[Callable[[], None]], None], action: Callable[[], Any]) -> Callable[[Any], None]:
+    """A callback for an element of the page: an action, if a user has used the element, not the program.
+
+    ``post``: runs a function in the thread of the page.
+    """
+
+    def used(event: Any) -> None:
+        if event.client_id is not None:
+            post(action)
+
+    return used
+
+
 def plain_markdown(text: str) -> str:
     """Text that Markdown shows as it is: it can come from other programs."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|~$" else c for c in text.replace("\n", " "))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.types import Array
-from humansim_ros.view.panels.page import Page
+from humansim_ros.view.panels.page import Page, by_user
 from humansim_ros.view.photo_document import FIT_NAME, Overlay
 from humansim_ros.view.photo_source import PHOTOGRAPH, PhotoSource
 from humansim_ros.view.server import PREFIX
@@ -53,10 +53,13 @@ class PhotographsPanel:
             self._accept = gui.add_button("Accept", color="green", hint=f"Write the points and {FIT_NAME}")
             self._table = gui.add_markdown("")
             self._same = gui.add_markdown("")
-        self._on(self._solve, self.toggle_solving)
-        self._on(self._undo, lambda: self.act({"do": "undo"}))
-        self._on(self._redo, lambda: self.act({"do": "redo"}))
-        self._on(self._accept, self.accept)
+        for button, action in (
+            (self._solve, self.toggle_solving),
+            (self._undo, lambda: self.act({"do": "undo"})),
+            (self._redo, lambda: self.act({"do": "redo"})),
+            (self._accept, self.accept),
+        ):
+            button.on_click(by_user(app.post, action))
         self._silhouettes.on_update(lambda _: app.post(self._show_state))
         app.server.on_request("photographs", self._asked)
         source.solver.changed = lambda: app.post(app.refresh)
@@ -218,13 +221,6 @@ class PhotographsPanel:
         """An edit in a browser; in the server's thread."""
         asked = dict(query)
         self._app.post(lambda: self.act(asked))
-
-    def _on(self, button: Any, action: Callable[[], None]) -> None:
-        def clicked(event: Any) -> None:
-            if event.client_id is not None:
-                self._app.post(action)
-
-        button.on_click(clicked)
 
 
 def _set(handle: Any, name: str, value: object) -> None:

@@ -1,4 +1,7 @@
-"""A scene from above: cameras, people, paths and coverage at their places; scenes that are hard to draw."""
+"""A scene from above: cameras, people, paths and coverage at their places; scenes that are hard to draw.
+
+And images of rigs.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,11 @@ import numpy as np
 import pytest
 
 from humansim_ros import Scene
+from humansim_ros.camera.rigs import Optics, dome, ring
 from humansim_ros.drawing.canvas import INK, distinct_hues, hsv_colors
+from humansim_ros.drawing.rigs import coverage_image, rig_image
 from humansim_ros.drawing.top_view import CHEST, coverage_colors, top_view
+from humansim_ros.errors import CameraError
 
 CAMERAS = {
     "south": {"position": [0.5, -3, 2], "look_at": [0, 0, 0.8], "fov_deg": 50},
@@ -145,3 +151,42 @@ def test_scenes_that_are_hard_to_draw_have_a_plan(cameras: dict[str, Any], size:
     world = Scene.from_dict({"room": None, "cameras": cameras, "humans": {"anna": {"motion": "walk"}}})
     image = top_view(world, world.cameras, 0.0, size)
     assert image.shape == (size[1], size[0], 3) and np.ptp(image) > 30
+
+
+TARGET = np.array([0.5, -1.0, 1.1])
+OPTICS = Optics((640, 480), np.radians(50))
+FISHEYE = Optics((640, 480), np.radians(170), (0.02, -0.005, 0.001, 0.0), "equidistant")
+
+
+def test_cameras_are_drawn_at_their_positions() -> None:
+    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"inner": OPTICS.camera((1, 0, 1), (0, 0, 1))}
+    above = rig_image(cameras)[60:, 44:620].astype(int)
+    colored = (np.ptp(above, axis=-1) > 50).astype(np.uint8)
+    count, _, _, dots = cv2.connectedComponentsWithStats(cv2.erode(colored, np.ones((5, 5), np.uint8)))
+    assert count == 1 + 6
+    places = np.array([camera.center for camera in cameras.values()])[:, :2] * [1, -1]
+    # one scale and one shift take all cameras to their dots
+    scale = np.ptp(dots[1:], axis=0) / np.ptp(places, axis=0)
+    assert scale[0] == pytest.approx(scale[1], rel=0.01)
+    drawn = (places - places.min(0)) * scale + dots[1:].min(0)
+    for place in drawn:
+        assert np.linalg.norm(dots[1:] - place, axis=1).min() < 1
+
+
+def test_one_camera_many_cameras_and_distant_cameras_are_drawn() -> None:
+    far = OPTICS.camera((500, -300, 2), (499, -300, 1))
+    for cameras in (
+        {"far": far},
+        {"far": far, "near": OPTICS.camera((1, 0, 1), (0, 0, 1))},
+        dome(40, 4, TARGET, FISHEYE),
+    ):
+        assert np.ptp(rig_image(cameras)[60:, :1200]) > 100
+    assert coverage_image({"far": far}).shape[1] == 2 * 770
+    with pytest.raises(CameraError, match="no cameras"):
+        rig_image({})
+    with pytest.raises(CameraError, match="in metres"):
+        rig_image({"lost": OPTICS.camera((5e6, 0, 0), (0, 0, 0))})
+    for area in ((0, 0, 0, 1), (0, 0, np.nan, 1), (0, 0, 1e9, 1)):
+        with pytest.raises(CameraError) as caught:
+            coverage_image({"far": far}, area=area)
+        assert caught.value.key == "area"

@@ -1,4 +1,7 @@
-"""The picture of a fit: bodies of all views, points that are left out, bars as long as the distances."""
+"""The picture of a fit: bodies of all views, points that are left out, bars as long as the distances.
+
+And the picture of a textured person.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,17 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 from photographs.studio import Studio, change_views, make_studio
+from studio import ring
+from texture_scenes import texture_views, undressed
 
 from humansim_ros.cli.human import fit as fit_command
+from humansim_ros.drawing.canvas import PAPER, distinct_hues, hsv_colors
+from humansim_ros.humans import load_human
 from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
-from humansim_ros.photographs.reports import draw_report
+from humansim_ros.photographs.reports import draw_report, draw_sheet
+from humansim_ros.photographs.texturing import texture_thesis
 from humansim_ros.types import Color, Image
 
 BEFORE, AFTER = (255, 150, 40), (0, 225, 255)
@@ -133,3 +141,26 @@ def test_the_command_draws_the_body_before_and_after_the_silhouettes(tmp_path: P
         image = cv2.imread(str(report))[..., ::-1]
         assert (len(places(image, BEFORE)) > 200) == silhouettes
         assert len(places(image, AFTER)) > 1000
+
+
+@pytest.mark.nightly
+def test_the_sheet_shows_the_person_the_chosen_views_and_the_gains() -> None:
+    human = load_human("adult_woman")
+    views = texture_views(human, list(ring(4).values()))
+    person = texture_thesis(undressed(human), views)
+    sheet = draw_sheet(person)
+    # eight sides of 260 pixels; the shirt of the person is blue-green, its trousers are blue
+    assert sheet.shape[1] == 8 * 260
+    turntable, choices, legend = sheet[32:332], sheet[332:632], sheet[632:]
+    assert np.abs(turntable.astype(int) - PAPER).max(axis=2).mean() > 5
+    colors = hsv_colors(distinct_hues(4), 150, 235).astype(int)
+    for color in colors:
+        near = np.abs(choices.astype(int) - color).max(axis=2) <= 2
+        assert near.sum() > 500
+        assert (np.abs(legend.astype(int) - color).max(axis=2) <= 2).sum() >= 16 * 16
+
+    with_gains = replace(person, gains=np.full((4, 3), 1.1), notes={"light": "The light was even."})
+    other = draw_sheet(with_gains)
+    assert other.shape[0] == sheet.shape[0] + 26
+    assert not np.array_equal(other[632 : len(sheet)], legend)
+    np.testing.assert_array_equal(other[32:332], turntable)

@@ -8,6 +8,7 @@ import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -52,12 +53,10 @@ def show(
     """Print the cameras of a calibration: K, lens, pose, field of view, and implausible values."""
     from humansim_ros.camera.checks import check_rig, note_principal_points
 
+    reading = Reading(size, image, unit, up)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        if extrinsics is None:
-            calibration = load_or_scene(file, size, image, unit, up)
-        else:
-            calibration = load(file, size, image, unit, up, extrinsics)
+        calibration = reading.load_or_scene(file) if extrinsics is None else reading.load(file, extrinsics)
     cameras = select_cameras(calibration.cameras, camera, file)
     described = [describe_camera(name, cam) for name, cam in cameras.items()]
     of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
@@ -96,31 +95,9 @@ def convert(
     """Write the cameras of calibrations in another format. Warns about values that are lost."""
     from humansim_ros.camera.calibration import write_calibration
 
-    cameras = select_cameras(read_cameras(files, size, image, unit, up), camera, files[0])
+    cameras = select_cameras(Reading(size, image, unit, up).cameras(files), camera, files[0])
     for path in write_calibration(output, cameras, to):
         print_text(f"wrote {path}")
-
-
-def read_cameras(
-    files: Sequence[str],
-    size: str | None = None,
-    image: Path | None = None,
-    unit: float | None = None,
-    up: str | None = None,
-) -> dict[str, Camera]:
-    """Read the cameras of calibration files.
-
-    Args:
-        files: Files, folders or URLs; also scenes with a rig; or one with intrinsics and one with extrinsics.
-        size, image, unit, up: Options of these names.
-    """
-    from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations
-
-    if len(files) == 2:
-        for inner, outer in (files, files[::-1]):
-            if has_only_extrinsics(outer):
-                return load(inner, size, image, unit, up, outer).cameras
-    return join_calibrations({file: load_or_scene(file, size, image, unit, up).cameras for file in files})
 
 
 def select_cameras(cameras: dict[str, Camera], patterns: list[str] | None, file: str) -> dict[str, Camera]:
@@ -212,54 +189,54 @@ def _row(values: Sequence[float]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def load(
-    file: str,
-    size: str | None,
-    image: Path | None,
-    unit: float | None,
-    up: str | None,
-    extrinsics: str | None = None,
-) -> Calibration:
-    """Load a calibration file.
+@dataclass(frozen=True)
+class Reading:
+    """How calibration files are read: the options of these names."""
 
-    Args:
-        file: File, folder or URL.
-        size, image, unit, up: Options of these names.
-        extrinsics: File with the extrinsics, if ``file`` has only intrinsics.
-    """
-    from humansim_ros.camera.calibration import load_calibration
+    size: str | None
+    image: Path | None
+    unit: float | None
+    up: str | None
 
-    given = None if size is None else parse_size(size)
-    return load_calibration(file, size=given, unit=unit, up=up, image=image, extrinsics=extrinsics)
+    def load(self, file: str, extrinsics: str | None = None) -> Calibration:
+        """Load a calibration file, folder or URL. ``extrinsics``: file with them, if ``file`` has none."""
+        from humansim_ros.camera.calibration import load_calibration
 
+        size = None if self.size is None else parse_size(self.size)
+        return load_calibration(
+            file, size=size, unit=self.unit, up=self.up, image=self.image, extrinsics=extrinsics
+        )
 
-def load_or_scene(
-    file: str, size: str | None, image: Path | None, unit: float | None, up: str | None
-) -> Calibration:
-    """Load a calibration file, or the cameras of a scene with a ``rig``, as ``humansim camera place`` writes.
+    def load_or_scene(self, file: str) -> Calibration:
+        """Load a calibration file, or the cameras of a scene with a ``rig``, as ``camera place`` writes."""
+        if not _has_rig(file):
+            return self.load(file)
+        from humansim_ros.camera.calibration import Calibration
+        from humansim_ros.camera.formats.scene import SCENE
+        from humansim_ros.scene.camera import build_cameras
+        from humansim_ros.scene.config import load_config
+        from humansim_ros.scene.robot import Robot
+        from humansim_ros.scene.source import SceneSource
 
-    Args:
-        file: File, folder or URL.
-        size, image, unit, up: Options of these names.
-    """
-    if not _has_rig(file):
-        return load(file, size, image, unit, up)
-    from humansim_ros.camera.calibration import Calibration
-    from humansim_ros.camera.formats.scene import SCENE
-    from humansim_ros.scene.camera import build_cameras
-    from humansim_ros.scene.config import load_config
-    from humansim_ros.scene.robot import Robot
-    from humansim_ros.scene.source import SceneSource
+        if any(option is not None for option in vars(self).values()):
+            message = "a scene has size, unit and up axis in its section 'rig': leave these options out"
+            raise CameraError(message, path=file)
+        config, source = load_config(file), SceneSource.of_file(file)
+        with source.locating_errors():
+            robot = Robot.of_scene(config, source)
+            cameras = {name: camera.camera for name, camera in build_cameras(config, source, robot).items()}
+        sizes = {name: camera.size for name, camera in cameras.items()}
+        return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
 
-    if any(option is not None for option in (size, image, unit, up)):
-        message = "a scene has size, unit and up axis in its section 'rig': leave these options out"
-        raise CameraError(message, path=file)
-    config, source = load_config(file), SceneSource.of_file(file)
-    with source.locating_errors():
-        robot = Robot.of_scene(config, source)
-        cameras = {name: camera.camera for name, camera in build_cameras(config, source, robot).items()}
-    sizes = {name: camera.size for name, camera in cameras.items()}
-    return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
+    def cameras(self, files: Sequence[str]) -> dict[str, Camera]:
+        """Cameras of calibrations and scenes with a rig, or of a file of intrinsics and one of extrinsics."""
+        from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations
+
+        if len(files) == 2:
+            for inner, outer in (files, files[::-1]):
+                if has_only_extrinsics(outer):
+                    return self.load(inner, outer).cameras
+        return join_calibrations({file: self.load_or_scene(file).cameras for file in files})
 
 
 def _has_rig(file: str) -> bool:
@@ -326,7 +303,7 @@ def idealize(
     """Convert cameras and images to ideal cameras: no distortion, no skew, a centred principal point."""
     from humansim_ros.camera.ideal import idealize as make_ideal
 
-    calibration = load(file, size, image, unit, up)
+    calibration = Reading(size, image, unit, up).load(file)
     real = select_cameras(calibration.cameras, camera, file)
     if images and len(real) != 1:
         names = ", ".join(list(real)[:8])
@@ -440,7 +417,7 @@ def plot(
     from humansim_ros.drawing.rigs import coverage_image, rig_image
 
     check_output(output, ".png")
-    cameras = select_cameras(read_cameras(files, size, image, unit, up), camera, files[0])
+    cameras = select_cameras(Reading(size, image, unit, up).cameras(files), camera, files[0])
     _warn_of_one_position(cameras)
     drawing = coverage_image(cameras, height, stature, area) if coverage else rig_image(cameras)
     write_png(output, drawing)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli.camera import load, room_around
+from humansim_ros.cli.camera import Reading, room_around
 from humansim_ros.cli.options import (
     CalibrationArgument,
     ImageOption,
@@ -202,13 +202,13 @@ def place(
     how = _Method(
         tilt_deg, roll_deg, height, camera, floor_points, tuple(floor_point or ()), board, board_pose
     )
-    calibration = load(file, size, image, unit, up)
+    calibration = Reading(size, image, unit, up).load(file)
     found = how.find(calibration, file)
     if fit_unit:
         if found.scale is None:
             raise HumansimError("--fit-unit needs two floor points or more with their places in map")
         unit = calibration.unit * found.scale
-        calibration = load(file, size, image, unit, up)
+        calibration = Reading(size, image, unit, up).load(file)
         found = how.find(calibration, file)
     found = placement.turned(found, math.radians(yaw_deg), at)
     placed = {name: found.placement.camera(one) for name, one in _posed(calibration, file).items()}

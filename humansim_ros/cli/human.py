@@ -107,12 +107,12 @@ def show(
 ) -> None:
     """Draw a human from all sides, with its bones, weights and outfits."""
     check_output(output, ".png")
-    _draw(_load(human, outfit), output)
+    _draw(load_named(human, outfit), output)
 
 
 def info(human: HumanArgument, as_json: JsonOption = False) -> None:
     """Describe a human: size, bones, weights, outfits, licence."""
-    facts = describe_human(_load(human))
+    facts = describe_human(load_named(human))
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
@@ -128,7 +128,7 @@ def build(
         raise MeshError("a description is a .yaml file; use `humansim human rig` for meshes", path=config)
     check_output(output, ".npz")
     check_output(picture, ".png")
-    _write(_load(str(config)), output, picture)
+    _write(load_named(str(config)), output, picture)
 
 
 def rig(
@@ -213,7 +213,8 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
             yield f"  {key}: {facts[key]}"
 
 
-def _load(name: str, outfit: str | None = None) -> Human:
+def load_named(name: str, outfit: str | None = None) -> Human:
+    """Load a built-in human or a file. ``outfit``: name of its outfit; the first one if None."""
     from humansim_ros.humans.loading import load_human
     from humansim_ros.io.assets import find_asset
 

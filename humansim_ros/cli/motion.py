@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from humansim_ros.cli.human import load_named
 from humansim_ros.cli.options import (
     BodyOption,
     FacingOption,
@@ -192,7 +193,7 @@ def retarget(
         motion, joint_names, unit, up, facing, min_confidence, placement=placement, mirror=mirror
     )
     _warn_of(world)
-    skeleton = hanim_skeleton() if body is None else _human(body).skeleton
+    skeleton = hanim_skeleton() if body is None else load_named(body).skeleton
     retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
     if pin_feet:
         world = replace(world, correction=FootContacts.detect(world, retargeter))
@@ -308,7 +309,7 @@ def render(
             _warn_of(world)
             artists.append(StickFigureArtist.of_world(world, panel, view.value))
             if not no_skin:
-                artists.append(SkinnedArtist(_human(body or "adult_man"), world, panel, view.value))
+                artists.append(SkinnedArtist(load_named(body or "adult_man"), world, panel, view.value))
         if output.suffix.lower() != ".png" and motion.duration > seconds:
             print_warning(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
@@ -338,13 +339,6 @@ def _warn_of(world: WorldMotion) -> None:
 
     for text in playing_warnings(world):
         print_warning(f"{world.motion.path}: {text}")
-
-
-def _human(body: str) -> Any:
-    from humansim_ros.humans.loading import load_human
-    from humansim_ros.io.assets import find_asset
-
-    return load_human(find_asset(body, "humans"))
 
 
 def _root_scale(text: str | None) -> Any:

@@ -78,7 +78,7 @@ def remove_value(text: str, keys: Sequence[YamlKey], path: FilePath) -> str:
             "cannot be changed: other keys of the file use its anchor", path=path, key=_dotted(keys)
         )
     expected = copy.deepcopy(editor.data)
-    del _get(expected, keys[:-1])[key]
+    del value_at(expected, keys[:-1])[key]
     return editor.edited(lambda: node.__delitem__(key), expected)
 
 
@@ -109,7 +109,7 @@ def rename_key(text: str, keys: Sequence[YamlKey], name: str, path: FilePath) ->
             node.ca.items[name] = comments
 
     expected = copy.deepcopy(editor.data)
-    parent = _get(expected, keys[:-1])
+    parent = value_at(expected, keys[:-1])
     parent[name] = parent.pop(key)
     return editor.edited(rename, expected)
 
@@ -169,7 +169,7 @@ class _Editor:
             value: The value.
         """
         key, rest = self._keys[depth], self._keys[depth + 1 :]
-        own, inner = _own_key(node, key), _get(data, [key])
+        own, inner = _own_key(node, key), value_at(data, [key])
         if own is not None and not rest:
             self._replace(node, own, value, depth)
         elif own is not None and isinstance(node[own], (dict, list)) and not self._is_alias(node, own):
@@ -273,7 +273,7 @@ class _Editor:
         except SceneError:
             return False
         shared = re.search(r"[&*]\w", self._text) is not None
-        return data == expected or (shared and _get(data, self._keys) == _get(expected, self._keys))
+        return data == expected or (shared and value_at(data, self._keys) == value_at(expected, self._keys))
 
     def _written(self) -> list[str]:
         stream = StringIO()
@@ -390,8 +390,8 @@ def _own_key(node: Any, key: YamlKey) -> Any:
     return next((own for own in _own_keys(node) if str(own) == str(key)), None)
 
 
-def _get(data: Any, keys: Sequence[YamlKey]) -> Any:
-    """Value of a key in data; None if it is absent."""
+def value_at(data: Any, keys: Sequence[YamlKey]) -> Any:
+    """Value of a key in data, to read only; None if it is absent."""
     for key in keys:
         items = dict(enumerate(data)) if isinstance(data, list) else data
         if not isinstance(items, dict):
@@ -406,7 +406,7 @@ def _with(data: Any, keys: Sequence[YamlKey], value: Any, above: Sequence[YamlKe
         return copy.deepcopy(value)
     key, *rest = keys
     here = [*above, key]
-    inner = _with(_get(data, [key]), rest, value, here)
+    inner = _with(value_at(data, [key]), rest, value, here)
     if isinstance(data, list) or (data is None and isinstance(key, int)):
         items = copy.deepcopy(data or [])
         if not str(key).isdecimal() or int(key) > len(items):

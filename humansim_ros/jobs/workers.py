@@ -401,23 +401,6 @@ class Workers:
         self.close()
 
 
-class _OwnWorker:
-    """Worker of this process, with the interface of :class:`Workers`."""
-
-    def __init__(self, job: FrameJob) -> None:
-        self._worker = job.start()
-
-    @property
-    def costs(self) -> dict[str, float]:
-        return self._worker.costs
-
-    def results(self, frames: Sequence[int]) -> Iterator[FrameResult]:
-        return map(self._worker.work, frames)
-
-    def close(self) -> None:
-        self._worker.close()
-
-
 def run_frames(
     job: FrameJob,
     frames: Sequence[int],
@@ -444,13 +427,14 @@ def run_frames(
         HumansimError: A frame cannot be made.
     """
     jobs = min(jobs, len(frames))
-    source = _OwnWorker(job) if jobs == 1 else Workers(job, jobs)
+    source = job.start() if jobs == 1 else Workers(job, jobs)
     try:
         if isinstance(source, Workers):
             source.wait_until_ready()
         begin()
         start = time.monotonic()
-        for frame, result in zip(frames, source.results(frames), strict=True):
+        results = source.results(frames) if isinstance(source, Workers) else map(source.work, frames)
+        for frame, result in zip(frames, results, strict=True):
             progress.costs.update(source.costs)
             progress.size += take(frame, result)
             progress.done += 1

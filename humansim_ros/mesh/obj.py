@@ -28,8 +28,120 @@ _NORMAL_MAPS = ("norm", "map_Bump", "map_bump", "bump")
 _UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl", "decal")
 
 
-def read_mtl(path: Path) -> dict[str, Statements]:
-    """Statements of a material file by material name."""
+@dataclass(frozen=True)
+class _Mtl:
+    """A material of a material file. ``images``: images of the file that are decoded already."""
+
+    path: Path
+    name: str
+    statements: Statements
+    images: DecodedImages
+
+    def texture(self) -> Image:
+        """The texture (H, W, 3): ``map_Kd``, else the plain colour ``Kd``."""
+        image = self._map("map_Kd", "the colour Kd is used")
+        return plain_tile(self._three("Kd", 0.8)) if image is None else image
+
+    def finish(self) -> Material | None:
+        """Material besides its colour; None for a matt one. Warns about unsupported statements."""
+        statements = self.statements
+        ignored = [keyword for keyword in _UNSUPPORTED if keyword in statements]
+        maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in statements]
+        ignored += [
+            f"{word} of {key}"
+            for key in maps
+            for word in statements[key][1][:-1]
+            if word in ("-s", "-o", "-t")
+        ]
+        for keyword in ignored:
+            warn_about(self.path, f"material {self.name!r}: {keyword} is not supported and ignored")
+        shiny = self._one("illum", 2.0) >= 2
+        gloss = self._three("Ks", 0.0) * _SPECULAR if shiny else np.zeros(3)
+        exponent = max(self._one("Ns", 0.0), 0.0)
+        # roughness with the same width of highlight as the Blinn-Phong exponent
+        roughness = self._one("Pr", (2 / (exponent + 2)) ** 0.25 if shiny else 1.0)
+        metallic, emission = self._one("Pm", 0.0), self._three("Ke", 0.0)
+        opacity = self._one("d", 1 - self._one("Tr", 0.0))
+        normals, emissive, alpha = self._normals(), self._map("map_Ke"), self._alpha()
+        if emissive is not None and not emission.any():
+            emission = np.ones(3)
+        plain = not gloss.any() and metallic == 0 and opacity >= 1 and not emission.any()
+        if plain and normals is None and alpha is None:
+            return None
+        red, green, blue = np.clip(gloss, 0, 1).tolist()
+        emitted_red, emitted_green, emitted_blue = np.clip(emission, 0, 1e4).tolist()
+        return Material(
+            metallic=min(max(metallic, 0.0), 1.0),
+            roughness=min(max(roughness, 0.0), 1.0),
+            specular=(red, green, blue),
+            normals=normals,
+            emission=(emitted_red, emitted_green, emitted_blue),
+            emissive_map=emissive,
+            alpha="blend" if opacity < 1 else "opaque" if alpha is None else "mask",
+            opacity=min(max(opacity, 0.0), 1.0),
+            alpha_map=alpha,
+        )
+
+    def _three(self, keyword: str, default: float) -> Array:
+        if keyword not in self.statements:
+            return np.full(3, default)
+        line, words = self.statements[keyword]
+        return np.asarray(numbers([words[:3]], [line], 3, keyword, str(self.path))[0])
+
+    def _one(self, keyword: str, default: float) -> float:
+        if keyword not in self.statements:
+            return default
+        line, words = self.statements[keyword]
+        return float(numbers([words[-1:]], [line], 1, keyword, str(self.path))[0, 0])
+
+    def _normals(self) -> Image | None:
+        """Normal map; a grey image is a height map and converted."""
+        keyword = next((key for key in _NORMAL_MAPS if key in self.statements), None)
+        image = None if keyword is None else self._map(keyword)
+        if image is None or keyword is None or np.ptp(image.reshape(-1, 3), axis=1).max() > 8:
+            return image
+        line, words = self.statements[keyword]
+        strength = words[words.index("-bm") + 1] if "-bm" in words[:-1] else "1"
+        given = numbers([[strength]], [line], 1, keyword, str(self.path))[0, 0]
+        return height_to_normal_map(image[..., 0], 4 * float(given))
+
+    def _alpha(self) -> Image | None:
+        """Opacity (H, W) of ``map_d``: its alpha channel, or grey values without one."""
+        image = self._map("map_d", "the material is opaque")
+        file = None if image is None else self._file("map_d")
+        if image is None or file is None:
+            return None
+        alpha = self.images.alpha(file, lambda: _read(file))
+        return image[..., 0] if alpha is None else alpha
+
+    def _map(self, keyword: str, fallback: str = "it is ignored") -> Image | None:
+        """Image that a statement names after its options; None, with a warning, if it is missing.
+
+        ``fallback``: words that say in the warning how the material looks without the image.
+        """
+        if keyword not in self.statements:
+            return None
+        file = self._file(keyword)
+        if file is None:
+            name = self.statements[keyword][1][-1]
+            warn_about(self.path, f"texture {name[:60]!r} not found beside the file: {fallback}")
+            return None
+        with located(path=file):
+            return self.images.get(file, lambda: _read(file))
+
+    def _file(self, keyword: str) -> Path | None:
+        """Image in the folder of the material file or below; None if it is missing."""
+        name = self.statements[keyword][1][-1]
+        file = resolve_inside(self.path.parent, name.replace("\\", "/"))
+        return file if file is not None and exists(file) else None
+
+
+def _read(file: Path) -> bytes:
+    return read_bytes(file, MeshError, "texture", MAX_IMAGE_BYTES)
+
+
+def read_mtl(path: Path, images: DecodedImages) -> dict[str, _Mtl]:
+    """Materials of a material file by name. ``images``: images that are decoded already."""
     materials: dict[str, dict[str, tuple[int, list[str]]]] = {}
     for number, line in enumerate(read_text(path, MeshError, "material", _MAX_MTL_BYTES).splitlines(), 1):
         words = line.partition("#")[0].split()
@@ -37,64 +149,7 @@ def read_mtl(path: Path) -> dict[str, Statements]:
             materials[" ".join(words[1:])] = latest = {}
         elif words and materials and (len(words) > 1 or words[0] == "Kd"):
             latest[words[0]] = number, words[1:]
-    return dict(materials)
-
-
-def color_texture(path: Path, statements: Statements, images: DecodedImages) -> Image:
-    """The texture (H, W, 3) of a material: ``map_Kd``, else the plain colour ``Kd``."""
-    if "map_Kd" in statements:
-        image = _image(path, statements["map_Kd"][1], "the colour Kd is used", images)
-        if image is not None:
-            return image
-    return plain_tile(_three(path, statements, "Kd", 0.8))
-
-
-def reflectance(path: Path, name: str, statements: Statements, images: DecodedImages) -> Material | None:
-    """Material besides its colour; None for a matt one. Warns about unsupported statements.
-
-    Args:
-        path: The material file.
-        name: Name of the material.
-        statements: Its statements.
-        images: Images of the file that are decoded already.
-    """
-    ignored = [keyword for keyword in _UNSUPPORTED if keyword in statements]
-    maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in statements]
-    ignored += [
-        f"{word} of {key}" for key in maps for word in statements[key][1][:-1] if word in ("-s", "-o", "-t")
-    ]
-    for keyword in ignored:
-        warn_about(path, f"material {name!r}: {keyword} is not supported and ignored")
-    shiny = _one(path, statements, "illum", 2.0) >= 2
-    gloss = _three(path, statements, "Ks", 0.0) * _SPECULAR if shiny else np.zeros(3)
-    exponent = max(_one(path, statements, "Ns", 0.0), 0.0)
-    # roughness with the same width of highlight as the Blinn-Phong exponent
-    roughness = _one(path, statements, "Pr", (2 / (exponent + 2)) ** 0.25 if shiny else 1.0)
-    metallic, emission = _one(path, statements, "Pm", 0.0), _three(path, statements, "Ke", 0.0)
-    opacity = _one(path, statements, "d", 1 - _one(path, statements, "Tr", 0.0))
-    normals, emissive, alpha = (
-        _normals(path, statements, images),
-        _map(path, statements, "map_Ke", images),
-        _alpha(path, statements, images),
-    )
-    if emissive is not None and not emission.any():
-        emission = np.ones(3)
-    plain = not gloss.any() and metallic == 0 and opacity >= 1 and not emission.any()
-    if plain and normals is None and alpha is None:
-        return None
-    red, green, blue = np.clip(gloss, 0, 1).tolist()
-    emitted_red, emitted_green, emitted_blue = np.clip(emission, 0, 1e4).tolist()
-    return Material(
-        metallic=min(max(metallic, 0.0), 1.0),
-        roughness=min(max(roughness, 0.0), 1.0),
-        specular=(red, green, blue),
-        normals=normals,
-        emission=(emitted_red, emitted_green, emitted_blue),
-        emissive_map=emissive,
-        alpha="blend" if opacity < 1 else "opaque" if alpha is None else "mask",
-        opacity=min(max(opacity, 0.0), 1.0),
-        alpha_map=alpha,
-    )
+    return {name: _Mtl(path, name, statements, images) for name, statements in materials.items()}
 
 
 def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, path: str) -> Array:
@@ -131,76 +186,6 @@ def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, p
                 line=number,
             )
     raise MeshError(f"'{keyword}' lines cannot be read", path=path)
-
-
-def _three(path: Path, statements: Statements, keyword: str, default: float) -> Array:
-    if keyword not in statements:
-        return np.full(3, default)
-    line, words = statements[keyword]
-    return np.asarray(numbers([words[:3]], [line], 3, keyword, str(path))[0])
-
-
-def _one(path: Path, statements: Statements, keyword: str, default: float) -> float:
-    if keyword not in statements:
-        return default
-    line, words = statements[keyword]
-    return float(numbers([words[-1:]], [line], 1, keyword, str(path))[0, 0])
-
-
-def _normals(path: Path, statements: Statements, images: DecodedImages) -> Image | None:
-    """Normal map of a material; a grey image is a height map and converted."""
-    keyword = next((key for key in _NORMAL_MAPS if key in statements), None)
-    image = None if keyword is None else _map(path, statements, keyword, images)
-    if image is None or keyword is None:
-        return None
-    if np.ptp(image.reshape(-1, 3), axis=1).max() > 8:
-        return image
-    words = statements[keyword][1]
-    strength = words[words.index("-bm") + 1] if "-bm" in words[:-1] else "1"
-    return height_to_normal_map(
-        image[..., 0], 4 * _one(path, {keyword: (statements[keyword][0], [strength])}, keyword, 1)
-    )
-
-
-def _alpha(path: Path, statements: Statements, images: DecodedImages) -> Image | None:
-    """Opacity (H, W) of ``map_d``: its alpha channel, or grey values without one."""
-    if "map_d" not in statements:
-        return None
-    words = statements["map_d"][1]
-    image, file = _image(path, words, "the material is opaque", images), _file(path, words[-1])
-    if image is None or file is None:
-        return None
-    alpha = images.alpha(file, lambda: _read(file))
-    return image[..., 0] if alpha is None else alpha
-
-
-def _map(path: Path, statements: Statements, keyword: str, images: DecodedImages) -> Image | None:
-    return (
-        None if keyword not in statements else _image(path, statements[keyword][1], "it is ignored", images)
-    )
-
-
-def _image(path: Path, words: list[str], fallback: str, images: DecodedImages) -> Image | None:
-    """Image that a statement of an MTL file names after its options; None, with a warning, if it is missing.
-
-    ``fallback``: words that say in the warning how the material looks without the image.
-    """
-    file = _file(path, words[-1])
-    if file is None:
-        warn_about(path, f"texture {words[-1][:60]!r} not found beside the file: {fallback}")
-        return None
-    with located(path=file):
-        return images.get(file, lambda: _read(file))
-
-
-def _read(file: Path) -> bytes:
-    return read_bytes(file, MeshError, "texture", MAX_IMAGE_BYTES)
-
-
-def _file(path: Path, name: str) -> Path | None:
-    """Image in the folder of the material file or below; None if it is missing."""
-    file = resolve_inside(path.parent, name.replace("\\", "/"))
-    return file if file is not None and exists(file) else None
 
 
 #: Colour of materials that are missing in the library.
@@ -278,9 +263,8 @@ class _Obj:
 def _by_material(obj: _Obj) -> list[Mesh]:
     """One mesh for each material, split by whether faces have texture coordinates."""
     materials = _read_libraries(obj)
-    images = DecodedImages()
-    textures = {name: color_texture(path, lines, images) for name, (path, lines) in materials.items()}
-    finishes = {name: reflectance(path, name, lines, images) for name, (path, lines) in materials.items()}
+    textures = {name: material.texture() for name, material in materials.items()}
+    finishes = {name: material.finish() for name, material in materials.items()}
     has_uv = [bool(has) for has in obj.uv_faces[:, :3].min(axis=1) >= 0]
     numbers: dict[tuple[str, bool], int] = {}
     number = np.array(
@@ -425,9 +409,10 @@ def _parse(file: str | os.PathLike[str], data: bytes, shaded: bool) -> _Obj:
     return _split_by_normals(obj, np.array(normal_corners, dtype=np.int32), directions)
 
 
-def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, Statements]]:
-    """File and statements of each material by its name. Warns about a missing library."""
-    known: dict[str, tuple[Path, Statements]] = {}
+def _read_libraries(obj: _Obj) -> dict[str, _Mtl]:
+    """Materials by name. Warns about a missing library."""
+    known: dict[str, _Mtl] = {}
+    images = DecodedImages()
     for library in obj.libraries:
         file = resolve_inside(Path(obj.path).resolve().parent, library)
         if file is None or not exists(file):
@@ -435,7 +420,7 @@ def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, Statements]]:
                 obj.path, f"material library {library[:60]!r} not found beside the file: no colours from it"
             )
         else:
-            known |= {name: (file, statements) for name, statements in read_mtl(file).items()}
+            known |= read_mtl(file, images)
     return known
 
 
@@ -444,8 +429,7 @@ def _colored(obj: _Obj) -> Mesh | None:
     materials = _read_libraries(obj)
     if not materials:
         return None
-    images = DecodedImages()
-    known = {name: color_texture(path, lines, images) for name, (path, lines) in materials.items()}
+    known = {name: material.texture() for name, material in materials.items()}
     uv, uv_faces, faces = obj.uv, obj.uv_faces, obj.faces
     names = list(dict.fromkeys(obj.face_materials))
     tiles = [known.get(name, plain_tile(_GREY)) for name in names]

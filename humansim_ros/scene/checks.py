@@ -10,15 +10,17 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.errors import some_of
 from humansim_ros.jobs.frame_job import cores
+from humansim_ros.scanner.casting import Poses
 from humansim_ros.scene.camera_checks import (
     check_cameras,
     check_faults,
     covered_pixels,
     cpu_ms,
     has_gpu,
+    misplaced,
 )
 from humansim_ros.scene.findings import Finding, Obstacle, SceneSamples, find_obstacles, without_enclosures
-from humansim_ros.scene.scanner_checks import check_scanners
+from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
@@ -98,6 +100,53 @@ def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
     )
     return [Finding("warning", "rate", text)]
 
+
+# --- laser scanners
+
+#: Flesh around joints, metres, and degrees of azimuth that rays may be apart.
+_FLESH, _APART = 0.15, 5.0
+
+
+def check_scanners(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
+    """Check all laser scanners. ``obstacles``: what a scanner must not be inside of."""
+    for name, scanner in samples.scene.scanners.items():
+        poses = scanner.poses(samples.times)
+        is_driven = samples.scene.config.scanners[name].trajectory is not None
+        key = f"scanners.{name}.{'trajectory.file' if is_driven else 'position'}"
+        if found := misplaced(f"scanner {name}", poses.positions, samples, obstacles):
+            yield Finding("error", key, found)
+            continue
+        if len(samples.joints) < max(1, len(samples.scene.actors)):
+            continue  # another node may move somebody to the scanner
+        if not any(_meets(scanner, poses, joints) for joints in samples.joints.values()):
+            low, high = scanner.measuring.range
+            text = (
+                f"scanner {name} never meets anybody in the first {samples.duration:.0f} s, by its angles "
+                f"and {low:g} to {high:g} m: turn or move it"
+            )
+            yield Finding("error", key, text)
+
+
+def _meets(scanner: SceneScanner, poses: Poses, joints: Array) -> bool:
+    """Whether rays point at the space around joints (N, J, 3) at any of the times of the poses."""
+    offsets = joints - poses.positions[:, None]
+    flat = offsets.reshape(-1, 3)
+    seen = Poses(*(np.repeat(part, joints.shape[1], axis=0) for part in (poses.positions, poses.rotations)))
+    x, y, z = np.moveaxis((poses if poses.still else seen).to_scanner(flat).reshape(offsets.shape), -1, 0)
+    distance = np.hypot(x, y)
+    low, high = scanner.measuring.range
+    near = (distance + _FLESH >= low) & (distance - _FLESH <= high)
+    rays = scanner.pattern.rays(0).directions
+    beams = np.unique(np.rint(np.degrees(np.arctan2(rays[:, 1], rays[:, 0])) / _APART))
+    near &= np.isin(np.rint(np.degrees(np.arctan2(y, x)) / _APART), beams)
+    slopes = rays[:, 2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)
+    # the lowest and the highest ray at the distance of the person, who fills the height between its joints
+    lowest, highest = slopes.min() * distance - _FLESH, slopes.max() * distance + _FLESH
+    meets = (z.min(axis=1)[:, None] <= highest) & (z.max(axis=1)[:, None] >= lowest)
+    return bool((near & meets).any())
+
+
+# --- people
 
 #: A joint this far beyond a wall is outside, metres; joints are inside the body.
 _BEYOND = 0.02

@@ -20,7 +20,7 @@ from humansim_ros.io.files import exists, expand_user
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_errors
 from humansim_ros.io.yaml import parse_yaml
-from humansim_ros.io.yaml_edit import YamlKey, remove_value, rename_key, set_value
+from humansim_ros.io.yaml_edit import YamlKey, remove_value, rename_key, set_value, value_at
 from humansim_ros.motion.keyframes import KeyframeTrack, read_keyframes
 from humansim_ros.scene.camera import SceneCamera, rig_placement
 from humansim_ros.scene.camera_config import CameraConfig, RigConfig
@@ -457,13 +457,7 @@ class SceneDocument(SceneFile):
 
     def _raw(self, keys: Sequence[YamlKey]) -> Any:
         """Value as it is in the text, to read only; None if absent."""
-        value: Any = self._values()
-        for key in keys:
-            items = dict(enumerate(value)) if isinstance(value, list) else value
-            if not isinstance(items, dict):
-                return None
-            value = {str(name): item for name, item in items.items()}.get(str(key))
-        return value
+        return value_at(self._values(), keys)
 
     def _written_keys(self, data: Any, keys: Sequence[YamlKey]) -> Sequence[YamlKey]:
         """Path of a value in the text: shorter where a text stands for its section."""

@@ -240,11 +240,17 @@ def test_the_list_of_nodes_names_the_key_of_a_missing_rig(folder: Path) -> None:
     assert (error.line, error.key) == (line, "rig.file")
 
 
-def test_a_wrong_outfit_is_named_with_its_key(folder: Path) -> None:
-    path = folder / "outfit.yaml"
-    line = write(path, changed("humans.anna.outfit", "MARKED"), "armour")
+def located_error(folder: Path, key: str, text: str) -> HumansimError:
+    """The error of a scene with a text as the value of a key; it has the file and the line of the key."""
+    path = folder / "scene.yaml"
+    line = write(path, changed(key, "MARKED"), text)
     error = error_of(path)
-    assert (error.line, error.key) == (line, "humans.anna.outfit")
+    assert (error.path, error.line) == (str(path), line)
+    return error
+
+
+def test_a_wrong_outfit_is_named_with_its_key(folder: Path) -> None:
+    assert located_error(folder, "humans.anna.outfit", "armour").key == "humans.anna.outfit"
 
 
 # --- sections
@@ -301,37 +307,24 @@ def all_models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
 
 @pytest.mark.parametrize("prefix", SECTIONS, ids=lambda prefix: prefix or "top")
 def test_an_unknown_key_of_any_section_is_named(tmp_path: Path, prefix: str) -> None:
-    path = tmp_path / "scene.yaml"
-    line = write(path, changed(f"{prefix}colour_of_it", "MARKED"), "deep_red")
-    error = error_of(path)
-    assert (error.path, error.line, error.key) == (str(path), line, f"{prefix}colour_of_it")
+    error = located_error(tmp_path, f"{prefix}colour_of_it", "deep_red")
+    assert error.key == f"{prefix}colour_of_it"
     assert re.match(r"unknown key; (.* K|k)nown here: ", error.message)
-
-
-@pytest.mark.parametrize(
-    "key", [prefix + name for prefix in SECTIONS for name in SECTIONS[prefix].model_fields]
-)
-def test_a_value_of_the_wrong_type_is_named(tmp_path: Path, key: str) -> None:
-    path = tmp_path / "scene.yaml"
-    line = write(path, changed(key, "MARKED"), "[[wrong_type]]")
-    error = error_of(path)
-    assert (error.path, error.line) == (str(path), line)
-    assert error.key is not None and f"{error.key}.".startswith(f"{key}.")
 
 
 @pytest.mark.parametrize("text", ['"two\\nlines"', '"\\u202eMIT"', "x" * 201])
 def test_a_licence_that_is_no_line_is_named(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "scene.yaml"
-    line = write(path, changed("license", "MARKED"), text)
-    error = error_of(path)
-    assert (error.path, error.line, error.key) == (str(path), line, "license")
+    error = located_error(tmp_path, "license", text)
+    assert error.key == "license"
     assert "a licence is one line of at most 200 characters" in error.message
 
 
-@pytest.mark.parametrize(("key", "value"), list(out_of_range()))
-def test_a_value_out_of_range_is_named(tmp_path: Path, key: str, value: str) -> None:
-    path = tmp_path / "scene.yaml"
-    line = write(path, changed(key, "MARKED"), value)
-    error = error_of(path)
-    assert (error.path, error.line) == (str(path), line)
+WRONG_TYPES = [
+    (prefix + name, "[[wrong_type]]") for prefix in SECTIONS for name in SECTIONS[prefix].model_fields
+]
+
+
+@pytest.mark.parametrize(("key", "value"), [*WRONG_TYPES, *out_of_range()])
+def test_a_value_of_the_wrong_type_or_out_of_range_is_named(tmp_path: Path, key: str, value: str) -> None:
+    error = located_error(tmp_path, key, value)
     assert error.key is not None and f"{error.key}.".startswith(f"{key}.")

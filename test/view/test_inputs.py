@@ -48,28 +48,20 @@ def test_files_of_motions_and_humans_are_opened(tmp_path: Path) -> None:
         opened.source.close()
 
 
-def test_a_scene_is_opened_with_its_document(tmp_path: Path) -> None:
-    path = tmp_path / "lab.yaml"
-    path.write_text(SCENE)
-    opened = open_source(path)
-    assert list(opened.source.people) == ["anna"] and opened.document is not None
-    opened.source.close()
-
-
-def test_a_scene_of_cameras_alone_is_a_scene(tmp_path: Path) -> None:
-    path = tmp_path / "rig.yaml"
-    path.write_text("cameras:\n  front: {position: [3, 0, 1], look_at: [0, 0, 0.6]}\n")
-    opened = open_source(path)
-    assert list(opened.source.cameras) == ["front"] and opened.document is not None
-    opened.source.close()
-
-
-def test_a_calibration_in_a_dialect_of_yaml_is_a_calibration(tmp_path: Path) -> None:
-    path = tmp_path / "camchain.yaml"
-    path.write_text(CALIBRATION)
-    opened = open_source(path)
-    assert list(opened.source.cameras) == ["cam0"] and opened.problem is None
-    opened.source.close()
+def test_a_scene_is_opened_with_its_document_and_a_calibration_without_problems(tmp_path: Path) -> None:
+    cameras = "cameras:\n  front: {position: [3, 0, 1], look_at: [0, 0, 0.6]}\n"
+    for name, text, people, seen in (
+        ("lab.yaml", SCENE, ["anna"], None),
+        ("rig.yaml", cameras, [], ["front"]),  # a scene of cameras alone
+        ("camchain.yaml", CALIBRATION, [], ["cam0"]),  # a dialect of YAML
+    ):
+        path = tmp_path / name
+        path.write_text(text)
+        opened = open_source(path)
+        assert list(opened.source.people) == people and opened.problem is None
+        assert seen is None or list(opened.source.cameras) == seen
+        assert (opened.document is not None) == (text != CALIBRATION)
+        opened.source.close()
 
 
 def test_a_broken_scene_is_opened_with_its_problem(tmp_path: Path) -> None:

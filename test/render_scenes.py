@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pytest
 import trimesh
+from keyframe_text import keyframes
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.camera import Camera
@@ -27,19 +28,12 @@ from humansim_ros.scene import Scene
 EVEN = Lighting(sun_color=(0, 0, 0), sky_color=(1, 1, 1), ground_color=(1, 1, 1), background=(0, 0, 0))
 
 #: Keyframes of a screen that moves past and of a ball that moves, grows and rotates.
-MOVES = """\
-<animation startframe="0" endframe="20" rate="10">
-  <object name="screen">
-    <frame number="0"><position x="0" y="-1.5" z="0"/></frame>
-    <frame number="20"><position x="0" y="1.5" z="0"/></frame>
-  </object>
-  <object name="ball">
-    <frame number="0"><position x="1" y="-0.6" z="1.2"/></frame>
-    <frame number="20"><position x="1" y="0.9" z="0.8"/><rotation x="90" y="30" z="200"/>
-      <size x="1.5" y="1" z="2"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(
+    20,
+    10,
+    screen=((0, -1.5, 0), (0, 1.5, 0)),
+    ball=((1, -0.6, 1.2), {"position": (1, 0.9, 0.8), "rotation": (90, 30, 200), "size": (1.5, 1, 2)}),
+)
 #: The renderers that have to pass one test-suite.
 RENDERERS: tuple[RendererName, ...] = ("moderngl", "pyrender")
 #: The same as parameters: ``make test`` compares the second renderer in test_render_geometry.py only.

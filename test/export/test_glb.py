@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
@@ -102,15 +103,14 @@ class Glb:
 
 
 #: The second person shrinks while it turns and moves.
-KEYFRAMES = """<animation startframe="0" endframe="6" rate="30">
-<object name="ben">
-<frame number="0"><position x="0" y="0" z="0"/><rotation x="0" y="0" z="0"/>
-<size x="1.2" y="1.2" z="1.2"/></frame>
-<frame number="6"><position x="1" y="0" z="0"/><rotation x="0" y="0" z="90"/>
-<size x="0.9" y="0.9" z="0.9"/></frame>
-</object>
-</animation>
-"""
+KEYFRAMES = keyframes(
+    6,
+    30,
+    ben=(
+        {"position": (0, 0, 0), "rotation": (0, 0, 0), "size": (1.2, 1.2, 1.2)},
+        {"position": (1, 0, 0), "rotation": (0, 0, 90), "size": (0.9, 0.9, 0.9)},
+    ),
+)
 
 
 @cache

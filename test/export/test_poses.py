@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 
 from humansim_ros import Scene, read_bvh
 from humansim_ros.errors import HumansimWarning
@@ -15,20 +16,12 @@ from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, E
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.scene import Frame
 
-KEYFRAMES = """<animation startframe="0" endframe="30" rate="30">
-<object name="ben">
-<frame number="0"><position x="1" y="0" z="0"/><rotation x="0" y="0" z="90"/>
-<size x="{0}" y="{0}" z="{0}"/></frame>
-<frame number="30"><position x="0" y="1" z="0"/><rotation x="0" y="0" z="0"/>
-<size x="{1}" y="{1}" z="{1}"/></frame>
-</object>
-</animation>
-"""
-
 
 def export(folder: Path, first_size: float, last_size: float) -> tuple[ExportSettings, list[Frame]]:
     """Write BVH files of the frames 10 to 15 of a scene, as with another process between frames and files."""
-    (folder / "moves.xml").write_text(KEYFRAMES.format(first_size, last_size))
+    first = {"position": (1, 0, 0), "rotation": (0, 0, 90), "size": (first_size,) * 3}
+    last = {"position": (0, 1, 0), "rotation": (0, 0, 0), "size": (last_size,) * 3}
+    (folder / "moves.xml").write_text(keyframes(30, 30, ben=(first, last)))
     human: dict[str, Any] = {"body": "child", "motion": {"file": "wave"}}
     scene = Scene.from_dict(
         {

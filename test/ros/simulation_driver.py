@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 
@@ -30,18 +31,12 @@ cameras:
   left: {size: [160, 120], position: [5, 0, 1.5], look_at: [0, 0, 1]}
   dolly: {size: [160, 120], fov_deg: 60, trajectory: {file: dolly.txt}}
 """
-MOVES = """\
-<animation startframe="0" endframe="1000" rate="10">
-  <object name="carried">
-    <frame number="0"><position x="0" y="0" z="0"/></frame>
-    <frame number="1000"><position x="19" y="0" z="0"/></frame>
-  </object>
-  <object name="box">
-    <frame number="0"><position x="2" y="-1" z="0"/></frame>
-    <frame number="1000"><position x="2" y="99" z="0"/><rotation x="0" y="0" z="100"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(
+    1000,
+    10,
+    carried=((0, 0, 0), (19, 0, 0)),
+    box=((2, -1, 0), {"position": (2, 99, 0), "rotation": (0, 0, 100)}),
+)
 DOLLY = "".join(f"{t} {t} 0 1.5 0.5 0.5 0.5 0.5\n" for t in range(100))
 
 

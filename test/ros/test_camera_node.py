@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from numpy.typing import NDArray
 from render_scenes import renderer_or_skip
 from ros_support import Client, deliver, rclpy
@@ -53,11 +54,7 @@ cameras:
   bgr: {{{PLACE}, sensor: {{encoding: bgr8, jpeg: 90}}}}
   bayer: {{{PLACE}, {BENT}, sensor: {{encoding: bayer_rggb8}}}}
 """
-MOVES = """\
-<animation startframe="0" endframe="20" rate="10"><object name="box">
-<frame number="0"><position x="0" y="-1" z="0"/></frame>
-<frame number="20"><position x="0" y="1" z="0"/></frame></object></animation>
-"""
+MOVES = keyframes(20, 10, box=((0, -1, 0), (0, 1, 0)))
 ENCODINGS = {"real": "rgb8", "moving": "mono8", "bgr": "bgr8", "bayer": "bayer_rggb8"}
 TRUTH = {
     "depth": (np.float32, "depth/image"),

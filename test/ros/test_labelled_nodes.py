@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros import messages
@@ -30,14 +31,7 @@ randomise: {seed: 2, clutter: 2, clutter_label: true, colours: true}
 cameras:
   left: {size: [160, 120], position: [3.2, 0.6, 1.4], look_at: [0, 0, 0.7], fov_deg: 60}
 """
-MOVES = """\
-<animation startframe="0" endframe="400000" rate="100">
-  <object name="box">
-    <frame number="0"><position x="1" y="0" z="0"/></frame>
-    <frame number="400000"><position x="1" y="400" z="0"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(400_000, 100, box=((1, 0, 0), (1, 400, 0)))
 NUMBERS = {"anna": 1, "box": 2, "crate": 3, "clutter_1": 4, "clutter_2": 5}
 IMAGES = {"image_raw": "rgb", "depth/image": "depth", "instance/image": "instance", "part/image": "part"}
 IMAGES |= {"face/image": "face", "normal/image": "normal"}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros import messages
@@ -28,19 +29,15 @@ objects:
 cameras:
   left: {size: [160, 120], position: [5, 0, 1.5], look_at: [0, 0, 1]}
 """
-MOVES = """\
-<animation startframe="0" endframe="1000" rate="10">
-  <object name="anna">
-    <frame number="0"><position x="-1" y="0" z="0.1"/><size x="0.9" y="0.9" z="0.9"/></frame>
-    <frame number="1000"><position x="19" y="0" z="0.1"/><rotation x="0" y="0" z="4000"/>
-      <size x="10.9" y="10.9" z="10.9"/></frame>
-  </object>
-  <object name="box">
-    <frame number="0"><position x="2" y="-1" z="0"/></frame>
-    <frame number="1000"><position x="2" y="99" z="0"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(
+    1000,
+    10,
+    anna=(
+        {"position": (-1, 0, 0.1), "size": (0.9, 0.9, 0.9)},
+        {"position": (19, 0, 0.1), "rotation": (0, 0, 4000), "size": (10.9, 10.9, 10.9)},
+    ),
+    box=((2, -1, 0), (2, 99, 0)),
+)
 TOPICS = ("/lift/humans/anna/motion", "/lift/humans/anna/joints", "/lift/humans/anna/vertices")
 IMAGES = {
     "image_raw": np.uint8,

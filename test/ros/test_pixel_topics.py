@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros import messages
@@ -25,13 +26,7 @@ objects:
 cameras:
   left: {size: [120, 90], position: [3.2, 0.6, 1.4], look_at: [0, 0, 0.8], fov_deg: 70}
 """
-MOVES = """<animation startframe="0" endframe="4000" rate="10">
-  <object name="box">
-    <frame number="0"><position x="1" y="-1" z="0"/></frame>
-    <frame number="4000"><position x="1" y="399" z="0"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(4000, 10, box=((1, -1, 0), (1, 399, 0)))
 DTYPES = {"32SC1": np.int32, "32FC1": np.float32, "32FC2": np.float32, "32FC3": np.float32, "mono8": np.uint8}
 #: Channels that are not rendered by default.
 DETAILS = [c for c in ALL_CHANNELS if c not in CHANNELS]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT
+from keyframe_text import keyframes
 from ros_support import Client, Lockstep, write_scene
 
 from humansim_ros import messages
@@ -74,11 +75,11 @@ def test_noise_is_that_of_the_scene_time_at_any_stamp(ros: None, tmp_path: Path)
 
 # --- numbers that were sent are those that were not, to the last bit
 
-KEYFRAMES = """
-<animation startframe="0" endframe="20" rate="10"><object name="anna">
-<frame number="0"><position x="1" y="2" z="0"/><rotation x="0" y="0" z="30"/></frame>
-<frame number="20"><position x="2" y="1" z="0"/><size x="1.2" y="1.2" z="1.2"/></frame></object></animation>
-"""
+KEYFRAMES = keyframes(
+    20,
+    10,
+    anna=({"position": (1, 2, 0), "rotation": (0, 0, 30)}, {"position": (2, 1, 0), "size": (1.2, 1.2, 1.2)}),
+)
 
 
 @pytest.mark.daily("*pin_feet*")
@@ -171,11 +172,7 @@ cameras:
     trajectory: {file: way.txt, end: loop}
     sensor: {noise: {}, exposure_time: 0.01, samples: 2, jpeg: 80}
 """
-MOVES = """
-<animation startframe="0" endframe="20" rate="10"><object name="box">
-<frame number="0"><position x="0" y="-1" z="0"/></frame>
-<frame number="20"><position x="0" y="1" z="0"/><rotation x="0" y="0" z="50"/></frame></object></animation>
-"""
+MOVES = keyframes(20, 10, box=((0, -1, 0), {"position": (0, 1, 0), "rotation": (0, 0, 50)}))
 FRAMES = 3
 HUMANSIM = [sys.executable, "-m", "humansim_ros"]
 

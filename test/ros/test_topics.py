@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from ros_support import rclpy
 from scipy.spatial.transform import Rotation
 
@@ -45,18 +46,7 @@ cameras:
     stereo: 0.1
     depth_sensor: {model: structured_light, size: [64, 48], aligned: false}
 """
-MOVES = """\
-<animation startframe="0" endframe="400" rate="100">
-  <object name="ball">
-    <frame number="0"><position x="1" y="0" z="0.4"/></frame>
-    <frame number="400"><position x="1" y="2" z="0.4"/></frame>
-  </object>
-  <object name="seat">
-    <frame number="0"><position x="0" y="0" z="0"/></frame>
-    <frame number="400"><position x="1" y="1" z="0"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(400, 100, ball=((1, 0, 0.4), (1, 2, 0.4)), seat=((0, 0, 0), (1, 1, 0)))
 #: Topics of the nodes that are about the nodes themselves.
 OF_NODES = {"/rosout", "/parameter_events", "/diagnostics", "/frame_done", "/tf", "/tf_static"}
 

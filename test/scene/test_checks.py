@@ -14,6 +14,7 @@ import pytest
 import trimesh
 import yaml
 from conftest import ROOT
+from keyframe_text import keyframes
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -322,11 +323,7 @@ def test_a_person_inside_furniture_of_the_room_is_found() -> None:
 
 
 def test_a_person_inside_a_moving_object_is_found_with_the_time(tmp_path: Path) -> None:
-    (tmp_path / "keys.xml").write_text(
-        '<animation startframe="0" endframe="300" rate="30"><object name="cart">'
-        '<frame number="0"><position x="0" y="-3" z="0.5"/></frame>'
-        '<frame number="300"><position x="0" y="3" z="0.5"/></frame></object></animation>'
-    )
+    (tmp_path / "keys.xml").write_text(keyframes(300, 30, cart=((0, -3, 0.5), (0, 3, 0.5))))
     cart = {"size": [0.5, 0.5, 1.0], "keyframes": str(tmp_path / "keys.xml")}
     finding = only(findings(scene_with(objects={"cart": cart}, room=None)))
     seconds = re.search(r"inside the object cart at ([\d.]+) s", finding.text)

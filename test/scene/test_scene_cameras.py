@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
+from keyframe_text import keyframes
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
@@ -34,11 +35,7 @@ projection_matrix: {rows: 3, cols: 4, data: [170, 0, 155, 0, 0, 172, 121, 0, 0, 
 """
 PLACE = "position: [3, 0.5, 1.2], look_at: [0, 0, 1]"
 WALK = "humans:\n  anna: {motion: {file: walk, position: [0.0, -0.5], loop: continue}}\n"
-MOVES = """\
-<animation startframe="0" endframe="20" rate="10"><object name="board">
-<frame number="0"><position x="0" y="-1" z="1"/></frame>
-<frame number="20"><position x="0" y="1" z="1"/></frame></object></animation>
-"""
+MOVES = keyframes(20, 10, board=((0, -1, 1), (0, 1, 1)))
 
 
 def shelf(**moved: float) -> dict[str, Any]:

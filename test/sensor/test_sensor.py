@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import ROOT
+from keyframe_text import keyframes
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from render_scenes import renderer_or_skip
@@ -328,11 +329,7 @@ def test_bodies_extrapolated_at_constant_velocity_agree_with_the_motion(motion: 
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
     """A bright board that moves at 2 m/s to the right, seen by three cameras with one pose."""
     folder = tmp_path_factory.mktemp("board")
-    (folder / "moves.xml").write_text(
-        """<animation startframe="0" endframe="20" rate="10"><object name="board">
-        <frame number="0"><position x="0" y="-2" z="1"/></frame>
-        <frame number="20"><position x="0" y="2" z="1"/></frame></object></animation>"""
-    )
+    (folder / "moves.xml").write_text(keyframes(20, 10, board=((0, -2, 1), (0, 2, 1))))
     sensors: dict[str, Any] = {
         "ideal": {},
         "blurred": {"exposure_time": 0.1, "samples": 40},

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from keyframe_text import keyframes
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
 from render_scenes import EACH_RENDERER, body, box, quad, renderer_or_skip, walkers
@@ -76,10 +77,7 @@ cameras:
   camera: {fov_deg: 55, distortion: [-0.2, 0.05, 0.001, -0.002], trajectory: way.txt}
 """,
 }
-MOVES = """<animation startframe="0" endframe="20" rate="10"><object name="screen">
-<frame number="0"><position x="0" y="0" z="0"/></frame>
-<frame number="20"><position x="0" y="1.2" z="0"/><rotation x="0" y="0" z="30"/></frame>
-</object></animation>"""
+MOVES = keyframes(20, 10, screen=((0, 0, 0), {"position": (0, 1.2, 0), "rotation": (0, 0, 30)}))
 CHANNELS = ("depth", "instance", "part", "face", "uv", "amodal")
 FRAMES = (0, 3, 7, 11, 15, 19)
 

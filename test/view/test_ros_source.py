@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keyframe_text import keyframes
 from ros_support import Client, write_scene
 from waiting import wait_until
 
@@ -36,14 +37,7 @@ cameras:
   fixed: {size: [96, 72], position: [3, 0.4, 1.4], look_at: [0, 0, 1]}
   bent: {size: [80, 64], distortion: [-0.2, 0.05, 0, 0, 0], position: [0, 3, 1.2], look_at: [0, 0, 0.8]}
 """
-MOVES = """\
-<animation startframe="0" endframe="10" rate="10">
-  <object name="crate">
-    <frame number="0"><position x="0" y="0" z="0"/></frame>
-    <frame number="10"><position x="0.4" y="0" z="0"/></frame>
-  </object>
-</animation>
-"""
+MOVES = keyframes(10, 10, crate=((0, 0, 0), (0.4, 0, 0)))
 ERROR = 0.03
 
 

@@ -209,6 +209,39 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No human is kept."""
+    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache of humans."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("HUMANSIM_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def figure(tmp_path: Path) -> Path:
+    """A glTF file of a person with bones."""
+    import figures
+
+    path = tmp_path / "figure.glb"
+    path.write_bytes(figures.glb(*figures.gltf()))
+    return path
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """Chromium, for the tests of one file."""
+    from pages import browser
+
+    with browser() as opened:
+        yield opened
+
+
 @pytest.fixture(scope="session")
 def assets() -> Path:
     """Folder of the humans and motions of the package."""

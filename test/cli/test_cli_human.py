@@ -26,13 +26,6 @@ def without_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HUMANSIM_MAKEHUMAN", raising=False)
 
 
-@pytest.fixture
-def figure(tmp_path: Path) -> Path:
-    path = tmp_path / "figure.glb"
-    path.write_bytes(figures.glb(*figures.gltf()))
-    return path
-
-
 def test_list_prints_the_built_in_humans() -> None:
     result = human("list", "--json")
     people = {person["name"]: person for person in json.loads(result.stdout)}

@@ -56,3 +56,7 @@ def exported(root: Path, formats: str, scene: Scene | None = None, **options: An
 def index_of(root: Path) -> dict[str, Any]:
     index: dict[str, Any] = json.loads((root / "index.json").read_text())
     return index
+
+
+def content(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}

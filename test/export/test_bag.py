@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import ros_support  # noqa: F401  # skips without ROS
 import yaml
-from export_support import SCENE, index_of, job, small_scene
+from export_support import SCENE, content, index_of, job, small_scene
 
 from humansim_ros import HumansimError, HumansimWarning, Scene
 from humansim_ros.bags.reader import BagReader
@@ -108,10 +108,6 @@ def test_the_index_names_the_bag_and_its_stamps(exports: tuple[Path, Path], bag:
     assert of_bag["provenance"]["stamps"] == [1 + 50_000_000 * index for index in range(FRAMES)]
     assert of_bag["provenance"]["recording"]["humansim_recording"]["frames"] == FRAMES
     assert set(of_bag["files"]) == set(of_scene["files"])
-
-
-def content(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 class _InterruptionError(Exception):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT
-from export_support import SCENE, exported, index_of, job, small_scene
+from export_support import SCENE, content, exported, index_of, job, small_scene
 from waiting import PATIENCE
 
 from humansim_ros import HumansimError, Scene
@@ -36,10 +36,6 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
     return exported(tmp_path_factory.mktemp("whole") / "out", FORMATS, scene, frames="2:6")
-
-
-def content(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 @pytest.mark.nightly

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from commands import humansim
-from export_support import SCENE, exported, index_of, job
+from export_support import SCENE, content, exported, index_of, job
 
 from humansim_ros.errors import ExportError, HumansimError
 from humansim_ros.export.exporting import Export, export_on_cluster
@@ -19,10 +19,6 @@ from humansim_ros.export.writer import ExportFolder
 from humansim_ros.jobs.ray_cluster import ClusterPart, write_part
 
 FORMATS, FRAMES = "images,labels,webdataset", "2:7"
-
-
-def content(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="module")

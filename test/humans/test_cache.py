@@ -16,19 +16,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import CACHE_VERSION, load_human, make_human
 from humansim_ros.mesh.mesh import Mesh
 
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("HUMANSIM_CACHE", str(folder))
-    return folder
-
-
-@pytest.fixture
-def figure(tmp_path: Path) -> Path:
-    path = tmp_path / "figure.glb"
-    path.write_bytes(figures.glb(*figures.gltf()))
-    return path
+pytestmark = pytest.mark.usefixtures("cache")
 
 
 #: Numbers that stand for the humans which version CACHE_VERSION makes of five small inputs.

@@ -22,12 +22,7 @@ from humansim_ros.humans.smpl import read_smpl
 from humansim_ros.io.npz import read_npz
 from humansim_ros.mesh.load import read_mesh
 
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "cache"
-    monkeypatch.setenv("HUMANSIM_CACHE", str(folder))
-    return folder
+pytestmark = pytest.mark.usefixtures("cache")
 
 
 @pytest.fixture
@@ -38,13 +33,6 @@ def model() -> dict[str, Any]:
 def saved(folder: Path, arrays: dict[str, Any], **changes: Any) -> Path:
     path = folder / "model.npz"
     np.savez(path, **{key: value for key, value in (arrays | changes).items() if value is not None})
-    return path
-
-
-@pytest.fixture
-def figure(tmp_path: Path) -> Path:
-    path = tmp_path / "figure.glb"
-    path.write_bytes(figures.glb(*figures.gltf()))
     return path
 
 

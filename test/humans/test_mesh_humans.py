@@ -17,10 +17,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human, make_human
 from humansim_ros.motion import read_motion
 
-
-@pytest.fixture(autouse=True)
-def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+pytestmark = pytest.mark.usefixtures("no_cache")
 
 
 @pytest.fixture(scope="module")

@@ -26,10 +26,7 @@ from humansim_ros.scene.source import SceneSource
 
 Document = dict[str, Any]
 
-
-@pytest.fixture(autouse=True)
-def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+pytestmark = pytest.mark.usefixtures("no_cache")
 
 
 def written(folder: Path, document: Document, binary: bytes, name: str = "figure.glb") -> Path:

@@ -29,10 +29,7 @@ from humansim_ros.motion import read_motion
 #: Our figure, written by gltfpack 1.3 with 14 bits per coordinate.
 PACKED = ("figure_quantised.glb", "figure_meshopt_ext.glb", "figure_meshopt_khr.glb")
 
-
-@pytest.fixture(autouse=True)
-def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+pytestmark = pytest.mark.usefixtures("no_cache")
 
 
 def written(path: Path, document: dict[str, Any], binary: bytes) -> Path:

@@ -36,10 +36,7 @@ POSE = {
     "RightFoot": (-40, 0, 0),
 }
 
-
-@pytest.fixture(autouse=True)
-def _no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+pytestmark = pytest.mark.usefixtures("no_cache")
 
 
 def local_rotations(**changes: tuple[float, float, float]) -> Array:

@@ -16,7 +16,6 @@ pytest.importorskip("playwright")
 
 from labs import lab
 from pages import (
-    browser,
     needs_browser,
     opened_page,
     pause,
@@ -57,12 +56,6 @@ def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def url(scene_file: Path) -> Iterator[str]:
     with served(str(scene_file), "--port", "0") as (address, _):
         yield address
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 from labs import write_estimate
-from pages import browser, choose, field, needs_browser, press, served, tab, until, upload
+from pages import choose, field, needs_browser, press, served, tab, until, upload
 from waiting import PATIENCE
 
 from humansim_ros import Scene, load_human
@@ -29,12 +28,6 @@ PICTURES = os.environ.get("HUMANSIM_PICTURES")
 FRAMES = 5
 #: The error of the estimate, metres.
 SHIFT = 0.02
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as opened:
-        yield opened
 
 
 def picture(page: Any, name: str) -> None:

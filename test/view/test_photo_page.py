@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -17,7 +16,7 @@ from conftest import ROOT
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, needs_browser, served, three_vertices, until
+from pages import needs_browser, served, three_vertices, until
 from photographs.studio import Studio, make_studio
 
 from humansim_ros.photographs.fit_file import read_fit
@@ -28,12 +27,6 @@ pytestmark = [needs_browser, pytest.mark.nightly, pytest.mark.slow, pytest.mark.
 PICTURES = os.environ.get("HUMANSIM_PICTURES")
 POINT, VIEW = "left_wrist", "view_2"
 _READY = "window.humansimPhotographs && window.humansimPhotographs.data"
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -43,6 +43,7 @@ from websockets.sync.client import connect
 
 from humansim_ros import Scene
 from humansim_ros.view.app import ViewApp
+from humansim_ros.view.inputs import Opened
 from humansim_ros.view.scene_source import SceneViewSource
 
 BODIES, MOTIONS = ("adult_woman", "adult_man", "child"), ("walk", "wave", "run")
@@ -378,7 +379,7 @@ def main() -> None:
     if options.topics:
         measure_topics(options)
         return
-    app = ViewApp(SceneViewSource(Scene.from_dict(scene(options.people, options.cameras))), 0)
+    app = ViewApp(Opened(SceneViewSource(Scene.from_dict(scene(options.people, options.cameras)))), 0)
     threading.Thread(target=run_pages, args=(app, options), daemon=True).start()
     app.run()
     app.close()

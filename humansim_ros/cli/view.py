@@ -104,7 +104,7 @@ def view(
         cv2.setNumThreads(-1)
     from humansim_ros.view.app import ViewApp
 
-    app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem, opened.document)
+    app = ViewApp(opened, port)
     try:
         if port not in (0, app.server.port):
             print_text(f"port {port} is in use")

@@ -15,8 +15,7 @@ import numpy as np
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.types import Array
-from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.inputs import TopicOptions
+from humansim_ros.view.inputs import Opened, TopicOptions
 from humansim_ros.view.panels.commands import CommandsPanel
 from humansim_ros.view.panels.editor import EditorPanel
 from humansim_ros.view.panels.human import HumanPanel
@@ -51,26 +50,15 @@ class ViewApp:
     All of it runs in the thread that calls :meth:`run`; callbacks of the page :meth:`post` functions to it.
 
     Args:
-        source: The scene, bag, graph or photographs to show.
+        opened: The scene, bag, graph or photographs to show.
         port: Port; the next free one if it is in use.
-        reload: Makes the source again after its file has changed; None if it has no file.
-        path: That file.
-        problem: Why the file cannot be shown yet.
-        document: The scene that can be edited; None for other sources.
 
     Raises:
         HumansimError: No port is free.
     """
 
-    def __init__(
-        self,
-        source: ViewSource,
-        port: int = 8080,
-        reload: Callable[[], ViewSource] | None = None,
-        path: Path | None = None,
-        problem: str | None = None,
-        document: SceneDocument | None = None,
-    ) -> None:
+    def __init__(self, opened: Opened, port: int = 8080) -> None:
+        source, document = opened.source, opened.document
         self.editor: EditorPanel | None = None
         self.human: HumanPanel | None = None
         self._unseen_since: float | None = None  # when another source has replaced the first
@@ -92,8 +80,8 @@ class ViewApp:
         self._posted: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wanted = threading.Event()
         self._stopped = threading.Event()
-        self._reload, self._path = reload, path
-        self._modified = file_signature(path)
+        self._reload, self._path = opened.reload, opened.path
+        self._modified = file_signature(opened.path)
         self._looked = self._scrubbed = 0.0
         self._notice: Any = None
         self._broken: str | None = None
@@ -109,7 +97,7 @@ class ViewApp:
         self._place_view()
         self._tracks = TracksPanel(self)
         self._build()
-        self._say_broken(problem)
+        self._say_broken(opened.problem)
         if document is not None:
             self._take_files()
             self.editor = EditorPanel(self, document)

@@ -63,7 +63,7 @@ def running_app(path: Path, estimate: str | None = None) -> Iterator[Any]:
     from humansim_ros.view.inputs import TopicOptions, open_source
 
     opened = open_source(path, None if estimate is None else TopicOptions([estimate]))
-    made = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
+    made = ViewApp(opened, 0)
 
     def serve() -> None:
         made.run()
@@ -76,6 +76,24 @@ def running_app(path: Path, estimate: str | None = None) -> Iterator[Any]:
     finally:
         made.stop()
         thread.join()
+
+
+def told_app(opened: Any) -> tuple[Any, list[str]]:
+    """A page without a browser, and the texts of its notifications."""
+    from humansim_ros.view.app import ViewApp
+
+    app, told = ViewApp(opened, 0), list[str]()
+    app.notify = lambda title, text: told.append(text)  # type: ignore[method-assign]
+    return app, told
+
+
+@contextlib.contextmanager
+def paused_page(path: Path, estimate: str | None = None, people: int = 1) -> Iterator[tuple[Any, Any]]:
+    """A tab of the page of a file, paused, and the page."""
+    with running_app(path, estimate) as app, browser() as chromium:
+        page = opened_page(chromium, app.server.url, people)
+        pause(page)
+        yield page, app
 
 
 @contextlib.contextmanager

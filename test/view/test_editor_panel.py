@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from labs import write_estimate
+from pages import told_app
 from scipy.spatial.transform import Rotation
 from stand_ins import STAND_INS
 from waiting import wait_until
@@ -31,7 +32,6 @@ pytest.importorskip("viser")
 from msgspec.msgpack import encode
 from test_server import CAMERA, connected
 
-from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import open_source
 
 #: The demo scene without its room, which takes time.
@@ -44,9 +44,7 @@ class Page:
     def __init__(self, path: Path) -> None:
         opened = open_source(path)
         self.path = path
-        self.app = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
-        self.told: list[str] = []
-        self.app.notify = lambda title, text: self.told.append(text)  # type: ignore[method-assign]
+        self.app, self.told = told_app(opened)
         assert self.app.editor is not None
         self.editor: EditorPanel = self.app.editor
         self.document: SceneDocument = self.editor.document

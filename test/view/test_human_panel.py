@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from commands import humansim
 from mesh_files import MESHES, mesh_path
+from pages import told_app
 from waiting import wait_until
 
 pytest.importorskip("viser")
@@ -20,7 +21,6 @@ pytest.importorskip("viser")
 from humansim_ros import load_human
 from humansim_ros.errors import HumansimError
 from humansim_ros.rotations import WORLD_FROM_BODY
-from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import new_scene
 from humansim_ros.view.panels.human import HumanPanel
 from humansim_ros.view.person_draft import PersonDraft
@@ -149,9 +149,7 @@ class Panel:
 
     def __init__(self, folder: Path) -> None:
         opened = new_scene(folder)
-        self.app = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
-        self.told: list[str] = []
-        self.app.notify = lambda title, text: self.told.append(text)  # type: ignore[method-assign]
+        self.app, self.told = told_app(opened)
         assert self.app.human is not None and opened.document is not None
         self.human: HumanPanel = self.app.human
         self.document = opened.document

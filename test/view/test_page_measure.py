@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, needs_browser, opened_page, pause, place_of, running_app, scrub, until
+from pages import needs_browser, paused_page, place_of, scrub, until
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
@@ -42,9 +42,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any,
     path.write_text(SCENE)
     with Simulation(Scene.load(path), channels=("depth", "instance")) as simulation:
         frame = simulation.frame(SHOWN)
-    with running_app(path) as app, browser() as chromium:
-        page = opened_page(chromium, app.server.url)
-        pause(page)
+    with paused_page(path) as (page, app):
         scrub(page, SHOWN)
         through = app._through
         through._choice.value, through._kind.value = "eye", "3D from its position"

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import browser, needs_browser, opened_page, pause, place_of, running_app, scrub, until
+from pages import needs_browser, paused_page, place_of, scrub, until
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
@@ -37,9 +37,7 @@ SHOWN, _ATTEMPTS = 12, 4
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]]:
     path = tmp_path_factory.mktemp("through") / "lab.yaml"
     path.write_text(SCENE)
-    with running_app(path) as app, browser() as chromium:
-        page = opened_page(chromium, app.server.url)
-        pause(page)
+    with paused_page(path) as (page, app):
         scrub(page, SHOWN)
         yield page, app
 

@@ -28,10 +28,11 @@ class Opened:
     """A page of photographs without a browser, and what it has told."""
 
     def __init__(self, path: Path) -> None:
-        source = open_source(path).source
+        opened = open_source(path)
+        source = opened.source
         assert isinstance(source, PhotoSource)
         self.source, self.document = source, source.document
-        self.app = ViewApp(source, 0)
+        self.app = ViewApp(opened, 0)
         panel = self.app._images
         assert isinstance(panel, PhotographsPanel)
         self.panel = panel

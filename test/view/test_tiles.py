@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("viser")
 
-from pages import browser, needs_browser, opened_page, pause, running_app, scrub, tiles_of, until
+from pages import needs_browser, pause, paused_page, scrub, tiles_of, until
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
@@ -57,9 +57,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]
     pytest.importorskip("playwright")
     path: Path = tmp_path_factory.mktemp("tiles") / "lab.yaml"
     path.write_text(SCENE)
-    with running_app(path) as app, browser() as chromium:
-        page = opened_page(chromium, app.server.url)
-        pause(page)
+    with paused_page(path) as (page, app):
         page.wait_for_function("document.querySelectorAll('[data-humansim=tiles] figure').length === 3")
         yield page, app
 

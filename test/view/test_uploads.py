@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from conftest import ROOT
+from pages import told_app
 from waiting import wait_until
 
 pytest.importorskip("viser")
@@ -21,7 +22,6 @@ from test_server import CAMERA, connected, get
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.motion_formats import MOTION_SUFFIXES
-from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import new_scene, open_source
 from humansim_ros.view.server import MOST_UPLOAD, PART, PageServer, UploadGate
 from humansim_ros.view.uploads import KINDS, files_in, keep_file, kind_of_key, plain_name
@@ -212,9 +212,7 @@ class Uploads:
     def __init__(self, folder: Path) -> None:
         opened = new_scene(folder)
         self.folder = folder
-        self.app = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
-        self.told: list[str] = []
-        self.app.notify = lambda title, text: self.told.append(text)  # type: ignore[method-assign]
+        self.app, self.told = told_app(opened)
         self.thread = threading.Thread(target=self.app.run)
         self.thread.start()
 

@@ -38,6 +38,9 @@ projection_matrix:
   cols: 4
   data: [700, 0, 310, 0, 0, 690, 245, 0, 0, 0, 1, 0]
 """
+#: Values of it that the tests replace.
+K_TEXT, R_TEXT = "[700, 0, 310, 0, 690, 245, 0, 0, 1]", "[1, 0, 0, 0, 1, 0, 0, 0, 1]"
+P_TEXT = "[700, 0, 310, 0, 0, 690, 245, 0, 0, 0, 1, 0]"
 INI = """[image]
 width
 640
@@ -186,24 +189,12 @@ def ros(old: str, new: str) -> str:
             ":1: image_width: the image size must be 1 to 8192",
         ),
         (ros("image_height: 480\n", ""), ": image_height: is missing"),
+        (ros(K_TEXT, "[-700, 0, 310, 0, 690, 245, 0, 0, 1]"), ":7: camera_matrix.data: K is singular or"),
+        (ros(K_TEXT, "[700, 0, 310, 0, 690, 245]"), ":7: camera_matrix.data: needs 3 x 3 numbers, not 6"),
+        (ros(K_TEXT, "[0, 0, 0, 0, 0, 0, 0, 0, 0]"), "camera_matrix.data: is all zeros"),
+        (ros(K_TEXT, "seven"), ":7: camera_matrix.data: 'seven' is not a number"),
         (
-            ros("[700, 0, 310, 0, 690, 245, 0, 0, 1]", "[-700, 0, 310, 0, 690, 245, 0, 0, 1]"),
-            ":7: camera_matrix.data: K is singular or",
-        ),
-        (
-            ros("[700, 0, 310, 0, 690, 245, 0, 0, 1]", "[700, 0, 310, 0, 690, 245]"),
-            ":7: camera_matrix.data: needs 3 x 3 numbers, not 6",
-        ),
-        (
-            ros("[700, 0, 310, 0, 690, 245, 0, 0, 1]", "[0, 0, 0, 0, 0, 0, 0, 0, 0]"),
-            "camera_matrix.data: is all zeros",
-        ),
-        (
-            ros("[700, 0, 310, 0, 690, 245, 0, 0, 1]", "seven"),
-            ":7: camera_matrix.data: 'seven' is not a number",
-        ),
-        (
-            ros("[700, 0, 310, 0, 690, 245, 0, 0, 1]", "[700, 0, 310, 5, 690, 245, 0, 0, 1]"),
+            ros(K_TEXT, "[700, 0, 310, 5, 690, 245, 0, 0, 1]"),
             "camera_matrix.data: K must be upper triangular",
         ),
         (ros("-0.3, 0.1", ".nan, 0.1"), ":12: distortion_coefficients.data: a number is not finite"),
@@ -230,22 +221,14 @@ def ros(old: str, new: str) -> str:
             ros("distortion_model: plumb_bob\n", "").replace(", 0.002, 0]", ", 0.002]"),
             "distortion_model: is missing, and 4 coefficients do not determine it: add one of plumb_bob",
         ),
+        (ros("plumb_bob", "none"), ":8: distortion_model: is 'none', but there are distortion coefficients"),
         (
-            ros("plumb_bob", "none"),
-            ":8: distortion_model: is 'none', but there are distortion coefficients",
-        ),
-        (
-            ros("[1, 0, 0, 0, 1, 0, 0, 0, 1]", "[1, 0, 0, 0, 1, 0, 0, 0, 1.1]"),
+            ros(R_TEXT, "[1, 0, 0, 0, 1, 0, 0, 0, 1.1]"),
             ":16: rectification_matrix.data: rectification is not a rotation",
         ),
+        (ros(R_TEXT, "[1, 0, 0, 0, 1, 0, 0, 0, -1]"), ":16: rectification_matrix.data: R is a reflection"),
         (
-            ros("[1, 0, 0, 0, 1, 0, 0, 0, 1]", "[1, 0, 0, 0, 1, 0, 0, 0, -1]"),
-            ":16: rectification_matrix.data: R is a reflection",
-        ),
-        (
-            ros(
-                "[700, 0, 310, 0, 0, 690, 245, 0, 0, 0, 1, 0]", "[-1, 0, 310, 0, 0, 690, 245, 0, 0, 0, 1, 0]"
-            ),
+            ros(P_TEXT, "[-1, 0, 310, 0, 0, 690, 245, 0, 0, 0, 1, 0]"),
             ":20: projection_matrix.data: the rectified P",
         ),
         (
@@ -339,10 +322,7 @@ def ros(old: str, new: str) -> str:
             KALIBR.replace("pinhole", "omni", 1),
             ":2: cam0.camera_model: 'omni' is not a supported camera model; only pinhole is",
         ),
-        (
-            KALIBR.replace("radtan", "fov", 1),
-            ":4: cam0.distortion_model: unknown distortion model 'fov'",
-        ),
+        (KALIBR.replace("radtan", "fov", 1), ":4: cam0.distortion_model: unknown distortion model 'fov'"),
         (
             KALIBR.replace("  T_cn_cnm1: [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n", ""),
             ":7: cam1.T_cn_cnm1: is missing",
@@ -380,10 +360,7 @@ def ros(old: str, new: str) -> str:
             "a: the elements are nested too deeply",
         ),
         # COLMAP
-        (
-            CAMERAS.replace("PINHOLE", "FOV"),
-            ":2: unknown camera model 'FOV'; known are SIMPLE_PINHOLE",
-        ),
+        (CAMERAS.replace("PINHOLE", "FOV"), ":2: unknown camera model 'FOV'; known are SIMPLE_PINHOLE"),
         (CAMERAS.replace(" 245", ""), ":2: PINHOLE needs fx fy cx cy after width and height, not 3 numbers"),
         (CAMERAS.replace("640", "0"), ":2: width and height must be whole numbers above zero"),
         (CAMERAS + "1 PINHOLE 640 480 700 690 310 245\n", ":3: there are two cameras with the name '1'"),
@@ -395,10 +372,7 @@ def ros(old: str, new: str) -> str:
             ":7: cameras.left.calibration: a camera with a calibration file",
         ),
         # none of them
-        (
-            "hello world\n",
-            "is not a known calibration format. Known in text: Bundler",
-        ),
+        ("hello world\n", "is not a known calibration format. Known in text: Bundler"),
         (
             "a: 1\nb: 2\n",
             "Its keys are a, b. Nothing of a camera was found in it; missing: K or focal length",
@@ -482,7 +456,7 @@ def test_yaml_tags_create_no_objects(tmp_path: Path) -> None:
     [
         "a: &a [1, 2]\n"
         + "".join(f"{y}: &{y} [*{x}, *{x}]\n" for x, y in zip("abcdefghijklm", "bcdefghijklmn", strict=True))
-        + ROS.replace("[700, 0, 310, 0, 690, 245, 0, 0, 1]", "*n"),
+        + ROS.replace(K_TEXT, "*n"),
         "K: &a [" + "1, " * 9 + "]\n" + "D: &b [*a, *a]\nM: [" + "*b, " * 5000 + "]\n",
         "- " * 50000,
         "[" * 50000,

@@ -144,12 +144,7 @@ def load_calibration(
     """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
 
     Args:
-        path: As for :func:`read_calibration`, as all arguments.
-        size: Width and height of the images in pixels.
-        unit: Metres per unit of the file.
-        up: Axis of the file that points up.
-        image: PNG or JPEG file with the size of the images.
-        extrinsics: File with the extrinsics, where ``path`` has only intrinsics.
+        path, size, unit, up, image, extrinsics: As of :func:`read_calibration`.
         all_cameras: Keep cameras without extrinsics, for uses that do not need them.
 
     Raises:

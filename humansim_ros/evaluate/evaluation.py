@@ -291,11 +291,8 @@ def person_errors(
     """Match people as :func:`evaluate_poses` does, and compute their errors only.
 
     Args:
-        truth: The true poses.
-        estimate: The poses to judge, in ``map``, metres.
+        truth, estimate, names, gate: As of :func:`evaluate_poses`.
         pairs: The frames to compare.
-        names: Name of a joint in the truth by name in the estimate; found by their names if None.
-        gate: Greatest mean joint distance of a person who counts as found, metres.
 
     Raises:
         EvaluationError: They have no joint in common, or differ in unit or axes.

@@ -129,10 +129,7 @@ class LiveEvaluation:
         """Add a message of the estimate.
 
         Args:
-            frame: Its people.
-            topic: Its topic.
-            arrival: Nanoseconds of any clock that does not go back.
-            person: Name of the person that the topic has; None if it has none.
+            frame, topic, arrival, person: As of :meth:`add_truth`.
             latency: Seconds since its frame; None if unknown.
 
         Raises:

@@ -108,11 +108,7 @@ def schema_errors(
     """Make an error of each key that the validation of a model has found wrong.
 
     Args:
-        reason: Exception of the validation.
-        model: The model that was validated.
-        error: Error class to make.
-        path: File, for messages.
-        tree: YAML nodes of the file, for the lines.
+        reason, model, error, path, tree: As of :func:`schema_error`.
     """
     groups: dict[tuple[Any, ...], list[Any]] = {}
     for fault in reason.errors(include_url=False):

@@ -159,11 +159,7 @@ def describe_motion(
 
     Args:
         loaded: The motion and its warnings.
-        table: Joint table, as in :func:`to_world`.
-        unit: Metres per file unit.
-        up: File axis that points up.
-        facing: File axis that the person faces at rest.
-        min_confidence: Lowest confidence of the joint match; None for 0.12.
+        table, unit, up, facing, min_confidence: As of :func:`to_world`.
 
     Raises:
         MotionError: A given value does not fit the motion.

@@ -303,7 +303,8 @@ def _cylinder() -> Mesh:
 
 #: Built-in meshes of 1 m, centred.
 SHAPES = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
-_BOOKS: tuple[Color, ...] = (
+#: Colours of books.
+BOOKS: tuple[Color, ...] = (
     *((150, 60, 52), (58, 84, 120), (196, 176, 130)),
     *((70, 100, 76), (60, 56, 62), (206, 204, 196)),
 )
@@ -438,7 +439,7 @@ def _books(levels: Sequence[float], width: float, board: float) -> list[_Part]:
             thick, tall = float(rng.uniform(0.02, 0.06)), float(rng.uniform(0.19, 0.29))
             if rng.random() < 0.85:
                 center = (-0.02, left + thick / 2, level + board / 2 + tall / 2)
-                books.append(_Part(center, (0.2, thick, tall), _BOOKS[int(rng.integers(len(_BOOKS)))]))
+                books.append(_Part(center, (0.2, thick, tall), BOOKS[int(rng.integers(len(BOOKS)))]))
             left += thick + 0.003
     return books
 

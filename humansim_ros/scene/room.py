@@ -15,21 +15,12 @@ import numpy as np
 import scipy.fft
 
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.scene.objects import BOOKS
 from humansim_ros.types import Array, Image
 
 _Rng = np.random.Generator
 #: x and y.
 _Point = tuple[float, float]
-
-#: Colours of the books on the shelf.
-_BOOKS = (
-    (150, 60, 52),
-    (58, 84, 120),
-    (196, 176, 130),
-    (70, 100, 76),
-    (60, 56, 62),
-    (206, 204, 196),
-)
 
 
 def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int = 1) -> list[Mesh]:
@@ -133,7 +124,7 @@ def _shelf(at: _Point, size: _Point, h: float, image: Image, rng: _Rng) -> list[
             book = float(rng.uniform(0.025, 0.07))
             tall = float(rng.uniform(0.2, 0.31))
             if rng.random() < 0.82:
-                color = _BOOKS[int(rng.integers(len(_BOOKS)))]
+                color = BOOKS[int(rng.integers(len(BOOKS)))]
                 center = (x + left + book / 2, y - 0.03, float(z) + 0.015 + tall / 2)
                 meshes.append(_box(center, (book, 0.22, tall), _plaster(rng, color, 64)))
             left += book + 0.004

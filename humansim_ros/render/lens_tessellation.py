@@ -163,12 +163,20 @@ class LensView:
         return _Projected(points, self.camera.project_optical(points)[0], a.beyond)
 
     def tessellate(
-        self, attributes: NDArray[np.floating], triangles: NDArray[np.integer], tolerance: float = TOLERANCE
+        self,
+        attributes: NDArray[np.floating],
+        triangles: NDArray[np.integer],
+        tolerance: float = TOLERANCE,
+        checked: bool = False,
     ) -> TessellatedMesh:
         """Tessellate triangles; those outside the image are left out.
 
-        ``attributes``: (V, 3 + k) vertex attributes; the first three are the position in ``map``.
-        ``triangles``: (N, 3). ``tolerance``: largest error of an edge in pixels.
+        Args:
+            attributes: (V, 3 + k) vertex attributes; the first three are the position in ``map``.
+            triangles: (N, 3) vertices.
+            tolerance: Largest error of an edge in pixels. Up to three of a hundred edges within triangles
+                exceed it.
+            checked: Divide these once more. It takes several times as long.
         """
         corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
         vertices = self._projected(attributes[:, :3])
@@ -189,13 +197,16 @@ class LensView:
             vertices = vertices.followed_by(self._projected(attributes[len(vertices.points) :, :3]))
         short.append((corners, parents))
         corners, parents = (np.concatenate(parts) for parts in zip(*short, strict=True))
-        edges = TriangleEdges.of(corners, len(attributes))
-        pieces = self._pieces(*vertices.ends(edges), tolerance)
-        count = float(np.sort(pieces[edges.sides], axis=1)[:, 1:].prod(axis=1).sum())
-        if count > _MAX_TRIANGLES:
-            pieces = np.maximum(pieces * np.sqrt(_MAX_TRIANGLES / count), 1).astype(np.intp)
-        attributes, corners, sources = divide_triangles(attributes, corners, edges, pieces)
-        return TessellatedMesh(attributes, corners, parents[sources])
+        for _ in range(1 + checked):
+            vertices = vertices.followed_by(self._projected(attributes[len(vertices.points) :, :3]))
+            edges = TriangleEdges.of(corners, len(attributes))
+            pieces = self._pieces(*vertices.ends(edges), tolerance)
+            count = float(np.sort(pieces[edges.sides], axis=1)[:, 1:].prod(axis=1).sum())
+            if count > _MAX_TRIANGLES:
+                pieces = np.maximum(pieces * np.sqrt(_MAX_TRIANGLES / count), 1).astype(np.intp)
+            attributes, corners, sources = divide_triangles(attributes, corners, edges, pieces)
+            parents = parents[sources]
+        return TessellatedMesh(attributes, corners, parents)
 
     def divide_edges(
         self, starts: NDArray[np.floating], ends: NDArray[np.floating], tolerance: float = TOLERANCE

@@ -151,7 +151,7 @@ class StaticLayers:
 
     def draw_unlabelled(self, target: RenderTarget, camera: Camera, moving_camera: bool) -> None:
         """Draw depths of the meshes without labels."""
-        with self._unlabelled.tessellated(camera, _tolerance(moving_camera)) as triangles:
+        with _exact(self._unlabelled, camera, moving_camera) as triangles:
             self._draw_depths(target, triangles, camera)
 
     def _render(
@@ -159,7 +159,7 @@ class StaticLayers:
     ) -> StaticLayer:
         target = self._targets.of(camera.size)
         if not lit:
-            with self._scene.tessellated(camera, _tolerance(moving_camera)) as triangles:
+            with _exact(self._scene, camera, moving_camera) as triangles:
                 self._draw_depths(target, triangles, camera)
             return StaticLayer(target, None, backdrop)
         behind = None if backdrop is None else backdrop.picture(camera)
@@ -183,7 +183,7 @@ class StaticLayers:
             shaded = self._colour(self._without_sun, view, behind_without_sun)[..., :3] if soft else None
             if not view.single:
                 if camera.distorted and not moving_camera:
-                    triangles = stack.enter_context(self._scene.tessellated(camera, TOLERANCE))
+                    triangles = stack.enter_context(_exact(self._scene, camera, moving_camera))
                 self._draw_depths(target, triangles, camera)
         if self.sun_shadows is None:
             rgba[..., 3] = 255
@@ -305,8 +305,9 @@ def camera_key(camera: Camera) -> bytes:
     return b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
 
 
-def _tolerance(moving_camera: bool) -> float:
-    return VISIBLE if moving_camera else TOLERANCE
+def _exact(scene: StaticScene, camera: Camera, moving_camera: bool) -> StaticTriangles:
+    """Triangles for depths and labels."""
+    return scene.tessellated(camera, VISIBLE if moving_camera else TOLERANCE, checked=not moving_camera)
 
 
 def offsets(count: int) -> list[tuple[float, float]]:

@@ -140,15 +140,16 @@ class StaticScene:
         buffers = TriangleBuffers(self._ctx, self._attributes, self._corners[towards])
         return StaticTriangles(buffers, self._materials, self._count(towards), towards)
 
-    def tessellated(self, camera: Camera, tolerance: float) -> StaticTriangles:
-        """Return the triangles that a camera may see, tessellated if its lens bends edges by more than
-        ``tolerance`` pixels.
+    def tessellated(self, camera: Camera, tolerance: float, checked: bool = False) -> StaticTriangles:
+        """Return the triangles that a camera may see, tessellated if its lens bends edges.
+
+        ``tolerance``, ``checked``: see :meth:`LensView.tessellate`.
         """
         visible = self._visible(camera.center)
         corners = self._corners[visible].astype(np.intp)
         mesh = TessellatedMesh(self._attributes, corners, np.arange(len(visible)))
         if camera.distorted:
-            mesh = LensView(camera).tessellate(mesh.attributes, mesh.triangles, tolerance)
+            mesh = LensView(camera).tessellate(mesh.attributes, mesh.triangles, tolerance, checked)
         parents = visible[mesh.parents]
         order = np.argsort(self._owner[parents].astype(np.int32), kind="stable")
         buffers = TriangleBuffers(self._ctx, mesh.attributes, mesh.triangles[order])

@@ -69,16 +69,16 @@ def test_neighbours_compute_the_same_points() -> None:
     np.testing.assert_array_equal(starts[edge != np.roll(edge, 1)], a)
 
 
-@pytest.mark.parametrize("tolerance", [VISIBLE, TOLERANCE])
+@pytest.mark.parametrize(("tolerance", "checked"), [(VISIBLE, False), (TOLERANCE, False), (TOLERANCE, True)])
 @pytest.mark.parametrize("name", LENSES)
-def test_edges_in_the_image_are_straight(name: str, tolerance: float) -> None:
+def test_edges_in_the_image_are_straight(name: str, tolerance: float, checked: bool) -> None:
     """Their middles are compared with OpenCV's projection."""
     coefficients, model = LENSES[name]
     straight = Camera.look_at((2.3, 1.6, 1.4), (0, 0, 0.9), (640, 480), 1.0)
     camera = replace(straight, distortion=coefficients, model=model)
     box = trimesh.creation.box((7, 6, 3))
     box.apply_translation((0, 0, 1.5))
-    mesh = LensView(camera).tessellate(box.vertices, np.asarray(box.faces, np.intp), tolerance)
+    mesh = LensView(camera).tessellate(box.vertices, np.asarray(box.faces, np.intp), tolerance, checked)
     ends = TriangleEdges.of(mesh.triangles, len(mesh.attributes)).ends
     a, b = (mesh.attributes[column] for column in ends.T)
     middle = (a + b) / 2
@@ -93,3 +93,5 @@ def test_edges_in_the_image_are_straight(name: str, tolerance: float) -> None:
     assert len(error) > 1000
     assert error.mean() < 0.5 * tolerance and np.percentile(error, 97) < tolerance, error.mean()
     assert np.percentile(error, 99.9) < 2.5 * tolerance and error.max() < 8 * tolerance, error.max()
+    if checked:
+        assert np.percentile(error, 99.9) < tolerance and error.max() < 2 * tolerance, error.max()

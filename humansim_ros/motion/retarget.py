@@ -221,6 +221,8 @@ def trunk_turns(trunks: Array, spines: Array, goals: Array) -> Array:
     """
     ours, theirs = unit_vectors(trunks), unit_vectors(goals)
     excess = np.maximum(angle_between(ours, theirs) - np.radians(_TRUNK_TOLERANCE), 0.0)
+    if not excess.any():
+        return np.broadcast_to(np.eye(3), (len(trunks), 3, 3))
     lean = rotation_vector_to_matrix(excess[:, None] * unit_vectors(np.cross(ours, theirs)))
     along = rotate(lean, ours)
     # the rest of the trunk stays: rest + turn @ spine is parallel to ``along``

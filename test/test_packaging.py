@@ -630,7 +630,9 @@ def test_wheel_has_every_file_at_its_path(wheel: Path) -> None:
     expected.add(f"{data}share/ament_index/resource_index/packages/humansim_ros")
     expected |= {f"{data}lib/humansim_ros/{name}" for name in EXECUTABLES}
     package = ROOT / "humansim_ros"
-    expected |= {str(p.relative_to(ROOT)) for p in package.rglob("*") if p.is_file() and p.suffix != ".pyc"}
+    expected |= {
+        str(p.relative_to(ROOT)) for p in package.rglob("*") if p.is_file() and p.parent.name != "__pycache__"
+    }
     assert expected - set(entries) == set()
     assert {name for name in entries if ".dist-info/" not in name} - expected == set()
     for name in EXECUTABLES:

@@ -18,6 +18,7 @@ BENCHMARKS = {
     "bvh_reading": (),
     "core": ("--rounds", "2"),
     "fit": ("--seeds", "1", "--frames", "4"),
+    "gpu": ("--seconds", "0.1", "--cases", "1x320x240x1"),
     "lenses": ("--rounds", "2"),
     "live": ("--seconds", "1", "--cases", "rgb + info + depth + part", "--processes", "1"),
     "lockstep": ("--frames", "10", "--sleep", "0.01"),

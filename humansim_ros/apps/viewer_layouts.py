@@ -29,7 +29,7 @@ def rviz_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "")
     first ``/``.
     """
     names = scene if isinstance(scene, SceneNames) else read_names(scene)
-    layout = yaml.safe_load(_demo_layout("humansim.rviz", namespace))
+    layout = yaml.safe_load(_demo_layout("humansim.rviz"))
     manager = layout["Visualization Manager"]
     first: dict[str, Any] = {}  # display of each class
     for display in manager["Displays"]:
@@ -46,13 +46,13 @@ def rviz_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "")
         ),
         *(_renamed(first["Image"], _CAMERA, camera) for camera in names.cameras[:_MOST_IMAGES]),
     ]
-    return yaml.safe_dump(layout, sort_keys=False)
+    return yaml.safe_dump(_in_namespace(layout, namespace), sort_keys=False)
 
 
 def foxglove_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "") -> str:
     """Text of a layout file of Foxglove; parameters as in :func:`rviz_layout`."""
     names = scene if isinstance(scene, SceneNames) else read_names(scene)
-    layout = json.loads(_demo_layout("humansim_foxglove.json", namespace))
+    layout = json.loads(_demo_layout("humansim_foxglove.json"))
     panels, whole = layout["configById"], layout["layout"]
     images = names.cameras[:_MOST_IMAGES]
 
@@ -76,17 +76,17 @@ def foxglove_layout(scene: SceneNames | str | os.PathLike[str], namespace: str =
         whole["second"] = _split("column", list(shown))
     else:
         layout["layout"] = whole["first"]
-    return json.dumps(layout, indent=2) + "\n"
+    return json.dumps(_in_namespace(layout, namespace), indent=2) + "\n"
 
 
-def _demo_layout(file: str, namespace: str) -> str:
-    """Layout of the demo scene in a namespace."""
-    text = resource_path(f"config/{file}").read_text()
-    if not namespace:
-        return text
-    for topic in (f"/humans/{_HUMAN}/", f"/{_CAMERA}/"):
-        text = text.replace(topic, f"/{namespace}{topic}")
-    return text
+def _demo_layout(file: str) -> str:
+    """Layout of the demo scene."""
+    return resource_path(f"config/{file}").read_text()
+
+
+def _in_namespace(layout: dict[str, Any], namespace: str) -> Any:
+    """A layout with its topics in a ROS namespace. No other text of it begins with ``/``."""
+    return json.loads(json.dumps(layout).replace('"/', f'"/{namespace}/')) if namespace else layout
 
 
 def _renamed(part: Any, old: str, new: str) -> Any:

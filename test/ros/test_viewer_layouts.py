@@ -161,3 +161,11 @@ def test_layouts_of_other_scenes_name_their_topics_in_the_namespace(names: Scene
     panels = foxglove["configById"]
     assert sorted(leaves(foxglove["layout"])) == sorted(panels)
     assert set(panels["3D!world"]["topics"]) == {name for name in wanted if not name.endswith("image_raw")}
+
+
+@pytest.mark.parametrize("make", [rviz_layout, foxglove_layout])
+def test_a_namespace_may_contain_names_of_the_demo_scene(make: Any) -> None:
+    names = SceneNames(humans=("anna",), cameras=("left",))
+    text = make(names, "walker_at_camera_1")
+    assert text.count("walker_at_camera_1") == make(names).count(" /") + make(names).count('"/') > 4
+    assert "walker" not in text.replace("walker_at_camera_1", "")

@@ -50,8 +50,32 @@ class SceneStates:
         self._kept: dict[tuple[int, int], Moment] = {}
 
     def at(self, index: int) -> Moment:
-        """Everything at a frame."""
-        return self._at(self._scene.frame_time(index))
+        """Everything at a frame; renderers reuse the bodies of a state that is kept."""
+        elapsed = self._scene.frame_time(index)
+        key = elapsed, self.playback.version
+        if key in self._kept:
+            self.playback.elapsed = elapsed
+            return self._kept[key]
+        poses = self.playback.show(elapsed)
+        humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
+
+        def joints_of(name: str) -> JointMotion:
+            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
+
+        state = SceneState(
+            stamp=self._start + elapsed,
+            scene_time=elapsed,
+            scene=self._scene,
+            actors=self.playback.actors,
+            vertices={name: human.vertices for name, human in humans.items()},
+            joints_of=joints_of,
+            objects=poses.objects,
+            cameras=poses.cameras,
+        )
+        moment = Moment(poses, humans, state)
+        if self._scanning or self._directions:
+            self._kept[key] = moment
+        return moment
 
     def adjacent(self, index: int, steps: Collection[int]) -> dict[int, Mapping[AdjacentName, SceneState]]:
         """States some frames after and before a frame, as far as cameras compare with them.
@@ -88,30 +112,3 @@ class SceneStates:
             frames |= {timing.frame(number + each) for each in (0, *self._directions.values())}
         needed = {(self._scene.frame_time(frame), self.playback.version) for frame in frames}
         self._kept = {key: moment for key, moment in self._kept.items() if key in needed}
-
-    def _at(self, elapsed: int) -> Moment:
-        """Everything at a scene time in nanoseconds; renderers reuse the bodies of a state that is kept."""
-        key = elapsed, self.playback.version
-        if key in self._kept:
-            self.playback.elapsed = elapsed
-            return self._kept[key]
-        poses = self.playback.show(elapsed)
-        humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
-
-        def joints_of(name: str) -> JointMotion:
-            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
-
-        state = SceneState(
-            stamp=self._start + elapsed,
-            scene_time=elapsed,
-            scene=self._scene,
-            actors=self.playback.actors,
-            vertices={name: human.vertices for name, human in humans.items()},
-            joints_of=joints_of,
-            objects=poses.objects,
-            cameras=poses.cameras,
-        )
-        moment = Moment(poses, humans, state)
-        if self._scanning or self._directions:
-            self._kept[key] = moment
-        return moment

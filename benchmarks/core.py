@@ -164,6 +164,27 @@ class BareDraw:
         self.target.read(components=1, attachment=2, dtype="f4")
 
 
+def bare_draw_of(
+    bodies: Sequence[Body], camera: Camera
+) -> Callable[[Sequence[Body], Sequence[Camera], bool], None]:
+    """Function that draws several bodies in each of some cameras like ``camera``; read back if True."""
+    draws: list[BareDraw] = []
+    for body in bodies:
+        draws.append(BareDraw(Shot(0, [body], camera), draws[0] if draws else None))
+
+    def draw(posed: Sequence[Body], cameras: Sequence[Camera], read: bool) -> None:
+        with draws[0].context.current():
+            for each in cameras:
+                draws[0].begin(each)
+                for one, body in zip(draws, posed, strict=True):
+                    one.add(body)
+                if read:
+                    draws[0].read()
+            draws[0].ctx.finish()
+
+    return draw
+
+
 class Pyrender:
     """pyrender with a new mesh in each frame, because it cannot change vertices."""
 

@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.core import BareDraw, Shot  # noqa: E402
+from benchmarks.core import bare_draw_of  # noqa: E402
 from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.render import CHANNELS, Body, GLRenderer  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
@@ -58,30 +58,18 @@ def works(
     renderer: GLRenderer, cameras: list[Camera], frames: list[list[Body]]
 ) -> dict[str, Callable[[int], object]]:
     """What is measured: functions of the frame number that draw all cameras."""
-    draws: list[BareDraw] = []
-    for body in frames[0]:
-        draws.append(BareDraw(Shot(0, [body], cameras[0]), draws[0] if draws else None))
+    bare = bare_draw_of(frames[0], cameras[0])
 
     def ours(number: int, *channels: str) -> None:
         bodies = [replace(body) for body in frames[number]]  # a new frame for the renderer, which caches them
         for camera in cameras:
             renderer.render(bodies, camera, channels)
 
-    def bare(number: int, read: bool) -> None:
-        with draws[0].context.current():
-            for camera in cameras:
-                draws[0].begin(camera)
-                for draw, body in zip(draws, frames[number], strict=True):
-                    draw.add(body)
-                if read:
-                    draws[0].read()
-            draws[0].ctx.finish()
-
     return {
         "rgb, depth, instance, part": lambda number: ours(number, *CHANNELS),
         "rgb": lambda number: ours(number, "rgb"),
-        "bare draw, read back": lambda number: bare(number, True),
-        "bare draw, on the device": lambda number: bare(number, False),
+        "bare draw, read back": lambda number: bare(frames[number], cameras, True),
+        "bare draw, on the device": lambda number: bare(frames[number], cameras, False),
     }
 
 

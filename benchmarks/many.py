@@ -14,7 +14,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,11 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.core import BareDraw, Shot, workbench  # noqa: E402
+from benchmarks.core import bare_draw_of, workbench  # noqa: E402
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
 from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.io.assets import resource_path  # noqa: E402
-from humansim_ros.scene import HumanState, Scene, Simulation  # noqa: E402
+from humansim_ros.scene import Scene, Simulation  # noqa: E402
 
 CAMERA = {"size": [640, 480], "position": [5.5, 5.0, 2.4], "look_at": [0, 0, 0.8], "fov_deg": 60}
 #: Half the side of the square of ten people, in metres; more people have as much room each.
@@ -35,24 +36,6 @@ HALF_SIDE = 2.5
 SCENE: dict[str, Any] = {"rate": 30, "room": {"size": [12, 12, 2.8]}, "cameras": {"eye": CAMERA}}
 COUNTS = (1, 2, 5, 10, 30)
 BARE = "bare draw"
-
-
-def bare_draw(scene: Scene, states: Mapping[str, HumanState]) -> Callable[[int], None]:
-    """Function that draws all humans without anything else, see ``benchmarks/core.py``."""
-    camera = scene.cameras["eye"]
-    bodies = [actor.body(states[name].vertices) for name, actor in scene.actors.items()]
-    draws: list[BareDraw] = []
-    for body in bodies:
-        draws.append(BareDraw(Shot(0, [body], camera), draws[0] if draws else None))
-
-    def draw(_: int) -> None:
-        with draws[0].context.current():
-            draws[0].begin(camera)
-            for one, body in zip(draws, bodies, strict=True):
-                one.add(body)
-            draws[0].read()
-
-    return draw
 
 
 def measure(count: int, frames: int, blender: str) -> dict[str, tuple[float, float]]:
@@ -63,13 +46,15 @@ def measure(count: int, frames: int, blender: str) -> dict[str, tuple[float, flo
     simulation = Simulation(scene)
     camera = scene.cameras["eye"]
     states = {name: actor.at(1.0) for name, actor in scene.actors.items()}
+    bodies = [actor.body(states[name].vertices) for name, actor in scene.actors.items()]
+    bare = bare_draw_of(bodies, camera)
 
     def render(*channels: str) -> object:
-        bodies = [actor.body(states[name].vertices) for name, actor in scene.actors.items()]
-        return simulation.renderer.render(bodies, camera, channels)
+        new = [replace(body) for body in bodies]  # a new frame for the renderer, which caches them
+        return simulation.renderer.render(new, camera, channels)
 
     works: dict[str, Callable[[int], object]] = {
-        BARE: bare_draw(scene, states),
+        BARE: lambda _: bare(bodies, [camera], True),
         "motion, skinning": lambda frame: [actor.at(frame / 30) for actor in scene.actors.values()],
         "rgb": lambda _: render("rgb"),
         "the four": lambda _: render(*simulation.channels),

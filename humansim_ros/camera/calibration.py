@@ -143,9 +143,8 @@ def load_calibration(
 ) -> Calibration:
     """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
 
-    Args:
-        path, size, unit, up, image, extrinsics: As of :func:`read_calibration`.
-        all_cameras: Keep cameras without extrinsics, for uses that do not need them.
+    ``all_cameras``: keep cameras without extrinsics, for uses that do not need them. The other arguments are
+    those of :func:`read_calibration`.
 
     Raises:
         CameraError: The file cannot be read, or is not a calibration.

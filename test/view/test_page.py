@@ -188,7 +188,7 @@ def test_the_pictures_of_the_docs(chromium: Any) -> None:
         until(lambda: tiles_of(page))
         pause(page)
         scrub(page, 20)
-        until(lambda: 0 < (table := tracks_of(page))["planned"] == len(table["sampled"]))
+        until(lambda: 0 < (table := tracks_of(page)).get("planned", 0) == len(table["sampled"]))
         page.get_by_label("Curve", exact=True).select_option("joint position")
         page.get_by_label("Joint of the curve").select_option("l_ankle")
         page.add_style_tag(content=".mantine-Notifications-root { opacity: 0 }")  # there is no GPU

@@ -49,7 +49,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]
         page = opened_page(chromium, app.server.url, people=2)
         pause(page)
         page.get_by_role("slider", name="Time").wait_for()
-        until(lambda: 0 < (table := tracks_of(page))["planned"] == len(table["sampled"]))
+        until(lambda: 0 < (table := tracks_of(page)).get("planned", 0) == len(table["sampled"]))
         yield page, app
         page.close()
 

@@ -136,7 +136,13 @@ def test_the_bar_and_a_click_on_a_name_change_sizes(opened: tuple[Any, Any]) -> 
     assert is_moved()
     until(lambda: boxes(page)[0][0] == pytest.approx(scene[0] + 100, abs=6))
 
-    before = boxes(page)[2]["square rgb"]
+    before: list[float] = []
+
+    def is_steady() -> bool:  # the page moves the images for a moment after the bar
+        previous, before[:] = before[:], boxes(page)[2]["square rgb"]
+        return previous == before
+
+    assert wait_until(is_steady, 15, lambda: page.wait_for_timeout(500))
     page.get_by_role("button", name="square", exact=True).click()
     until(lambda: boxes(page)[2]["square rgb"][2] - boxes(page)[2]["square rgb"][0] > before[2] - before[0])
     page.locator("[data-humansim='square rgb'] img").click(position={"x": 30, "y": 20})

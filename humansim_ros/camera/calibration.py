@@ -143,8 +143,14 @@ def load_calibration(
 ) -> Calibration:
     """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
 
-    ``all_cameras``: keep cameras without extrinsics, for uses that do not need them. The other arguments are
-    those of :func:`read_calibration`.
+    Args:
+        path: As of :func:`read_calibration`; so are the arguments up to ``extrinsics``.
+        size: (width, height) of the images, pixels.
+        unit: Metres per unit of the file.
+        up: Up axis of the file.
+        image: Image with the size.
+        extrinsics: File of the extrinsics.
+        all_cameras: Keep cameras without extrinsics, for uses that do not need them.
 
     Raises:
         CameraError: The file cannot be read, or is not a calibration.

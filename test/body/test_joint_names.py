@@ -11,7 +11,17 @@ from conftest import ROOT
 
 from humansim_ros import load_human
 from humansim_ros.body import hanim_skeleton
-from humansim_ros.body.joint_names import BODY_25, COCO, JOINT_NAMES, SETS, SMPL, WITHOUT_JOINT
+from humansim_ros.body.joint_names import (
+    BODY_25,
+    COCO,
+    DETAIL_BONES,
+    FINGERS,
+    JOINT_NAMES,
+    SETS,
+    SMPL,
+    SMPL_MODELS,
+    WITHOUT_JOINT,
+)
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.cli.human import joints as print_joints
 
@@ -19,13 +29,37 @@ BY_NAME = {row.name: row for row in JOINT_NAMES}
 
 
 def test_every_joint_of_the_general_skeleton_is_listed_once() -> None:
-    assert sorted(row.name for row in JOINT_NAMES) == sorted(hanim_skeleton().joint_names)
-    assert len(BY_NAME) == len(JOINT_NAMES) == 27
+    assert sorted(row.name for row in JOINT_NAMES[:27]) == sorted(hanim_skeleton().joint_names)
+    assert len(BY_NAME) == len(JOINT_NAMES) == 77
     assert all(row.place for row in JOINT_NAMES)
     assert all(bool(row.bone) != row.name.endswith("_end") for row in JOINT_NAMES)
 
 
-@pytest.mark.parametrize(("column", "names"), [("coco", COCO), ("body_25", BODY_25), ("smpl", SMPL)])
+def test_fingers_toes_jaw_and_eyes_are_listed_once_with_their_ends_after_the_general_skeleton() -> None:
+    heads = [row.name for row in JOINT_NAMES[27:] if row.bone]
+    ends = [row.name for row in JOINT_NAMES[27:] if not row.bone]
+    assert heads == list(DETAIL_BONES)
+    assert ends == [f"{bone}_end" for bone in DETAIL_BONES if bone not in DETAIL_BONES.values()]
+
+
+def test_fingers_follow_each_other_from_the_wrist() -> None:
+    chains = [[f"{side}_{name}{k}" for k in (1, 2, 3)] for side in "lr" for name in FINGERS]
+    assert list(DETAIL_BONES)[:30] == [bone for chain in chains for bone in chain]
+    for first, second, third in chains:
+        parents = [DETAIL_BONES[bone] for bone in (first, second, third)]
+        assert parents == [f"{first[0]}_wrist", first, second]
+    others = {bone: parent for bone, parent in DETAIL_BONES.items() if bone[-1] not in "123"}
+    assert others == {
+        "l_metatarsal": "l_ankle",
+        "r_metatarsal": "r_ankle",
+        **dict.fromkeys(("temporomandibular", "l_eyeball_joint", "r_eyeball_joint"), "vt3"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("column", "names"),
+    [("coco", COCO), ("body_25", BODY_25), ("smpl", (*SMPL, *SMPL_MODELS[55][22:]))],
+)
 def test_each_joint_of_a_set_has_one_joint_or_none(column: str, names: tuple[str, ...]) -> None:
     used = [name for row in JOINT_NAMES if (name := getattr(row, column)) is not None]
     assert len(set(used)) == len(used) and set(used) <= set(names)
@@ -61,7 +95,8 @@ def test_the_same_joints_of_smpl_play_the_same_role_in_motion_files() -> None:
     roles = yaml.safe_load((ROOT / "config" / "joint_names" / "smpl.yaml").read_text())["joints"]
     for row in JOINT_NAMES:
         # the table of roles has the left side only
-        if row.smpl and "smpl" not in row.near and side_of(row.name) > 0:
+        is_detail = row.name.removesuffix("_end") in DETAIL_BONES
+        if row.smpl and "smpl" not in row.near and side_of(row.name) > 0 and not is_detail:
             assert row.smpl in roles["Left" + row.smpl.removeprefix("left_").title()]
 
 

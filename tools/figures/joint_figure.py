@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros import Scene, Simulation  # noqa: E402
+from humansim_ros.body import hanim_skeleton  # noqa: E402
 from humansim_ros.body.joint_names import JOINT_NAMES, JointName  # noqa: E402
 from humansim_ros.body.skeleton import side_of  # noqa: E402
 from humansim_ros.drawing.canvas import (  # noqa: E402
@@ -73,10 +74,11 @@ def draw() -> Image:
         draw_line(image, [pixels[parent], pixels[name]], SIDE_COLORS[side_of(name)], 3)
     for name, pixel in pixels.items():
         draw_disc(image, pixel, 5, SIDE_COLORS[side_of(name)])
+    general = hanim_skeleton().joint_names
     for side, column in _COLUMNS.items():
         # the trunk on the right of the person, which is on the left of the image; the left side opposite
         rows = [row for row in JOINT_NAMES if side_of(row.name) == (1 if side > 0 else 0)]
-        rows = [row for row in rows if not row.place.startswith("as ")]
+        rows = [row for row in rows if row.name in general and not row.place.startswith("as ")]
         rows.sort(key=lambda row: pixels[row.name][1])
         heights = spread([pixels[row.name][1] for row in rows])
         for row, height in zip(rows, heights, strict=True):

@@ -326,7 +326,7 @@ def joints_of(skeleton: Skeleton) -> dict[str, Array]:
         for name, head in zip(skeleton.names, skeleton.heads, strict=True)
         if "_to_" not in name
     }
-    return heads | {f"{skeleton.names[bone]}_end": skeleton.tails[bone].copy() for bone in skeleton.leaves}
+    return heads | {f"{skeleton.names[bone]}_end": skeleton.tails[bone].copy() for bone in skeleton.ends}
 
 
 def _rotation_of_joints(joints: dict[str, Array]) -> Array:

@@ -41,7 +41,7 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
         >>> from humansim_ros.io.assets import resource_path
         >>> child = load_human(resource_path("assets/humans/child.npz"))
         >>> weights = rig(child.mesh, child.skeleton, "thesis")
-        >>> weights.shape == (len(child.mesh.vertices), 22)
+        >>> weights.shape == (len(child.mesh.vertices), 57)
         True
     """
     if rule == "heat":
@@ -78,6 +78,13 @@ def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArr
 def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
     """Bone (V,) with the largest weight of each vertex."""
     return _largest(weights).astype(np.intp)
+
+
+def without_details(weights: csr_matrix, skeleton: Skeleton) -> csr_matrix:
+    """Weights (V, B) in which fingers, toes, jaw and eyes give theirs to hand, foot and head."""
+    bones = len(skeleton)
+    sums = csr_matrix((np.ones(bones), (np.arange(bones), skeleton.wholes)), shape=(bones, bones))
+    return csr_matrix(weights @ sums)
 
 
 def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import LARGEST
 from humansim_ros.rotations import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
@@ -122,31 +123,55 @@ class Skeleton:
 
     @cached_property
     def leaves(self) -> tuple[int, ...]:
-        """Bones without children. Their tails are joints too (top of the head, finger tips, toes)."""
+        """Bones without children."""
         return tuple(sorted(set(range(len(self))) - {int(p) for p in self.parents}))
+
+    @cached_property
+    def ends(self) -> tuple[int, ...]:
+        """Bones whose tails are joints, too: those without children; and head, hands and feet, with bones
+        of fingers, toes, jaw and eyes or without (top of the head, tips of the straight hand and foot).
+        """
+        return tuple(
+            sorted({*self.leaves, *(n for n, name in enumerate(self.names) if name in _EXTREMITIES)})
+        )
+
+    @cached_property
+    def wholes(self) -> NDArray[np.intp]:
+        """(B,) bone of which each bone is a detail: hand, foot or head of fingers, toes, jaw and eyes, by
+        their names; other bones themselves.
+        """
+        wholes = np.arange(len(self))
+        for bone, name in enumerate(self.names):
+            if name in DETAIL_BONES and self.parents[bone] >= 0:
+                wholes[bone] = wholes[self.parents[bone]]
+        return wholes
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the J ground-truth joints: heads of all bones, then ``<bone>_end`` of the leaves."""
-        return (*self.names, *(f"{self.names[bone]}_end" for bone in self.leaves))
+        """Names of the J ground-truth joints: heads of all bones, then ``<bone>_end`` of :attr:`ends`."""
+        return (*self.names, *(f"{self.names[bone]}_end" for bone in self.ends))
 
     @property
     def joint_parents(self) -> tuple[str | None, ...]:
         """Name of the parent of each of :attr:`joint_names`; None for roots."""
         of_bones = [self.names[parent] if parent >= 0 else None for parent in self.parents]
-        return (*of_bones, *(self.names[bone] for bone in self.leaves))
+        return (*of_bones, *(self.names[bone] for bone in self.ends))
 
     @property
     def joint_bones(self) -> tuple[int, ...]:
         """Bone of each of :attr:`joint_names`."""
-        return (*range(len(self)), *self.leaves)
+        return (*range(len(self)), *self.ends)
 
     def joint_transforms(self, posed: Array) -> Array:
         """Frames of the ground-truth joints (..., J, 4, 4) from posed bone frames (..., B, 4, 4)."""
-        leaves = list(self.leaves)
-        ends = np.array(posed[..., leaves, :, :])
-        ends[..., :3, 3] += ends[..., :3, 1] * self.lengths[leaves][:, None]
+        bones = list(self.ends)
+        ends = np.array(posed[..., bones, :, :])
+        ends[..., :3, 3] += ends[..., :3, 1] * self.lengths[bones][:, None]
         return np.concatenate([posed, ends], axis=-3)
+
+
+#: Bones whose tail is a joint although they may have children.
+_EXTREMITIES = frozenset(("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist"))
 
 
 def side_of(name: str) -> int:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.drawing.canvas import distinct_hues, draw_disc, draw_line, draw_text, hsv_colors
 from humansim_ros.truth.camera_truth import OUTSIDE, VISIBLE
@@ -21,6 +22,8 @@ _VISIBLE_COLOR: Color = (60, 230, 90)
 _HIDDEN_COLOR: Color = (255, 150, 40)
 #: Bright colours of left, right and trunk, for photographs.
 _SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
+#: Size of fingers, toes, jaw and eyes beside the other joints, as a share.
+_DETAIL_SIZE = 0.5
 #: Grey of the title row and of the gaps of a contact sheet.
 _SHEET = 28
 _GAP = 4
@@ -149,18 +152,21 @@ def draw_joints(
     """
     out = image.copy()
     pixel_of = {name: pixel for name, pixel in zip(names, pixels, strict=True) if np.isfinite(pixel).all()}
+    sizes = {
+        name: radius * (_DETAIL_SIZE if name.removesuffix("_end") in DETAIL_BONES else 1.0) for name in names
+    }
     for name, parent in zip(names, parents, strict=True):
         if parent is not None and name in pixel_of and parent in pixel_of:
             draw_line(
                 out,
                 [pixel_of[parent], pixel_of[name]],
                 _SIDE_COLORS[side_of(name)],
-                max(1, round(0.6 * radius)),
+                max(1, round(0.6 * sizes[name])),
             )
     for name, state in zip(names, visible, strict=True):
         if name in pixel_of and state != OUTSIDE:
             color, width = (_VISIBLE_COLOR, -1) if state == VISIBLE else (_HIDDEN_COLOR, 1)
-            draw_disc(out, pixel_of[name], radius, color, width)
+            draw_disc(out, pixel_of[name], sizes[name], color, width)
     return out
 
 

@@ -283,6 +283,9 @@ def joint_surfaces(human: Human) -> NDArray[np.bool_]:
     bones_of_joints: list[set[int]] = []
     for joint, bone in enumerate(skeleton.joint_bones):
         is_end = joint >= len(skeleton)
+        if skeleton.wholes[bone] != bone:
+            bones_of_joints.append({bone} if is_end else {bone, int(skeleton.parents[bone])})
+            continue
         meeting = {bone} if is_end else {bone, *_siblings(skeleton.parents, skeleton.heads, bone)}
         if not is_end and skeleton.parents[bone] >= 0:
             meeting.add(int(skeleton.parents[bone]))
@@ -294,7 +297,8 @@ def joint_surfaces(human: Human) -> NDArray[np.bool_]:
             meeting |= {parent, *np.flatnonzero(skeleton.parents == bare).tolist()}
             if parent >= 0 and skeleton.parents[parent] < 0:  # the pelvis is beside the connectors of thighs
                 meeting |= set(_siblings(skeleton.parents, skeleton.heads, bare))
-        bones_of_joints.append(meeting - {-1})
+        # hands with their fingers, feet with their toes, the head with jaw and eyes
+        bones_of_joints.append(set(np.flatnonzero(np.isin(skeleton.wholes, list(meeting))).tolist()))
     table = np.zeros((len(bones_of_joints), 256), dtype=bool)
     for joint, bones in enumerate(bones_of_joints):
         table[joint, [bone + 1 for bone in bones]] = True

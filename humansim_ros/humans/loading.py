@@ -48,7 +48,7 @@ from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, 
 from humansim_ros.mesh.obj import material_files
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
-CACHE_VERSION = 3
+CACHE_VERSION = 4
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
 
@@ -137,7 +137,7 @@ def load_human(
     Example:
         >>> human = load_human("adult_man")
         >>> len(human.skeleton), human.weights.shape[1]
-        (22, 22)
+        (57, 57)
     """
     if not Path(path).suffix:
         path = find_asset(os.fspath(path), "humans", error=MeshError)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.landmarks import SKIN_VERTICES, is_makehuman
-from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.rigging import dominant_bones, without_details
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
@@ -175,17 +175,19 @@ def _carried_over(human: Human, names: Sequence[str]) -> SkinPlaces:
     template = load_human(_TEMPLATE)
     places = _by_texture(template, names)
     skin = np.einsum("nk,nkj->nj", places.weights, template.mesh.vertices[places.corners])
-    bones = dominant_bones(template.weights)[places.corners[:, 0]]
+    # other bodies have no bones of fingers, toes, jaw and eyes
+    weights = without_details(template.weights, template.skeleton)
+    bones = dominant_bones(weights)[places.corners[:, 0]]
     scale = float(np.ptp(human.mesh.vertices[:, 1]) / np.ptp(template.mesh.vertices[:, 1]))
-    corners, weights = np.zeros((len(names), 3), np.intp), np.zeros((len(names), 3))
+    corners, shares = np.zeros((len(names), 3), np.intp), np.zeros((len(names), 3))
     for bone in np.unique(bones).tolist():
         there = _BodyPart.of(template, template.skeleton.names[bone])
         here = _BodyPart.of(human, template.skeleton.names[bone])
         surface = _Triangles.of(human.mesh.vertices[here.triangles])
         for number in np.flatnonzero(bones == bone):
-            nearest, weights[number] = surface.nearest(here.place(skin[number], there, scale))
+            nearest, shares[number] = surface.nearest(here.place(skin[number], there, scale))
             corners[number] = here.triangles[nearest]
-    return SkinPlaces(corners, weights, np.zeros(len(names), bool))
+    return SkinPlaces(corners, shares, np.zeros(len(names), bool))
 
 
 @dataclass(frozen=True)

@@ -197,6 +197,9 @@ class MarkerBuilder:
     def __init__(self, human: Human, cell: float = 0.035) -> None:
         self._skeleton = human.skeleton
         self._triangles = _coarse_triangles(human.mesh, cell)
+        bones = np.array(self._skeleton.joint_bones)
+        # spheres would hide fingers, eyes and jaw
+        self._spheres = np.flatnonzero(self._skeleton.wholes[bones] == bones)
 
     def build(self, name: str, instance: int, state: HumanState, stamp: int) -> MarkerArray:
         """Build the markers of one frame.
@@ -214,7 +217,7 @@ class MarkerBuilder:
         skin = state.vertices[self._triangles].reshape(-1, 3)
         layers = (
             ("skeleton", Marker.LINE_LIST, bones, 0.012, (0.95, 0.75, 0.15, 1.0)),
-            ("joints", Marker.SPHERE_LIST, joints, 0.03, (0.9, 0.25, 0.2, 1.0)),
+            ("joints", Marker.SPHERE_LIST, joints[self._spheres], 0.03, (0.9, 0.25, 0.2, 1.0)),
             ("skin", Marker.TRIANGLE_LIST, skin, 1.0, (0.75, 0.65, 0.6, 0.6)),
         )
         markers = []

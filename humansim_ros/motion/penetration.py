@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.rigging import dominant_bones, without_details
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
@@ -151,7 +151,7 @@ def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matr
     if mesh is None or weights is None:
         rows = _average_capsules(skeleton)
     else:
-        rows = _measured_capsules(skeleton, mesh.vertices, dominant_bones(weights))
+        rows = _measured_capsules(skeleton, mesh.vertices, dominant_bones(without_details(weights, skeleton)))
     if not rows:
         raise MeshError("no bone of this skeleton can have a capsule: none is a limb or part of the trunk")
     bones = np.array([bone for bone, *_ in rows], dtype=np.intp)
@@ -327,7 +327,7 @@ def _limb_capsule(skeleton: Skeleton, bone: int, radius: float) -> _CapsuleRow:
     inset = (tail - head) * min(0.5, radius / skeleton.lengths[bone])
     if skeleton.names[bone] == "vt3":
         head = head + inset
-    if bone in skeleton.leaves:
+    if bone in skeleton.ends:
         tail = tail - inset
     return bone, head, tail, radius
 

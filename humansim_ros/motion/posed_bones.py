@@ -64,7 +64,7 @@ class PosedBones:
     def to_motion(self) -> Motion:
         """A motion for BVH: y up, facing +z, centimetres, in the rest pose of the skeleton.
 
-        Joints are the heads of the bones. End sites are the tails of the last bones. Rotations have the order
+        Joints are the heads of the bones. End sites are the ends of the skeleton. Rotations have the order
         ZXY, or another one in joints that come near its gimbal lock.
         """
         skeleton = self.skeleton
@@ -100,7 +100,7 @@ class PosedBones:
             offsets.append(skeleton.heads[bone] - (skeleton.heads[parent] if parent >= 0 else 0.0))
             channels.append(rotation_channels if parent >= 0 else position_channels + rotation_channels)
             values += [angles[:, bone]] if parent >= 0 else [positions[:, bone], angles[:, bone]]
-            if bone in skeleton.leaves:
+            if bone in skeleton.ends:
                 names.append(f"{skeleton.names[bone]}_end")
                 joint_parents.append(joint_of[bone])
                 offsets.append(skeleton.tails[bone] - skeleton.heads[bone])
@@ -116,9 +116,9 @@ class PosedBones:
 
 
 def _directions(skeleton: Skeleton) -> Array:
-    """Direction (B, 3) of each bone as programs draw it: to the mean of its children, or to its tail."""
+    """Direction (B, 3) of each bone as programs draw it: to its end, or to the mean of its children."""
     ends = skeleton.tails.copy()
-    for bone in set(skeleton.parents.tolist()) - {-1}:
+    for bone in set(skeleton.parents.tolist()) - {-1, *skeleton.ends}:
         ends[bone] = skeleton.heads[skeleton.parents == bone].mean(axis=0)
     return ends - skeleton.heads
 

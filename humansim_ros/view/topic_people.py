@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csgraph, csr_matrix
 
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import EvaluationError, printable
@@ -157,22 +158,27 @@ def _ends(names: Sequence[str], parents: Indices, points: Mapping[str, Array]) -
 
 
 def _parents(names: Sequence[str], poses: JointPoses) -> list[int]:
-    """Parent of each bone: by the general skeleton, or else along the shortest tree of all joints."""
+    """Parent of each bone: as in the built-in humans, or else along the shortest tree of all joints."""
     general = hanim_skeleton()
-    if set(names) <= set(general.names):
+    above: dict[str, str | None] = {
+        name: general.names[parent] if parent >= 0 else None
+        for name, parent in zip(general.names, general.parents, strict=True)
+    }
+    above |= DETAIL_BONES
+    if set(names) <= above.keys():
         found = []
         for name in names:
-            bone = int(general.parents[general.bone(name)])
-            while bone >= 0 and general.names[bone] not in names:
-                bone = int(general.parents[bone])
-            found.append(names.index(general.names[bone]) if bone >= 0 else -1)
+            bone = above[name]
+            while bone is not None and bone not in names:
+                bone = above[bone]
+            found.append(-1 if bone is None else names.index(bone))
         return found
     positions = _points(poses)
     points = np.array([positions[name] for name in names])
     distances = np.linalg.norm(points[:, None] - points[None], axis=2) + 1e-6  # 0 would be no edge
     tree = csgraph.minimum_spanning_tree(distances)
-    _, above = csgraph.breadth_first_order(tree, 0, directed=False)
-    return [int(parent) if parent >= 0 else -1 for parent in above]
+    _, before = csgraph.breadth_first_order(tree, 0, directed=False)
+    return [int(parent) if parent >= 0 else -1 for parent in before]
 
 
 def _depth(parents: Sequence[int], bone: int) -> int:

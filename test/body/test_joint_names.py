@@ -104,7 +104,7 @@ def test_joints_of_a_person_are_at_the_places_that_the_table_says() -> None:
 
     human = load_human("adult_woman")
     skeleton, surface = human.skeleton, human.mesh.vertices
-    ends = [skeleton.tails[bone] for bone in skeleton.leaves]
+    ends = [skeleton.tails[bone] for bone in skeleton.ends]
     at = dict(zip(skeleton.joint_names, [*skeleton.heads, *ends], strict=True))
     assert surface[:, 1].max() - at["vt3_end"][1] < 0.05  # the top of the head, below the hair
     hips = (at["l_hip"] + at["r_hip"]) / 2

@@ -13,15 +13,52 @@ import numpy as np
 import pytest
 from conftest import ROOT, if_shared
 from mesh_files import MESHES, mesh_path
+from scipy.spatial.transform import Rotation
 
 import humansim_ros
 from humansim_ros.body import hanim_skeleton
+from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import penetration
 
 MAN = ROOT / "assets" / "humans" / "adult_man.npz"
+#: Some vertices of the humans that had 22 bones, posed at random; metres.
+VERTICES: dict[str, list[tuple[float, float, float]]] = {
+    "adult_man": [
+        (-0.21085, 1.60050, -0.24561),
+        (-0.20350, 1.60300, -0.25057),
+        (-0.97929, 1.13117, -0.36790),
+        (-0.55418, 1.27448, -0.33649),
+        (-0.16846, 0.91650, -0.12599),
+        (-0.25728, 1.57898, -0.30498),
+        (-0.82400, 0.64816, 0.20905),
+        (-0.15572, 1.60495, -0.25772),
+        (0.51955, 1.58533, 0.18068),
+        (0.18239, 1.45063, -0.05441),
+        (0.19169, 0.98334, 0.19530),
+        (-0.11143, 1.53430, -0.32645),
+        (0.15614, 0.84017, 0.11417),
+        (-0.18507, 1.49827, -0.41462),
+    ],
+    "child": [
+        (-0.15923, 1.15442, -0.16638),
+        (-0.15178, 1.15667, -0.17189),
+        (-0.67107, 0.79925, -0.28147),
+        (-0.38557, 0.90460, -0.24639),
+        (-0.14405, 0.65919, -0.06441),
+        (-0.20599, 1.13307, -0.21482),
+        (-0.63405, 0.46115, 0.06508),
+        (-0.10937, 1.15932, -0.17737),
+        (0.35680, 1.11371, 0.13255),
+        (0.12884, 1.02431, -0.03135),
+        (0.12822, 0.70963, 0.18595),
+        (-0.06663, 1.09734, -0.23455),
+        (0.11172, 0.59888, 0.13829),
+        (-0.13290, 1.06469, -0.30748),
+    ],
+}
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +73,106 @@ def arrays() -> dict[str, Any]:
 
 
 def test_the_man_has_the_bones_of_the_general_skeleton(man: Human) -> None:
-    assert len(man.skeleton) == 22
-    assert set(man.skeleton.names) == set(hanim_skeleton().names)
+    general = hanim_skeleton()
+    assert man.skeleton.names[:22] == general.names
+    np.testing.assert_array_equal(man.skeleton.parents[:22], general.parents)
+
+
+def test_the_bones_of_fingers_toes_jaw_and_eyes_follow_those_of_the_general_skeleton(man: Human) -> None:
+    skeleton = man.skeleton
+    assert skeleton.names[22:] == tuple(DETAIL_BONES)
+    parents = [skeleton.names[parent] for parent in skeleton.parents[22:]]
+    assert parents == list(DETAIL_BONES.values())
+
+
+def test_the_ends_of_the_general_skeleton_stay_joints_although_these_bones_have_children(man: Human) -> None:
+    skeleton, general = man.skeleton, hanim_skeleton()
+    assert skeleton.joint_names[57:62] == general.joint_names[22:]
+    assert set(skeleton.joint_names[62:]) == {
+        *(f"{side}_{finger}3_end" for side in "lr" for finger in FINGERS),
+        *(f"{bone}_end" for bone in tuple(DETAIL_BONES)[-5:]),
+    }
+    joints = skeleton.joint_transforms(skeleton.rest)[:, :3, 3]
+    for name, bone, place in zip(skeleton.joint_names, skeleton.joint_bones, joints, strict=True):
+        end = skeleton.tails[bone] if name.endswith("_end") else skeleton.heads[bone]
+        np.testing.assert_allclose(place, end, atol=1e-12)
+    at = dict(zip(skeleton.joint_names, joints, strict=True))
+    np.testing.assert_allclose(at["l_metatarsal_end"], at["l_ankle_end"], atol=1e-9)
+
+
+def test_parts_of_a_hand_foot_and_head_are_told_from_it(man: Human) -> None:
+    names = man.skeleton.names
+    whole = {name: names[bone] for name, bone in zip(names, man.skeleton.wholes, strict=True)}
+    assert all(whole[name] == name for name in hanim_skeleton().names)
+    assert {whole[bone] for bone in finger_bones("r")} == {"r_wrist"}
+    assert whole["l_metatarsal"] == "l_ankle" and whole["temporomandibular"] == "vt3"
+    seen = {names[part - 1] for part in np.unique(man.triangle_parts)}
+    assert set(DETAIL_BONES) < seen
+
+
+def test_bones_of_the_general_skeleton_move_the_skin_as_when_they_were_the_only_ones() -> None:
+    """Vertices of the files that had 22 bones, in a pose by chance."""
+    for name, expected in VERTICES.items():
+        human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
+        rotations = np.tile([0.0, 0, 0, 1], (len(human.skeleton), 1))
+        turns = np.random.default_rng(28).normal(0, 0.3, (22, 3))
+        rotations[:22] = Rotation.from_rotvec(turns).as_quat()
+        vertices = human.pose(human.skeleton.pose(rotations))
+        rows = np.linspace(0, len(vertices) - 1, 14).astype(int)
+        np.testing.assert_allclose(vertices[rows], expected, atol=2e-5)
+
+
+def test_an_eye_turns_about_its_centre_and_looks_down_with_a_positive_angle(man: Human) -> None:
+    skeleton = man.skeleton
+    for eye in ("l_eyeball_joint", "r_eyeball_joint"):
+        bone = skeleton.bone(eye)
+        skin = np.flatnonzero(man.weights[:, bone].toarray().ravel() > 0.99)
+        rotations = np.tile([0.0, 0, 0, 1], (len(skeleton), 1))
+        rotations[bone] = Rotation.from_euler("x", 30, degrees=True).as_quat()
+        posed = skeleton.pose(rotations)
+        moved = man.pose(posed)
+        before = np.linalg.norm(man.mesh.vertices[skin] - skeleton.heads[bone], axis=1)
+        assert len(skin) > 60 and np.ptp(before) < 0.002  # a ball
+        np.testing.assert_allclose(
+            np.linalg.norm(moved[skin] - skeleton.heads[bone], axis=1), before, atol=1e-6
+        )
+        np.testing.assert_allclose(posed[bone, :3, 1] @ skeleton.rest[bone, :3, 1], np.cos(np.radians(30)))
+        assert posed[bone, 1, 1] < skeleton.rest[bone, 1, 1] - 0.4
+        still = man.weights[:, bone].toarray().ravel() == 0
+        assert np.abs(moved - man.mesh.vertices)[still].max() < 1e-6
+
+
+def test_the_jaw_opens_with_a_positive_angle_and_moves_chin_and_lower_lip(man: Human) -> None:
+    skeleton, rest = man.skeleton, man.mesh.vertices
+    bone = skeleton.bone("temporomandibular")
+    rotations = np.tile([0.0, 0, 0, 1], (len(skeleton), 1))
+    rotations[bone] = Rotation.from_euler("x", 20, degrees=True).as_quat()
+    moved = man.pose(skeleton.pose(rotations)) - rest
+    lowered = rest[np.argmin(moved[:, 1])]
+    assert moved[:, 1].min() < -0.02 and np.linalg.norm(lowered - skeleton.tails[bone]) < 0.05  # the chin
+    assert np.abs(moved[rest[:, 1] > skeleton.heads[bone][1] + 0.03]).max() < 1e-6  # eyes and brow
+    assert np.abs(moved[rest[:, 1] < skeleton.heads[bone][1] - 0.2]).max() < 1e-6
+
+
+def test_toes_bend_at_the_ball_of_the_foot_without_tearing_the_shoe(man: Human) -> None:
+    skeleton, rest = man.skeleton, man.mesh.vertices
+    edges = np.concatenate([man.mesh.triangles[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    for degrees in (-45, 30):  # up, as on tiptoe, and down
+        rotations = np.tile([0.0, 0, 0, 1], (len(skeleton), 1))
+        for side in "lr":
+            turn = Rotation.from_euler("x", degrees, degrees=True).as_quat()
+            rotations[skeleton.bone(f"{side}_metatarsal")] = turn
+        moved = man.pose(skeleton.pose(rotations))
+        longer = np.linalg.norm(moved[edges[:, 0]] - moved[edges[:, 1]], axis=1) - length
+        assert (longer - length).max() < 0.003
+        for side in "lr":
+            ball = skeleton.heads[skeleton.bone(f"{side}_metatarsal")]
+            own = (rest[:, 0] * ball[0] > 0) & (rest[:, 1] < 0.12)
+            heel, tip = own & (rest[:, 2] < ball[2] - 0.05), own & (rest[:, 2] > ball[2] + 0.05)
+            assert np.abs(moved - rest)[heel].max() < 1e-6
+            rise = (moved - rest)[tip, 1].mean() * np.sign(-degrees)
+            assert rise > 0.02
 
 
 def test_the_man_is_as_tall_as_a_man_and_stands_on_the_floor(man: Human) -> None:
@@ -179,7 +314,7 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "a face out of range": {"faces": far},
         "faces of the wrong shape": {"faces": arrays["faces"].ravel()},
         "a parent after its child": {"bone_parents": arrays["bone_parents"][::-1]},
-        "weights of a bone that is not there": {"weight_bones": arrays["weight_bones"] + 22},
+        "weights of a bone that is not there": {"weight_bones": arrays["weight_bones"] + 57},
         "weights below zero": {"weight_values": -arrays["weight_values"]},
         "weights of zero": {"weight_values": 0 * arrays["weight_values"]},
         "weights of one axis": {

@@ -14,6 +14,7 @@ import pytest
 from conftest import ROOT
 from render_scenes import EVEN, renderer_or_skip
 
+from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS
 from humansim_ros.camera import Camera
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import MeshError
@@ -23,6 +24,13 @@ from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
+from humansim_ros.humans.makehuman.skeleton import (
+    BONES_PER_VERTEX,
+    bone_weights,
+    landmarks,
+    limit_details,
+    make_bones,
+)
 from humansim_ros.render import Body
 from humansim_ros.rotations import WORLD_FROM_BODY, transform
 
@@ -281,6 +289,45 @@ def test_a_shirt_spans_the_hollow_under_a_large_bust(source: MakeHumanData) -> N
 
 
 @needs_makehuman
+def test_finger_bones_have_the_weights_of_the_artists(source: MakeHumanData) -> None:
+    """Summed per finger; only vertices that more than four bones move differ."""
+    base = read_base(source, {})
+    bones = make_bones(landmarks(base), {}, {})
+    whole = bone_weights(source, bones, len(base.vertices))
+    weights = limit_details(whole)
+    assert (weights > 0).sum(axis=1).max() == BONES_PER_VERTEX
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    many = (whole > 0).sum(axis=1) > BONES_PER_VERTEX
+    assert many.sum() < 150  # of 19158
+    for side in "lr":
+        for number, finger in enumerate(FINGERS, 1):
+            for joint in (1, 2, 3):
+                theirs = np.zeros(len(weights))
+                for vertex, weight in source.weights[f"finger{number}-{joint}.{side.upper()}"]:
+                    theirs[vertex] += weight
+                ours = weights[:, bones.index(f"{side}_{finger}{joint}")]
+                np.testing.assert_allclose(ours[~many], theirs[~many], atol=2e-3)
+                assert ours.sum() == pytest.approx(theirs.sum(), rel=0.02)
+
+
+def test_details_share_the_weights_of_their_hand_foot_or_head(source: MakeHumanData) -> None:
+    base = read_base(source, {})
+    bones = make_bones(landmarks(base), {}, {})
+    whole = bone_weights(source, bones, len(base.vertices))
+    weights = limit_details(whole)
+    for bone, name in enumerate(bones.names[:22]):
+        parts = [bone, *(k for k, other in enumerate(bones.names) if is_detail_of(other, name))]
+        np.testing.assert_allclose(weights[:, parts].sum(axis=1), whole[:, parts].sum(axis=1), atol=1e-12)
+
+
+def is_detail_of(name: str, whole: str) -> bool:
+    while name in DETAIL_BONES:
+        name = DETAIL_BONES[name]
+        if name == whole:
+            return True
+    return False
+
+
 def test_an_unknown_target_is_refused(source: MakeHumanData) -> None:
     config = MakeHumanConfig(targets={"nose/nose-of-pinocchio": 1.0})
     with pytest.raises(MeshError, match="no such target") as caught:

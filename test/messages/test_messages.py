@@ -276,7 +276,7 @@ def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
     skeleton = scene.actors["walker"].human.skeleton
     parts = json.loads(messages.part_legend(skeleton).data)
     assert parts["0"] == "background"
-    assert [parts[str(i + 1)] for i in range(22)] == list(skeleton.names)
+    assert [parts[str(i + 1)] for i in range(57)] == list(skeleton.names)
     assert json.loads(messages.instance_legend({"walker": 1}).data) == {"0": "background", "1": "walker"}
     joints = json.loads(messages.joints_legend({"walker": (1, skeleton.joint_names)}).data)
     assert joints["human"] == {"1": "walker"}
@@ -297,7 +297,7 @@ def test_markers_are_few_enough_for_a_viewer_and_lie_on_the_body(scene: Scene) -
     # a coarse skin is as large as the fine one
     assert np.abs(skin.min(0) - state.vertices.min(0)).max() < 0.05
     assert np.abs(skin.max(0) - state.vertices.max(0)).max() < 0.05
-    assert len(by_kind["skeleton"].points) == 2 * 22
+    assert len(by_kind["skeleton"].points) == 2 * 57
 
 
 @pytest.mark.parametrize(

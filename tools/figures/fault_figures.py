@@ -52,7 +52,7 @@ def frame_of(faults: dict[str, Any], sensor: dict[str, Any]) -> Frame:
 def with_joints(picture: Image, frame: Frame, pixels: Array) -> Image:
     skeleton = frame.models["one"].skeleton
     parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]
-    parents += [skeleton.names[bone] for bone in skeleton.leaves]
+    parents += [skeleton.names[bone] for bone in skeleton.ends]
     visible = frame.joints["left"]["one"].visible
     return views.draw_joints(picture, pixels, visible, skeleton.joint_names, parents)
 

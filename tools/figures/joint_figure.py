@@ -59,7 +59,7 @@ def person() -> tuple[Image, dict[str, Array], list[tuple[str, str]]]:
         for name, parent in zip(skeleton.names, skeleton.parents, strict=True)
         if parent >= 0 and name not in connections  # their first end is that of another bone
     ]
-    bones += [(skeleton.names[leaf], f"{skeleton.names[leaf]}_end") for leaf in skeleton.leaves]
+    bones += [(skeleton.names[leaf], f"{skeleton.names[leaf]}_end") for leaf in skeleton.ends]
     return frame.views["front"].rgb, dict(zip(human.joint_names, pixels, strict=True)), bones
 
 

@@ -42,7 +42,7 @@ def draw(scene: Scene, renderer: GLRenderer, title: str) -> Image:
     joints = view_joints(camera, state.positions, view, actor.instance, joint_surfaces(actor.human))
     skeleton = actor.human.skeleton
     parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]
-    parents += [skeleton.names[bone] for bone in skeleton.leaves]
+    parents += [skeleton.names[bone] for bone in skeleton.ends]
     picture = draw_joints(view.rgb, joints.pixels, joints.visible, state.joint_names, parents)
     out = cv2.copyMakeBorder(picture, 26, 4, 4, 4, cv2.BORDER_CONSTANT, value=(28, 28, 28))
     cv2.putText(out, title, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (235, 235, 235), 1, cv2.LINE_AA)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.skinning import skin
 from humansim_ros.humans.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
 from humansim_ros.humans.makehuman.data import (
@@ -37,14 +38,16 @@ from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_
 from humansim_ros.humans.makehuman.skeleton import (
     BONES_PER_VERTEX,
     Bones,
+    bend_in_shoes,
     bone_weights,
     landmarks,
+    limit_details,
     make_bones,
     smooth_weights,
     t_pose,
     unskin,
 )
-from humansim_ros.humans.makehuman.surface import NONE, BodySurface, compact, refine, sample
+from humansim_ros.humans.makehuman.surface import NONE, SHOES, BodySurface, compact, refine, sample
 from humansim_ros.types import Array
 
 #: Flexion of the three joints of each finger, degrees: thumb to little finger of a hand at rest.
@@ -55,39 +58,52 @@ _CLOSING = 0.6
 _THUMB_CLOSING = 14.0
 
 
-def relax_hands(source: MakeHumanData, vertices: Array, points: Mapping[str, Array]) -> Array:
+def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Transforms (4, 4) of the finger bones to a hand at rest, and axes (3,) there; both by name of the bone.
+
+    ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a bone.
+    """
+    transforms, hinges = {}, {}
+    for side in "lr":
+        for number, name in enumerate(FINGERS, 1):
+            segments, axis = _finger(points, side, number)
+            for segment, transform in enumerate(segments, 1):
+                transforms[f"{side}_{name}{segment}"] = transform
+                hinges[f"{side}_{name}{segment}"] = transform[:3, :3] @ axis
+    return transforms, hinges
+
+
+def relax_hands(source: MakeHumanData, vertices: Array, transforms: Mapping[str, Array]) -> Array:
     """Bend the fingers of both hands.
 
     Args:
         source: Weights of the artists.
         vertices: (N, 3) all vertices of the base mesh, metres, in the A pose.
-        points: Landmarks of the same body (see ``skeleton.landmarks``).
+        transforms: See :func:`relaxed_fingers`, of the same body.
 
     Returns:
         (N, 3) vertices; only the vertices of the fingers differ.
     """
-    weights = source.weights
-    transforms, columns = [np.eye(4)], [np.zeros(len(vertices))]
-    for side in "lr":
-        for finger in range(1, 6):
-            for segment, transform in enumerate(_finger(points, side, finger), 1):
-                pairs = np.array(weights[f"finger{finger}-{segment}.{side.upper()}"])
-                column = np.zeros(len(vertices))
-                column[pairs[:, 0].astype(int)] = pairs[:, 1]
-                transforms.append(transform)
-                columns.append(column)
+    columns = [np.zeros(len(vertices))]
+    for name in transforms:
+        number = FINGERS.index(name[2:-1]) + 1
+        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
+        column = np.zeros(len(vertices))
+        column[pairs[:, 0].astype(int)] = pairs[:, 1]
+        columns.append(column)
     shares = np.stack(columns, axis=1)
     shares[:, 0] = np.maximum(1.0 - shares.sum(axis=1), 0.0)
     moved = np.flatnonzero(shares[:, 0] < 1.0)
     out = vertices.copy()
     shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
     # dual quaternions: linear blending would flatten the knuckles
-    out[moved] = skin(vertices[moved], csr_matrix(shares), np.array(transforms), "dual_quaternion")
+    motion = np.array([np.eye(4), *transforms.values()])
+    out[moved] = skin(vertices[moved], csr_matrix(shares), motion, "dual_quaternion")
     return out
 
 
-def _finger(points: Mapping[str, Array], side: str, finger: int) -> list[Array]:
-    """Transforms (4, 4) of the three segments of a finger."""
+def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[Array], Array]:
+    """Transforms (4, 4) of the three segments of a finger, and the axis (3,) about which it flexes before."""
 
     def joint(number: int, of: int = finger) -> Array:
         return points[f"joint-{side}-finger-{of}-{number}"]
@@ -111,7 +127,7 @@ def _finger(points: Mapping[str, Array], side: str, finger: int) -> list[Array]:
             turn = turn @ closing
         before = before @ _about(joint(segment), turn)
         out.append(before)
-    return out
+    return out, axis
 
 
 def _closing(palm: Array, joint: object, finger: int) -> Array:
@@ -197,7 +213,11 @@ def build(
     skin = downsample(texels, 255 * np.repeat(skin_share(mesh, texels, canvas)[:, None], 3, axis=1))
 
     sole = np.array([0, dressed[:, 1].min(), 0])
-    weights = smooth_weights(mesh.weights, dressed, mesh.faces, _PARTING * float(np.ptp(dressed[:, 1])))
+    reach = _PARTING * float(np.ptp(dressed[:, 1]))
+    weights = smooth_weights(mesh.weights, dressed, mesh.faces, reach)
+    in_shoes = mesh.garment == SHOES
+    weights[in_shoes] = bend_in_shoes(weights[in_shoes], dressed[in_shoes], body.bones)
+    weights = limit_details(weights)
     order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
     values = np.take_along_axis(weights, order, axis=1)
     triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
@@ -210,7 +230,7 @@ def build(
         "bone_parents": body.bones.parents.astype(np.int32),
         "bone_heads": body.bones.heads - sole,
         "bone_tails": body.bones.tails - sole,
-        "bone_rolls": np.zeros(len(body.bones.names)),
+        "bone_rolls": body.bones.rolls,
         "weight_bones": np.where(values > 0, order, 0).astype(np.int16),
         "weight_values": values.astype(np.float32),
         "outfits": np.array(list(looks)),
@@ -238,10 +258,12 @@ def _scaled(base: Base, scale: float) -> Base:
 def _naked(source: MakeHumanData, base: Base) -> _Body:
     """Body and eyes without the other helpers; in the T pose the bare soles are at height 0."""
     points = landmarks(base)
-    bones_a = make_bones(points)
+    transforms, hinges = relaxed_fingers(points)
+    bones_a = make_bones(points, transforms, hinges)
     weights = bone_weights(source, bones_a, len(base.vertices))
-    for eye in ("helper-l-eye", "helper-r-eye"):
-        weights[base.vertex_groups[eye]] = np.eye(len(bones_a.names))[bones_a.index("vt3")]
+    for side in "lr":
+        eye = bones_a.index(f"{side}_eyeball_joint")
+        weights[base.vertex_groups[f"helper-{side}-eye"]] = np.eye(len(bones_a.names))[eye]
     motion, bones = t_pose(bones_a)
     keep = np.isin(base.face_groups, ("body", "helper-l-eye", "helper-r-eye"))
     rows, faces = compact(base.faces[keep], len(base.vertices))
@@ -249,7 +271,7 @@ def _naked(source: MakeHumanData, base: Base) -> _Body:
     part = np.zeros(len(rows), np.int64)
     for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
         part[faces[base.face_groups[keep] == group]] = number
-    vertices = relax_hands(source, base.vertices, points)[rows]
+    vertices = relax_hands(source, base.vertices, transforms)[rows]
     naked = unskin(vertices, weights[rows], motion)
     floor = np.array([0, float(naked[part == 0, 1].min()), 0])
     naked = naked - floor

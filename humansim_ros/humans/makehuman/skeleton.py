@@ -1,4 +1,8 @@
-"""The 22 bones at the joints of a MakeHuman body, with the weights of its artists, and the T pose."""
+"""Bones at the joints of a MakeHuman body, with the weights of its artists, and the T pose.
+
+The first 22 are the bones of [thesis table 4.1]. ``DETAIL_BONES`` are fingers, toes, jaw and eyes; each is a
+detail of one of the 22, whose weights it shares: together they move the skin as that bone alone does.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices
-from humansim_ros.rotations import shortest_rotations, unit_vectors
+from humansim_ros.humans.makehuman.surface import ramp
+from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, shortest_rotations, unit_vectors
 from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4
+#: A shoe bends this far before and behind the ball of the foot, as a share of the length of the foot bone.
+_SHOE_BEND = 0.14
 
 # Name, parent, and landmarks (see `landmarks`) of head and tail; `{}` is the side, l or r.
 TRUNK = (
@@ -32,11 +40,31 @@ SIDE = (
     ("{}_elbow", "{}_shoulder", "joint-{}-elbow", "joint-{}-hand"),
     ("{}_wrist", "{}_elbow", "joint-{}-hand", "joint-{}-finger-3-4"),
 )
+# Landmarks of head and tail of the details.
+DETAILS = {
+    **{
+        f"{{}}_{finger}{joint}": (
+            f"joint-{{}}-finger-{number}-{joint}",
+            f"joint-{{}}-finger-{number}-{joint + 1}",
+        )
+        for number, finger in enumerate(FINGERS, 1)
+        for joint in (1, 2, 3)
+    },
+    "{}_metatarsal": ("{}-ball", "joint-{}-foot-2"),
+    "temporomandibular": ("joint-mouth", "joint-jaw"),
+    "{}_eyeball_joint": ("joint-{}-eye", "{}-pupil"),
+}
 
 # Bones that take the weight of a bone of MakeHuman's default rig, by the longest prefix of its name.
 # Shared weights at neck and pelvis smooth joints that are several joints in the rig.
 WEIGHT_SHARES: dict[str, dict[str, float]] = {
-    "": {"vt3": 1.0},  # head, jaw, tongue, eyes and the muscles of the face
+    "": {"vt3": 1.0},  # head and the muscles of the face
+    # oris: lower lip
+    **{
+        name: {"temporomandibular": 1.0}
+        for name in ("jaw", "tongue", "special04", "oris01", "oris02", "oris06.", "oris07")
+    },
+    "eye": {"{}_eyeball_joint": 1.0},
     "root": {"HumanoidRoot": 1.0},
     "pelvis": {"HumanoidRoot": 1.0},
     "spine05": {"HumanoidRoot": 0.5, "sacroiliac": 0.5},
@@ -52,16 +80,33 @@ WEIGHT_SHARES: dict[str, dict[str, float]] = {
     "lowerarm": {"{}_elbow": 1.0},
     "wrist": {"{}_wrist": 1.0},
     "metacarpal": {"{}_wrist": 1.0},
-    "finger": {"{}_wrist": 1.0},
+    **{
+        f"finger{number}-{joint}": {f"{{}}_{finger}{joint}": 1.0}
+        for number, finger in enumerate(FINGERS, 1)
+        for joint in (1, 2, 3)
+    },
     "upperleg": {"{}_hip": 1.0},
     "lowerleg": {"{}_knee": 1.0},
     "foot": {"{}_ankle": 1.0},
-    "toe": {"{}_ankle": 1.0},
+    "toe": {"{}_metatarsal": 1.0},
 }
 
 
+def _wholes() -> VertexIndices:
+    """Bone (B,) of the first 22 that each bone is a detail of; one of the 22 itself."""
+    names = [name for name, *_ in TRUNK] + [name.format(side) for side in "lr" for name, *_ in SIDE]
+    wholes = list(range(len(names)))
+    names += DETAIL_BONES
+    for bone in DETAIL_BONES:
+        wholes.append(wholes[names.index(DETAIL_BONES[bone])])
+    return np.array(wholes)
+
+
+_WHOLE = _wholes()
+
+
 def landmarks(base: Base) -> dict[str, Array]:
-    """Joint centres (3,) in metres: the centres of MakeHuman's joint cubes, and two of our own."""
+    """Joint centres (3,) in metres: the centres of MakeHuman's joint cubes, and some of our own."""
     points = {
         name: base.vertices[rows].mean(axis=0)
         for name, rows in base.vertex_groups.items()
@@ -72,40 +117,76 @@ def landmarks(base: Base) -> dict[str, Array]:
     points["skull-top"][1] = body[:, 1].max()
     # the root bone leads up into the pelvis from the front [thesis table 4.1]
     points["root"] = 2 * points["joint-pelvis"] - points["joint-spine-4"]
+    for side in "lr":
+        toes = [points[f"joint-{side}-toe-{number}-1"] for number in range(1, 6)]
+        points[f"{side}-ball"] = np.mean(toes, axis=0)
+        eye, gaze = points[f"joint-{side}-eye"], points[f"joint-{side}-eye-target"]
+        ball = base.vertices[base.vertex_groups[f"helper-{side}-eye"]]
+        radius = np.linalg.norm(ball - eye, axis=1).max()
+        points[f"{side}-pupil"] = eye + radius * unit_vectors(gaze - eye)
     for name, point in points.items():
-        if not any(side in name for side in ("-l-", "-r-")):
+        if not any(side in f"-{name}" for side in ("-l-", "-r-")):
             point[0] = 0.0
     return points
 
 
 @dataclass(frozen=True)
 class Bones:
-    """names (B,), parents (B,) with -1 for the root, heads and tails (B, 3) in metres."""
+    """names (B,), parents (B,) with -1 for the root, heads and tails (B, 3) in metres.
+
+    ``hinges`` (B, 3): unit vectors about which joints flex, of fingers and toes; zero for other bones.
+    """
 
     names: tuple[str, ...]
     parents: VertexIndices
     heads: Array
     tails: Array
+    hinges: Array
 
     def index(self, name: str) -> int:
         """Index of a bone."""
         return self.names.index(name)
 
+    @property
+    def rolls(self) -> Array:
+        """(B,) radians: the x axis of a bone with a hinge is as near to it as can be; others have roll 0."""
+        swing = quaternion_to_matrix(from_y_axis(unit_vectors(self.tails - self.heads)))
+        x, z = (np.einsum("bi,bi->b", swing[:, :, axis], self.hinges) for axis in (0, 2))
+        return np.arctan2(-z, x)
 
-def make_bones(points: Mapping[str, Array]) -> Bones:
-    """The 22 bones of [thesis table 4.1], at the joint centres of this body."""
-    rows = list(TRUNK)
+
+def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: Mapping[str, Array]) -> Bones:
+    """Bones at the joint centres of this body.
+
+    Args:
+        points: See :func:`landmarks`.
+        moved: Transforms (4, 4) of finger bones, by name.
+        hinges: Axes (3,) of finger bones that are moved so, by name.
+    """
+    rows: list[tuple[str, str | None, str, str]] = list(TRUNK)
     for side in "lr":
         rows += [(n.format(side), p.format(side), h.format(side), t.format(side)) for n, p, h, t in SIDE]
+    for name, parent in DETAIL_BONES.items():
+        side = name[0] if name[1] == "_" else ""
+        head, tail = DETAILS[f"{{}}{name[1:]}" if side else name]
+        rows.append((name, parent, head.format(side), tail.format(side)))
     names = tuple(row[0] for row in rows)
     parents = np.array([-1 if parent is None else names.index(parent) for _, parent, _, _ in rows])
-    return Bones(
-        names, parents, np.array([points[row[2]] for row in rows]), np.array([points[row[3]] for row in rows])
-    )
+    heads, tails = (np.array([points[name] for name in column]) for column in list(zip(*rows))[2:])
+    axes = np.zeros((len(names), 3))
+    for bone, name in enumerate(names):
+        if name in moved:
+            turn, shift = moved[name][:3, :3], moved[name][:3, 3]
+            heads[bone], tails[bone] = turn @ heads[bone] + shift, turn @ tails[bone] + shift
+            axes[bone] = hinges[name]
+    for side, out in (("l", 1.0), ("r", -1.0)):
+        across = points[f"joint-{side}-toe-5-1"] - points[f"joint-{side}-toe-1-1"]
+        axes[names.index(f"{side}_metatarsal")] = out * unit_vectors(across)
+    return Bones(names, parents, heads, tails, axes)
 
 
 def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Array:
-    """Weights of the artists summed per bone, dense (N, B); at most four per vertex, rows sum to one."""
+    """Weights of the artists summed per bone, dense (N, B); rows sum to one (see :func:`limit_weights`)."""
     weights = np.zeros((vertex_count, len(bones.names)))
     for name, pairs in source.weights.items():
         if not pairs:
@@ -119,12 +200,66 @@ def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Arra
     return limit_weights(weights)
 
 
+def _sums(weights: Array) -> Array:
+    """Weights (N, 22) of the bones with their details."""
+    sums = np.zeros((len(weights), int(_WHOLE.max()) + 1))
+    np.add.at(sums.T, _WHOLE, weights.T)
+    return sums
+
+
 def limit_weights(weights: Array) -> Array:
-    """Limit weights (N, B) to four bones per vertex; rows sum to one."""
+    """Limit weights (N, B) to four of the 22 bones per vertex, each with its details; rows sum to one."""
+    return _shared(_limited(_sums(weights)), weights)
+
+
+def _limited(sums: Array) -> Array:
+    """Weights (N, 22) of the four bones with the largest ones."""
     # ties with the fifth are removed too, to keep left and right symmetric
-    fifth = np.sort(weights, axis=1)[:, -BONES_PER_VERTEX - 1][:, None]
-    weights = np.where((weights <= fifth) | (weights < 1e-3), 0.0, weights)
-    return weights / weights.sum(axis=1, keepdims=True)
+    fifth = np.sort(sums, axis=1)[:, -BONES_PER_VERTEX - 1][:, None]
+    sums = np.where((sums <= fifth) | (sums < 1e-3), 0.0, sums)
+    return sums / sums.sum(axis=1, keepdims=True)
+
+
+def _shared(sums: Array, weights: Array) -> Array:
+    """Weights (N, B) in the ratios of ``weights`` that have the sums (N, 22) of bones with their details."""
+    weights = np.where(weights < 1e-3, 0.0, weights)
+    given = _sums(weights)
+    bare = given <= 0
+    weights[:, : sums.shape[1]][bare] = 1.0  # a bone without weights takes all of its sum
+    given[bare] = 1.0
+    return weights * (sums / given)[:, _WHOLE]
+
+
+def bend_in_shoes(weights: Array, vertices: Array, bones: Bones) -> Array:
+    """Weights (N, B) with which a shoe bends at the ball of the foot, as leather does, and not between toes.
+
+    ``weights``: (N, B) and ``vertices``: (N, 3) metres of the shoes, in the pose of ``bones``.
+    """
+    weights = weights.copy()
+    for side in "lr":
+        foot, toes = bones.index(f"{side}_ankle"), bones.index(f"{side}_metatarsal")
+        forwards = unit_vectors(np.cross(bones.hinges[toes], [0.0, 1.0, 0.0]))
+        ahead = (vertices - bones.heads[toes]) @ forwards
+        reach = _SHOE_BEND * float(np.linalg.norm(bones.tails[foot] - bones.heads[foot]))
+        share = ramp(ahead, -reach, reach)
+        both = weights[:, foot] + weights[:, toes]
+        weights[:, foot], weights[:, toes] = (1 - share) * both, share * both
+    return weights
+
+
+def limit_details(weights: Array) -> Array:
+    """Weights (N, B) of four bones per vertex, with the same sums of each of the 22 bones and its details.
+
+    ``weights``: at most four of the 22 bones per vertex. Their smallest details are left out.
+    """
+    weights = weights.copy()
+    while len(many := np.flatnonzero((weights > 0).sum(axis=1) > BONES_PER_VERTEX)):
+        rows = weights[many]
+        sums = _sums(rows)
+        spare = (rows > 0) & (_sums((rows > 0).astype(float))[:, _WHOLE] > 1)
+        rows[np.arange(len(rows)), np.where(spare, rows, np.inf).argmin(axis=1)] = 0.0
+        weights[many] = _shared(sums, rows)
+    return weights
 
 
 def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach: float) -> Array:
@@ -138,12 +273,16 @@ def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach:
         vertices: (N, 3) metres.
         faces: Quads (F, 4).
         reach: Distance in metres.
+
+    Returns:
+        Weights (N, B) of the 22 bones, each shared among its details as before.
     """
+    details = weights
+    weights = _sums(details)
     edges = np.unique(np.sort(np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)]), axis=1), axis=0)
     edges = edges[edges[:, 0] != edges[:, 1]]
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     allowed = 2.0 * length / reach
-    weights = weights.copy()
     for _ in range(200):
         a, b = weights[edges[:, 0]], weights[edges[:, 1]]
         differ = np.abs(a - b).sum(axis=1) / 2
@@ -156,7 +295,7 @@ def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach:
         np.add.at(step, edges[bad, 1], share * (a - b)[bad])
         np.add.at(count, edges[bad].ravel(), 1.0)
         weights += step / np.maximum(count, 1.0)
-    return limit_weights(weights)
+    return _shared(_limited(weights), details)
 
 
 def t_pose(bones: Bones) -> tuple[Array, Bones]:
@@ -178,6 +317,9 @@ def t_pose(bones: Bones) -> tuple[Array, Bones]:
         leg = bones.tails[knee] - bones.heads[hip]
         inwards = Rotation.from_euler("z", -out * 0.6 * np.arctan2(abs(leg[0]), -leg[1])).as_matrix()
         turn[hip] = turn[knee] = inwards
+    for bone, name in enumerate(bones.names):
+        if name in DETAIL_BONES:
+            turn[bone] = turn[bones.parents[bone]]
     heads, tails, motion = (
         bones.heads.copy(),
         bones.tails.copy(),
@@ -189,7 +331,8 @@ def t_pose(bones: Bones) -> tuple[Array, Bones]:
         tails[b] = heads[b] + turn[b] @ direction[b]
         motion[b, :3, :3] = turn[b]
         motion[b, :3, 3] = heads[b] - turn[b] @ bones.heads[b]
-    return motion, Bones(bones.names, bones.parents, heads, tails)
+    hinges = np.einsum("bij,bj->bi", turn, bones.hinges)
+    return motion, Bones(bones.names, bones.parents, heads, tails, hinges)
 
 
 def unskin(vertices: Array, weights: Array, motion: Array) -> Array:

@@ -199,13 +199,13 @@ def detect_file_frame(
         motion: Motion of a person.
         match: Joints of the motion that drive bones.
         unit: Metres per file unit, where known.
-        up: File axis that points up (``y``, ``-z``), where known.
+        up: File axis that points up (``y``, ``-z``); as the motion knows it, or detected, if None.
         facing: File axis that the person faces at rest, where known.
 
     Raises:
         MotionError: The skeleton has no height, or its hips are at one place.
     """
-    roles = match.roles
+    roles, up = match.roles, up or motion.up
     rest = motion.rest_positions()
     transforms = motion.world_transforms(
         np.unique(np.linspace(0, motion.n_frames - 1, _MAX_FRAMES).astype(int))

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of
-from humansim_ros.io.assets import find_asset
+from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import open_file, size_text, temporary_folder
 from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
@@ -72,7 +72,13 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         from humansim_ros.motion.marker_motion import read_marker_motion
 
         return read_marker_motion(file, part)
-    return read_bvh(file, positions)
+    motion = read_bvh(file, positions)
+    # people of built-in motions may lie or crawl all the time
+    return replace(motion, up="y") if _is_built_in(Path(file)) else motion
+
+
+def _is_built_in(path: Path) -> bool:
+    return path.stem in built_in_names("motions") and path.resolve().parent == resource_path("assets/motions")
 
 
 def _read_archive(path: Path, member: str | None, positions: PositionChannels) -> Motion:

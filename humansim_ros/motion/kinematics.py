@@ -59,6 +59,7 @@ class Motion(Pictured):
         path: File of the motion.
         positions: Whether position channels replace the OFFSET or are added to it.
         unit: Metres per file unit, where the file format defines it.
+        up: File axis that points up (``y``, ``-z``), where it is known.
 
     Raises:
         MotionError: The parents have a cycle, or a joint is before its parent.
@@ -81,6 +82,7 @@ class Motion(Pictured):
     path: str = field(default="", compare=False)
     positions: Literal["replace", "add"] = "replace"
     unit: float | None = None
+    up: str | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         late = np.flatnonzero(self.parents >= np.arange(len(self.parents)))

@@ -14,11 +14,27 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
-from humansim_ros.motion import Motion, read_bvh
+from humansim_ros import load_human, read_motion
+from humansim_ros.motion import (
+    Motion,
+    Retargeter,
+    fit_capsules,
+    load_limits,
+    read_bvh,
+    report_penetration,
+    to_world,
+)
 
 FOLDER = ROOT / "assets" / "motions"
 LISTED = yaml.safe_load((FOLDER / "motions.yaml").read_text())
 MADE = ("run", "sit_stand", "wave", "turn_in_place", "pick_up", "t_to_a_pose")
+#: Begin and end standing, and seated.
+STAND = ("stand", "talk", "phone", "squats", "jumping_jacks", "dance", "fall", "climb_step")
+SIT = ("sit", "write", "eat")
+WALKS = ("walk_slow", "walk_brisk", "limp", "crawl")
+GAITS = ("walk", "walk_slow", "walk_brisk")
+STEPS = tuple(f"{gait}_{part}" for gait in GAITS for part in ("start", "stop"))
+EVERYDAY = (*STAND, *SIT, *WALKS, *STEPS, "lie", "turn_left")
 
 
 @cache
@@ -50,10 +66,13 @@ def test_the_list_names_every_file() -> None:
     assert all((FOLDER / f"{name}.bvh").stat().st_size < 150_000 for name in LISTED)
 
 
-def test_the_files_are_what_the_script_makes(tmp_path: Path) -> None:
+@pytest.mark.daily("made")
+@pytest.mark.parametrize("names", [(*MADE, "talk", "crawl"), EVERYDAY], ids=["made", "everyday"])
+def test_the_files_are_what_the_script_makes(tmp_path: Path, names: tuple[str, ...]) -> None:
     script = ROOT / "tools" / "assets" / "make_motions.py"
-    subprocess.run([sys.executable, str(script), "--folder", str(tmp_path)], check=True, timeout=PATIENCE)
-    for name in MADE:
+    command = [sys.executable, str(script), *names, "--folder", str(tmp_path)]
+    subprocess.run(command, check=True, timeout=10 * PATIENCE)
+    for name in names:
         again = read_bvh(tmp_path / f"{name}.bvh")
         assert again.joint_names == motion(name).joint_names
         # other versions of SciPy may round the last digit otherwise
@@ -166,3 +185,113 @@ def test_t_and_a_pose_are_exact() -> None:
             rest = one.world_transforms(0)[one.joint(f"{side}Shoulder"), :3, :3]
             about = Rotation.from_matrix(turn @ rest.T).as_rotvec(degrees=True)
             np.testing.assert_allclose(about, [0, 0, -sign * degrees], atol=0.01)
+
+
+@cache
+def played(name: str) -> tuple[np.ndarray, Retargeter, object]:
+    """Bones (F, B, 4, 4) of the default human in all frames, the retargeter, and the joint poses."""
+    world = to_world(read_motion(name))
+    retargeter = Retargeter.fit(world, load_human("adult_man").skeleton)
+    poses = world.sample(world.frame_times)
+    return retargeter.pose(poses), retargeter, poses
+
+
+@pytest.mark.parametrize("name", EVERYDAY)
+def test_joints_stay_within_their_published_limits(name: str) -> None:
+    _, retargeter, poses = played(name)
+    rotations, _ = retargeter.apply(poses)
+    assert load_limits().for_skeleton(retargeter.skeleton).report(rotations) == []
+
+
+@pytest.mark.parametrize("name", EVERYDAY)
+def test_arms_and_legs_do_not_go_through_the_body(name: str) -> None:
+    human = load_human("adult_man")
+    capsules = fit_capsules(human.skeleton, human.mesh, human.weights)
+    # thighs and belly press on each other in a squat
+    assert report_penetration(played(name)[0], capsules).depth_mm < (40 if name == "fall" else 20)
+
+
+@pytest.mark.parametrize("name", EVERYDAY)
+def test_a_foot_on_the_floor_does_not_slide(name: str) -> None:
+    """A point of the sole while it stays within 3 mm of its lowest place, as stiff tips are pressed down."""
+    most = 0.0
+    for side in ("Left", "Right"):
+        for point in soles(name, side).swapaxes(0, 1):
+            on = np.concatenate([[False], point[:, 1] < point[:, 1].min() + 0.003, [False]]).astype(int)
+            for first, last in zip(
+                np.flatnonzero(np.diff(on) == 1), np.flatnonzero(np.diff(on) == -1), strict=True
+            ):
+                run = point[first : last - 1, [0, 2]]
+                most = max(most, np.linalg.norm(run[:, None] - run[None], axis=-1).max(initial=0))
+    # the stiff sole of a walk rolls over its tip, as in the normal walk
+    assert most < (0.005 if name in (*SIT, "stand", "talk", "phone", "squats", "dance", "lie") else 0.02)
+
+
+@pytest.mark.parametrize("name", [*STAND, *SIT, "lie"])
+def test_everyday_motions_repeat_without_a_jump(name: str) -> None:
+    first, last = motion(name).world_positions([0, -1]) * 0.01
+    assert np.abs(first - last).max() < 0.004
+
+
+@pytest.mark.parametrize("name", EVERYDAY)
+def test_everyday_motions_have_human_speeds(name: str) -> None:
+    one = motion(name)
+    speed = np.linalg.norm(np.diff(one.world_positions(), axis=0), axis=-1) * 0.01 / one.frame_time
+    assert speed.max() < (6.5 if name in WALKS or name in STEPS else 5.2)
+    assert np.abs(np.diff(speed, axis=0)).max() / one.frame_time < (150 if name == "walk_brisk" else 110)
+
+
+@pytest.mark.parametrize("name", [*STAND, "turn_left"])
+def test_who_stands_begins_in_the_same_pose(name: str) -> None:
+    """Any of these motions can follow any other: feet are in one place, knees hardly bent more."""
+    first, wave = (places(one, *motion(one).joint_names)[0] for one in (name, "wave"))
+    apart = dict(zip(motion(name).joint_names, np.abs(first - wave).max(-1), strict=True))
+    assert max(apart["LeftAnkle"], apart["RightAnkle"]) < 1e-4
+    assert max(apart.values()) < 0.035
+
+
+@pytest.mark.parametrize("gait", GAITS)
+def test_first_and_last_step_lead_into_the_walk_and_out_of_it(gait: str) -> None:
+    """Poses and speeds are the same where the steps meet the walk."""
+    walk = motion("walk_straight" if gait == "walk" else gait)
+    step = round(1 / 30 / walk.frame_time)
+    start, stop = motion(f"{gait}_start"), motion(f"{gait}_stop")
+    first, second = walk.world_positions([0, step]) * 0.01
+    end = start.world_positions([-2, -1]) * 0.01
+    np.testing.assert_allclose(end[1] - end[1][0], first - first[0], atol=2e-3)
+    np.testing.assert_allclose((end[1] - end[0])[0], (second - first)[0], atol=8e-3)
+    begin = stop.world_positions([0, 1]) * 0.01
+    np.testing.assert_allclose(begin[0] - begin[0][0], first - first[0], atol=2e-3)
+    np.testing.assert_allclose((begin[1] - begin[0])[0], (second - first)[0], atol=8e-3)
+
+
+def test_gaits_have_their_speeds() -> None:
+    for name, speed in (("walk_slow", 0.8), ("walk_brisk", 1.65), ("limp", 0.6), ("crawl", 0.354)):
+        hips = places(name, "Hips")[:, 0]
+        assert np.ptp(hips[:, 2]) / motion(name).duration == pytest.approx(speed, abs=0.02)
+
+
+def test_limping_spares_the_right_leg() -> None:
+    down = {side: (soles("limp", side)[..., 1].min(1) < 0.004).mean() for side in ("Left", "Right")}
+    assert down["Left"] > down["Right"] + 0.1
+
+
+def test_hands_reach_table_mouth_and_ear() -> None:
+    wrists = places("write", "LeftWrist", "RightWrist")[60:180]
+    np.testing.assert_allclose(wrists[..., 1], 0.79, atol=0.03)
+    mouth = places("eat", "RightWrist", "Head")
+    assert np.linalg.norm(mouth[:, 0] - mouth[:, 1], axis=-1).min() < 0.26
+    ear = places("phone", "RightWrist", "Head")[100:220]
+    assert np.linalg.norm(ear[:, 0] - ear[:, 1], axis=-1).max() < 0.25
+
+
+def test_who_falls_lies_on_the_floor_and_stands_up_again() -> None:
+    hips, head = places("fall", "Hips", "Head").transpose(1, 0, 2)
+    assert head[100, 1] < 0.25
+    assert hips[100, 1] < 0.15
+    assert hips[-1, 1] > 0.9
+
+
+def test_a_built_in_motion_of_somebody_who_lies_has_no_doubt_about_the_up_axis() -> None:
+    for name in ("lie", "crawl", "fall"):
+        assert to_world(read_motion(name)).frame.warning is None

@@ -1,6 +1,7 @@
-"""Make the motions of ``assets/motions`` other than the walks.
+"""Make the motions of ``assets/motions`` other than ``walk`` and ``walk_straight``.
 
-They are: running, sitting down and standing up, waving, rotating in place, picking up, T pose to A pose.
+They are: running, sitting down and standing up, waving, rotating in place, picking up, T pose to A pose; the
+key poses of ``everyday.py``; and the gaits, first and last steps of ``gaits.py``.
 
     python tools/assets/make_motions.py [NAME ...] [--folder assets/motions]
 
@@ -19,213 +20,29 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+import everyday
+import gaits
 import numpy as np
-from make_walk import (
-    ROOT,
-    SIDES,
-    Array,
-    Body,
-    Foot,
-    apply,
-    curve,
-    load_body,
-    rot,
-    segment_frame,
-    unit,
-    write_bvh,
-    xyz,
+from figure import (
+    DEGREE,
+    RATE,
+    Figure,
+    Keys,
+    Pose,
+    arm,
+    hanging,
+    keyed,
+    minimum_jerk,
+    mixed,
+    planted,
+    trunk,
 )
-from scipy.interpolate import PchipInterpolator
+from make_walk import FRAME_RATE, ROOT, SIDES, Array, Foot, apply, curve, load_body, rot, write_bvh, xyz
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial.transform import Rotation
-
-Keys = Sequence[tuple[float, float]]
-RATE = 30
-DEGREE = math.pi / 180
-#: Seconds over which key poses are smoothed.
-SOFTNESS = 0.07
-ARM_HANGS = {"flexion": 3.0, "abduction": 9.0, "rotation": 18.0, "elbow": 15.0}
-
-
-def minimum_jerk(part: Array) -> Array:
-    """0 to 1 as a hand moves from rest to rest (Flash and Hogan), clamped outside."""
-    u = np.clip(part, 0.0, 1.0)
-    return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
-
-
-def keyed(keys: Keys, time: Array) -> Array:
-    """A smooth curve near its keys (seconds, value), without overshoot."""
-    at, value = np.array(keys, dtype=float).T
-    # constant for a moment at both ends, so that smoothing does not change them
-    at, value = (
-        np.concatenate([row[:1], row[:1] + pad, row[1:-1], row[-1:] - pad, row[-1:]])
-        for row, pad in ((at, 2 * SOFTNESS), (value, 0.0))
-    )
-    way = PchipInterpolator(at, value)(np.clip(time, at[0], at[-1]))
-    return np.asarray(gaussian_filter1d(way, SOFTNESS * RATE, mode="nearest"))
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Pose without limbs at T times: rotations (T, 3, 3) and points (T, 3), world.
-
-    ``feet``: side -> rotation of the foot and position of the ankle. ``arms``: side -> rotations of upper arm
-    and forearm, and twist of the hand about the forearm, radians (T,).
-    """
-
-    pelvis: Array
-    hips: Array
-    chest: Array
-    neck: Array
-    head: Array
-    feet: dict[str, tuple[Array, Array]]
-    arms: dict[str, tuple[Array, Array, Array]]
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A body that is posed by its pelvis, feet and hands."""
-
-    body: Body
-
-    def rotations(self, pose: Pose) -> dict[str, Array]:
-        """World rotations (T, 3, 3) of all joints."""
-        out = {"Hips": pose.pelvis, "Chest": pose.chest, "Neck": pose.neck, "Head": pose.head}
-        for side in SIDES:
-            out[f"{side}Collar"] = pose.chest
-            upper, fore, turn = pose.arms[side]
-            hand = fore @ rot("x", turn)
-            for joint, end, world in (
-                ("Shoulder", "Elbow", upper),
-                ("Elbow", "Wrist", fore),
-                ("Wrist", "Wrist_end", hand),
-            ):
-                out[side + joint] = world @ self.straight(side, end)
-            out.update(self.leg(side, pose.pelvis, pose.hips, *pose.feet[side]))
-        return out
-
-    def straight(self, side: str, joint: str) -> Array:
-        """Shortest rotation that aligns the link to a joint of the arm with the x axis."""
-        axis, link = np.array([SIDES[side], 0.0, 0.0]), unit(self.body.link(side + joint))
-        turn = np.cross(link, axis)
-        sine = float(np.linalg.norm(turn))
-        return np.asarray(
-            Rotation.from_rotvec(turn / max(sine, 1e-12) * math.atan2(sine, link @ axis)).as_matrix()
-        )
-
-    def leg(self, side: str, pelvis: Array, hips: Array, foot: Array, ankle: Array) -> dict[str, Array]:
-        """Hip, knee and ankle of a leg with a given foot; the knee points in the direction of the toes."""
-        body = self.body
-        thigh, shank = body.link(side + "Knee"), body.link(side + "Ankle")
-        a, b = float(np.linalg.norm(thigh)), float(np.linalg.norm(shank))
-        hip = hips + apply(pelvis, body.link(side + "Hip"))
-        reach = np.linalg.norm(ankle - hip, axis=-1)
-        if reach.max() > a + b:
-            raise SystemExit(f"the {side.lower()} foot is out of reach by {reach.max() - a - b:.4f} m")
-        down = (ankle - hip) / reach[..., None]
-        # across the foot: independent of its pitch
-        across = apply(foot @ rot("y", Foot.of(body, side).yaw), np.array([1.0, 0.0, 0.0]))
-        ahead = unit(np.cross(across, [0.0, 1.0, 0.0]))
-        lateral = unit(np.cross(-down, unit(ahead + pelvis[..., :, 2])))
-        bend = np.arccos(np.clip((a**2 + reach**2 - b**2) / (2 * a * reach), -1, 1))[..., None]
-        upper = a * (down * np.cos(bend) + np.cross(lateral, -down) * np.sin(bend))
-        rest = unit(np.cross(-(thigh + shank), [0.0, 0.0, 1.0]))
-        return {
-            side + "Hip": segment_frame(upper, lateral) @ segment_frame(thigh, rest).T,
-            side + "Knee": segment_frame(ankle - hip - upper, lateral) @ segment_frame(shank, rest).T,
-            side + "Ankle": foot,
-        }
-
-    def shoulder(self, side: str, chest: Array, hips: Array, pelvis: Array) -> Array:
-        """Position (T, 3) of the shoulder."""
-        body = self.body
-        return np.asarray(
-            hips + apply(pelvis, body.link("Chest"))
-            + apply(chest, body.link(side + "Collar") + body.link(side + "Shoulder"))
-        )  # fmt: skip
-
-    def hand_of(self, side: str, shoulder: Array, upper: Array, fore: Array) -> Array:
-        """Position (T, 3) of the wrist."""
-        sign = SIDES[side]
-        lengths = [float(np.linalg.norm(self.body.link(side + end))) for end in ("Elbow", "Wrist")]
-        return np.asarray(shoulder + sign * (lengths[0] * upper[..., :, 0] + lengths[1] * fore[..., :, 0]))
-
-    def reaching(self, side: str, shoulder: Array, wrist: Array, elbow_to: Array) -> tuple[Array, Array]:
-        """Upper arm and forearm (T, 3, 3) that bring the wrist to a point, the elbow on a side (T, 3)."""
-        sign = SIDES[side]
-        a, b = (float(np.linalg.norm(self.body.link(side + end))) for end in ("Elbow", "Wrist"))
-        line = wrist - shoulder
-        reach = np.minimum(np.linalg.norm(line, axis=-1), 0.999 * (a + b))
-        along = unit(line)
-        aside = unit(elbow_to - np.sum(elbow_to * along, -1, keepdims=True) * along)
-        bend = np.arccos(np.clip((a**2 + reach**2 - b**2) / (2 * a * reach), -1, 1))[..., None]
-        upper = along * np.cos(bend) + aside * np.sin(bend)
-        fore = unit(reach[..., None] * along - a * upper)
-        # the forearm bends about the y axis of both, as in the T pose
-        hinge = unit(sign * np.cross(fore, upper))
-        return tuple(
-            np.stack([sign * axis, hinge, np.cross(sign * axis, hinge)], axis=-1) for axis in (upper, fore)
-        )  # type: ignore[return-value]
-
-
-def arm(
-    side: str, chest: Array, flexion: Array, abduction: Array, rotation: Array, elbow: Array
-) -> tuple[Array, Array]:
-    """Upper arm and forearm (T, 3, 3) by angles in degrees: forward, aside, twist inwards, bend."""
-    sign = SIDES[side]
-    hang = rot("z", -sign * (np.pi / 2 - abduction * DEGREE))
-    upper = chest @ rot("x", -flexion * DEGREE) @ hang @ rot("x", rotation * DEGREE)
-    return upper, upper @ rot("y", -sign * elbow * DEGREE)
-
-
-def hanging(side: str, chest: Array, time: Array, **changes: Keys) -> tuple[Array, Array, Array]:
-    """An arm that hangs, except where keys move it."""
-    values = {
-        name: keyed(changes[name], time) if name in changes else np.full(len(time), usual)
-        for name, usual in ARM_HANGS.items()
-    }
-    return (*arm(side, chest, **values), np.zeros(len(time)))
-
-
-def planted(figure: Figure, count: int) -> dict[str, tuple[Array, Array]]:
-    """Both feet as in the T pose."""
-    return {
-        side: (
-            np.broadcast_to(np.eye(3), (count, 3, 3)),
-            np.broadcast_to(figure.body.joints[side + "Ankle"], (count, 3)),
-        )
-        for side in SIDES
-    }
-
-
-def trunk(
-    pelvis: Array,
-    time: Array,
-    lean: Keys,
-    turn: Keys = ((0, 0),),
-    look: Keys = ((0, 0),),
-    nod: Keys = ((0, 0),),
-) -> tuple[Array, Array, Array]:
-    """Chest, neck and head (T, 3, 3): lean forward and rotation to the left in the world, and head angles."""
-
-    def along(keys: Keys) -> Array:
-        return keyed(keys, time) if len(keys) > 1 else np.full(len(time), float(keys[0][1]))
-
-    # whole breaths, so that repetitions are continuous
-    breath = 0.6 * np.sin(2 * np.pi * time * round(time[-1] / 3.5) / time[-1])
-    chest_lean, chest_turn = along(lean) + breath, along(turn)
-    head_turn, head_nod = along(look), along(nod)
-    chest = rot("y", chest_turn * DEGREE) @ rot("x", chest_lean * DEGREE)
-    neck = rot("y", (chest_turn + head_turn) / 2 * DEGREE) @ rot(
-        "x", (0.5 * chest_lean + 0.5 * head_nod) * DEGREE
-    )
-    head = rot("y", head_turn * DEGREE) @ rot("x", head_nod * DEGREE)
-    return chest, neck, head
-
 
 # --- the motions --------------------------------------------------------------------------------------------
 
@@ -236,7 +53,7 @@ def t_to_a_pose(figure: Figure, time: Array) -> Pose:
     part = minimum_jerk((half - np.abs(time - half) - 0.3) / (half - 0.6))
     still = np.broadcast_to(np.eye(3), (len(time), 3, 3))
     arms = {
-        side: (lowered := rot("z", -sign * part * math.pi / 4), lowered, np.zeros(len(time)))
+        side: (lowered := rot("z", -sign * part * math.pi / 4), lowered, np.eye(3))
         for side, sign in SIDES.items()
     }
     hips = np.broadcast_to(figure.body.joints["Hips"], (len(time), 3))
@@ -273,7 +90,7 @@ def wave(figure: Figure, time: Array) -> Pose:
         keyed([(0, 18), (0.35, -10), (0.95, -78), (3.3, -78), (3.85, -10), (4.2, 18)], time),
         keyed([(0, 15), (0.4, 75), (0.95, 92), (3.3, 92), (3.85, 60), (4.2, 15)], time) + swing,
     )
-    arms = {"Left": hanging("Left", chest, time), "Right": (upper, fore, np.zeros(len(time)))}
+    arms = {"Left": hanging("Left", chest, time), "Right": (upper, fore, np.eye(3))}
     return Pose(pelvis, hips, chest, neck, head, planted(figure, len(time)), arms)
 
 
@@ -356,32 +173,26 @@ def pick_up(figure: Figure, time: Array) -> Pose:
     outwards = xyz(-0.6, -0.6, -0.5) + 0.0 * wrist
     upper, fore = figure.reaching("Right", shoulder, wrist, outwards)
     hold = minimum_jerk((time - 0.7) / 1.2) * minimum_jerk((5.8 - time) / 1.2)
-    blend = [_mixed(hung, reached, hold) for hung, reached in ((hang[0], upper), (hang[1], fore))]
+    blend = [mixed(hung, reached, hold) for hung, reached in ((hang[0], upper), (hang[1], fore))]
     left = hanging(
         "Left", chest, time,
         flexion=((0, 3), (1.9, 40), (2.5, 40), (3.9, 4), (6.0, 3)),
         elbow=((0, 15), (1.9, 50), (2.5, 50), (3.9, 18), (6.0, 15)),
     )  # fmt: skip
-    arms = {"Left": left, "Right": (blend[0], blend[1], np.zeros(len(time)))}
+    arms = {"Left": left, "Right": (blend[0], blend[1], np.eye(3))}
     return Pose(pelvis, hips, chest, neck, head, planted(figure, len(time)), arms)
 
 
-def _mixed(a: Array, b: Array, part: Array) -> Array:
-    """Rotations between a and b, on the shortest way."""
-    turn = Rotation.from_matrix(np.swapaxes(a, -1, -2) @ b).as_rotvec() * part[:, None]
-    return np.asarray(a @ Rotation.from_rotvec(turn).as_matrix())
+#: Rotation in place: seconds of a step and until the next, degrees of a step, height of a step.
+STEP, STEP_EVERY, STEP_TURN, LIFT = 0.36, 0.42, 30.0, 0.06
 
 
-#: Rotation in place: seconds of a step and until the next, degrees of a step, number of steps, their height.
-STEP, STEP_EVERY, STEP_TURN, STEPS, LIFT = 0.36, 0.42, 30.0, 12, 0.06
-
-
-def turn_in_place(figure: Figure, time: Array) -> Pose:
-    """A full rotation to the left in steps of 30 degrees, left foot first."""
-    body = figure.body
+def turn_in_place(figure: Figure, time: Array, whole: float = 360.0) -> Pose:
+    """A rotation to the left by ``whole`` degrees in steps of 30 degrees, left foot first."""
+    body, count = figure.body, round(whole / STEP_TURN)
     start = 0.35
-    end = start + STEP_EVERY * STEPS + STEP
-    yaw = 360 * keyed(
+    end = start + STEP_EVERY * count + STEP
+    yaw = whole * keyed(
         [(0, 0), (start - 0.05, 0), (start + 0.3, 0.03), (end - 0.5, 0.96), (end, 1), (time[-1], 1)], time
     )
     feet, weight = {}, np.zeros(len(time))
@@ -389,10 +200,10 @@ def turn_in_place(figure: Figure, time: Array) -> Pose:
         angle, lift = np.zeros(len(time)), np.zeros(len(time))
         last = 0.0
         # the last step brings the rear foot to the other
-        for step in range(STEPS + 1):
+        for step in range(count + 1):
             if (step % 2 == 0) != (side == "Left"):
                 continue
-            target = min(360.0, STEP_TURN * (step + 1))
+            target = min(whole, STEP_TURN * (step + 1))
             part = (time - start - STEP_EVERY * step) / STEP
             angle += (target - last) * minimum_jerk(part)
             lift += LIFT * np.where((part > 0) & (part < 1), np.sin(np.pi * np.clip(part, 0, 1)) ** 2, 0.0)
@@ -460,7 +271,7 @@ def run(figure: Figure, time: Array) -> Pose:
         # the arm swings with the other leg: forward when that foot lands
         swing = np.cos(2 * np.pi * (phase - delay - 0.52))
         upper, fore = arm(side, chest, -16 + 32 * swing, 20 + 0 * swing, 6 + 6 * swing, 92 + 10 * swing)
-        arms[side] = (upper, fore, np.zeros(len(time)))
+        arms[side] = (upper, fore, np.eye(3))
     return Pose(pelvis, hips, chest, neck, head, feet, arms)
 
 
@@ -524,27 +335,74 @@ MOTIONS: dict[str, tuple[Callable[[Figure, Array], Pose], float, int]] = {
     "sit_stand": (sit_stand, 6.8, RATE),
     "wave": (wave, 4.2, RATE),
     "turn_in_place": (turn_in_place, 6.2, RATE),
+    "turn_left": (partial(turn_in_place, whole=90.0), 2.6, RATE),
     "pick_up": (pick_up, 6.0, RATE),
     "t_to_a_pose": (t_to_a_pose, 4.0, RATE),
+    "stand": (everyday.stand, 8.6, RATE),
+    "talk": (everyday.talk, 9.0, RATE),
+    "phone": (everyday.phone, 10.0, RATE),
+    "squats": (everyday.squats, 8.0, RATE),
+    "jumping_jacks": (everyday.jumping_jacks, 7.6, RATE),
+    "dance": (everyday.dance, 9.6, RATE),
+    "sit": (everyday.sit, 10.4, RATE),
+    "write": (everyday.write, 8.0, RATE),
+    "eat": (everyday.eat, 7.8, RATE),
+    "limp": (everyday.limp, 2 * everyday.LIMP_CYCLE, RATE),
+    "crawl": (everyday.crawl, 2 * everyday.CRAWL_CYCLE, RATE),
+    "lie": (everyday.lie, 8.0, RATE),
+    "fall": (everyday.fall, 10.6, RATE),
+    "climb_step": (everyday.climb_step, 7.0, RATE),
 }
+
+#: Walks of make_walk.py's kind and their first and last steps: seconds of a stride, and part of it.
+WALKS = {
+    name: (gait, part)
+    for gait in ("walk", *gaits.GAITS)
+    for name, part in ((gait, "whole"), (f"{gait}_start", "start"), (f"{gait}_stop", "stop"))
+    if name != "walk"  # make_walk.py makes it
+}
+
+
+def make(figure: Figure, name: str, folder: Path) -> str:
+    """Write a motion into a folder; returns a line about it."""
+    path = folder / f"{name}.bvh"
+    if name in WALKS:
+        time = _make_walk(figure, *WALKS[name], path)
+    else:
+        function, seconds, rate = MOTIONS[name]
+        time = np.arange(round(seconds * rate) + 1) / rate
+        pose = function(figure, time)
+        write_bvh(path, figure.body, figure.rotations(pose), pose.hips, rate, 3)
+    return f"{path}: {len(time)} frames, {path.stat().st_size / 1000:.0f} kB"
+
+
+def _make_walk(figure: Figure, name: str, part: str, path: Path) -> Array:
+    """Write a walk, or its first or last step; returns the times of the frames."""
+    walk = gaits.walk_of(figure, *gaits.GAITS.get(name, gaits.NORMAL))
+    if part == "whole":
+        time = np.arange(round(2 * walk.stride_time * FRAME_RATE) + 1) / FRAME_RATE
+        write_bvh(path, figure.body, *walk.rotations(time), FRAME_RATE, 3)
+        return time
+    share, step = (
+        (gaits.FIRST_STEP, gaits.first_step) if part == "start" else (gaits.LAST_STEP, gaits.last_step)
+    )
+    time = np.arange(round(share * walk.stride_time * RATE) + 1) / RATE
+    pose = step(figure, walk, time)
+    write_bvh(path, figure.body, figure.rotations(pose), pose.hips, RATE, 3)
+    return time
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the synthetic motions.")
-    parser.add_argument("names", nargs="*", choices=[[], *MOTIONS], help="all if none is given")
+    parser.add_argument("names", nargs="*", choices=[[], *MOTIONS, *WALKS], help="all if none is given")
     parser.add_argument(
         "--human", type=Path, default=ROOT / "assets/humans/adult_man.npz", help="whose bones"
     )
     parser.add_argument("--folder", type=Path, default=ROOT / "assets/motions")
     arguments = parser.parse_args()
     figure = Figure(load_body(arguments.human))
-    for name in arguments.names or MOTIONS:
-        make, seconds, rate = MOTIONS[name]
-        time = np.arange(round(seconds * rate) + 1) / rate
-        pose = make(figure, time)
-        path = arguments.folder / f"{name}.bvh"
-        write_bvh(path, figure.body, figure.rotations(pose), pose.hips, rate, 3)
-        print(f"{path}: {len(time)} frames, {path.stat().st_size / 1000:.0f} kB")
+    for name in arguments.names or (*MOTIONS, *WALKS):
+        print(make(figure, name, arguments.folder))
 
 
 if __name__ == "__main__":

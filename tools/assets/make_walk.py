@@ -31,6 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 FRAME_RATE = 60
 STRIDE_TIME = 1.0
+SPEED = 1.25
 STRIDES = 2
 
 Table = tuple[tuple[float, float], ...]
@@ -334,10 +335,16 @@ class Walk:
     plan: Plan
     path: Path2D
     speed: float
+    stride_time: float = STRIDE_TIME
 
     @property
     def stride(self) -> float:
-        return self.speed * STRIDE_TIME
+        return self.speed * self.stride_time
+
+    @property
+    def effort(self) -> float:
+        """Length of the stride relative to the normal walk: hips, trunk and arms swing that much wider."""
+        return self.stride / (SPEED * STRIDE_TIME)
 
     @property
     def bank(self) -> float:
@@ -346,7 +353,7 @@ class Walk:
 
     def pelvis(self, time: Array) -> tuple[Array, Array]:
         """World rotation and position of Hips."""
-        phase = time / STRIDE_TIME
+        phase = time / self.stride_time
         turn = 2 * np.pi * phase
         shape = [np.cos(2 * turn), np.sin(2 * turn), np.cos(4 * turn), np.sin(4 * turn)]
         height = self.plan.height[0] + sum(a * b for a, b in zip(self.plan.height[1:], shape, strict=True))
@@ -355,7 +362,7 @@ class Walk:
         hips = self.body.joints["Hips"]
         along = self.speed * time
         frame, origin = self._banked(along)
-        rotation = rot("y", -curve(alternating(PELVIS_ROTATION), phase))
+        rotation = rot("y", -self.effort * curve(alternating(PELVIS_ROTATION), phase))
         rotation = rotation @ rot("z", curve(alternating(PELVIS_LIST), phase))
         position = origin + apply(frame, xyz(sway, hips[1] + height, surge))
         return self._banked(along, PELVIS_BANKS)[0] @ rotation, position
@@ -367,7 +374,7 @@ class Walk:
     def foot(self, side: str, time: Array) -> tuple[Array, Array]:
         """World rotation of the foot and position of the ankle."""
         foot, sign = Foot.of(self.body, side), SIDES[side]
-        cycles = time / STRIDE_TIME - DELAY[side]
+        cycles = time / self.stride_time - DELAY[side]
         count, phase = np.floor(cycles + 1e-9), (cycles + 1e-9) % 1.0
         pitch, forward, up = np.moveaxis(self.plan.cycle(foot, phase, self.stride), -1, 0)
         # the frame of the plan is fixed in the stance, and moves to the next footprint in the swing
@@ -422,10 +429,11 @@ class Walk:
     def arm(self, side: str, time: Array, trunk: Array) -> dict[str, Array]:
         """World rotations of shoulder, elbow and wrist; the arm swings with the other leg."""
         sign = SIDES[side]
-        phase = time / STRIDE_TIME - DELAY[side]
+        phase = time / self.stride_time - DELAY[side]
         hang = rot("z", -sign * (np.pi / 2 - ARM_ABDUCTION))
-        upper = trunk @ rot("x", -curve(SHOULDER_FLEXION, phase)) @ hang @ rot("x", ARM_ROTATION)
-        fore = upper @ rot("y", -sign * curve(ELBOW_FLEXION, phase))
+        flexion = self.effort * curve(SHOULDER_FLEXION, phase)
+        upper = trunk @ rot("x", -flexion) @ hang @ rot("x", ARM_ROTATION)
+        fore = upper @ rot("y", -sign * self.effort * curve(ELBOW_FLEXION, phase))
         links = {"Shoulder": (upper, "Elbow"), "Elbow": (fore, "Wrist"), "Wrist": (fore, "Wrist_end")}
         return {
             side + name: world @ self._straighten(side + end, sign) for name, (world, end) in links.items()
@@ -441,11 +449,11 @@ class Walk:
 
     def rotations(self, time: Array) -> tuple[dict[str, Array], Array]:
         """World rotations (T, 3, 3) of all joints and positions (T, 3) of Hips."""
-        phase, along = time / STRIDE_TIME, self.speed * time
+        phase, along = time / self.stride_time, self.speed * time
         out: dict[str, Array] = {}
         out["Hips"], position = self.pelvis(time)
         frame, _ = self._banked(along)
-        twist = curve(alternating(TRUNK_ROTATION), phase)
+        twist = self.effort * curve(alternating(TRUNK_ROTATION), phase)
         # the spine compensates most of the pelvic list, so that the shoulders stay level
         tilt = -0.25 * curve(alternating(PELVIS_LIST), phase)
         out["Chest"] = frame @ rot("y", -twist) @ rot("z", tilt) @ rot("x", TRUNK_LEAN)
@@ -475,39 +483,43 @@ def leg_of(angles: Array, thigh: float, shank: float) -> tuple[Array, Array, Arr
     return ankle + hip - knee, np.arctan2(forward, down), np.hypot(forward, down)
 
 
-def fit(body: Body, path: Path2D, speed: float) -> Plan:
-    """The plan whose walk along the path follows the published curves best.
+def fit(
+    body: Body, path: Path2D, speed: float, stride_time: float = STRIDE_TIME, clear: float = CLEARANCE
+) -> Plan:
+    """The plan whose walk along the path follows the published curves best, scaled by the stride.
 
     The angles of a leg that is nearly straight, or too short to reach, have no usable derivatives. So the fit
     compares direction and length of the whole leg, in units of the corresponding angles.
     """
-    time = np.arange(100) * STRIDE_TIME / 100
-    target, foot = published(time), Foot.of(body, "Left")
+    phases = np.arange(100) / 100
+    time, effort = phases * stride_time, speed * stride_time / (SPEED * STRIDE_TIME)
+    # the foot of a slow walk clears the floor, too
+    target, foot = published(phases) * (effort, max(1.0, 0.5 + 0.5 * effort), 1.0), Foot.of(body, "Left")
     thigh, shank = (float(np.linalg.norm(body.link(name))) for name in ("LeftKnee", "LeftAnkle"))
     target_pitch, target_direction, target_length = leg_of(target, thigh, shank)
     knee_per_metre = target_length / (thigh * shank * np.sin(np.maximum(target[:, 1], math.radians(10))))
     longest = math.sqrt(thigh**2 + shank**2 + 2 * thigh * shank * math.cos(STRAIGHTEST_KNEE))
     highest = 4 * math.pi * MID_STANCE
     bob = BOB * np.array([math.cos(highest), math.sin(highest), 0.0, 0.0])
-    swing = np.clip((time - TOE_OFF) / (1 - TOE_OFF), 0, 1)
+    swing = np.clip((phases - TOE_OFF) / (1 - TOE_OFF), 0, 1)
     # half a centimetre low at the ends: the sole under the end of the bone dips that far below the pivot
-    clearance = (CLEARANCE + 0.005) * np.sin(np.pi * swing) ** 0.8 - 0.005
+    clearance = (clear + 0.005) * np.sin(np.pi * swing) ** 0.8 - 0.005
 
     def residuals(values: Array) -> Array:
         plan = Plan.from_vector(values)
-        walk, terms = Walk(body, plan, path, speed), [0.02 * values[-12:]]
-        pitch, _, up = np.moveaxis(plan.cycle(foot, time, speed * STRIDE_TIME), -1, 0)
+        walk, terms = Walk(body, plan, path, speed, stride_time), [0.02 * values[-12:]]
+        pitch, _, up = np.moveaxis(plan.cycle(foot, phases, walk.stride), -1, 0)
         for side, delay in DELAY.items():
-            direction, length = walk.leg_line(side, time + delay * STRIDE_TIME)
+            direction, length = walk.leg_line(side, time + delay * stride_time)
             d_pitch, d_direction = pitch - target_pitch, direction - target_direction
             d_knee = (target_length - length) * knee_per_metre
             error = np.stack([d_direction + d_knee / 2, d_knee, 1.7 * (d_pitch - d_direction + d_knee / 2)])
             smooth = np.diff(np.concatenate([error, error[:, :3]], axis=1), n=3)
             terms += [error.ravel(), 6 * smooth.ravel(), 1000 * np.clip(length - longest, 0, None)]
         rise = np.stack([up + np.sin(pitch) * z - np.cos(pitch) * foot.ankle[1] for z in foot.sole])
-        terms.append((30 * np.clip(clearance - rise, 0, None))[:, time > TOE_OFF].ravel())
+        terms.append((30 * np.clip(clearance - rise, 0, None))[:, phases > TOE_OFF].ravel())
         terms.append(2 * np.clip(-pitch - STEEPEST_FOOT, 0, None))
-        terms += [140 * (plan.height[1:] - bob), 3 * (plan.strike[:1] - STRIKE), 80 * plan.surge]
+        terms += [140 * (plan.height[1:] - bob), 3 * (plan.strike[:1] - effort * STRIKE), 80 * plan.surge]
         return np.concatenate(terms)
 
     guess = np.array([0.25, -0.025, *bob, 0, 0, 0.3, 0.3, 0.8, 0, *np.zeros(12)])
@@ -553,7 +565,10 @@ def write_bvh(
     frames = np.concatenate(columns, axis=1)
     lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate:.10f}"]
     # adding zero after rounding makes -0 to 0
-    lines += [" ".join(f"{value:.{digits}f}" for value in row) for row in np.round(frames, digits) + 0.0]
+    lines += [
+        " ".join(f"{value:.{digits}f}".rstrip("0").removesuffix(".") for value in row)
+        for row in np.round(frames, digits) + 0.0
+    ]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")
 
@@ -564,7 +579,7 @@ def main() -> None:
         "--human", type=Path, default=ROOT / "assets/humans/adult_man.npz", help="human whose bones are used"
     )
     parser.add_argument("--turn", type=float, default=90.0, help="degrees to the left in the whole file")
-    parser.add_argument("--speed", type=float, default=1.25, help="m/s along the path")
+    parser.add_argument("--speed", type=float, default=SPEED, help="m/s along the path")
     parser.add_argument("--output", type=Path, default=ROOT / "assets/motions/walk.bvh")
     arguments = parser.parse_args()
 

@@ -1,14 +1,27 @@
-"""Measure the built-in motions on the default human, as a Markdown table (docs/motions.md)."""
+"""Measure the built-in motions on the default human, as a Markdown table (docs/motions.md).
+
+    python tools/figures/library_figures.py
+    python tools/figures/library_figures.py --picture docs/images/motions_everyday.jpg talk phone squats …
+
+The picture shows phases of motions, one row each.
+"""
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from humansim_ros.drawing.canvas import draw_text
+from humansim_ros.drawing.people import SkinnedArtist
+from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
-from humansim_ros.motion.bvh import read_bvh
+from humansim_ros.io.assets import built_in_names
+from humansim_ros.motion.files import read_motion
 from humansim_ros.motion.info import to_world
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
@@ -18,8 +31,39 @@ from humansim_ros.motion.soles import find_stances, slide_distances, sole_height
 ROOT = Path(__file__).resolve().parents[2]
 
 
+#: Phases of a motion in the picture, and width and height of one, pixels.
+PHASES, SIZE = 12, (96, 130)
+
+
 def main() -> int:
+    parser = argparse.ArgumentParser(description="Measure or draw the built-in motions.")
+    parser.add_argument("names", nargs="*", help="all if none is given")
+    parser.add_argument("--picture", type=Path, help="draw the motions into this file instead")
+    arguments = parser.parse_args()
+    names = arguments.names or built_in_names("motions")
     human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
+    if arguments.picture is not None:
+        draw(human, names, arguments.picture)
+    else:
+        measure(human, names)
+    return 0
+
+
+def draw(human: Human, names: Sequence[str], picture: Path) -> None:
+    """Draw phases of motions."""
+    rows = []
+    for name in names:
+        artist = SkinnedArtist(human, to_world(read_motion(name)), SIZE)
+        times = np.linspace(0, artist.figure.seconds, PHASES)
+        images = np.concatenate([artist.draw(time) for time in times], axis=1)
+        artist.close()
+        draw_text(images, name, (4, 14), 0.4)
+        rows.append(images)
+    cv2.imwrite(str(picture), np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])
+
+
+def measure(human: Human, names: Sequence[str]) -> None:
+    """Print the table."""
     skeleton, limits = human.skeleton, load_limits().for_skeleton(human.skeleton)
     body = fit_capsules(human.skeleton, human.mesh, human.weights)
     heads = (
@@ -32,8 +76,8 @@ def main() -> int:
     )
     print("| " + " | ".join(heads) + " |")
     print("|---|---|---|---|---|---|")
-    for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
-        world = to_world(read_bvh(path))
+    for name in names:
+        world = to_world(read_motion(name))
         retargeter = Retargeter.fit(world, skeleton)
         times = world.frame_times
         poses = world.sample(times)
@@ -46,11 +90,10 @@ def main() -> int:
         depth = max(0.0, report_penetration(posed, body).depth_mm)
         speed = np.linalg.norm(np.diff(posed[..., :3, 3], axis=0), axis=-1).max() / (times[1] - times[0])
         print(
-            f"| {path.stem} | {way.mean():.0f} / {way.max():.0f} "
+            f"| {name} | {way.mean():.0f} / {way.max():.0f} "
             f"| {1e3 * sole_heights(skeleton, posed).min():.0f} "
             f"| {', '.join(passed) or 'none'} | {depth:.0f} | {speed:.1f} |"
         )
-    return 0
 
 
 if __name__ == "__main__":

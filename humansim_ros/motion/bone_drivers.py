@@ -37,6 +37,7 @@ _LINE_OF_BONE = {
     "l_ankle": "l_ankle",
     "r_ankle": "r_ankle",
 }
+_NONE = np.zeros(0, dtype=np.intp)
 #: A shorter link (metres) has no direction: its bone keeps the rotation that it inherits.
 SHORTEST_LINK = 1e-4
 
@@ -172,30 +173,31 @@ class BoneDrivers:
         self._inherit(rotations, positions, chain)
         return rotations
 
-    def _inherit(self, rotations: Array, positions: Array, fixed: Indices | tuple[()] = ()) -> None:
+    def _inherit(self, rotations: Array, positions: Array, fixed: Indices = _NONE) -> None:
         """Set the rotations (N, B, 3, 3) of bones that inherit them, but for fixed ones."""
         *_, inheriting = self._transferred
-        for bone, link in inheriting:
-            if bone[0] in fixed:
-                continue
-            inherited = self.inherited(rotations, bone)
-            if len(link.bones):
-                inherited = self._onto_links(self._along_links(inherited, bone), positions, link)
-            rotations[:, bone] = inherited
+        for bones, links in inheriting:
+            before = rotations[:, fixed]
+            rotations[:, bones] = self.inherited(rotations, bones)
+            if len(links.bones):
+                along = self._along_links(rotations[:, links.bones], links.bones)
+                rotations[:, links.bones] = self._onto_links(along, positions, links)
+            rotations[:, fixed] = before
 
     @cached_property
     def _transferred(self) -> tuple[DrivenBones, DrivenBones, list[tuple[Indices, DrivenBones]]]:
         """Bones with the rotation of their joint and a link; bones with the rotation only; and the others.
 
-        The others inherit their rotation, parents first. Each is a bone (1,) and its link, if it has one.
+        The others inherit their rotation: for each level of the skeleton, the bones and those with a link.
         """
         links, joints = self.driven
         links, loose = links.split([self.skeleton.names[bone] in self.loose for bone in links.bones])
         others = np.setdiff1d(np.arange(len(self.skeleton)), [*links.bones, *joints.bones])
+        levels = (np.intersect1d(level, others) for level in self.skeleton.levels)
         return (
             links,
             joints,
-            [(others[[n]], loose.split(loose.bones == bone)[1]) for n, bone in enumerate(others)],
+            [(level, loose.split(np.isin(loose.bones, level))[1]) for level in levels if len(level)],
         )
 
     @cached_property

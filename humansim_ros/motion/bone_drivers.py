@@ -38,6 +38,7 @@ _LINE_OF_BONE = {
     "r_ankle": "r_ankle",
 }
 _NONE = np.zeros(0, dtype=np.intp)
+_TOES = {"l_ankle": "l_metatarsal", "r_ankle": "r_metatarsal"}
 #: A shorter link (metres) has no direction: its bone keeps the rotation that it inherits.
 SHORTEST_LINK = 1e-4
 
@@ -315,8 +316,11 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
         bone: (start, poses.positions[:, end] - poses.positions[:, start])
         for bone, (start, end) in match.parallel.items()
     }
+    loose = [bone for bone, joint in match.difference.items() if joint in joints]
     return (
-        *(bone for bone, joint in match.difference.items() if joint in joints),
+        *loose,
+        # toes follow a foot whose joint does not rotate as the foot does
+        *(toes for bone, toes in _TOES.items() if bone in loose and toes in match.extra),
         *(bone for bone, (start, link) in links.items() if deviates(start, link, _FLEXIBLE)),
     )
 

@@ -48,8 +48,9 @@ class JointMatch:
         missing: Bones without a driver, which stay at rest.
         by: Method of the match.
         confidence: 0 to 1.
-        extra: Bone -> joint of the same name, for bones that the general skeleton lacks (fingers, for
-            example).
+        extra: Bone -> joint whose rotation it takes, for bones that the general skeleton lacks.
+        details: Bone of a finger, a toe, the jaw or an eye -> (start joint, end joint) of its link; the same
+            joint twice for a rotation.
         reasons: Reasons why the motion may not be a person's.
     """
 
@@ -62,13 +63,18 @@ class JointMatch:
     confidence: float = 1.0
     extra: Mapping[str, int] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
+    details: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def with_extra_bones(self, bone_names: Sequence[str], joint_names: Sequence[str]) -> JointMatch:
-        """Match the bones that the general skeleton does not have to joints of the same names."""
+        """Match the bones that the general skeleton does not have: by :attr:`details`, and by equal names."""
         general = set(hanim_skeleton().names)
         joints = {name: number for number, name in enumerate(joint_names)}
         extra = {name: joints[name] for name in bone_names if name in joints and name not in general}
-        return replace(self, extra=extra)
+        present = {bone: link for bone, link in self.details.items() if bone in bone_names}
+        links = {bone: (start, end) for bone, (start, end) in present.items() if start != end}
+        extra |= {bone: start for bone, (start, end) in present.items() if start == end}
+        extra = {bone: joint for bone, joint in extra.items() if bone not in links}
+        return replace(self, extra=extra, parallel={**self.parallel, **links})
 
     @property
     def warning(self) -> str | None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import exists
+from humansim_ros.motion.detail_joints import detail_joints
 from humansim_ros.motion.joint_match import MIN_CONFIDENCE, REQUIRED_BONES, JointMatch, match_roles
 from humansim_ros.motion.joint_tables import (
     REQUIRED_ROLES,
@@ -273,7 +274,7 @@ def match_motion(
         if by_shape is None:
             message = f"{by_names.message}. Nor has the skeleton the shape of a person"
             raise MotionError(message, path=motion.path) from None
-        match = by_shape
+        match = replace(by_shape, details=detail_joints(motion.joint_names, by_shape.roles, motion.parents))
     signs = look_at_body(motion, match.roles)
     if signs is not None and signs.plausibility < 1:
         # reasons alone refuse nobody
@@ -329,6 +330,7 @@ def match_names(
             "Copy one of config/joint_names, put your names in, and pass it as the joint table",
             path=path,
         )
+    best = replace(best, details=detail_joints(joint_names, best.roles, parents))
     return best if table is None else replace(best, by="given")
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from humansim_ros.body.joint_names import finger_bones
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, within_bounds
 from humansim_ros.motion.bone_drivers import (
@@ -40,6 +41,8 @@ from humansim_ros.rotations import (
 )
 from humansim_ros.types import Array, Indices
 
+#: Bones of the fingers of both hands.
+FINGER_BONES = (*finger_bones("l"), *finger_bones("r"))
 #: Percentage of the poses, lowest ankles first, in which feet are flat on the floor.
 _FLAT_PERCENTILE = 20
 #: A hinge axis is known where bends agree this well (length of the mean of unit axes).
@@ -91,6 +94,7 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
     skeleton, match = drivers.skeleton, drivers.match
     extra = [skeleton.bone(bone) for bone in match.extra]
     directions = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
+    ends = {skeleton.bone(bone) for bone in match.extra if bone in FINGER_BONES}
     rotations = np.empty((1, len(skeleton), 3, 3))
     for bones, links, joints in drivers.levels:
         inherited = drivers.inherited(rotations, bones)
@@ -98,9 +102,15 @@ def shared_rest(drivers: BoneDrivers, poses: JointPoses) -> Array:
         for place, bone in zip(links.places, links.bones, strict=True):
             direction = directions[skeleton.names[bone]]
             rotations[:, [bone]] = swing_onto(inherited[:, [place]], direction[None, None])
+            if not direction.any():
+                ends.add(int(bone))
         # extra bones keep the rotation that they inherit: fingers follow hands that are held elsewhere
         general = joints.bones[~np.isin(joints.bones, extra)]
         rotations[:, general] = WORLD_FROM_BODY @ skeleton.rest[general, :3, :3]
+        # the direction of the last segment of a finger is unknown: it continues the segment before it
+        for bone in ends.intersection(bones.tolist()):
+            along = rotations[:, [skeleton.parents[bone]], :, 1]
+            rotations[:, [bone]] = swing_onto(rotations[:, [bone]], along)
     return rotations[0]
 
 
@@ -252,7 +262,11 @@ def align_feet(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
         foot = WORLD_FROM_BODY @ skeleton.rest[index, :3, 1]
         flat = np.linalg.norm(foot[:2]) * unit_vectors(forward) + np.array([0.0, 0.0, foot[2]])
         in_joint = rotate(np.swapaxes(rotations[low, ankle], -1, -2), flat).mean(0)
-        rest[index] = swing_onto(rest[index][None, None], in_joint[None, None])[0, 0]
+        before = rest[index]
+        rest[index] = swing_onto(before[None, None], in_joint[None, None])[0, 0]
+        toes = f"{bone[:2]}metatarsal"
+        if toes in match.extra:  # they stay where they are in the foot
+            rest[skeleton.bone(toes)] = rest[index] @ before.T @ rest[skeleton.bone(toes)]
     return rest
 
 
@@ -331,15 +345,16 @@ class Retargeter:
         poses = replace(motion, loop="none", speed=1.0).sample(np.minimum(times, motion.cycle_length))
         position = motion.placement.position
         scale = _root_scale(poses, motion, skeleton, root_scale)
-        fitted = cls(skeleton, motion.match, scale, (float(position[0]), float(position[1])), mode=mode)
+        match = motion.match.with_extra_bones(skeleton.names, motion.names)
+        fitted = cls(skeleton, match, scale, (float(position[0]), float(position[1])), mode=mode)
         fitted = replace(fitted, clamp=clamp)
         if mode == "full":
-            fitted = replace(fitted, loose=loose_bones(poses, motion.match, standing=True))
+            fitted = replace(fitted, loose=loose_bones(poses, match, standing=True))
             rest = shared_rest(fitted._drivers, poses)
             if not motion.frame.offsets_stand:
                 # a rest pose that is a frame of the motion has unknown twist: hinges and feet measure it
                 rest = align_feet(fitted._drivers, align_hinges(fitted._drivers, rest, poses), poses)
-            links = collar_directions(poses, motion.match, fitted.loose)
+            links = collar_directions(poses, match, fitted.loose)
             fitted = replace(fitted, rest=rest, rest_links=collar_links(skeleton, links))
             rest = align_trunk(fitted._drivers, rest, poses, fitted.pose(poses))
             fitted = replace(fitted, rest=rest)
@@ -358,6 +373,7 @@ class Retargeter:
         Raises:
             MotionError: The legs have no length.
         """
+        match = match.with_extra_bones(skeleton.names, poses.names)
         fitted = cls(skeleton, match, _leg_scale(poses, match, skeleton))
         if has_rotations(poses):
             standing = is_standing_at_rest(poses, match)

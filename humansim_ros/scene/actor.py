@@ -122,7 +122,6 @@ class Actor:
         else:
             with in_section(section):
                 match = match_motion(motion, table, config.min_confidence)
-        match = match.with_extra_bones(human.skeleton.names, motion.joint_names)
         of_file = "frame", id(motion), config.unit, config.up, config.facing, table, config.min_confidence
         world = WorldMotion(
             motion,

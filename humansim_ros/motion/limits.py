@@ -1,10 +1,10 @@
 """Joint limits of a skeleton: measure poses by a table of ranges, report violations, clamp.
 
 Angles are anatomical: from the neutral standing position (arms hanging, palms to the thighs). They depend
-neither on the rest pose of the skeleton nor on its rolls. Hinges and the spine have three axes, one after the
-other [Grood 1983]: an axis of the bone above, a floating axis, and an axis of the bone itself. Shoulders and
-hips have a direction of the bone within a cone [Wilhelms 2001], and a twist from the shortest rotation out of
-the middle of the cone.
+neither on the rest pose of the skeleton nor on its rolls; those of fingers and toes count from the axes of
+their bones at rest. Hinges and the spine have three axes, one after the other [Grood 1983]: an axis of the
+bone above, a floating axis, and an axis of the bone itself. Shoulders and hips have a direction of the bone
+within a cone [Wilhelms 2001], and a twist from the shortest rotation out of the middle of the cone.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
 from humansim_ros.io.assets import resource_path
@@ -75,6 +76,12 @@ class Limit(Section):
         return np.asarray(np.cos(angle) * start + np.sin(angle) * towards)
 
 
+@lru_cache(maxsize=1)
+def _bones() -> tuple[str, ...]:
+    """Names of the bones that can have limits."""
+    return (*hanim_skeleton().names, *DETAIL_BONES)
+
+
 class ZeroDirection(Section):
     """Zero of the angles of a cone: degrees count from ``direction`` towards the direction of each angle."""
 
@@ -87,7 +94,8 @@ class JointRange(Section):
 
     ``along``: direction of the bone at zero; without it the zero is the rest pose. Either ``swing``,
     directions on the border of a cone, with ``zero``; or ``first`` and ``second``, ranges about the axes
-    before the ``twist``. ``twist_with``: bone whose twist is added.
+    before the ``twist``. ``twist_with``: bone whose twist is added. ``hinge``: the first axis is the x axis
+    of the bone, ``from`` of its first limit is along the bone, and other angles are zero at rest.
     """
 
     bone: str
@@ -99,6 +107,7 @@ class JointRange(Section):
     second: tuple[Limit, Limit] | None = None
     twist: tuple[Limit, Limit]
     twist_with: str | None = None
+    hinge: bool = False
 
     @property
     def rows(self) -> tuple[Limit, ...]:
@@ -108,14 +117,13 @@ class JointRange(Section):
     @property
     def sides(self) -> dict[str, int]:
         """Bone name -> side, of the bones that have these ranges."""
-        names = hanim_skeleton().names
         sides = {name: side_of(name) for name in (self.bone, f"l_{self.bone}", f"r_{self.bone}")}
-        return {name: side for name, side in sides.items() if name in names}
+        return {name: side for name, side in sides.items() if name in _bones()}
 
     @model_validator(mode="after")
     def _check_geometry(self) -> JointRange:
         if not self.sides:
-            raise ValueError(f"no bone {self.bone!r}; the bones are {', '.join(hanim_skeleton().names)}")
+            raise ValueError(f"no bone {self.bone!r}; the bones are {', '.join(_bones())}")
         allowed = {"up", "down", "front", "back"}
         allowed |= {"out", "in"} if any(self.sides.values()) else {"left", "right"}
         used = {direction for row in self.rows for direction in (row.start, row.towards)}
@@ -126,6 +134,8 @@ class JointRange(Section):
         for row in self.rows:
             if not row.axis(1).any():
                 raise ValueError(f"{row.angle}: nothing turns from {row.start} towards {row.towards}")
+        if self.hinge and self.first is None:
+            raise ValueError("'hinge' needs 'first' and 'second'")
         if (self.swing is None) == (self.first is None) or (self.first is None) != (self.second is None):
             raise ValueError("give either 'swing' or both 'first' and 'second'")
         pairs = [pair for pair in (self.first, self.second, self.twist) if pair is not None]
@@ -509,7 +519,7 @@ class JointLimits:
         """Joints, parents first, each with the joint whose twist is added to its own."""
         names = self.skeleton.names
         joints: dict[str, JointCoordinates] = {}
-        along = {bone: row.along for row in self.table.joints for bone in row.sides}
+        rows = {bone: row for row in self.table.joints for bone in row.sides}
         for row in self.table.joints:
             for bone, side in row.sides.items():
                 above = row.relative_to if row.relative_to in names else f"{bone[:2]}{row.relative_to}"
@@ -519,10 +529,12 @@ class JointLimits:
                 if chain is None:
                     continue
                 coordinates = ConeCoordinates if row.swing is not None else HingeCoordinates
-                before, after = (self._rest_axes(name, along.get(name)) for name in (above, bone))
+                before, after = (self._rest_axes(name, rows.get(name)) for name in (above, bone))
                 joints[bone] = coordinates(
                     row, side, self.table.margin, names.index(bone), chain, before.T, after
                 )
+                if row.hinge:
+                    joints[bone] = _as_hinge(joints[bone])
         return tuple(
             (joint, joints.get(f"{bone[:2]}{joint.range.twist_with}") if joint.range.twist_with else None)
             for bone, joint in sorted(joints.items(), key=lambda item: item[1].bone)
@@ -537,12 +549,25 @@ class JointLimits:
             parent = int(self.skeleton.parents[parent])
         return None if parent < 0 else tuple(chain)
 
-    def _rest_axes(self, bone: str, along: AnatomicalDirection | None) -> Array:
+    def _rest_axes(self, bone: str, row: JointRange | None) -> Array:
         """Anatomical axes (3, 3) of a bone at rest; the axes of a limb follow the bone, as from a T pose."""
-        if along is None:
+        if row is None or (row.along is None and not row.hinge):
             return np.eye(3)
-        rest = self.skeleton.rest[self.skeleton.bone(bone), :3, 1]
-        return _rotations_from_axis(direction_vector(along, side_of(bone)), rest)
+        rest, side = self.skeleton.rest[self.skeleton.bone(bone), :3, :3], side_of(bone)
+        if row.hinge:
+            assert row.first is not None
+            along, axis = direction_vector(row.first[0].start, side), row.first[0].axis(side)
+            return np.asarray(rest @ np.stack([axis, along, np.cross(axis, along)]))
+        assert row.along is not None
+        return _rotations_from_axis(direction_vector(row.along, side), rest[:, 1])
+
+
+def _as_hinge(joint: JointCoordinates) -> JointCoordinates:
+    """Coordinates of a joint in the axes of its bone: at rest it is bent, but not sideways or twisted."""
+    bend: Array = np.zeros((1, 3))
+    if joint.range.along is not None:
+        bend[0, 0] = joint.split((joint.before @ joint.after)[None])[0, 0]
+    return replace(joint, before=joint.compose(bend, np.zeros(1))[0] @ joint.after.T)
 
 
 def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton | None = None) -> JointLimits:

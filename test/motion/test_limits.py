@@ -17,9 +17,11 @@ from stand_ins import STAND_INS
 from test_retarget import at_frames, in_world, read, some_frames
 
 from humansim_ros.body import Skeleton, hanim_skeleton
+from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.limits import Limit, load_limits
+from humansim_ros.humans.loading import load_human
+from humansim_ros.motion.limits import JointLimits, Limit, load_limits
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.types import Array
 
@@ -326,6 +328,70 @@ def test_ordinary_motions_stay_within_the_limits(stem: str) -> None:
     turned, _ = Retargeter.fit(world, GENERAL).apply(at_frames(world, some_frames(motion, 300)))
     found = load_limits().report(turned)
     assert found == []
+
+
+@pytest.fixture(scope="module")
+def people() -> JointLimits:
+    """Limits of a built-in human."""
+    return load_limits(skeleton=load_human("adult_man").skeleton)
+
+
+@pytest.mark.parametrize("side", ["l", "r"])
+@pytest.mark.parametrize(
+    ("bone", "angle", "sign"),
+    [
+        ("index1", "flexion", 1),
+        ("index1", "extension", -1),
+        ("middle2", "flexion", 1),
+        ("pinky3", "flexion", 1),
+        ("thumb1", "flexion", 1),
+        ("thumb3", "flexion", 1),
+        ("metatarsal", "flexion", 1),
+        ("metatarsal", "extension", -1),
+        ("eyeball_joint", "depression", 1),
+        ("eyeball_joint", "elevation", -1),
+    ],
+)
+def test_fingers_toes_and_eyes_are_limited_where_their_bones_bend(
+    people: JointLimits, side: str, bone: str, angle: str, sign: int
+) -> None:
+    """Up to the limit nothing is reported; 5 degrees beyond it, this angle of this bone alone."""
+    name = f"{side}_{bone}"
+    row = next(row for row in people.table.joints if row.bone == bone)
+    limit = next(one.degrees for one in row.rows if one.angle == angle) + people.table.margin
+    still = np.tile([0.0, 0, 0, 1], (1, len(people.skeleton), 1))
+    first = people.angles(still)[f"{name}.{row.rows[0].angle}"][0]
+
+    def bent(degrees: float) -> Array:
+        turns = np.array(still)
+        turn = Rotation.from_euler("x", sign * degrees - first, degrees=True)
+        turns[0, people.skeleton.bone(name)] = turn.as_quat()
+        return turns
+
+    assert people.report(bent(limit - 1)) == []
+    (violation,) = people.report(bent(limit + 5))
+    assert (violation.bone, violation.angle) == (name, angle)
+    assert violation.worst == pytest.approx(limit + 5, abs=0.2)
+    assert people.report(people.clamp(bent(limit + 5))) == []
+
+
+def test_the_jaw_opens_and_does_not_close_beyond_the_teeth(people: JointLimits) -> None:
+    still = np.tile([0.0, 0, 0, 1], (1, len(people.skeleton), 1))
+    for degrees, expected in ((30, []), (45, ["opening"]), (-15, ["closing"])):
+        turns = np.array(still)
+        bone = people.skeleton.bone("temporomandibular")
+        turns[0, bone] = Rotation.from_euler("x", degrees, degrees=True).as_quat()
+        assert [violation.angle for violation in people.report(turns)] == expected
+
+
+def test_relaxed_hands_are_half_bent_and_within_the_limits(people: JointLimits) -> None:
+    still = np.tile([0.0, 0, 0, 1], (1, len(people.skeleton), 1))
+    assert people.report(still) == []
+    angles = people.angles(still)
+    for finger in FINGERS[1:]:
+        knuckle, middle = (angles[f"l_{finger}{joint}.flexion"][0] for joint in (1, 2))
+        assert 15 < knuckle < 45 and 30 < middle < 50
+        assert abs(angles[f"l_{finger}1.radial deviation"][0]) < 1e-6
 
 
 def test_bones_that_a_skeleton_lacks_are_left_out() -> None:

@@ -18,6 +18,8 @@ from conftest import ROOT, SHARED_DATA
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.body.joint_names import finger_bones
+
 Array = NDArray[np.float64]
 
 
@@ -93,7 +95,7 @@ class MeshStandIn:
 def _arm(bone: str) -> str:
     """The side of a bone of an arm, l or r; else an empty text."""
     side, _, part = bone.partition("_")
-    return side if part in ("shoulder", "elbow", "wrist") else ""
+    return side if part in ("shoulder", "elbow", "wrist") or bone in finger_bones(side) else ""
 
 
 MESHES = {

@@ -7,7 +7,7 @@ or only the nearest one: the second kind is listed in ``near``, and its place di
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,6 +68,18 @@ def _detail_parents() -> dict[str, str]:
 #: Parent by name of the bones that the built-in humans have after those of the general skeleton, in their
 #: order: 15 fingers of the left hand and of the right hand, toes, jaw and eyes (H-Anim 1.1).
 DETAIL_BONES: Mapping[str, str] = _detail_parents()
+
+
+def body_joints(names: Sequence[str]) -> list[int]:
+    """Numbers of the joints that are not of :data:`DETAIL_BONES`: what counts joints is not to count hands.
+
+    Example:
+        >>> body_joints(["l_wrist", "l_index1", "l_index3_end", "l_wrist_end"])
+        [0, 3]
+    """
+    return [number for number, name in enumerate(names) if name.removesuffix("_end") not in DETAIL_BONES]
+
+
 #: Titles of the columns of other sets, by field of :class:`JointName`.
 SETS = {"hanim2": "H-Anim 2", "smpl": "SMPL", "coco": "COCO", "body_25": "OpenPose BODY_25"}
 

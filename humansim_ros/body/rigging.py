@@ -44,6 +44,12 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
         >>> weights.shape == (len(child.mesh.vertices), 57)
         True
     """
+    general = np.flatnonzero(skeleton.wholes == np.arange(len(skeleton)))
+    if len(general) < len(skeleton):
+        weights = rig(mesh, skeleton.part(general), rule)
+        return csr_matrix(
+            (weights.data, general[weights.indices], weights.indptr), (len(mesh.vertices), len(skeleton))
+        )
     if rule == "heat":
         return heat_weights(mesh, skeleton)
     blocks = [

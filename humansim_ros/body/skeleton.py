@@ -146,6 +146,13 @@ class Skeleton:
                 wholes[bone] = wholes[self.parents[bone]]
         return wholes
 
+    def part(self, bones: NDArray[np.intp]) -> Skeleton:
+        """Skeleton of some bones (b,), in order, with the parents of each of them."""
+        place = np.full(len(self) + 1, -1)
+        place[bones] = np.arange(len(bones))
+        rows = (self.heads[bones], self.tails[bones], self.rolls[bones])
+        return Skeleton(tuple(self.names[bone] for bone in bones), place[self.parents[bones]], *rows)
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the J ground-truth joints: heads of all bones, then ``<bone>_end`` of :attr:`ends`."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.rigging import triangle_parts
+from humansim_ros.body.rigging import triangle_parts, without_details
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.body.skinning import SkinningFunction, make_skinner
 from humansim_ros.errors import MeshError, did_you_mean
@@ -86,6 +86,14 @@ class Human(Pictured):
         else:
             mesh = replace(self.mesh, texture=None, colors=look)
         return replace(self, mesh=mesh, outfit=outfit)
+
+    def without_details(self) -> Human:
+        """The same human without bones of fingers, toes, jaw and eyes, whose skin moves as before."""
+        kept = np.flatnonzero(self.skeleton.wholes == np.arange(len(self.skeleton)))
+        if len(kept) == len(self.skeleton):
+            return self
+        weights = csr_matrix(without_details(self.weights, self.skeleton)[:, kept])
+        return replace(self, skeleton=self.skeleton.part(kept), weights=weights)
 
     @cached_property
     def triangle_parts(self) -> NDArray[np.uint8]:

@@ -182,11 +182,13 @@ def surface_offsets(name: str, shape: tuple[float, ...] = ()) -> SurfaceOffsets:
 def shaped_human(name: str, proportions: Proportions) -> Human:
     """A human by its name or file, with betas and offsets of the surface, before it takes the factors.
 
+    It has no bones of fingers, toes, jaw and eyes: photographs do not show their rotations.
+
     Raises:
         MeshError: It cannot be loaded, or has no such betas or offsets.
     """
     path, shape = find_asset(name, "humans"), proportions.shape
-    human = make_human(path, MeshHuman(betas=shape)) if shape else load_human(path)
+    human = (make_human(path, MeshHuman(betas=shape)) if shape else load_human(path)).without_details()
     return surface_offsets(name, shape).moved(human, proportions.offsets) if proportions.offsets else human
 
 

@@ -21,7 +21,13 @@ from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
-from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix, transform
+from humansim_ros.rotations import (
+    invert_rigid,
+    matrix_to_quaternion,
+    moved,
+    quaternion_to_matrix,
+    transform,
+)
 from humansim_ros.scene.config import HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
 from humansim_ros.types import Array
@@ -275,6 +281,12 @@ class Actor:
         skeleton = self.human.skeleton
         count = len(skeleton)
         bones = moved(joints[:count], linear[:count], angular[:count], seconds)
+        # fingers, toes, jaw and eyes stay joined to the bone above: they are short, and would come apart
+        for level in skeleton.levels:
+            details = level[skeleton.wholes[level] != level]
+            above = skeleton.parents[details]
+            carried = bones[above] @ invert_rigid(joints[above]) @ joints[details]
+            bones[details, :3, 3] = carried[:, :3, 3]
         size = skeleton.size_of(joints[:count, :3, 3])
         return self.human.pose(bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones)
 

@@ -256,7 +256,7 @@ def _in_obstacles(
 
     ``joints``: (N, J, 3). ``outside``: (N,) whether it is outside the room, where it is in the walls as well.
     """
-    names = samples.scene.actors[name].human.skeleton.joint_names
+    names = samples.joint_names(name)
     pairs = [(names.index(a), names.index(b)) for a, b in _BONES if a in names and b in names]
     inside = np.flatnonzero(~outside)
     if not pairs or not len(inside):
@@ -332,7 +332,7 @@ def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
     """Findings about humans in each other, the first time for each pair."""
     names, spines, lengths = [], [], []
     for name, joints in samples.joints.items():
-        known = samples.scene.actors[name].human.skeleton.joint_names
+        known = samples.joint_names(name)
         spine = joints[:, [known.index(joint) for joint in _SPINE if joint in known]]
         if spine.shape[1] < 2:
             continue

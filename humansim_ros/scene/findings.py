@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.objects import SceneObject
@@ -197,10 +198,22 @@ class SceneSamples:
 
     @cached_property
     def joints(self) -> dict[str, Array]:
-        """Joint positions (N, J, 3) in ``map`` by human, without those that another node moves."""
+        """Joint positions (N, J, 3) in ``map`` by human, without those that another node moves.
+
+        They are the joints of :meth:`joint_names`.
+        """
         humans = self.scene.config.humans
         names = [name for name in self.scene.actors if humans[name].motion.file != LIVE]
-        return {name: self.scene.actors[name].joint_paths(self.times) for name in names[: self.humans]}
+        paths = {name: self.scene.actors[name].joint_paths(self.times) for name in names[: self.humans]}
+        return {name: path[:, self._body(name)] for name, path in paths.items()}
+
+    def joint_names(self, name: str) -> list[str]:
+        """Names of the joints of a human, without those of fingers, toes, jaw and eyes."""
+        names = self.scene.actors[name].human.skeleton.joint_names
+        return [names[joint] for joint in self._body(name)]
+
+    def _body(self, name: str) -> list[int]:
+        return body_joints(self.scene.actors[name].human.skeleton.joint_names)
 
     @cached_property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section, some_of
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
@@ -70,7 +71,8 @@ class Path:
 
     @classmethod
     def _of(cls, actor: Actor, times: Array) -> Path:
-        joints = actor.joint_paths(times)[..., :2].reshape(-1, 2)
+        body = body_joints(actor.human.skeleton.joint_names)
+        joints = actor.joint_paths(times)[:, body, :2].reshape(-1, 2)
         return cls(_CELL * np.unique(np.round(joints / _CELL), axis=0))
 
     def turned(self, yaw: float) -> Path:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section
 from humansim_ros.io.files import exists, expand_user
@@ -572,7 +573,10 @@ class SceneDocument(SceneFile):
         with suppress(HumansimError):  # the scene has errors: its places on the floor are enough
             scene = self.scene_so_far()
             if scene.actors:
-                paths = [actor.joint_paths(_FIRST) for actor in scene.actors.values()]
+                paths = [
+                    actor.joint_paths(_FIRST)[:, body_joints(actor.human.skeleton.joint_names)]
+                    for actor in scene.actors.values()
+                ]
                 times = [np.repeat(_FIRST, path.shape[1]) for path in paths]
                 points = np.concatenate([path.reshape(-1, 3) for path in paths])
                 seen = PeoplePoints(points, np.concatenate(times))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros import messages
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.camera import Camera
 from humansim_ros.drawing.views import color_channel, color_depth, color_image, draw_joints
 from humansim_ros.errors import HumansimError, RosError, printable
@@ -449,8 +450,8 @@ class TopicFrames:
     ) -> Iterator[tuple[str, str, NDArray[np.uint8]]]:
         """Person, camera and states (J,) of the joints, as :mod:`humansim_ros.truth` has them.
 
-        Joints of cameras without a topic of joints are projected: none of them is occluded. ``projected``:
-        cameras whose topic is not received, with the same effect.
+        Fingers, toes, jaw and eyes are left out. Joints of cameras without a topic of joints are projected:
+        none of them is occluded. ``projected``: cameras whose topic is not received, with the same effect.
         """
         found = self.frame(messages_of)
         for name, camera in found.cameras.items():
@@ -459,7 +460,8 @@ class TopicFrames:
                 continue
             for seen in self._joints_in_image(name, camera, messages_of.data, found.joints):
                 within = (seen.pixels >= -0.5) & (seen.pixels < np.array(camera.size) - 0.5)
-                yield seen.person, name, np.where(within.all(axis=1), seen.visible, OUTSIDE).astype(np.uint8)
+                states = np.where(within.all(axis=1), seen.visible, OUTSIDE).astype(np.uint8)
+                yield seen.person, name, states[body_joints(seen.names)]
 
     def _joints_in_image(
         self, name: str, camera: Camera, data: Mapping[str, bytes], joints: Mapping[str, Array]

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import EvaluationError, HumansimError, printable, some_of
 from humansim_ros.evaluate.alignment import FramePairs, pair_frames
 from humansim_ros.evaluate.evaluation import PersonErrors, person_errors
@@ -307,7 +308,8 @@ class _SceneTracks:
         seen: dict[str, dict[str, tuple[float, float]]] = {}
         for camera, truth in frame.truth.items():
             for person, joints in truth.joints.items():
-                seen.setdefault(person, {})[camera] = seen_shares(joints.visible)
+                body = body_joints(self._scene.actors[person].human.skeleton.joint_names)
+                seen.setdefault(person, {})[camera] = seen_shares(joints.visible[body])
         return TrackSample(seen=seen)
 
     def errors(self) -> ErrorTrack:

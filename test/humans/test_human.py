@@ -122,6 +122,18 @@ def test_bones_of_the_general_skeleton_move_the_skin_as_when_they_were_the_only_
         np.testing.assert_allclose(vertices[rows], expected, atol=2e-5)
 
 
+def test_a_human_without_details_has_the_general_skeleton_and_the_same_skin(man: Human) -> None:
+    plain = man.without_details()
+    assert plain.skeleton.names == hanim_skeleton().names and plain.weights.shape[1] == 22
+    assert plain.without_details() is plain
+    turns = Rotation.from_rotvec(np.random.default_rng(3).normal(0, 0.3, (22, 3))).as_quat()
+    rotations = np.tile([0.0, 0, 0, 1], (len(man.skeleton), 1))
+    rotations[:22] = turns
+    posed, general = man.skeleton.pose(rotations), plain.skeleton.pose(turns)
+    np.testing.assert_allclose(posed[:22], general, atol=1e-12)
+    np.testing.assert_allclose(man.pose(posed), plain.pose(general), atol=2e-6)
+
+
 def test_an_eye_turns_about_its_centre_and_looks_down_with_a_positive_angle(man: Human) -> None:
     skeleton = man.skeleton
     for eye in ("l_eyeball_joint", "r_eyeball_joint"):

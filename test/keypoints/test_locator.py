@@ -10,6 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from humansim_ros import Human, load_human
+from humansim_ros.body.joint_names import finger_bones
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
 from humansim_ros.types import Array
@@ -200,6 +201,6 @@ def test_skin_between_joints_is_that_of_the_body_parts_between_them() -> None:
     # the chest is in front of the middle of the shoulders, the belly in front of the middle of the hips
     assert {"vl5", "l_shoulder", "r_shoulder"} <= skin("body25", "Neck")
     assert {"HumanoidRoot", "sacroiliac", "l_hip", "r_hip"} <= skin("body25", "MidHip")
-    assert skin("coco17", "left_wrist") == {"l_elbow", "l_wrist"}
+    assert skin("coco17", "left_wrist") == {"l_elbow", "l_wrist", *finger_bones("l")}
     assert skin("coco17", "nose") == {"vt3"}
     assert not {"l_knee", "l_elbow", "vt3"} & skin("body25", "MidHip")

@@ -38,7 +38,7 @@ _CARRIERS = {
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model in the layout of SMPL: its betas lead from one built-in person to two others."""
-    man = load_human("adult_man")
+    man = load_human("adult_man").without_details()
     others = [load_human(name) for name in ("tall_heavy_man", "slim_old_woman")]
     vertices = man.mesh.vertices
     names = list(figures.SMPL_NAMES)

@@ -25,7 +25,7 @@ FACE = 5  # the first points of COCO
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel(load_human("adult_man"), COCO)
+    return PoseModel(load_human("adult_man").without_details(), COCO)
 
 
 def fitted(model: PoseModel, truth: BodyState, known: slice = slice(None)) -> BodyState:

@@ -7,6 +7,7 @@ import pytest
 from conftest import ROOT
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import finger_bones
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human, joint_surfaces
 from humansim_ros.humans.loading import load_human
@@ -170,8 +171,13 @@ def around(man: Human, joint: str) -> set[str]:
 def test_the_skin_of_a_joint_belongs_to_the_bones_that_meet_there(man: Human) -> None:
     assert around(man, "l_knee") == {"l_hip", "l_knee"}
     assert around(man, "r_elbow") == {"r_shoulder", "r_elbow"}
-    assert around(man, "l_wrist_end") == {"l_wrist"}
-    assert around(man, "vt3_end") == {"vt3"}
+    assert around(man, "l_wrist_end") == {"l_wrist", *finger_bones("l")}
+    assert around(man, "vt3_end") == {"vt3", "temporomandibular", "l_eyeball_joint", "r_eyeball_joint"}
+    assert around(man, "r_index2") == {"r_index1", "r_index2"}
+    assert around(man, "r_index3_end") == {"r_index3"}
+    assert around(man, "l_thumb1") == {"l_wrist", "l_thumb1"}
+    assert around(man, "l_eyeball_joint") == {"vt3", "l_eyeball_joint"}
+    assert around(man, "l_ankle") == {"l_knee", "l_ankle", "l_metatarsal"}
 
 
 def test_the_background_is_skin_of_no_joint(man: Human) -> None:

@@ -172,7 +172,8 @@ def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: 
         rows.append((name, parent, head.format(side), tail.format(side)))
     names = tuple(row[0] for row in rows)
     parents = np.array([-1 if parent is None else names.index(parent) for _, parent, _, _ in rows])
-    heads, tails = (np.array([points[name] for name in column]) for column in list(zip(*rows))[2:])
+    heads = np.array([points[head] for _, _, head, _ in rows])
+    tails = np.array([points[tail] for _, _, _, tail in rows])
     axes = np.zeros((len(names), 3))
     for bone, name in enumerate(names):
         if name in moved:

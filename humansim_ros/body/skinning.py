@@ -59,6 +59,9 @@ class SkinningFunction(Protocol):
         (docs/skinning.md). :class:`humansim_ros.mesh.normals.SurfaceNormals` computes exact normals.
         """
 
+    def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
+        """How far the posed vertices move, (..., V, 3), if those at rest move by ``rest`` (V, 3) first."""
+
 
 def make_skinner(
     method: str, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
@@ -150,6 +153,18 @@ class LinearBlend:
             _points(vertices[start : start + len(some)])[:] = _points(blended.reshape(-1, len(some), 3)).T
         return vertices.reshape(*shape, *vertices.shape[1:])
 
+    def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
+        """How far the posed vertices move, (..., V, 3), if those at rest move by ``rest`` (V, 3) first."""
+        batch, shape = _checked_transforms(transforms, self.weights.shape[1])
+        x, y, z = _checked_directions(rest, self.weights)
+        out = np.empty((len(batch), len(x), 3), dtype=self.weights.dtype)
+        for frame, one in zip(out, batch.astype(out.dtype), strict=True):
+            # matrix components first: contiguous components are faster
+            m = np.ascontiguousarray((self.weights @ one[:, :3, :3].reshape(-1, 9)).T)
+            for i in range(3):
+                frame[:, i] = m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2] * z
+        return out.reshape(*shape, *out.shape[1:])
+
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, carried along by the blended matrices."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
@@ -222,6 +237,13 @@ class DualQuaternion:
             for i in range(3):
                 np.add(moved[i], shift[i], out=frame[:, i], casting="same_kind")
         return out.reshape(*shape, *out.shape[1:])
+
+    def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
+        """How far the posed vertices move, (..., V, 3), if those at rest move by ``rest`` (V, 3) first."""
+        batch, shape = _checked_transforms(transforms, self.bones)
+        sizes = self._rigid(batch)[2].reshape(*shape, 1, 1)
+        lengths = sizes * np.linalg.norm(rest, axis=1, keepdims=True)
+        return (self.directions(transforms, rest) * lengths).astype(self.weights.dtype)
 
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, turned by the blended quaternions."""

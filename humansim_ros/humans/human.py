@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from humansim_ros.body.face_actions import face_weights
 from humansim_ros.body.rigging import triangle_parts, without_details
+from humansim_ros.body.shapes import Shapes, read_shapes, shape_arrays
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.body.skinning import SkinningFunction, make_skinner
 from humansim_ros.errors import MeshError, did_you_mean
@@ -39,7 +41,7 @@ class Human(Pictured):
 
     ``weights``: (V, B), rows sum to one. ``looks``: outfits by name, each a PNG or JPEG texture as (N,) bytes
     or vertex colours (V, 3) uint8 sRGB. ``outfit``: name of the outfit of ``mesh``. ``notes``: ``license``
-    and ``source``.
+    and ``source``. ``shapes``: actions of the face (docs/faces.md); None for a stiff face.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Human(Pictured):
     outfit: str = DEFAULT_OUTFIT
     skinning: Skinning = "linear"
     notes: Mapping[str, str] = field(default_factory=dict)
+    shapes: Shapes | None = None
 
     def __repr__(self) -> str:
         counts = f"{len(self.mesh.vertices)} vertices, {len(self.skeleton)} bones"
@@ -105,8 +108,29 @@ class Human(Pictured):
         """Skinning function of the mesh, single precision."""
         return make_skinner(self.skinning, self.mesh.vertices, self.weights)
 
-    def pose(self, posed: Array) -> NDArray[np.float32]:
+    @cached_property
+    def _face_skinner(self) -> SkinningFunction:
+        """Skinning function of the vertices that shapes move."""
+        assert self.shapes is not None
+        moved = self.shapes.moved
+        return make_skinner(self.skinning, self.mesh.vertices[moved], self.weights[moved])
+
+    def face_weights(self, face: Mapping[str, float]) -> Array:
+        """Weights (S,) of the shapes from weights by name; others are 0. Raises MotionError for a wrong one.
+
+        A human without shapes has no weights.
+        """
+        if self.shapes is None:
+            return np.zeros(0)
+        return face_weights(face, self.shapes.names)
+
+    def pose(self, posed: Array, face: Mapping[str, float] | Array | None = None) -> NDArray[np.float32]:
         """Pose the human: vertices (V, 3) float32, in the space of the posed bone frames (B, 4, 4).
+
+        ``face``: weights of actions of the face, by name or (S,) in the order of ``shapes``; they move the
+        skin at rest before the bones do. Eyeballs turn with their bones only.
+
+        Raises MotionError for an unknown action, or a weight that is not from 0 to 1.
 
         Example:
             >>> import numpy as np
@@ -118,7 +142,15 @@ class Human(Pictured):
             >>> np.allclose(vertices, child.mesh.vertices, atol=1e-5)
             True
         """
-        return np.asarray(self.skinner(posed @ self.skeleton.rest_inverse), dtype=np.float32)
+        transforms = posed @ self.skeleton.rest_inverse
+        vertices = np.asarray(self.skinner(transforms), dtype=np.float32)
+        if face is None or self.shapes is None:
+            return vertices
+        weights = self.face_weights(face) if isinstance(face, Mapping) else face
+        if np.any(weights):
+            offsets = self._face_skinner.offsets(transforms, self.shapes.at(weights))
+            vertices[..., self.shapes.moved, :] += offsets
+        return vertices
 
 
 #: Part labels have 8 bits, and 0 is the background.
@@ -176,6 +208,8 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
         parts = (mesh.shading.data, mesh.shading.indices, mesh.shading.indptr)
         arrays |= dict(zip(_SHADING, parts, strict=True))
     arrays |= {key: np.array(text) for key, text in {"name": human.name, **human.notes}.items()}
+    if human.shapes is not None:
+        arrays |= shape_arrays(human.shapes)
     if human.skinning != "linear":
         arrays["skinning"] = np.array(human.skinning)
     write_npz(path, arrays)
@@ -238,7 +272,9 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
             f"{skinning[:30]!r} is not a skinning method; use linear or dual_quaternion", key="skinning"
         )
     method: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
-    human = Human(name, mesh, skeleton, normalise_weights(weights), looks, skinning=method, notes=notes)
+    shapes = read_shapes(arrays, len(vertices))
+    weights = normalise_weights(weights)
+    human = Human(name, mesh, skeleton, weights, looks, skinning=method, notes=notes, shapes=shapes)
     return human.wearing(human.outfits[0]) if looks else human
 
 

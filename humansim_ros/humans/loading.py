@@ -48,7 +48,7 @@ from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, 
 from humansim_ros.mesh.obj import material_files
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
-CACHE_VERSION = 4
+CACHE_VERSION = 5
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
 

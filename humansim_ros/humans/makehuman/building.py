@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.joint_names import FINGERS
+from humansim_ros.body.shapes import Shapes, shape_arrays
 from humansim_ros.body.skinning import skin
 from humansim_ros.humans.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
 from humansim_ros.humans.makehuman.data import (
@@ -24,6 +26,7 @@ from humansim_ros.humans.makehuman.data import (
     VertexMask,
     read_base,
 )
+from humansim_ros.humans.makehuman.face import face_offsets, unskin_offsets
 from humansim_ros.humans.makehuman.paint import (
     TEXTURE_SIZE,
     Canvas,
@@ -155,13 +158,17 @@ ADULT_MAN = MakeHumanConfig(gender=1.0)
 
 @dataclass(frozen=True)
 class _Body:
-    """Naked body in the A pose of MakeHuman (``mesh.vertices``) and in the T pose (``mesh.naked``)."""
+    """Naked body in the A pose of MakeHuman (``mesh.vertices``) and in the T pose (``mesh.naked``).
+
+    ``rows`` (V,): vertices of the base mesh.
+    """
 
     mesh: BodySurface
     bones: Bones
     points: Mapping[str, Array]
     motion: Array
     floor: Array
+    rows: VertexIndices
 
     def regions(self, is_ear: Array, config: MakeHumanConfig) -> BodyRegions:
         """Regions of clothes and hair. ``is_ear`` (V,) is above 0.5 at the ears."""
@@ -194,12 +201,14 @@ def build(
     is_ear = _at_vertices(man.mesh, ears)
     reference, own = man.regions(is_ear, config), body.regions(is_ear, config)
 
-    mesh = replace(body.mesh, canonical=man.mesh.naked)
+    shapes = scale * face_offsets(source, body.rows)
+    mesh = replace(body.mesh, canonical=man.mesh.naked, shapes=shapes)
     on_scalp = (reference.hair(mesh.canonical) > 0.01) & (is_ear < 0.01) & (mesh.part == 0)
     mesh = refine(mesh, on_scalp[mesh.faces].all(axis=1))
     mesh = cut_clothes(replace(mesh, vertices=smooth_under_clothes(mesh, reference, own)), reference)
     balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
     dressed = dress(mesh, reference, own, _at_vertices(mesh, ears), balls)
+    offsets = unskin_offsets(mesh.shapes, mesh.weights, body.motion)
     dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
     uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
 
@@ -235,6 +244,7 @@ def build(
         "weight_values": values.astype(np.float32),
         "outfits": np.array(list(looks)),
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
+        **shape_arrays(Shapes.of_offsets(ACTIONS, offsets), scale),
         "skin": np.ascontiguousarray(skin[..., 0]),
         "license": np.array("CC0-1.0"),
         "source": np.array(SOURCE),
@@ -288,9 +298,10 @@ def _naked(source: MakeHumanData, base: Base) -> _Body:
         bare,
         bare_faces,
         np.arange(len(rows)),
+        np.zeros((len(rows), 0)),
     )
     bones = replace(bones, heads=bones.heads - floor, tails=bones.tails - floor)
-    return _Body(mesh, bones, points, motion, floor)
+    return _Body(mesh, bones, points, motion, floor, rows)
 
 
 def _at_vertices(mesh: BodySurface, mask: VertexMask) -> Array:

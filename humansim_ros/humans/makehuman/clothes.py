@@ -372,21 +372,22 @@ def snap_to_border(mesh: BodySurface, fields: Array, column: int) -> tuple[BodyS
             best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
     vertices, canonical, naked = mesh.vertices.copy(), mesh.canonical.copy(), mesh.naked.copy()
     weights, uv, new_fields = mesh.weights.copy(), mesh.uv.copy(), fields.copy()
+    shapes = mesh.shapes.copy()
     for a, (_, b, step) in best.items():
         for new, old in (
             (vertices, mesh.vertices),
             (canonical, mesh.canonical),
             (naked, mesh.naked),
             (weights, mesh.weights),
+            (shapes, mesh.shapes),
             (new_fields, fields),
         ):
             new[a] = (1 - step) * old[a] + step * old[b]
         new_fields[a, column] = 0.0
         for ta, tb in targets[a, b].items():
             uv[ta] = (1 - step) * mesh.uv[ta] + step * mesh.uv[tb]
-    return replace(
-        mesh, vertices=vertices, canonical=canonical, naked=naked, weights=weights, uv=uv
-    ), new_fields
+    moved = replace(mesh, vertices=vertices, canonical=canonical, naked=naked, weights=weights, uv=uv)
+    return replace(moved, shapes=shapes), new_fields
 
 
 def split_along(
@@ -451,6 +452,7 @@ def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> BodySurface:
         garment=garment,
         face_garment=np.concatenate([face_garment, hem_garment]),
         weld=old,
+        shapes=np.where((garment == NONE)[:, None], mesh.shapes[old], 0.0),
         hems=len(hems),
     )
 

@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import posixpath
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -70,7 +71,7 @@ class MakeHumanData:
     def _open(self, path: str) -> IO[bytes]:
         """Open a file of the folder or of the wheel."""
         if self._archive is not None:
-            return self._archive.open(_DATA + path)
+            return self._archive.open(posixpath.normpath(_DATA + path))
         try:
             return open_file(self.folder / path, MeshError, "MakeHuman", _MAX_BYTES)
         except MeshError as reason:
@@ -126,12 +127,19 @@ class MakeHumanData:
 
     def target(self, name: str) -> tuple[VertexIndices, Array]:
         """Vertices (K,) that a target moves, and their offsets (K, 3) in decimetres."""
-        if name not in self._targets:
-            lines = self.read(f"targets/{name}.target.gz").decode().splitlines()
+        return self._offsets(f"targets/{name}.target.gz")
+
+    def face_action(self, name: str) -> tuple[VertexIndices, Array]:
+        """Vertices (K,) that an action of the face moves, and their offsets (K, 3) in decimetres."""
+        return self._offsets(f"../faceunits01/targets/faceunits/{name}.target")
+
+    def _offsets(self, path: str) -> tuple[VertexIndices, Array]:
+        if path not in self._targets:
+            lines = self.read(path).decode().splitlines()
             rows = np.array([line.split() for line in lines if line.strip() and line[0] != "#"], dtype=float)
             rows = rows.reshape(-1, 4)  # a target may be empty
-            self._targets[name] = (rows[:, 0].astype(np.int64), rows[:, 1:4])
-        return self._targets[name]
+            self._targets[path] = (rows[:, 0].astype(np.int64), rows[:, 1:4])
+        return self._targets[path]
 
     @functools.cached_property
     def _targets(self) -> dict[str, tuple[VertexIndices, Array]]:

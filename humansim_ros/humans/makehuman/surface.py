@@ -26,7 +26,8 @@ class BodySurface:
     naked (V, 3): position on this naked body in the T pose.
     part (V,): 0 body, 1 left eye, 2 right eye. garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or
     SHOES. weld (V,): equal for the copies of a vertex on the two sides of a hem. The last ``hems`` faces are
-    narrow strips between the edge of a garment and the surface below.
+    narrow strips between the edge of a garment and the surface below. shapes (V, 3 S): offsets of S actions
+    of the face, in the A pose.
     """
 
     vertices: Array
@@ -40,6 +41,7 @@ class BodySurface:
     garment: VertexIndices
     face_garment: VertexIndices
     weld: VertexIndices
+    shapes: Array
     hems: int = 0
 
     @property
@@ -202,4 +204,5 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
         garment=bare,
         face_garment=bare_faces,
         weld=np.arange(len(vertices)),
+        shapes=smooth(means(mesh.shapes, rows), new_faces, 0.5 * scalp, 4),
     )

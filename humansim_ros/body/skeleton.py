@@ -146,6 +146,12 @@ class Skeleton:
                 wholes[bone] = wholes[self.parents[bone]]
         return wholes
 
+    @cached_property
+    def detail_levels(self) -> tuple[NDArray[np.intp], ...]:
+        """Fingers, toes, jaw and eyes by depth in the tree, those at hand, foot and head first."""
+        details = (level[self.wholes[level] != level] for level in self.levels)
+        return tuple(level for level in details if len(level))
+
     def part(self, bones: NDArray[np.intp]) -> Skeleton:
         """Skeleton of some bones (b,), in order, with the parents of each of them."""
         place = np.full(len(self) + 1, -1)

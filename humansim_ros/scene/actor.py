@@ -22,10 +22,10 @@ from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
 from humansim_ros.rotations import (
-    invert_rigid,
     matrix_to_quaternion,
     moved,
     quaternion_to_matrix,
+    rotate,
     transform,
 )
 from humansim_ros.scene.config import HumanConfig, MotionConfig
@@ -282,11 +282,11 @@ class Actor:
         count = len(skeleton)
         bones = moved(joints[:count], linear[:count], angular[:count], seconds)
         # fingers, toes, jaw and eyes stay joined to the bone above: they are short, and would come apart
-        for level in skeleton.levels:
-            details = level[skeleton.wholes[level] != level]
+        for details in skeleton.detail_levels:
             above = skeleton.parents[details]
-            carried = bones[above] @ invert_rigid(joints[above]) @ joints[details]
-            bones[details, :3, 3] = carried[:, :3, 3]
+            offset = joints[details, :3, 3] - joints[above, :3, 3]
+            turn = bones[above, :3, :3] @ np.swapaxes(joints[above, :3, :3], -1, -2)
+            bones[details, :3, 3] = bones[above, :3, 3] + rotate(turn, offset)
         size = skeleton.size_of(joints[:count, :3, 3])
         return self.human.pose(bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones)
 

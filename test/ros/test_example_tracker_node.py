@@ -15,6 +15,7 @@ from ros_support import Client, write_scene
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 
 from humansim_ros import Scene
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.camera import Trajectory
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
@@ -83,6 +84,8 @@ def test_the_tracker_takes_part_in_lockstep_unchanged(ros: None, tmp_path: Path)
         for name, transform in zip(poses[stamp].joint_names, poses[stamp].transforms, strict=True):
             identity, joint = name.split("/")
             assert identity == "1"
+            if joint.removesuffix("_end") in DETAIL_BONES:
+                continue  # a finger may be seen by one camera only: it is predicted
             a, b = transform.translation, joints[joint].translation
             errors.append(np.linalg.norm([a.x - b.x, a.y - b.y, a.z - b.z]))
     assert 1e3 * np.mean(errors) < 0.5

@@ -13,6 +13,7 @@ from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_o
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import open_file, size_text, temporary_folder
 from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name
+from humansim_ros.motion.activity import is_activity, read_activity
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.kinematics import Motion
 
@@ -25,8 +26,12 @@ _IN_ARCHIVES = ("bvh", "acclaim")
 def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:
     """Path of a built-in motion or of a file, with the part that the name chooses (``figure.glb#Walk``).
 
+    An activity (``activity#4``) has no file: its name is returned.
+
     ``folder``: folder that relative paths start from; the current folder if None. Raises ``error``.
     """
+    if is_activity(name):
+        return name
     file, part = split_motion_name(name)
     path = find_asset(file, "motions", folder, error)
     return str(path) if part is None else f"{path}#{part}"
@@ -37,7 +42,7 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
 
     ``path``: name or file. A name after ``#`` chooses a part of the file: the animation of a glTF file
     (``figure.glb#Walk``; else the first), the skeleton of an AMC file (``07_01.amc#07.asf``), the file of an
-    archive (``all.zip#walk.bvh``, or ``all.zip/walk.bvh``).
+    archive (``all.zip#walk.bvh``, or ``all.zip/walk.bvh``), the seed of an activity (``activity#4``).
     ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.
 
     Raises:
@@ -48,6 +53,8 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         >>> round(read_motion("run").duration, 2)
         1.4
     """
+    if is_activity(os.fspath(path)):
+        return read_activity(os.fspath(path))
     file, part = split_motion_name(path)
     if not Path(file).suffix:
         file = str(find_asset(file, "motions", error=MotionError))

@@ -64,8 +64,8 @@ class MotionConfig(ShortSection):
 
     file: FileName = Field(
         default="walk",
-        description=f"name of a built-in motion, or a file ({MOTION_TITLES}); live: joints from another ROS "
-        "node",
+        description="name of a built-in motion, an activity (activity#4), or a file "
+        f"({MOTION_TITLES}); live: joints from another ROS node",
     )
     joint_names: FileName | None = Field(
         default=None, description="name of a built-in joint table, or a YAML file; detected if absent"
@@ -223,7 +223,9 @@ class VarietyConfig(Section):
         default=None, min_length=1, description="bodies to choose from; the built-in humans if absent"
     )
     motions: tuple[FileName, ...] | None = Field(
-        default=None, min_length=1, description="motions to choose from; built-in motions if absent"
+        default=None,
+        min_length=1,
+        description="motions to choose from; built-in motions if absent. activity: one of its own for each",
     )
     area: _Area | None = Field(
         default=None,

@@ -17,6 +17,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_s
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh, padded
+from humansim_ros.motion.activity import ACTIVITY
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
@@ -267,6 +268,8 @@ _MARGIN = 1.0
 #: Places tried for a human with one motion: headings, and positions for each; factor of the headings for the
 #: smallest motion when none fits; positions of the last resort.
 _HEADINGS, _POSITIONS, _THOROUGHLY, _TRIES = 12, 24, 10, 2000
+#: Activities of its own that are tried for a human.
+_ACTIVITIES = 4
 #: Built-in motions that stay in place, and humans that a warning names.
 _IN_PLACE = ("wave", "turn_in_place")
 Item = TypeVar("Item")
@@ -343,7 +346,7 @@ class _Crowd:
         variety, uniform = self.variety, random_numbers(self.variety.seed, name)
         body = _one_of(variety.bodies or built_in_names("humans"), uniform())
         outfit = _one_of(self._body(body).outfits, uniform())
-        motions = _order(variety.motions or MOTIONS, uniform)
+        motions = self._own_activities(name, _order(variety.motions or MOTIONS, uniform))
         ahead, mirror = 10 * uniform(), uniform() < 0.5
         low, high = variety.speed
         speed = low + (high - low) * uniform()
@@ -360,6 +363,12 @@ class _Crowd:
                 mirror=mirror,
             ),
         )
+
+    def _own_activities(self, name: str, motions: Sequence[str]) -> list[str]:
+        """Motions with activities of a human's own in place of ``activity``; one may need less floor."""
+        uniform = random_numbers(self.variety.seed, f"{name} {ACTIVITY}")
+        own = [f"{ACTIVITY}#{int(1e6 * uniform())}" for _ in range(_ACTIVITIES)]
+        return [each for motion in motions for each in (own if motion == ACTIVITY else [motion])]
 
     def _find_place(
         self, name: str, body: str, motions: Sequence[str], mirror: bool, uniform: RandomNumbers

@@ -94,6 +94,15 @@ def test_only_configured_bodies_and_motions_are_chosen(tmp_path: Path) -> None:
     assert {(person.body, person.motion.file) for person in people} == {("child", "run")}
 
 
+def test_everybody_gets_an_activity_of_its_own(tmp_path: Path) -> None:
+    people = drawn(tmp_path, count=3, seed=2, bodies=["adult_man"], motions=["activity"]).values()
+    files = [person.motion.file for person in people]
+    assert all(file.startswith("activity#") for file in files)
+    assert len(set(files)) == 3
+    again = drawn(tmp_path, count=3, seed=2, bodies=["adult_man"], motions=["activity"]).values()
+    assert [person.motion.file for person in again] == files
+
+
 @pytest.mark.nightly
 def test_random_people_walk_through_nothing() -> None:
     """A seed with runners."""

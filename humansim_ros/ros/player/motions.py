@@ -17,6 +17,7 @@ from humansim_ros.errors import HumansimError, MotionError, RosError, warn_about
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.io.files import expand_user, size_text
 from humansim_ros.io.motion_formats import MOTION_TITLES, split_motion_name
+from humansim_ros.motion.activity import is_activity
 from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.files import find_motion
 from humansim_ros.motion.kinematics import Motion
@@ -216,7 +217,8 @@ class RequestedMotions(SceneSource):
             MotionError: The name is not allowed, or the file cannot be read. The reason is shown on
                 this machine only, as a HumansimWarning.
         """
-        if name == LIVE or name in built_in_names("motions") or name in self.objects:
+        known = name == LIVE or name in built_in_names("motions") or is_activity(name)
+        if known or name in self.objects:
             return super().motion(name, positions)
         file, part = split_motion_name(name)
         if name not in self.named:

@@ -84,6 +84,7 @@ PARTS = _parts()
 _STANDING = {"talk": 3, "stand": 3, "phone": 2, "wave": 1, "pick_up": 1}
 _SITTING = {"sit": 3}
 _AT_DESK = {"write": 3, "eat": 2, "sit": 2}
+_AT_TABLE = ("write", "eat")
 _EXERCISES = {"squats": 2, "jumping_jacks": 2, "dance": 3, "stand": 1}
 
 
@@ -168,7 +169,8 @@ class _Plan:
 
     def around(self) -> None:
         """Do something on the feet, sit for a while, or go on an errand and come back."""
-        what = self.one_of({"stand": 3, "sit": 2, "errand": 4})
+        last = PARTS[self.steps[-1].part].motion if self.steps else ""
+        what = self.one_of({"stand": 3, "sit": 2 if last != "sit_stand" else 0, "errand": 4})
         if what == "stand":
             name = self.other_of(_STANDING)
             self.add(name, mirror=self.uniform() < 0.5)
@@ -237,6 +239,11 @@ def read_activity(name: str) -> Motion:
         >>> read_activity("activity#4,standing,20").duration >= 20
         True
     """
+    return joined(plan_activity(*_settings(name)), name)
+
+
+def _settings(name: str) -> tuple[int, float, str | None]:
+    """Seed, seconds and kind of an activity from its name. Raises MotionError."""
     seed, kind, seconds = 1, None, _USUAL
     words = [word.strip() for word in name.removeprefix(ACTIVITY).removeprefix("#").split(",")]
     try:
@@ -254,7 +261,14 @@ def read_activity(name: str) -> Motion:
             f"{_LONGEST:g} seconds, as in activity#4 or activity#4,desk,120; the kinds are "
             f"{', '.join(get_args(ActivityKind))}"
         ) from None
-    return joined(plan_activity(seed, seconds, kind), name)
+    return seed, seconds, kind
+
+
+def needs_table(name: str) -> bool:
+    """Whether a person writes or eats in a built-in motion or an activity, by its name."""
+    if is_activity(name):
+        return any(step.part in _AT_TABLE for step in plan_activity(*_settings(name)))
+    return name in _AT_TABLE
 
 
 def joined(steps: Sequence[ActivityStep], path: str = "") -> Motion:

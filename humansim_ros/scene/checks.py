@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -19,9 +20,17 @@ from humansim_ros.scene.camera_checks import (
     has_gpu,
     misplaced,
 )
-from humansim_ros.scene.findings import Finding, Obstacle, SceneSamples, find_obstacles, without_enclosures
+from humansim_ros.scene.findings import (
+    Finding,
+    Obstacle,
+    SceneSamples,
+    find_obstacles,
+    numbers,
+    without_enclosures,
+)
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.seats import Seats, find_sittings
 from humansim_ros.types import Array
 
 #: Seconds between two times, most poses and most humans of a complete check and of a quick one.
@@ -190,7 +199,30 @@ def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterat
             yield Finding("error", motion_key(samples, name), found)
     for name, joints in samples.joints.items():
         yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
+    yield from _in_the_air(samples)
     yield from _in_each_other(samples)
+
+
+def _in_the_air(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about humans who sit where nothing is below them."""
+    scene = samples.scene
+    seats = Seats(scene.config, scene.objects, scene.environment.mesh_files)
+    for name, joints in samples.joints.items():
+        names = scene.actors[name].human.skeleton.joint_names
+        for sitting in find_sittings(joints, names, samples.times):
+            if seats.below(sitting):
+                continue
+            x, y = sitting.hips[:2].tolist()
+            text = (
+                f"{name} sits in the air at {sitting.time:.1f} s at {numbers((x, y))}: put something "
+                f"{sitting.height:.2g} m high there, such as objects: {{seat: {{mesh: chair, position: "
+                f"{numbers((x, y, 0))}, rotation_deg: {numbers((0, 0, math.degrees(sitting.yaw)))}}}}}, or "
+                "move the human"
+            )
+            if scene.config.humans[name].seat == "none":
+                text += f"; without humans.{name}.seat: none a chair is put there"
+            yield Finding("error", motion_key(samples, name), text)
+            break
 
 
 def motion_key(samples: SceneSamples, name: str) -> str:
@@ -342,7 +374,7 @@ def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
     if len(names) < 2:
         return
     points, length = np.stack(spines, axis=1), np.array(lengths)  # (N, humans, _POINTS, 3)
-    seen: dict[tuple[int, int], tuple[float, float]] = {}
+    seen: dict[tuple[int, int], tuple[float, float, Array]] = {}
     reach = 2 * float(length.max())
     for number, frame in enumerate(points):
         pairs = cKDTree(frame[:, 0]).query_pairs(reach, output_type="ndarray")
@@ -352,16 +384,17 @@ def _in_each_other(samples: SceneSamples) -> Iterator[Finding]:
         distance = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min(axis=(1, 2))
         near = distance < _DEPTH * length[pairs].sum(axis=1)
         for (i, j), apart in zip(pairs[near].tolist(), distance[near].tolist(), strict=True):
-            seen.setdefault((i, j), (float(samples.times[number]), apart))
+            place = frame[[i, j]].mean(axis=(0, 1))
+            seen.setdefault((i, j), (float(samples.times[number]), apart, place))
     yield from _pair_findings(samples, names, seen)
 
 
 def _pair_findings(
-    samples: SceneSamples, names: Sequence[str], seen: dict[tuple[int, int], tuple[float, float]]
+    samples: SceneSamples, names: Sequence[str], seen: dict[tuple[int, int], tuple[float, float, Array]]
 ) -> Iterator[Finding]:
     random = samples.scene.random_humans
     among_random = []
-    for (i, j), (time, apart) in sorted(seen.items()):
+    for (i, j), (time, apart, place) in sorted(seen.items(), key=lambda pair: pair[0]):
         one, other = names[i], names[j]
         if one in random and other in random:
             among_random.append(f"{one} and {other} at {time:.1f} s")
@@ -370,8 +403,8 @@ def _pair_findings(
         yield Finding(
             "error",
             motion_key(samples, named),
-            f"{one} and {other} are inside each other at {time:.1f} s, their spines {apart:.2f} m apart: "
-            "move one of them (motion.position), or let it start later (motion.offset)",
+            f"{one} and {other} are inside each other at {time:.1f} s at {numbers(place[:2])}, their spines "
+            f"{apart:.2f} m apart: move one of them (motion.position), or let it start later (motion.offset)",
         )
     if among_random:
         yield Finding(

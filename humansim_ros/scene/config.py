@@ -154,6 +154,11 @@ class HumanConfig(ShortSection):
     keyframes: KeyframesConfig | None = Field(
         default=None, description="move, rotate and scale the human on top of the motion"
     )
+    seat: Literal["chair", "none"] = Field(
+        default="chair",
+        description="chair: put a chair where the human sits on nothing, and a table in front of it if it "
+        "writes or eats; none: put nothing there",
+    )
 
 
 class ObjectConfig(ShortSection):

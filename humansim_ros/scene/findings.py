@@ -338,12 +338,19 @@ def find_obstacles(scene: Scene, room: bool = True) -> list[Obstacle]:
         key = f"world.meshes.{number}" if len(scene.config.world.meshes) > number else "world.meshes"
         found.append(Obstacle(key, "a mesh of world.meshes", mesh, _FURNITURE))
     for name, item in scene.objects.items():
-        key = ROBOT if name == ROBOT else "randomise.clutter"
+        key = ROBOT if name == ROBOT else _key_of_extra(scene, name)
         key = f"objects.{name}" if name in scene.config.objects else key
         largest = np.inf if item.shape in ("box", "sphere", "cylinder") else _FURNITURE
         mesh = item.mesh if item.moves else item.static_mesh()
         found.append(Obstacle(key, f"the object {name}", mesh, largest, moving=item if item.moves else None))
     return found
+
+
+def _key_of_extra(scene: Scene, name: str) -> str:
+    """Key that makes an object which is not in the scene file: the seat of a human, or clutter."""
+    humans = (human for human in scene.config.humans if name.startswith((f"{human}_chair", f"{human}_table")))
+    human = next(humans, None)
+    return "randomise.clutter" if human is None else f"humans.{human}.seat"
 
 
 def without_enclosures(obstacles: Sequence[Obstacle], points: Array) -> list[Obstacle]:

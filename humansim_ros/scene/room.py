@@ -37,13 +37,13 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
         _quad(
             [(-1.9, -1.35, 0.004), (1.9, -1.35, 0.004), (1.9, 1.35, 0.004), (-1.9, 1.35, 0.004)], _rug(rng)
         ),
-        *_table(*plan["table"], 0.74, wood),
+        *_table(*plan["table"], _TOPS["table"], wood),
         *_sofa(*plan["sofa"], cloth),
         *_shelf(*plan["shelf"], 1.9, pale, rng),
-        _standing(*plan["cabinet"], 0.9, dark),
-        _standing(*plan["carton"], 0.44, _cardboard(rng)),
+        _standing(*plan["cabinet"], _TOPS["cabinet"], dark),
+        _standing(*plan["carton"], _TOPS["carton"], _cardboard(rng)),
         _box((0.42, -y + 0.27, 0.6), (0.42, 0.36, 0.32), _cardboard(rng)),
-        _standing(*plan["small carton"], 0.34, _cardboard(rng)),
+        _standing(*plan["small carton"], _TOPS["small carton"], _cardboard(rng)),
         _standing(*plan["door"], 2.04, _door(rng)),
     ]
     for center, along, picture_size in (
@@ -70,6 +70,16 @@ def furniture_plan(size: tuple[float, float]) -> dict[str, tuple[_Point, _Point]
         "small carton": ((1.1, -y + 0.26), (0.45, 0.45)),
         "door": ((-1.3, -y + 0.03), (0.92, 0.05)),
     }
+
+
+def furniture_tops(size: tuple[float, float]) -> dict[str, tuple[_Point, _Point, float]]:
+    """As :func:`furniture_plan`, with the height of the surface that somebody may sit on; metres."""
+    plan = furniture_plan(size)
+    return {name: (*plan[name], top) for name, top in _TOPS.items()}
+
+
+#: Heights of the furniture that has a free surface; of the sofa its seat.
+_TOPS = {"table": 0.74, "sofa": 0.40, "cabinet": 0.9, "carton": 0.44, "small carton": 0.34}
 
 
 def _floor(length: float, width: float, image: Image) -> Mesh:

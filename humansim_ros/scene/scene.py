@@ -45,6 +45,7 @@ from humansim_ros.scene.randomise import RandomNumbers, random_looks, random_num
 from humansim_ros.scene.robot import Robot, robot_object
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, build_scanners
+from humansim_ros.scene.seats import Seats, furniture_for
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.scene.variety import with_variety
@@ -324,12 +325,15 @@ class Scene(Pictured):
             actors = {name: _with_levels(actor, source) for name, actor in actors.items()}
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
+        environment = Environment.load(config, source)
+        seats = Seats(config, objects, environment.mesh_files)
+        furniture = dict(furniture_for(actors, seats, source))
+        _add_objects(objects, furniture, source, tracks, actors)
         robot = Robot.of_scene(config, source)
         if robot is not None:
             with in_section(ROBOT):
                 label = _next_label(actors, objects) if robot.config.label else 0
                 objects[ROBOT] = robot_object(robot, source, label)
-        environment = Environment.load(config, source)
         cameras = {
             name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
             for name, camera in build_cameras(config, source, robot).items()

@@ -17,7 +17,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_s
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh, padded
-from humansim_ros.motion.activity import ACTIVITY
+from humansim_ros.motion.activity import ACTIVITY, needs_table
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
@@ -29,6 +29,7 @@ from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.robot import Robot, robot_object
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.room import furniture_plan
+from humansim_ros.scene.seats import find_sittings, footprint
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
@@ -51,19 +52,22 @@ class Path:
     """Joints of a human in all poses of its motion, seen from above.
 
     Attributes:
-        points: (F, 2) metres, where one joint or more comes.
+        points: (F, 2) metres, where one joint or more comes, or a chair or a table is.
     """
 
     points: Array
 
     @classmethod
-    def of_cycle(cls, actor: Actor) -> Path:
-        """Path of one cycle of a motion; the path of a motion that repeats does not grow after it."""
+    def of_cycle(cls, actor: Actor, table: bool = False) -> Path:
+        """Path of one cycle of a motion; the path of a motion that repeats does not grow after it.
+
+        ``table``: whether a table is put in front of who sits.
+        """
         motion = actor.motion
         length = motion.duration if np.isfinite(motion.duration) else 0.0
         count = min(_MOST_POSES, 2 + int(length / _STEP))
         # the end of a cycle is the start of the next
-        return cls._of(actor, np.linspace(0.0, length * (1 - 1e-6), count) - actor.offset)
+        return cls._of(actor, np.linspace(0.0, length * (1 - 1e-6), count) - actor.offset, table)
 
     @classmethod
     def of_scene(cls, actor: Actor) -> Path:
@@ -71,10 +75,11 @@ class Path:
         return cls._of(actor, np.arange(0.0, _DURATION, 2 * _STEP))
 
     @classmethod
-    def _of(cls, actor: Actor, times: Array) -> Path:
-        body = body_joints(actor.human.skeleton.joint_names)
-        joints = actor.joint_paths(times)[:, body, :2].reshape(-1, 2)
-        return cls(_CELL * np.unique(np.round(joints / _CELL), axis=0))
+    def _of(cls, actor: Actor, times: Array, table: bool = False) -> Path:
+        joints, names = actor.joint_paths(times), actor.human.skeleton.joint_names
+        body = joints[:, body_joints(names), :2].reshape(-1, 2)
+        points = [body, *(footprint(each, table) for each in find_sittings(joints, names, times))]
+        return cls(_CELL * np.unique(np.round(np.concatenate(points) / _CELL), axis=0))
 
     def turned(self, yaw: float) -> Path:
         """The path of a human that starts at the origin with another heading, radians to the left."""
@@ -442,7 +447,7 @@ class _Crowd:
                 actor = Actor.build("", 1, self._body(body), config, self.source)
             except HumansimError as error:
                 raise type(error)(error.message, key="variety.motions") from error.__cause__
-            self.paths[body, motion] = Path.of_cycle(actor)
+            self.paths[body, motion] = Path.of_cycle(actor, needs_table(motion))
         path = self.paths[body, motion]
         return path.mirrored() if mirror else path
 

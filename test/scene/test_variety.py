@@ -67,7 +67,7 @@ def test_what_a_seed_draws_is_the_same_on_every_machine(tmp_path: Path) -> None:
     """Nodes on other hosts, with other versions of Python and NumPy, must choose the same humans."""
     person = drawn(tmp_path, count=1, seed=5)["person_1"]
     assert (person.body, person.outfit, person.motion.file) == ("tall_heavy_man", "plain", "sit_stand")
-    assert person.motion.position == (pytest.approx(-0.2245), pytest.approx(0.6015))
+    assert person.motion.position == (pytest.approx(-0.239), pytest.approx(0.502))
 
 
 def test_more_people_do_not_change_the_first(tmp_path: Path) -> None:

@@ -9,12 +9,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import JOINT_NAMES
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.humans.human import Human, joint_surfaces
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.keypoints.skin import MIXES, place_on_skin
 from humansim_ros.types import Array, Indices
+
+#: Joints of all humans, or of those with fingers.
+_JOINTS = {joint.name for joint in JOINT_NAMES}
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +29,7 @@ class KeypointLocator:
         keypoints: The set.
         on_surface: (K,) the keypoint is a point of the skin.
         certain: (K,) its place is known; on meshes that are not made here, points of the skin are found by
-            fitting, and are less certain.
+            fitting, and are less certain. Points that a human lacks, such as fingers, are not certain either.
         surfaces: Part labels (K, 256) that are skin around each keypoint.
     """
 
@@ -61,7 +65,7 @@ class KeypointLocator:
         return locator
 
     def positions(self, joints: Array, vertices: NDArray[np.floating]) -> Array:
-        """Positions (K, 3) in the space of the joints and vertices.
+        """Positions (K, 3) in the space of the joints and vertices; NaN for points that the human lacks.
 
         ``joints``: (J, 3) in the order of the joint names of the skeleton. ``vertices``: (V, 3) of the mesh.
         """
@@ -79,17 +83,21 @@ def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
     for number, point in enumerate(keypoints.points):
         if point in names:
             shares[number, names.index(point)] = 1
+        elif point in _JOINTS:  # a body without fingers: nobody knows where they are
+            shares[number] = np.nan
         elif point in MIXES:
             for joint, share in MIXES[point].items():
                 shares[number, names.index(joint)] = share
         else:
             on_surface[number] = True
     places = place_on_skin(human, [keypoints.points[k] for k in np.flatnonzero(on_surface)])
-    surfaces = np.array([around[_joints_between(human.skeleton, row)].any(axis=0) for row in shares])
+    surfaces = np.array(
+        [around[_joints_between(human.skeleton, row)].any(axis=0) for row in np.nan_to_num(shares)]
+    )
     bones = dominant_bones(human.weights)[places.corners]
     for number, own in zip(np.flatnonzero(on_surface).tolist(), bones, strict=True):
         surfaces[number, own + 1] = True
-    certain = np.ones(len(keypoints), bool)
+    certain = np.isfinite(shares).all(axis=1).astype(bool)
     certain[on_surface] = places.certain
     return KeypointLocator(keypoints, on_surface, certain, surfaces, shares, places.corners, places.weights)
 

@@ -52,11 +52,36 @@ class KeypointSet:
             >>> coco17.names[coco17.mirrored[coco17.index("left_knee")]]
             'right_knee'
         """
-        partners = (_other_side(name) for name in self.names)
-        return tuple(
-            self.names.index(partner) if partner in self.names else number
-            for number, partner in enumerate(partners)
+        return tuple(map(self._mirrored, range(len(self))))
+
+    def _mirrored(self, number: int) -> int:
+        name, point = self.names[number], self.points[number]
+        partner = _other_side(name)
+        if partner != name or "-" not in name:
+            return self.names.index(partner) if partner in self.names else number
+        # numbered keypoints, such as face-16, have the side of their point
+        return self.names.index(
+            next(
+                other
+                for other, place in zip(self.names, self.points, strict=True)
+                if place == _other_side(point) and other.partition("-")[0] == name.partition("-")[0]
+            )
         )
+
+    @cached_property
+    def parts(self) -> Mapping[str, tuple[int, ...]]:
+        """Numbers of the keypoints of ``face`` (68), ``left_hand`` and ``right_hand`` (21), if it has them.
+
+        Example:
+            >>> keypoint_set("wholebody133").parts["left_hand"][:2]
+            (91, 92)
+        """
+        names = {"face": tuple(_FACE), **{f"{side}_hand": tuple(_hand(side)) for side in _SIDES}}
+        return {
+            part: tuple(map(self.names.index, own))
+            for part, own in names.items()
+            if set(own) <= set(self.names)
+        }
 
     def index(self, name: str) -> int:
         """Number of a keypoint. Raises KeypointError for an unknown name."""
@@ -184,21 +209,22 @@ _COCO17 = _make(
     "https://cocodataset.org/#keypoints-eval",
     _COCO_SIGMAS,
 )
+_HALPE26_LINES = (
+    *_FACE_LINES,
+    *_ARM_LINES,
+    *_LEG_LINES,
+    "head neck hip",
+    *(f"neck {side}_shoulder" for side in _SIDES),
+    *(f"hip {side}_hip" for side in _SIDES),
+    *(f"{side}_ankle {side}_{toe}" for side in _SIDES for toe in ("big_toe", "small_toe", "heel")),
+)
 _HALPE26 = _make(
     "halpe26",
     "HALPE, 26 keypoints (AlphaPose)",
     _COCO
     | {"head": "head_top", "neck": "neck_base", "hip": "mid_hip"}
     | _both("big_toe", "small_toe", "heel"),
-    (
-        *_FACE_LINES,
-        *_ARM_LINES,
-        *_LEG_LINES,
-        "head neck hip",
-        *(f"neck {side}_shoulder" for side in _SIDES),
-        *(f"hip {side}_hip" for side in _SIDES),
-        *(f"{side}_ankle {side}_{toe}" for side in _SIDES for toe in ("big_toe", "small_toe", "heel")),
-    ),
+    _HALPE26_LINES,
     "H.-S. Fang et al.: AlphaPose: whole-body regional multi-person pose estimation and tracking in "
     "real-time, TPAMI 2022. https://github.com/Fang-Haoshu/Halpe-FullBody",
     (*_COCO_SIGMAS, 0.026, 0.026, 0.066, 0.079, 0.079, 0.079, 0.079, 0.079, 0.079),
@@ -357,10 +383,163 @@ _PLUG_IN_GAIT = _make(
     "Vicon Motion Systems: Plug-in Gait reference guide. https://help.vicon.com",
 )
 
+_HANDS = (
+    ("thumb", "thumb"),
+    ("forefinger", "index"),
+    ("middle_finger", "middle"),
+    ("ring_finger", "ring"),
+    ("pinky_finger", "pinky"),
+)
+
+
+def _hand(side: str) -> dict[str, str]:
+    """The wrist and four points of each finger of a side: three joints, and the tip."""
+    joints = {
+        f"{side}_{name}{number}": f"{side[0]}_{finger}{number}" if number < 4 else f"{side[0]}_{finger}3_end"
+        for name, finger in _HANDS
+        for number in range(1, 5)
+    }
+    return {f"{side}_hand_root": f"{side[0]}_wrist"} | joints
+
+
+def _hand_lines(side: str, root: str = "{side}_hand_root") -> tuple[str, ...]:
+    return tuple(
+        " ".join([root.format(side=side), *(f"{side}_{name}{number}" for number in range(1, 5))])
+        for name, _ in _HANDS
+    )
+
+
+_JAW = (
+    *(f"right_jaw_{number}" for number in range(1, 9)),
+    "chin",
+    *(f"left_jaw_{number}" for number in range(8, 0, -1)),
+)
+_BROWS = (
+    *(f"right_brow_{number}" for number in range(5, 0, -1)),
+    *(f"left_brow_{number}" for number in range(1, 6)),
+)
+_LIDS = (
+    *(f"right_{part}" for part in ("eye_outer", "upper_lid_outer", "upper_lid_inner", "eye_inner")),
+    *(f"right_{part}" for part in ("lower_lid_inner", "lower_lid_outer")),
+    *(f"left_{part}" for part in ("eye_inner", "upper_lid_inner", "upper_lid_outer", "eye_outer")),
+    *(f"left_{part}" for part in ("lower_lid_outer", "lower_lid_inner")),
+)
+_LIPS = (
+    *("right_mouth", "right_upper_lip", "right_lip_peak", "upper_lip", "left_lip_peak", "left_upper_lip"),
+    *("left_mouth", "left_lower_lip_outer", "left_lower_lip", "lower_lip", "right_lower_lip"),
+    *("right_lower_lip_outer", "right_mouth_inner", "right_upper_lip_inner", "upper_lip_inner"),
+    *("left_upper_lip_inner", "left_mouth_inner", "left_lower_lip_inner", "lower_lip_inner"),
+    "right_lower_lip_inner",
+)
+#: Points of the face in the order of iBUG 300-W.
+_FACE = {
+    f"face-{number}": point
+    for number, point in enumerate(
+        (
+            *_JAW,
+            *_BROWS,
+            *("nasion", "nose_bridge_upper", "nose_bridge_lower", "nose"),
+            *("right_nose_wing", "right_nostril", "nose_base", "left_nostril", "left_nose_wing"),
+            *_LIDS,
+            *_LIPS,
+        )
+    )
+}
+
+
+def _face_line(*numbers: int) -> str:
+    return " ".join(f"face-{number}" for number in numbers)
+
+
+_FACE_CONTOURS = (
+    _face_line(*range(17)),
+    _face_line(*range(17, 22)),
+    _face_line(*range(22, 27)),
+    _face_line(*range(27, 31)),
+    _face_line(*range(31, 36)),
+    *(_face_line(*range(first, last), first) for first, last in ((36, 42), (42, 48), (48, 60), (60, 68))),
+)
+_FACE68 = _make(
+    "face68",
+    "iBUG 300-W, 68 points of the face",
+    _FACE,
+    _FACE_CONTOURS,
+    "C. Sagonas et al.: 300 faces in-the-wild challenge: database and results, IVC 2016. "
+    "https://ibug.doc.ic.ac.uk/resources/facial-point-annotations/",
+)
+_FACE70 = _make(
+    "face70",
+    "OpenPose face, 70 points",
+    _FACE | {"face-68": "right_eye", "face-69": "left_eye"},
+    _FACE_CONTOURS,
+    "Z. Cao et al.: OpenPose: realtime multi-person 2D pose estimation using part affinity fields, "
+    "TPAMI 2019. https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html",
+)
+_LEFT_HAND21, _RIGHT_HAND21 = (
+    _make(
+        f"{side}_hand21",
+        f"{side} hand, 21 points (OpenPose, MediaPipe, COCO-WholeBody)",
+        _hand(side),
+        _hand_lines(side),
+        "T. Simon et al.: Hand keypoint detection in single images using multiview bootstrapping, CVPR 2017. "
+        "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
+    )
+    for side in _SIDES
+)
+#: Constants of the object keypoint similarity of COCO-WholeBody [Jin 2020, evaluation/myeval_wholebody.py].
+_FOOT_SIGMAS = (0.068, 0.066, 0.066, 0.092, 0.094, 0.094)
+_FACE_SIGMAS = (
+    *(0.042, 0.043, 0.044, 0.043, 0.040, 0.035, 0.031, 0.025, 0.020, 0.023, 0.029, 0.032, 0.037, 0.038),
+    *(0.043, 0.041, 0.045, 0.013, 0.012, 0.011, 0.011, 0.012, 0.012, 0.011, 0.011, 0.013, 0.015, 0.009),
+    *(0.007, 0.007, 0.007, 0.012, 0.009, 0.008, 0.016, 0.010, 0.017, 0.011, 0.009, 0.011, 0.009, 0.007),
+    *(0.013, 0.008, 0.011, 0.012, 0.010, 0.034, 0.008, 0.008, 0.009, 0.008, 0.008, 0.007, 0.010, 0.008),
+    *(0.009, 0.009, 0.009, 0.007, 0.007, 0.008, 0.011, 0.008, 0.008, 0.008, 0.010, 0.008),
+)
+_HAND_SIGMAS = (
+    *(0.029, 0.022, 0.035, 0.037, 0.047, 0.026, 0.025, 0.024, 0.035, 0.018, 0.024, 0.022, 0.026, 0.017),
+    *(0.021, 0.021, 0.032, 0.020, 0.019, 0.022, 0.031),
+)
+_TOES = ("big_toe", "small_toe", "heel")
+_FOOT_LINES = tuple(f"{side}_ankle {side}_{toe}" for side in _SIDES for toe in _TOES)
+_WHOLEBODY133 = _make(
+    "wholebody133",
+    "COCO-WholeBody, 133 keypoints",
+    _COCO
+    | {f"{side}_{toe}": f"{side}_{toe}" for side in _SIDES for toe in _TOES}
+    | _FACE
+    | _hand("left")
+    | _hand("right"),
+    (
+        *_FACE_LINES,
+        *_ARM_LINES,
+        *_LEG_LINES,
+        "left_ear left_shoulder right_shoulder right_ear",
+        "left_shoulder left_hip right_hip right_shoulder",
+        *_FOOT_LINES,
+        *_FACE_CONTOURS,
+        *(line for side in _SIDES for line in _hand_lines(side)),
+    ),
+    "S. Jin et al.: Whole-body human pose estimation in the wild, ECCV 2020. "
+    "https://github.com/jin-s13/COCO-WholeBody",
+    (*_COCO_SIGMAS, *_FOOT_SIGMAS, *_FACE_SIGMAS, *_HAND_SIGMAS, *_HAND_SIGMAS),
+)
+_HALPE136 = _make(
+    "halpe136",
+    "HALPE full body, 136 keypoints (AlphaPose)",
+    dict(zip(_HALPE26.names, _HALPE26.points, strict=True)) | _FACE | _hand("left") | _hand("right"),
+    (
+        *_HALPE26_LINES,
+        *_FACE_CONTOURS,
+        *(line for side in _SIDES for line in _hand_lines(side)),
+    ),
+    _HALPE26.source,
+)
+
 #: All keypoint sets by name.
 KEYPOINT_SETS: Mapping[str, KeypointSet] = {
     keypoints.name: keypoints
     for keypoints in (
         *(_COCO17, _HALPE26, _BODY25, _H36M17, _PANOPTIC19, _SMPL24, _MEDIAPIPE33, _PLUG_IN_GAIT),
+        *(_LEFT_HAND21, _RIGHT_HAND21, _FACE68, _FACE70, _WHOLEBODY133, _HALPE136),
     )
 }

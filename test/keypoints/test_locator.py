@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,8 @@ from scipy.spatial import cKDTree
 
 from humansim_ros import Human, load_human
 from humansim_ros.body.joint_names import finger_bones
+from humansim_ros.body.rigging import without_details
+from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
 from humansim_ros.types import Array
@@ -25,6 +28,13 @@ HEIGHTS = {
     "panoptic19": "lAnkle lKnee BodyCenter Neck Nose lEye",
     "smpl24": "left_foot left_ankle left_knee left_hip pelvis spine1 spine2 spine3 left_shoulder neck head",
     "mediapipe33": "left_foot_index left_heel left_ankle left_knee left_hip left_shoulder nose left_eye",
+    "face68": "face-8 face-57 face-54 face-51 face-33 face-30 face-28 face-45 face-44 face-24",
+    "face70": "face-8 face-57 face-54 face-51 face-33 face-30 face-69 face-44 face-24",
+    "wholebody133": "left_ankle left_knee left_hip left_shoulder face-8 face-66 face-62 face-30 face-42",
+    "halpe136": "left_big_toe left_ankle left_knee neck face-8 face-57 nose face-27 face-22 head",
+    # palms face down, the little finger is the lowest of the bent fingers
+    "left_hand21": "left_pinky_finger4 left_pinky_finger2 left_pinky_finger1",
+    "right_hand21": "right_pinky_finger4 right_pinky_finger2 right_pinky_finger1",
     "plug_in_gait": "LTOE LANK LTIB LKNE LTHI LASI T10 STRN CLAV C7 LFHD",
 }
 
@@ -86,6 +96,66 @@ def test_hands_and_feet_have_their_parts_in_the_right_places(body: str) -> None:
 
 
 @pytest.mark.parametrize("body", PEOPLE)
+def test_landmarks_of_the_face_are_where_people_mark_them(body: str) -> None:
+    at = {int(name[5:]): point for name, point in located(person(body), "face68").items()}
+    x, y, z = (np.array([at[number][axis] for number in range(68)]) for axis in range(3))
+    # a jaw goes from the right ear over the chin to the left ear, without turning back
+    assert (np.diff(x[:17]) > 0).all()
+    assert (np.diff(y[:9]) < 0.001).all()
+    assert (np.diff(z[:9]) > -0.004).all()
+    gaps = np.linalg.norm(np.diff([at[number] for number in range(17)], axis=0), axis=1)
+    assert gaps.max() < 2.5 * gaps.min()
+    # lids above and below a line between the corners of an eye, brows above them
+    for corners, upper, lower, brow in (
+        ((36, 39), (37, 38), (40, 41), 19),
+        ((42, 45), (43, 44), (46, 47), 24),
+    ):
+        line = y[list(corners)].mean()
+        assert y[list(upper)].min() > line > y[list(lower)].max()
+        assert y[brow] > y[list(upper)].max() + 0.01
+    # outer lips around the inner ones, which meet in a closed mouth
+    assert y[51] > y[62] >= y[66] > y[57]
+    assert x[48] < x[60] < x[62] < x[64] < x[54]
+    assert np.linalg.norm(at[62] - at[66]) < 0.005
+    # eyes of people are 20 to 35 mm wide, mouths 40 to 60 mm, noses 20 to 45 mm [Farkas 1994]
+    scale = float(np.ptp(person(body).mesh.vertices[:, 1])) / 1.75
+    assert 0.020 < x[45] - x[42] < 0.036
+    assert 0.034 < (x[54] - x[48]) / scale**0.5 < 0.062
+    assert 0.020 < (x[35] - x[31]) / scale**0.5 < 0.046
+
+
+@pytest.mark.parametrize("body", PEOPLE)
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_points_of_a_hand_follow_its_fingers(side: str, body: str) -> None:
+    at = np.array(list(located(person(body), f"{side}_hand21").values()))
+    lengths = np.linalg.norm(np.diff(at.reshape(-1, 3)[1:].reshape(5, 4, 3), axis=1), axis=-1)
+    assert (lengths > 0.010).all()
+    assert (lengths < 0.065).all()
+    assert lengths[1:].sum(axis=1).argmax() == 1  # the middle finger is the longest
+    # fingers point away from the wrist, side by side from the index finger in front
+    out = 1 if side == "left" else -1
+    assert (out * (at[[5, 9, 13, 17], 0] - at[0, 0]) > 0.04).all()
+    assert (np.diff(at[[5, 9, 13, 17], 2]) < 0).all()
+
+
+def test_a_body_without_fingers_has_no_keypoints_of_fingers() -> None:
+    """They are NaN and not certain, and its wrists and face are there."""
+    human = person("adult_man")
+    skeleton = hanim_skeleton()
+    weights = without_details(human.weights, human.skeleton)[:, : len(skeleton)]
+    bare = replace(human, skeleton=skeleton, weights=weights)
+    keypoints = keypoint_set("wholebody133")
+    locator = KeypointLocator.of(bare, keypoints)
+    positions = locator.positions(rest_joints(bare), bare.mesh.vertices)
+    fingers = [*range(92, 112), *range(113, 133)]
+    assert np.isnan(positions[fingers]).all()
+    assert not locator.certain[fingers].any()
+    others = np.delete(np.arange(133), fingers)
+    assert np.isfinite(positions[others]).all()
+    assert locator.certain[others].all()
+
+
+@pytest.mark.parametrize("body", PEOPLE)
 def test_markers_of_the_trunk_are_in_front_or_behind(body: str) -> None:
     at = located(person(body), "plug_in_gait")
     hips = located(person(body), "h36m17")
@@ -135,7 +205,9 @@ def test_points_of_the_skin_are_on_it_and_joints_inside(name: str, body: str) ->
     inner = positions[~locator.on_surface & ~ends]
     assert surface.contains(inner).all()
     depth = cKDTree(human.mesh.vertices).query(inner)[0]
-    assert depth.min(initial=1) > 0.003 * np.ptp(human.mesh.vertices[:, 1])
+    # fingers are 1.3 cm thick
+    least = 0.0015 if keypoints.parts.keys() & {"left_hand", "right_hand"} else 0.003
+    assert depth.min(initial=1) > least * np.ptp(human.mesh.vertices[:, 1])
     assert locator.certain.all()
 
 
@@ -146,10 +218,10 @@ def test_left_is_the_mirror_image_of_right(name: str, body: str) -> None:
     at = dict(zip(keypoints.points, located(human, name).values(), strict=True))
     pairs = [(point, _other_side(point)) for point in at if point.startswith(("left_", "l_"))]
     pairs = [(left, right) for left, right in pairs if right in at]
-    assert len(pairs) > 5
+    assert len(pairs) > 5 or name.endswith("hand21")
     for left, right in pairs:
-        assert at[left][0] > 0.005, left
-        np.testing.assert_allclose(at[left] * [-1, 1, 1], at[right], atol=0.002, err_msg=left)
+        assert at[left][0] > 0.003, left
+        np.testing.assert_allclose(at[left] * [-1, 1, 1], at[right], atol=0.003, err_msg=left)
 
 
 def _other_side(point: str) -> str:
@@ -202,5 +274,6 @@ def test_skin_between_joints_is_that_of_the_body_parts_between_them() -> None:
     assert {"vl5", "l_shoulder", "r_shoulder"} <= skin("body25", "Neck")
     assert {"HumanoidRoot", "sacroiliac", "l_hip", "r_hip"} <= skin("body25", "MidHip")
     assert skin("coco17", "left_wrist") == {"l_elbow", "l_wrist", *finger_bones("l")}
+    assert skin("left_hand21", "left_forefinger2") == {"l_index1", "l_index2"}
     assert skin("coco17", "nose") == {"vt3"}
     assert not {"l_knee", "l_elbow", "vt3"} & skin("body25", "MidHip")

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from humansim_ros.body.joint_names import BODY_25, COCO, SMPL
-from humansim_ros.body.skeleton import hanim_skeleton, side_of
+from humansim_ros.body.joint_names import BODY_25, COCO, JOINT_NAMES, SMPL
+from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import KeypointError
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
 from humansim_ros.keypoints.sets import KeypointSet
@@ -29,12 +29,57 @@ PUBLISHED = {
         33,
         {4: "right_eye_inner", 9: "mouth_left", 17: "left_pinky", 22: "right_thumb", 30: "right_heel"},
     ),
+    "left_hand21": (
+        21,
+        {0: "left_hand_root", 4: "left_thumb4", 5: "left_forefinger1", 20: "left_pinky_finger4"},
+    ),
+    "right_hand21": (21, {0: "right_hand_root", 9: "right_middle_finger1", 13: "right_ring_finger1"}),
+    "face68": (68, {0: "face-0", 67: "face-67"}),
+    "face70": (70, {68: "face-68", 69: "face-69"}),
+    "wholebody133": (
+        133,
+        {17: "left_big_toe", 22: "right_heel", 23: "face-0", 91: "left_hand_root", 112: "right_hand_root"},
+    ),
+    "halpe136": (
+        136,
+        {17: "head", 25: "right_heel", 26: "face-0", 94: "left_hand_root", 135: "right_pinky_finger4"},
+    ),
     "plug_in_gait": (39, {0: "LFHD", 4: "C7", 8: "RBAK", 22: "RFIN", 25: "LPSI", 38: "RTOE"}),
 }
 #: Constants of the object keypoint similarity, from pycocotools (kpt_oks_sigmas) and from HALPE's evaluation.
 COCO_SIGMAS = np.array(
     [0.26, 0.25, 0.25, 0.35, 0.35, 0.79, 0.79, 0.72, 0.72, 0.62, 0.62, 1.07, 1.07, 0.87, 0.87, 0.89, 0.89]
 )
+#: Some constants of COCO-WholeBody: a toe, ends of the jaw line, tip of the nose, root and tips of fingers.
+WHOLE_BODY_SIGMAS = {20: 0.092, 23: 0.042, 31: 0.020, 53: 0.007, 91: 0.029, 92: 0.022, 116: 0.047, 132: 0.031}
+#: Points of the face by their numbers in 300-W: ends of the jaw, chin, brows, nose, eyes, mouth.
+FACE = {
+    0: "right_jaw_1",
+    8: "chin",
+    16: "left_jaw_1",
+    17: "right_brow_5",
+    21: "right_brow_1",
+    22: "left_brow_1",
+    26: "left_brow_5",
+    27: "nasion",
+    30: "nose",
+    33: "nose_base",
+    35: "left_nose_wing",
+    36: "right_eye_outer",
+    39: "right_eye_inner",
+    42: "left_eye_inner",
+    45: "left_eye_outer",
+    37: "right_upper_lid_outer",
+    47: "left_lower_lid_inner",
+    48: "right_mouth",
+    51: "upper_lip",
+    54: "left_mouth",
+    57: "lower_lip",
+    60: "right_mouth_inner",
+    62: "upper_lip_inner",
+    64: "left_mouth_inner",
+    66: "lower_lip_inner",
+}
 HALPE_SIGMAS = (0.026, 0.026, 0.066, 0.079, 0.079, 0.079, 0.079, 0.079, 0.079)
 
 
@@ -55,16 +100,36 @@ def test_names_agree_with_those_of_the_skeleton_table() -> None:
 def test_sigmas_are_the_published_ones() -> None:
     np.testing.assert_allclose(keypoint_set("coco17").sigmas or (), COCO_SIGMAS / 10)
     np.testing.assert_allclose(keypoint_set("halpe26").sigmas or (), [*COCO_SIGMAS / 10, *HALPE_SIGMAS])
-    assert {name for name, row in KEYPOINT_SETS.items() if row.sigmas is None} == PUBLISHED.keys() - {
-        "coco17",
-        "halpe26",
+    whole = keypoint_set("wholebody133").sigmas or ()
+    np.testing.assert_allclose(whole[:17], COCO_SIGMAS / 10)
+    assert {number: whole[number] for number in WHOLE_BODY_SIGMAS} == WHOLE_BODY_SIGMAS
+    assert whole[91:112] == whole[112:]
+    assert {name for name, row in KEYPOINT_SETS.items() if row.sigmas is not None} == {
+        *("coco17", "halpe26", "wholebody133")
     }
+
+
+@pytest.mark.parametrize("name", ["face68", "face70", "wholebody133", "halpe136"])
+def test_points_of_the_face_have_the_numbers_of_300_w(name: str) -> None:
+    keypoints = keypoint_set(name)
+    assert {n: keypoints.points[keypoints.index(f"face-{n}")] for n in FACE} == FACE
+    start = keypoints.index("face-0")
+    assert keypoints.parts["face"] == tuple(range(start, start + 68))
+
+
+def test_fingers_are_joints_and_tips_of_both_hands() -> None:
+    for name in ("left_hand21", "right_hand21"):
+        side, keypoints = name[0], keypoint_set(name)
+        fingers = ("thumb", "index", "middle", "ring", "pinky")
+        joints = [f"{side}_{finger}{end}" for finger in fingers for end in ("1", "2", "3", "3_end")]
+        assert keypoints.points == (f"{side}_wrist", *joints)
+        assert [len(part) for part in keypoints.parts.values()] == [21]
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_every_keypoint_is_a_known_point_of_its_side_and_connected(name: str) -> None:
     keypoints = keypoint_set(name)
-    joints = hanim_skeleton().joint_names
+    joints = {joint.name for joint in JOINT_NAMES}
     for keypoint, point in zip(keypoints.names, keypoints.points, strict=True):
         assert (point in joints) + (point in MIXES) + (point in skin_points()) == 1, point
         lower = keypoint.lower()
@@ -74,9 +139,12 @@ def test_every_keypoint_is_a_known_point_of_its_side_and_connected(name: str) ->
         actual = 1 if point.startswith("left") else -1 if point.startswith("right") else side_of(point)
         if side:
             assert actual == side, keypoint
-    assert len(set(keypoints.points)) == len(keypoints)
+    # nose and wrists of whole bodies are points of the body, and of face and hands
+    twice = {"nose", "l_wrist", "r_wrist"} if keypoints.parts.keys() >= {"face", "left_hand"} else set()
+    assert len(set(keypoints.points)) == len(keypoints) - len(twice)
     # markers of a back alone have no line to draw
-    assert {number for edge in keypoints.edges for number in edge} == set(range(len(keypoints)))
+    drawn = {number for edge in keypoints.edges for number in edge}
+    assert drawn == set(range(len(keypoints))) - ({68, 69} if name == "face70" else set())  # pupils
     assert all(first != second for first, second in keypoints.edges)
     assert "http" in keypoints.source
 
@@ -106,11 +174,16 @@ def test_the_mirror_image_of_a_keypoint_is_that_of_the_other_side(keypoints: Key
     np.testing.assert_array_equal(order[order], np.arange(len(keypoints)))
     for number, name in enumerate(keypoints.names):
         point = keypoints.points[number]
-        if order[number] != number:
+        if order[number] != number and name.startswith("face-"):
+            assert keypoints.points[order[number]] == re.sub(
+                "left|right", lambda side: {"left": "right", "right": "left"}[side.group()], point
+            )
+        elif order[number] != number:
             sides = {name[:1].lower(), keypoints.names[order[number]][:1].lower()}
             assert sides == {"l", "r"} or {name, keypoints.names[order[number]]} == {
                 "mouth_left",
                 "mouth_right",
             }
         else:
-            assert point == "right_scapula" or not re.match("left_|right_|l_|r_", point)
+            one_sided = point == "right_scapula" or keypoints.name.endswith("hand21")
+            assert one_sided or not re.match("left_|right_|l_|r_", point)

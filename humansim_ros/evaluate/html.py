@@ -21,6 +21,7 @@ from humansim_ros.evaluate.pictures import (
     draw_over,
 )
 from humansim_ros.evaluate.report import (
+    PART_HEADER,
     TITLES,
     camera_count_rows,
     camera_header,
@@ -29,6 +30,7 @@ from humansim_ros.evaluate.report import (
     keypoint_rows,
     millimetres,
     name_rows,
+    part_rows,
     percent,
     pixels,
     summary,
@@ -316,6 +318,8 @@ def image_html_report(evaluation: ImageEvaluation, pictures: Pictures | None = N
                 table(("name", "found", f"mean {word}"), name_rows(scores)),
             ),
         ]
+        if scores.by_part:
+            parts.append(section("Face and hands", table(PART_HEADER, part_rows(scores))))
         if scores.by_keypoint:
             bars = {name: each.error for name, each in scores.by_keypoint.items()}
             parts.append(section("Error by keypoint", bar_plot(bars, "px")))

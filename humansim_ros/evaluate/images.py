@@ -10,7 +10,7 @@ import contextlib
 import io
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.optimize import linear_sum_assignment
 
 from humansim_ros.errors import EvaluationError, warn_about
 from humansim_ros.evaluate.metrics import mean_error
+from humansim_ros.export.coco import joined_keypoints
 from humansim_ros.keypoints import KeypointSet
 from humansim_ros.types import Array
 
@@ -40,6 +41,10 @@ _KEYPOINT_SCORES = (
 )
 #: Visibility of keypoints in COCO.
 _OCCLUDED, _VISIBLE = 1, 2
+#: Outer corners of the eyes among the 68 points of a face, whose distance is the unit of the NME [300-W].
+_EYE_CORNERS = (45, 36)
+#: Largest error of a correct keypoint of a hand, as a share of the longer side of its box, for PCK.
+_HAND_SHARE = 0.2
 
 _Record = dict[str, Any]
 
@@ -128,6 +133,23 @@ class KeypointScore:
 
 
 @dataclass(frozen=True)
+class PartScore:
+    """Errors of a hand or face of people who were found, of all of its keypoints in the images.
+
+    Attributes:
+        epe: Mean distance in pixels (end-point error); None if it was never found.
+        pck: Share of the keypoints of a hand within 0.2 of the longer side of its box; missing ones are
+            wrong. None for faces.
+        nme: Mean distance as a share of the distance of the outer corners of the eyes, mean of all faces
+            that show both; None for hands and without such a face.
+    """
+
+    epe: float | None
+    pck: float | None
+    nme: float | None
+
+
+@dataclass(frozen=True)
 class WorstImage:
     """A person or object of those with the least OKS or IoU.
 
@@ -145,12 +167,15 @@ class WorstImage:
 
 @dataclass(frozen=True)
 class KindScores:
-    """All scores of detections of one kind. ``by_keypoint`` is empty for boxes and masks."""
+    """All scores of detections of one kind. ``by_keypoint`` is empty for boxes and masks, and ``by_part``
+    (face, left_hand, right_hand) for keypoint sets without these.
+    """
 
     all: ImageScores
     by_camera: dict[str, ImageScores]
     by_name: dict[str, NamedScore]
     by_keypoint: dict[str, KeypointScore]
+    by_part: dict[str, PartScore]
     worst: list[WorstImage]
 
 
@@ -194,6 +219,8 @@ def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float 
     if not known or (estimate.results and not results):
         raise EvaluationError("none of its images is an image of the truth", path=estimate.source)
     results = _of_known_categories(truth, results, estimate.source)
+    whole = [joined_keypoints(row, truth.keypoints.name) for row in truth.annotations]
+    truth = replace(truth, annotations=whole)
     kinds = [kind for kind, key in KEYS.items() if any(key in row for row in results)]
     if not kinds:
         raise EvaluationError("there is no detection in it", path=estimate.source)
@@ -275,6 +302,8 @@ class _Comparison:
         self._of_name: dict[str, _Group] = defaultdict(_Group)
         #: Differences (N, K, 2) of keypoints to the truth, NaN where there is none.
         self._differences: list[Array] = []
+        #: True keypoints (K, 3) of people who were found: x, y, visibility.
+        self._found: list[Array] = []
         self._worst: list[WorstImage] = []
         self._precision = self._judge.precision(list(self.images))
         for (image, _), table in self._judge.similarities().items():
@@ -313,6 +342,8 @@ class _Comparison:
                 group.found += similarity >= MATCH
                 if difference is not None:
                     group.distances.append(difference)
+            if difference is not None and self.kind == "keypoints":
+                self._found.append(np.reshape(np.asarray(annotation["keypoints"], float), (-1, 3)))
             error = None
             if self.kind == "keypoints" and detection is not None:
                 error = mean_error(np.linalg.norm(self._difference(annotation, detection)[:, :2], axis=1))
@@ -348,6 +379,7 @@ class _Comparison:
             by_camera=by_camera,
             by_name=by_name,
             by_keypoint=self._by_keypoint(),
+            by_part=self._by_part(),
             worst=self._worst[:WORST],
         )
 
@@ -362,6 +394,19 @@ class _Comparison:
             error=_pixel_errors(group.distances) if self.kind == "keypoints" else None,
         )
 
+    def _by_part(self) -> dict[str, PartScore]:
+        if self.kind != "keypoints":
+            return {}
+        count = len(self.truth.keypoints)
+        distances = np.linalg.norm(
+            np.array(self._of_all.distances, float).reshape(-1, count, 3)[..., :2], axis=-1
+        )
+        truth = np.array(self._found, float).reshape(-1, count, 3)
+        return {
+            part: _part_score(part, distances[:, list(numbers)], truth[:, list(numbers)])
+            for part, numbers in self.truth.keypoints.parts.items()
+        }
+
     def _by_keypoint(self) -> dict[str, KeypointScore]:
         if self.kind != "keypoints":
             return {}
@@ -375,6 +420,23 @@ class _Comparison:
                 mean_error(np.linalg.norm(own, axis=1)), (x, y) if len(own) else None
             )
         return scores
+
+
+def _part_score(part: str, distances: Array, truth: Array) -> PartScore:
+    """Score of a part of N people. ``distances``: (N, P) pixels, NaN if missing. ``truth``: (N, P, 3)."""
+    epe = mean_error(distances)
+    shown = truth[..., 2] > 0
+    if part == "face":
+        left, right = (truth[:, corner] for corner in _EYE_CORNERS)
+        both = (left[:, 2] == _VISIBLE) & (right[:, 2] == _VISIBLE) & np.isfinite(distances).any(axis=1)
+        apart = np.linalg.norm(left[both, :2] - right[both, :2], axis=1)
+        nme = mean_error(np.nanmean(distances[both], axis=1) / apart) if both.any() else None
+        return PartScore(epe, None, nme)
+    high = np.where(shown[..., None], truth[..., :2], -np.inf).max(axis=1)
+    low = np.where(shown[..., None], truth[..., :2], np.inf).min(axis=1)
+    side = (high - low).max(axis=1)  # minus infinity without a point in the image
+    correct = (distances <= _HAND_SHARE * side[:, None]) & shown
+    return PartScore(epe, float(correct.sum() / shown.sum()) if shown.any() else None, None)
 
 
 def _pixel_errors(differences: Sequence[Array]) -> PixelErrors:

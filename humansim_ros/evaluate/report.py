@@ -227,6 +227,15 @@ def keypoint_rows(scores: KindScores) -> Iterator[tuple[str, str, str]]:
         yield name, pixels(own.error), bias
 
 
+PART_HEADER = ("part", "EPE", "PCK at 0.2", "NME")
+
+
+def part_rows(scores: KindScores) -> Iterator[tuple[str, str, str, str]]:
+    """A row for face and hands: end-point error, PCK of a hand, NME of a face."""
+    for part, own in scores.by_part.items():
+        yield part, pixels(own.epe), percent(own.pck), percent(own.nme)
+
+
 def show_images(evaluation: ImageEvaluation) -> str:
     """Tables for a terminal: all metrics, then cameras, people and objects, and keypoints."""
     tables: list[_Table] = []
@@ -235,6 +244,7 @@ def show_images(evaluation: ImageEvaluation) -> str:
         tables += [
             (title, camera_header(kind), camera_rows(scores)),
             (title, ("person or object", "found", f"mean {word}"), name_rows(scores)),
+            (title, PART_HEADER, part_rows(scores)),
             (title, ("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores)),
         ]
     return _terminal_text(image_summary(evaluation), *tables)

@@ -3,7 +3,8 @@
 ``person_keypoints.json`` has the people, ``instances.json`` people and objects. Names of images start from
 the folder ``images`` of the export. Boxes and areas come from the visible pixels; a body without any has
 no annotation. Boxes are measured from the corner of the image, keypoints from the centre of its first pixel,
-as detectors expect them from COCO.
+as detectors expect them from COCO. Keypoints of ``wholebody133`` have the fields of COCO-WholeBody
+[Jin 2020]: ``keypoints`` are the body, and feet, face and hands have fields of their own.
 """
 
 from __future__ import annotations
@@ -24,6 +25,15 @@ from humansim_ros.truth import OUTSIDE, BodyBox, KeypointView
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 _PERSON = "person"
+#: Set with the fields of COCO-WholeBody: field and keypoints of each part, and whether it has a box.
+_WHOLE_BODY_SET = "wholebody133"
+_WHOLE_BODY = {
+    "body": ("keypoints", range(17), False),
+    "foot": ("foot_kpts", range(17, 23), False),
+    "face": ("face_kpts", range(23, 91), True),
+    "lefthand": ("lefthand_kpts", range(91, 112), True),
+    "righthand": ("righthand_kpts", range(112, 133), True),
+}
 #: Channels that annotations need.
 CHANNELS = tuple(sorted({*REQUIRED_CHANNELS["joints"], *REQUIRED_CHANNELS["boxes"]}))
 
@@ -44,7 +54,8 @@ class CocoWriter(FormatWriter):
                     continue
                 annotation = _region(truth.view.instance == label, box) | {"name": name}
                 if name in keypoints:
-                    annotation |= person_keypoints(keypoints[name])
+                    flat = person_keypoints(keypoints[name])
+                    annotation |= divided_keypoints(flat, self.settings.keypoints)
                 annotations.append(annotation)
             images.append(
                 {
@@ -129,12 +140,13 @@ def _images(records: Iterable[tuple[int, Record]]) -> Iterator[dict[str, Any]]:
 
 def person_category(keypoints: KeypointSet) -> dict[str, Any]:
     """The category of people; lines between keypoints count from 1."""
+    count = len(_WHOLE_BODY["body"][1]) if keypoints.name == _WHOLE_BODY_SET else len(keypoints)
     return {
         "id": 1,
         "name": _PERSON,
         "supercategory": _PERSON,
-        "keypoints": list(keypoints.names),
-        "skeleton": [[first + 1, second + 1] for first, second in keypoints.edges],
+        "keypoints": list(keypoints.names[:count]),
+        "skeleton": [[a + 1, b + 1] for a, b in keypoints.edges if max(a, b) < count],
     }
 
 
@@ -143,6 +155,42 @@ def person_keypoints(view: KeypointView) -> dict[str, Any]:
     inside = view.visible != OUTSIDE
     points = np.where(inside[:, None], np.column_stack([view.pixels, view.visible]), 0.0)
     return {"keypoints": points.round(3).ravel().tolist(), "num_keypoints": int(inside.sum())}
+
+
+def divided_keypoints(record: Record, set_name: str) -> Record:
+    """Keypoints of a set in the fields of COCO-WholeBody, if it is that set.
+
+    A part is valid if one of its points is in the image; its box (left, top, width, height) spans these
+    points, and is 0 without any.
+    """
+    if set_name != _WHOLE_BODY_SET:
+        return record
+    points = np.reshape(record["keypoints"], (-1, 3))
+    divided: dict[str, Any] = {}
+    for part, (key, numbers, has_box) in _WHOLE_BODY.items():
+        own = points[numbers.start : numbers.stop]
+        known = own[own[:, 2] > 0, :2]
+        divided[key] = own.ravel().tolist()
+        if part == "body":
+            divided["num_keypoints"] = len(known)
+        else:
+            divided[f"{part}_valid"] = bool(len(known))
+        if has_box:
+            low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else np.zeros((2, 2))
+            divided[f"{part}_box"] = [*low.tolist(), *(high - low).round(3).tolist()]
+    return {**record, **divided}
+
+
+def joined_keypoints(record: Record, set_name: str) -> Record:
+    """Annotation or detection with the keypoints of all fields of COCO-WholeBody in ``keypoints``.
+
+    The reverse of :func:`divided_keypoints`. A record without these fields is returned as it is.
+    """
+    keys = [key for key, *_ in _WHOLE_BODY.values()]
+    if set_name != _WHOLE_BODY_SET or not all(isinstance(record.get(key), list) for key in keys):
+        return record
+    joined = [value for key in keys for value in record[key]]
+    return {key: value for key, value in record.items() if key not in keys} | {"keypoints": joined}
 
 
 def encoded_mask(mask: NDArray[np.bool_]) -> dict[str, Any]:

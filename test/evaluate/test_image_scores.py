@@ -17,8 +17,9 @@ pytest.importorskip("pycocotools")
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from humansim_ros.evaluate.images import Detections2D, ImageTruth, evaluate_images
+from humansim_ros.evaluate.images import Detections2D, ImageTruth, PartScore, evaluate_images
 from humansim_ros.evaluate.readers.detections import encoded_mask
+from humansim_ros.export.coco import divided_keypoints, joined_keypoints
 
 SIZE = (80, 60)
 COCO17 = keypoint_set("coco17")
@@ -258,3 +259,57 @@ def test_what_cannot_be_compared(truth: ImageTruth) -> None:
     h36m = ImageTruth(truth.images, truth.annotations, truth.categories, keypoint_set("h36m17"), "")
     with pytest.raises(EvaluationError, match="h36m17 has no published OKS constants"):
         evaluate_images(h36m, found(truth))
+
+
+WHOLE_BODY = keypoint_set("wholebody133")
+
+
+def whole_body_truth() -> ImageTruth:
+    """A person whose 133 keypoints are at known places: the face is 40 pixels wide, hands are 20 x 10."""
+    points = np.full((133, 3), 2.0)
+    points[:, :2] = np.linspace((10, 10), (60, 50), 133)
+    points[23:91, :2] = np.column_stack([np.linspace(20, 60, 68), np.full(68, 15.0)])
+    for corner, x in ((36, 30.0), (45, 50.0)):  # outer corners of the eyes, 20 pixels apart
+        points[23 + corner, :2] = x, 14
+    for first in (91, 112):
+        points[first : first + 21, :2] = np.column_stack([np.linspace(5, 25, 21), np.linspace(30, 40, 21)])
+    row = annotation(1, 10, "anna", (5, 5, 60, 50)) | divided_keypoints(
+        {"keypoints": points.ravel().tolist(), "num_keypoints": 133}, "wholebody133"
+    )
+    image = {"id": 10, "camera": "a", "frame": 0, "stamp": 1, "width": 80, "height": 60}
+    categories = [{"id": 1, "name": "person", "keypoints": list(COCO17.names)}]
+    return ImageTruth([image], [row], categories, WHOLE_BODY, "truth")
+
+
+def test_hands_have_epe_and_pck_and_faces_nme() -> None:
+    truth = whole_body_truth()
+    points = np.reshape(joined_keypoints(truth.annotations[0], "wholebody133")["keypoints"], (-1, 3))
+    points[23:91, :2] += (0.6, -0.8)  # 1 pixel
+    points[91:112, :2] += (1.8, 2.4)  # 3 pixels, under 0.2 * 20
+    points[112:117, :2] += (0, 5)  # five points of the right hand are too far
+    points[117] = 0  # and one is missing
+    flat = {"image_id": 10, "category_id": 1, "score": 1.0, "keypoints": points.ravel().tolist()}
+    scores = evaluate_images(truth, Detections2D([flat])).keypoints
+    assert scores is not None
+    face, left, right = (scores.by_part[part] for part in ("face", "left_hand", "right_hand"))
+    assert face.epe == pytest.approx(1) and face.nme == pytest.approx(1 / 20) and face.pck is None
+    assert left.epe == pytest.approx(3) and left.pck == 1 and left.nme is None
+    assert right.epe == pytest.approx(5 * 5 / 20) and right.pck == pytest.approx(15 / 21)
+    sigmas = np.array(WHOLE_BODY.sigmas)
+    distance = np.linalg.norm(points[:, :2] - np.reshape(whole(truth), (-1, 3))[:, :2], axis=1)
+    oks = np.exp(-(distance**2) / (2 * 60 * 50 * (2 * sigmas) ** 2)).mean()
+    assert scores.all.similarity == pytest.approx(oks, abs=1e-9)
+
+
+def whole(truth: ImageTruth) -> list[float]:
+    found: list[float] = joined_keypoints(truth.annotations[0], "wholebody133")["keypoints"]
+    return found
+
+
+def test_faces_from_the_side_have_no_nme_and_other_sets_no_parts(truth: ImageTruth) -> None:
+    side = whole_body_truth()
+    side.annotations[0]["face_kpts"][3 * 36 + 2] = 1  # an eye is hidden
+    flat = {"image_id": 10, "category_id": 1, "score": 1.0, "keypoints": whole(side)}
+    scores = evaluate_images(side, Detections2D([flat])).keypoints
+    assert scores is not None and scores.by_part["face"] == PartScore(0.0, None, None)
+    assert evaluate_images(truth, found(truth)).kinds["keypoints"].by_part == {}

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from export_support import exported, job, small_scene
 
-from humansim_ros import Frame, Simulation
+from humansim_ros import Frame, Scene, Simulation
 from humansim_ros.errors import ExportError
 from humansim_ros.export.exporting import export
+from humansim_ros.keypoints import keypoint_set
 from humansim_ros.truth import OUTSIDE
 
 CHANNELS = ("depth", "instance", "part", "amodal")
+COCO17 = keypoint_set("coco17")
 
 pytest.importorskip("pycocotools")
 from pycocotools.coco import COCO  # noqa: E402
@@ -177,3 +179,40 @@ def test_images_are_found_from_the_folder_of_images(root: Path, frame: Frame) ->
     row = next(row for row in coco["images"] if (row["camera"], row["frame"]) == ("bent", 4))
     assert row["stamp"] == frame.stamp
     np.testing.assert_array_equal(row["K"], frame.cameras["bent"].K)
+
+
+def test_whole_bodies_have_the_fields_of_coco_wholebody(tmp_path: Path) -> None:
+    """Feet, face and hands beside the body, as the frame has them; the reader of pycocotools loads them."""
+    root = exported(tmp_path / "out", "coco", frames="4:5", keypoints="wholebody133")
+    with Simulation(small_scene(), CHANNELS) as simulation:
+        frame = simulation.frame(4)
+    view = frame.keypoints["wholebody133"]["bent"]["bert"]
+    row = annotations(root, "person_keypoints", "bent", 4)["bert"]
+    fields = ("keypoints", "foot_kpts", "face_kpts", "lefthand_kpts", "righthand_kpts")
+    assert [len(row[key]) for key in fields] == [51, 18, 204, 63, 63]
+    joined = np.reshape([value for key in fields for value in row[key]], (-1, 3))
+    inside = view.visible != OUTSIDE
+    np.testing.assert_allclose(joined[inside, :2], view.pixels[inside], atol=5e-4)
+    np.testing.assert_array_equal(joined[:, 2], view.visible)
+    assert row["num_keypoints"] == int(inside[:17].sum())
+    for part, first, last in (("face", 23, 91), ("lefthand", 91, 112), ("righthand", 112, 133)):
+        own = view.pixels[first:last][inside[first:last]]
+        assert row[f"{part}_valid"] == bool(len(own))
+        low = own.min(axis=0)
+        np.testing.assert_allclose(row[f"{part}_box"], [*low, *(own.max(axis=0) - low)], atol=2e-3)
+    assert row["foot_valid"]
+    category = COCO(root / "coco/person_keypoints.json").loadCats([1])[0]
+    assert category["keypoints"] == list(COCO17.names)
+    assert np.max(category["skeleton"]) == 17
+    assert scores(root, "person_keypoints", "keypoints")[0] == pytest.approx(1)
+
+
+def test_a_part_outside_the_image_is_not_valid_and_has_no_box(tmp_path: Path) -> None:
+    scene = small_scene().config.model_dump(exclude_unset=True)
+    camera = {"size": [80, 64], "position": [0, 2.2, 0.3], "look_at": [0, 0, 0.2], "fov_deg": 30}
+    scene = Scene.from_dict(scene | {"humans": {"bert": {"body": "adult_man"}}, "cameras": {"low": camera}})
+    root = exported(tmp_path / "out", "coco", scene, frames="0:1", keypoints="wholebody133")
+    row = annotations(root, "person_keypoints", "low", 0)["bert"]
+    assert row["foot_valid"] and not row["face_valid"] and not row["lefthand_valid"]
+    assert row["face_box"] == row["lefthand_box"] == [0, 0, 0, 0]
+    assert not np.any(row["face_kpts"])

@@ -17,7 +17,7 @@ from humansim_ros.errors import MAX_COORDINATE, EvaluationError
 from humansim_ros.evaluate.images import KEYS, Detections2D
 from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
 from humansim_ros.evaluate.readers.pose_files import MAX_BYTES, load_json
-from humansim_ros.export.coco import encoded_mask
+from humansim_ros.export.coco import encoded_mask, joined_keypoints
 from humansim_ros.io.files import open_file, read_bytes, read_json
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.keypoints import KeypointSet
@@ -185,6 +185,7 @@ def read_coco_results(path: Path, rows: list[Any], images: ImageNumbers) -> Dete
 def _checked(row: Any, images: ImageNumbers, path: Path, key: str) -> _Record:
     if not isinstance(row, dict):
         raise EvaluationError("a detection must be a mapping", path=path, key=key)
+    row = joined_keypoints(row, images.keypoints.name)
     for name in ("image_id", "category_id"):
         if not isinstance(row.get(name), int) or isinstance(row[name], bool):
             raise EvaluationError("a whole number is needed", path=path, key=f"{key}.{name}")

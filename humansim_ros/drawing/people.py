@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.camera import Camera
 from humansim_ros.drawing.canvas import (
@@ -480,8 +481,9 @@ class HumanArtist:
         )
         for name, head, tail in zip(skeleton.names, heads, tails, strict=True):
             color = SIDE_COLORS[side_of(name)]
-            draw_line(image, [head, tail], color, 2)
-            draw_disc(image, head, 3, color)
+            is_detail = name in DETAIL_BONES
+            draw_line(image, [head, tail], color, 1 if is_detail else 2)
+            draw_disc(image, head, 1 if is_detail else 3, color)
         return image
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.camera import Camera, Ideal, idealize, write_calibration
 from humansim_ros.camera.thesis_cam import cam_of
 from humansim_ros.drawing.views import color_image
@@ -76,11 +77,15 @@ def _conversion(camera: Camera) -> Ideal | None:
 
 
 def bone_ends(state: HumanState, lengths: Array) -> dict[str, Array]:
-    """Head and tail (2, 3) of each bone in ``map`` by name. ``lengths``: (B,) metres at size 1."""
+    """Head and tail (2, 3) of each bone in ``map`` by name, without fingers, toes, jaw and eyes.
+
+    ``lengths``: (B,) metres at size 1.
+    """
     count = len(lengths)
     heads = state.joints[:count, :3, 3]
     tails = heads + state.joints[:count, :3, 1] * (state.size * lengths)[:, None]
-    return dict(zip(state.joint_names, np.stack([heads, tails], axis=1), strict=False))
+    ends = np.stack([heads, tails], axis=1)
+    return {state.joint_names[bone]: ends[bone] for bone in body_joints(state.joint_names[:count])}
 
 
 def verts_text(vertices: NDArray[np.floating]) -> str:

@@ -43,7 +43,7 @@ def test_bones_are_read_back(root: Path, frame: Frame, scene: Scene, human: str)
     bones = read_bones(root / f"thesis/{human}/000004.bones")
     skeleton, state = scene.actors[human].human.skeleton, frame.humans[human]
     joints = dict(zip(state.joint_names, state.positions, strict=True))
-    assert list(bones) == list(skeleton.names)
+    assert list(bones) == list(skeleton.names[:22])
     for name, (head, tail) in bones.items():
         np.testing.assert_allclose(head, joints[name], atol=1e-12)
         if f"{name}_end" in joints:

@@ -9,13 +9,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros import Scene, Simulation  # noqa: E402
-from humansim_ros.body import hanim_skeleton  # noqa: E402
-from humansim_ros.body.joint_names import JOINT_NAMES, JointName  # noqa: E402
+from humansim_ros import Camera, Scene, Simulation, load_human  # noqa: E402
+from humansim_ros.body import Skeleton, hanim_skeleton  # noqa: E402
+from humansim_ros.body.joint_names import JOINT_NAMES, JointName, finger_bones  # noqa: E402
 from humansim_ros.body.skeleton import side_of  # noqa: E402
 from humansim_ros.drawing.canvas import (  # noqa: E402
     INK,
@@ -27,17 +28,22 @@ from humansim_ros.drawing.canvas import (  # noqa: E402
     text_size,
     write_png,
 )
+from humansim_ros.motion import load_limits  # noqa: E402
+from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
+from humansim_ros.rotations import WORLD_FROM_BODY, transform  # noqa: E402
 from humansim_ros.types import Array, Image  # noqa: E402
 
 _SIZE = (1180, 860)
+#: Size of the picture of a hand beside the person.
+_HAND = (430, 310)
 #: Seconds of the motion t_to_a_pose at which the arms are 45 degrees down.
 _A_POSE = 2.0
 _GAP = 36
 _COLUMNS = {-1: 240, 1: 940}
 
 
-def person() -> tuple[Image, dict[str, Array], list[tuple[str, str]]]:
-    """Image of a person from the front, pixels of its joints by name, and its bones as pairs of joints."""
+def person() -> tuple[Image, dict[str, Array], Skeleton]:
+    """Image of a person from the front, pixels of its joints by name, and its skeleton."""
     camera = {"size": list(_SIZE), "position": [12, 0, 0.86], "look_at": [0, 0, 0.86], "fov_deg": 12.0}
     scene = Scene.from_dict(
         {
@@ -52,15 +58,52 @@ def person() -> tuple[Image, dict[str, Array], list[tuple[str, str]]]:
         frame = simulation.frame(round(_A_POSE * scene.config.rate))
     human = frame.humans["anna"]
     pixels, _ = frame.cameras["front"].project(human.positions)
+    image = np.asarray(255 - (255 - frame.views["front"].rgb) * 0.42, dtype=np.uint8)
+    return image, dict(zip(human.joint_names, pixels, strict=True)), scene.actors["anna"].human.skeleton
+
+
+def bones_of(skeleton: Skeleton) -> list[tuple[str, str]]:
+    """Bones as pairs of joints: from a parent, and to the end of a bone."""
     connections = {row.name for row in JOINT_NAMES if row.place.startswith("as ")}
-    skeleton = scene.actors["anna"].human.skeleton
     bones = [
         (skeleton.names[parent], name)
         for name, parent in zip(skeleton.names, skeleton.parents, strict=True)
         if parent >= 0 and name not in connections  # their first end is that of another bone
     ]
-    bones += [(skeleton.names[leaf], f"{skeleton.names[leaf]}_end") for leaf in skeleton.ends]
-    return frame.views["front"].rgb, dict(zip(human.joint_names, pixels, strict=True)), bones
+    return bones + [(skeleton.names[leaf], f"{skeleton.names[leaf]}_end") for leaf in skeleton.ends]
+
+
+def hand() -> Image:
+    """The straight left hand from above, and the names of its joints."""
+    human = load_human("adult_woman")
+    skeleton = human.skeleton
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(skeleton), 1))
+    angles = load_limits(skeleton=skeleton).angles(rotations[None])
+    for bone in finger_bones("l"):
+        degrees = -angles[f"{bone}.flexion"][0]
+        rotations[skeleton.bone(bone)] = Rotation.from_euler("x", degrees, degrees=True).as_quat()
+    posed = skeleton.pose(rotations, transform(WORLD_FROM_BODY, np.zeros(3)))
+    places = dict(zip(skeleton.joint_names, skeleton.joint_transforms(posed)[:, :3, 3], strict=True))
+    middle = (places["l_wrist"] + places["l_wrist_end"]) / 2
+    # seen from above, with the fingers to the right
+    above = middle + np.array([0.0, 0.0, 0.6])
+    camera = Camera.look_at(above, middle, _HAND, np.radians(30.0), up=(-1, 0, 0))
+    renderer = GLRenderer([], Lighting(background=PAPER))
+    body = Body(human.mesh, human.pose(posed), human.triangle_parts, 1)
+    image = np.asarray(255 - (255 - renderer.render([body], camera, ("rgb",)).rgb) * 0.42, dtype=np.uint8)
+    renderer.close()
+    own = [name for name in places if name.removesuffix("_end") in finger_bones("l")]
+    pixels = {name: camera.project(places[name][None])[0][0] for name in (*own, "l_wrist")}
+    for parent, name in bones_of(skeleton):
+        if name in own:
+            draw_line(image, [pixels[parent], pixels[name]], SIDE_COLORS[1], 2)
+    for pixel in pixels.values():
+        draw_disc(image, pixel, 4, SIDE_COLORS[1])
+    for name in own:
+        if name.endswith("_end"):
+            x, y = pixels[name].tolist()
+            draw_text(image, name, (round(x) + 8, round(y) + 4), 0.42, INK)
+    return image
 
 
 def label(row: JointName) -> tuple[str, str]:
@@ -68,13 +111,14 @@ def label(row: JointName) -> tuple[str, str]:
 
 
 def draw() -> Image:
-    rgb, pixels, bones = person()
-    image = np.asarray(255 - (255 - rgb) * 0.42, dtype=np.uint8)
-    for parent, name in bones:
-        draw_line(image, [pixels[parent], pixels[name]], SIDE_COLORS[side_of(name)], 3)
-    for name, pixel in pixels.items():
-        draw_disc(image, pixel, 5, SIDE_COLORS[side_of(name)])
+    image, pixels, skeleton = person()
     general = hanim_skeleton().joint_names
+    for parent, name in bones_of(skeleton):
+        if name in general:
+            draw_line(image, [pixels[parent], pixels[name]], SIDE_COLORS[side_of(name)], 3)
+    for name in general:
+        draw_disc(image, pixels[name], 5, SIDE_COLORS[side_of(name)])
+    image[-_HAND[1] - 70 : -70, : _HAND[0]] = hand()
     for side, column in _COLUMNS.items():
         # the trunk on the right of the person, which is on the left of the image; the left side opposite
         rows = [row for row in JOINT_NAMES if side_of(row.name) == (1 if side > 0 else 0)]

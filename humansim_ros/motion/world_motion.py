@@ -481,7 +481,7 @@ def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
     if all(f"{side}Shoulder" in roles for side in ("Left", "Right")):
         shoulders = (points[:, roles["LeftShoulder"]] + points[:, roles["RightShoulder"]]) / 2
         lies = unit_vectors(shoulders - hips)[:, 2] < _LYING
-        if (share := float(lies.mean())) > _MOST:
+        if (share := float(lies.mean())) > _MOST and world.motion.up is None:
             warnings.append(
                 f"the trunk lies in {share:.0%} of the frames, with {world.frame.up} up: if the person does "
                 "not lie, give the up axis of the file (up), or the file is damaged"

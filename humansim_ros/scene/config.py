@@ -161,6 +161,28 @@ class HumanConfig(ShortSection):
     )
 
 
+class HoldConfig(ShortSection):
+    """Two hands that hold an object."""
+
+    short_key: ClassVar[str] = "human"
+
+    human: str = Field(description="name of the human who holds it")
+    start: float = Field(
+        default=0.0, ge=0, description="when the hands take it, seconds of the motion; before it stays there"
+    )
+    end: float | None = Field(
+        default=None,
+        gt=0,
+        description="when the hands leave it, seconds of the motion; never if absent. After it stays there",
+    )
+
+    @model_validator(mode="after")
+    def _is_in_order(self) -> HoldConfig:
+        if self.end is not None and self.end <= self.start:
+            raise ValueError(f"end ({self.end:g} s) must come after start ({self.start:g} s)")
+        return self
+
+
 class ObjectConfig(ShortSection):
     """One object, static or moving."""
 
@@ -192,7 +214,18 @@ class ObjectConfig(ShortSection):
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
     keyframes: KeyframesConfig | None = Field(default=None, description="move, rotate and scale the object")
+    held_by: HoldConfig | None = Field(
+        default=None,
+        description="a human who holds it in both hands: position and rotation_deg are then in the frame "
+        "between the palms (x ahead, y to the left hand)",
+    )
     label: bool = Field(default=False, description="give it an instance label, as humans have")
+
+    @model_validator(mode="after")
+    def _moves_in_one_way(self) -> ObjectConfig:
+        if self.keyframes is not None and self.held_by is not None:
+            raise ValueError("give keyframes or held_by, not both")
+        return self
 
 
 class RoomConfig(Section):

@@ -39,6 +39,7 @@ from humansim_ros.scene.config import (
 )
 from humansim_ros.scene.crowd import with_crowd
 from humansim_ros.scene.environment import Environment
+from humansim_ros.scene.holding import held
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_looks, random_numbers
@@ -465,7 +466,11 @@ def _add_objects(
             if config.label and name in actors:
                 raise SceneError("a human has this name: a labelled object needs a name of its own")
             label = _next_label(actors, objects) if config.label else 0
-            objects[name] = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)
+            item = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)
+            if config.held_by is not None:
+                with in_section("held_by"):
+                    item = held(item, config.held_by, actors)
+            objects[name] = item
 
 
 def _with_levels(actor: Actor, source: SceneSource) -> Actor:

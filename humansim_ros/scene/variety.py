@@ -226,6 +226,8 @@ def _objects(
 ) -> Iterator[Array]:
     items = []
     for name, section in config.objects.items():
+        if section.held_by is not None:
+            continue  # where its holder is
         with in_section(f"objects.{name}"):
             items.append(SceneObject.build(name, section, source, tracks.get(("objects", name)), 0))
     robot = Robot.of_scene(config, source)

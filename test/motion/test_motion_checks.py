@@ -13,7 +13,7 @@ from conftest import ROOT
 from motion_files import Array as Values
 from motion_files import Rotations, StandIn, arms_down, bow, one_axis, stand_in, turns, walk
 
-from humansim_ros.motion import Motion, read_bvh
+from humansim_ros.motion import Motion, read_motion
 from humansim_ros.motion.info import LoadedMotion, describe_motion
 
 PERSON = stand_in("lafan1")
@@ -66,4 +66,4 @@ def test_a_bow_in_less_than_half_of_the_frames_is_not_reported() -> None:
     "path", sorted((ROOT / "assets" / "motions").glob("*.bvh")), ids=lambda path: path.stem
 )
 def test_built_in_motions_have_no_warnings(path: Path) -> None:
-    assert checks(read_bvh(path)) == ""
+    assert checks(read_motion(path)) == ""

@@ -460,3 +460,32 @@ def climb_step(figure: Figure, time: Array) -> Pose:
     ]
     swing = 10 * np.sin(2 * np.pi * (time - 0.8) / 2.2) * _slow(time)
     return posed(figure, time, keys, sways={"l_flexion": swing, "r_flexion": -swing}, steps=steps)
+
+
+#: Half the distance of the wrists of somebody who holds a box; places of the wrists of both sides, metres.
+_BOX = 0.19
+
+
+def lift_box(figure: Figure, time: Array) -> Pose:
+    """Take a box from the floor in both hands, lift it, hold it, and put it down again."""
+
+    def hands(y: float, z: float, half: float = _BOX) -> dict[str, float]:
+        return hand_at("l", half, y, z) | hand_at("r", -half, y, z)
+
+    low = {"up": -0.42, "ahead": -0.24, "pitch": 40, "lean": 66, "nod": 50}
+    high = {"up": -0.012, "ahead": -0.015, "pitch": 0, "lean": -1, "nod": 16}
+    keys = [
+        (0.4, both(reach=0.0)),
+        (1.3, low | hands(0.24, 0.45, _BOX + 0.08)),
+        (1.7, low | hands(0.20, 0.45)),
+        (2.0, low | hands(0.20, 0.45)),
+        (3.4, high | hands(1.04, 0.36)),
+        (5.0, high | hands(1.04, 0.36) | {"nod": 4}),
+        (6.4, low | hands(0.20, 0.45)),
+        (6.7, low | hands(0.20, 0.45)),
+        (7.1, low | hands(0.24, 0.45, _BOX + 0.08)),
+        (8.2, both(reach=0.0)),
+        (8.3, {"up": -0.006, "ahead": 0.0, "pitch": 0, "lean": 2, "nod": 2}),
+    ]
+    holds = dict.fromkeys("lr", Hold(elbow=(0.6, -0.8, -0.4)))
+    return posed(figure, time, keys, holds=holds)

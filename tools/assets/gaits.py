@@ -28,6 +28,7 @@ from make_walk import (
     Foot,
     Path2D,
     Walk,
+    apply,
     fit,
     rot,
 )
@@ -225,3 +226,25 @@ def _swing(time: Array, leave: float, land: float, start: State, end: State) -> 
     out[:, 1] += _LIFT * np.sin(np.pi * inside) ** 1.3
     out[:, 3] -= _PUSH * np.sin(2 * np.pi * inside) * np.sin(np.pi * inside)
     return out
+
+
+#: Wrists of somebody who carries a box, from the joint of the chest, for the left arm, metres; their elbow.
+_CARRY, _ELBOW = np.array([0.19, -0.05, 0.36]), np.array([0.5, -1.0, -0.3])
+
+
+def carry(figure: Figure, walk: Walk, time: Array) -> tuple[dict[str, Array], Array]:
+    """World rotations of all joints and positions of the hips of a walk with a box in both hands."""
+    rotations, hips = walk.rotations(time)
+    pelvis, chest = rotations["Hips"], rotations["Chest"]
+    origin = hips + apply(pelvis, figure.body.link("Chest"))
+    for side, sign in SIDES.items():
+        wrist = origin + apply(chest, _CARRY * (sign, 1, 1))
+        elbow = apply(chest, _ELBOW * (sign, 1, 1))
+        upper, fore = figure.reaching(side, figure.shoulder(side, chest, hips, pelvis), wrist, elbow)
+        for joint, end, world in (
+            ("Shoulder", "Elbow", upper),
+            ("Elbow", "Wrist", fore),
+            ("Wrist", "Wrist_end", fore),
+        ):
+            rotations[side + joint] = world @ figure.straight(side, end)
+    return rotations, hips

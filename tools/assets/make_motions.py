@@ -351,6 +351,7 @@ MOTIONS: dict[str, tuple[Callable[[Figure, Array], Pose], float, int]] = {
     "crawl": (everyday.crawl, 2 * everyday.CRAWL_CYCLE, RATE),
     "lie": (everyday.lie, 8.0, RATE),
     "fall": (everyday.fall, 10.6, RATE),
+    "lift_box": (everyday.lift_box, 8.8, RATE),
     "climb_step": (everyday.climb_step, 7.0, RATE),
 }
 
@@ -360,7 +361,7 @@ WALKS = {
     for gait in ("walk", *gaits.GAITS)
     for name, part in ((gait, "whole"), (f"{gait}_start", "start"), (f"{gait}_stop", "stop"))
     if name != "walk"  # make_walk.py makes it
-}
+} | {"carry": ("carry", "whole")}
 
 
 def make(figure: Figure, name: str, folder: Path) -> str:
@@ -381,7 +382,8 @@ def _make_walk(figure: Figure, name: str, part: str, path: Path) -> Array:
     walk = gaits.walk_of(figure, *gaits.GAITS.get(name, gaits.NORMAL))
     if part == "whole":
         time = np.arange(round(2 * walk.stride_time * FRAME_RATE) + 1) / FRAME_RATE
-        write_bvh(path, figure.body, *walk.rotations(time), FRAME_RATE, 3)
+        moved = gaits.carry(figure, walk, time) if name == "carry" else walk.rotations(time)
+        write_bvh(path, figure.body, *moved, FRAME_RATE, 3)
         return time
     share, step = (
         (gaits.FIRST_STEP, gaits.first_step) if part == "start" else (gaits.LAST_STEP, gaits.last_step)

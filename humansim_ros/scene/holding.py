@@ -1,0 +1,96 @@
+"""Objects that a human of the scene holds in both hands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from humansim_ros.errors import SceneError, did_you_mean
+from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, unit_vectors
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.config import HoldConfig
+from humansim_ros.scene.objects import SHAPES, ObjectPose, SceneObject
+from humansim_ros.types import Array
+
+#: Place of the palm between wrist and finger tips, as a share; half the thickness of a hand, metres.
+_PALM, _THICK = 0.45, 0.018
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """The hands of a human that hold an object.
+
+    Attributes:
+        actor: The human.
+        config: When they hold it.
+        own: Pose of the object in the frame between the palms.
+    """
+
+    actor: Actor
+    config: HoldConfig
+    own: ObjectPose
+
+    def at(self, seconds: float) -> ObjectPose:
+        """Pose and velocity at a scene time in seconds."""
+        times = seconds + VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
+        positions, rotations = self.frames(times)
+        turn = quaternion_to_matrix(self.own.rotation)
+        places = positions + rotations @ self.own.position
+        quaternions = matrix_to_quaternion(rotations @ turn)
+        velocity = Velocity.between(places[::2], quaternions[::2], 2 * VELOCITY_STEP)
+        return ObjectPose(places[1], quaternions[1], self.own.size, velocity)
+
+    def frames(self, times: Array) -> tuple[Array, Array]:
+        """Middles of the palms (N, 3), and axes (N, 3, 3): x ahead, y to the left palm."""
+        left, right = self.palms(self._held(times))
+        y = unit_vectors(left - right)
+        up = np.array([0.0, 0.0, 1.0]) - y[:, 2:] * y
+        z = unit_vectors(up)
+        return (left + right) / 2, np.stack([np.cross(y, z), y, z], axis=-1)
+
+    def palms(self, times: Array) -> tuple[Array, Array]:
+        """Left and right palm (N, 3) at scene times (N,)."""
+        joints, names = self.actor.joint_paths(times), self.actor.human.skeleton.joint_names
+        wrists, tips = (
+            joints[:, [names.index(f"{side}_{part}") for side in "lr"]] for part in ("wrist", "wrist_end")
+        )
+        left, right = np.moveaxis((1 - _PALM) * wrists + _PALM * tips, 1, 0)
+        return left, right
+
+    @cached_property
+    def width(self) -> float:
+        """Metres between the inner sides of the hands when they take the object."""
+        left, right = self.palms(self._held(np.zeros(1)))
+        return float(np.linalg.norm(left - right)) - 2 * _THICK
+
+    def _held(self, times: Array) -> Array:
+        """Scene times (N,) moved to the nearest ones in their cycle at which the hands hold the object."""
+        motion = self.actor.motion
+        end = motion.cycle_length if self.config.end is None else self.config.end
+        played = motion.file_times(times + self.actor.offset, self.actor.ahead)
+        length = motion.cycle_length
+        phase = played % length if motion.loop != "none" and length > 0 else np.clip(played, 0.0, length)
+        return np.asarray(times + (np.clip(phase, self.config.start, end) - phase) / max(motion.speed, 1e-6))
+
+
+def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> SceneObject:
+    """An object that hands hold; a built-in shape becomes as wide as the hands are apart.
+
+    Raises:
+        SceneError: There is no such human, or it has no hands.
+    """
+    actor = actors.get(config.human)
+    if actor is None:
+        known = f"; the humans are {', '.join(list(actors)[:8])}" if actors else "; the scene has no humans"
+        raise SceneError(f"no human {config.human[:40]!r}{known}{did_you_mean(config.human, actors)}")
+    if not {"l_wrist_end", "r_wrist_end"} <= set(actor.human.skeleton.joint_names):
+        raise SceneError(f"{config.human} has no hands")
+    hold = Hold(actor, config, item.initial_pose)
+    if item.shape in SHAPES:
+        x, _, z = item.initial_pose.size.tolist()
+        hold = replace(hold, own=replace(item.initial_pose, size=np.array([x, hold.width, z])))
+    return replace(item, initial_pose=hold.own, pose_at=hold.at)

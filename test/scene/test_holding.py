@@ -1,0 +1,79 @@
+"""Objects in two hands: they stay between the palms, and where the hands leave them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humansim_ros.errors import SceneError
+from humansim_ros.scene import Scene, check_scene
+
+CAMERAS = {"front": {"size": [160, 120], "position": [3, 2.6, 2], "look_at": [0, 0, 0.8]}}
+
+
+def scene(motion: Any, box: Any, body: str = "adult_man") -> Scene:
+    humans = {"anna": {"body": body, "motion": motion}}
+    objects = {"box": {"mesh": "box", "size": [0.3, 0.4, 0.28], **box}}
+    return Scene.from_dict({"humans": humans, "objects": objects, "cameras": CAMERAS, "room": None})
+
+
+def palms(made: Scene, time: float) -> np.ndarray:
+    """Left and right palm (2, 3), between wrist and finger tips."""
+    actor = made.actors["anna"]
+    names, joints = actor.human.skeleton.joint_names, actor.joint_paths(np.array([time]))[0]
+    wrists, tips = (joints[[names.index(f"{s}_{part}") for s in "lr"]] for part in ("wrist", "wrist_end"))
+    return np.asarray(0.55 * wrists + 0.45 * tips)
+
+
+@pytest.mark.parametrize("body", ["adult_man", "child", "tall_heavy_man"])
+def test_a_carried_box_touches_both_palms_all_the_time(body: str) -> None:
+    made = scene({"file": "carry", "loop": "continue"}, {"held_by": "anna"}, body)
+    item = made.objects["box"]
+    assert item.moves
+    for time in np.arange(0.0, 6.0, 0.37):
+        pose = item.at(time)
+        sides = pose.apply(np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0]]))
+        gaps = np.linalg.norm(sides - palms(made, time), axis=1)
+        np.testing.assert_allclose(gaps, 0.018, atol=0.008)  # half a hand
+    assert not [finding for finding in check_scene(made) if finding.key.startswith(("humans", "objects"))]
+
+
+def test_its_velocity_is_that_of_its_place() -> None:
+    item = scene({"file": "carry", "loop": "continue"}, {"held_by": "anna"}).objects["box"]
+    before, here, after = (item.at(1.0 + step) for step in (-0.01, 0.0, 0.01))
+    assert here.velocity is not None
+    np.testing.assert_allclose(here.velocity.linear, (after.position - before.position) / 0.02, atol=0.05)
+    assert here.velocity.linear[0] == pytest.approx(1.25, abs=0.2)
+
+
+def test_a_box_is_lifted_from_the_floor_and_put_back() -> None:
+    made = scene("lift_box", {"held_by": {"human": "anna", "start": 1.9, "end": 6.55}})
+    item = made.objects["box"]
+    rests, lifted, back = (item.at(time) for time in (0.5, 4.2, 8.0))
+    assert rests.position[2] < 0.3
+    assert lifted.position[2] > 0.9
+    np.testing.assert_allclose(rests.position, back.position, atol=0.01)
+    np.testing.assert_allclose(item.at(1.0).position, rests.position, atol=1e-6)  # it does not move before
+    assert np.linalg.norm(rests.velocity.linear) < 1e-6
+    # the next round begins with the box on the floor again
+    np.testing.assert_allclose(item.at(8.8 + 0.5).position, rests.position, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("held_by", "problem"),
+    [
+        ("ana", r"objects\.box\.held_by: no human 'ana'; the humans are anna"),
+        ({"human": "anna", "start": 3, "end": 2}, r"end \(2 s\) must come after start \(3 s\)"),
+        ({"human": "anna", "hand": "left"}, r"objects\.box\.held_by"),
+    ],
+)
+def test_a_wrong_hold_is_refused_with_its_key(held_by: Any, problem: str) -> None:
+    with pytest.raises(SceneError, match=problem):
+        scene("carry", {"held_by": held_by})
+
+
+def test_what_is_held_has_no_keyframes() -> None:
+    with pytest.raises(SceneError, match="give keyframes or held_by, not both"):
+        scene("carry", {"held_by": "anna", "keyframes": "moves.xml"})

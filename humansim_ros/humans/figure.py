@@ -283,8 +283,34 @@ def _tails(
             reach = (skin - head) @ along
             far = skin[reach >= 0.9 * reach.max(initial=0.0)]
             goal = far.mean(0) if reach.max(initial=0.0) > _STUB else head + _STUB * along
+        elif children and name in ("l_wrist", "r_wrist") and name in joint_of:
+            goal = head + (goal - head) * _hand_reach(figure, joint_of[name], vertices, heaviest, head, goal)
         tails[number] = head + _upright(name, goal - head)
     return tails
+
+
+def _hand_reach(
+    figure: SkinnedMesh,
+    joint: int,
+    vertices: Array,
+    heaviest: NDArray[np.intp],
+    head: Array,
+    goal: Array,
+) -> float:
+    """Share of the way from the wrist to the knuckles at which a hand with fingers ends, at least 1.
+
+    Args:
+        figure: Skinned mesh.
+        joint: Joint of the hand.
+        vertices: Vertices in body space, (V, 3) metres.
+        heaviest: Joint (V,) that each vertex follows most.
+        head: Wrist, (3,) metres.
+        goal: Point of the knuckles, (3,) metres.
+    """
+    hand = [number for number in range(len(figure.parents)) if _descends(number, joint, figure.parents)]
+    skin, along = vertices[np.isin(heaviest, hand)], goal - head
+    length = float(along @ along)
+    return max(1.0, float(((skin - head) @ along).max(initial=0.0)) / length)
 
 
 def _top_of_head(

@@ -502,3 +502,21 @@ def test_the_head_ends_at_the_top_of_its_own_skin(rig: str) -> None:
     tail = skeleton.tails[skeleton.bone("vt3")]
     assert tail[1] == pytest.approx(mesh.vertices[own, 1].max(), abs=0.01)
     assert abs(tail[0]) < 0.01
+
+
+def test_the_ends_of_a_hand_with_fingers_and_of_a_head_with_eyes_are_their_tips() -> None:
+    """The built-in child as a figure of another program, whose names and bones are its own."""
+    child = load_human("child")
+    skeleton = child.skeleton
+    renamed = {name: f"x{number}" for number, name in enumerate(skeleton.names[22:])}
+    names = tuple(renamed.get(name, name) for name in skeleton.names)
+    joints = SkinnedMesh("child", child.mesh, names, skeleton.parents, skeleton.heads, child.weights)
+    mesh, found, _ = to_body_space(joints)
+    assert set(skeleton.joint_names[57:62]) <= set(found.joint_names)
+    for side, out in (("l", 1.0), ("r", -1.0)):
+        wrist = found.bone(f"{side}_wrist")
+        hand = mesh.vertices[mesh.vertices[:, 0] * out > found.heads[wrist][0] * out]
+        tip = (hand[:, 0] * out).max()
+        assert abs(found.tails[wrist][0] * out - tip) < 0.015
+        assert f"{side}_wrist_end" in found.joint_names
+    assert abs(found.tails[found.bone("vt3")][1] - mesh.vertices[:, 1].max()) < 0.03

@@ -83,6 +83,11 @@ class KeypointSet:
             if set(own) <= set(self.names)
         }
 
+    @property
+    def has_body(self) -> bool:
+        """Whether it has more than a hand or a face."""
+        return len(self) - sum(map(len, self.parts.values())) > 2  # face70 has pupils
+
     def index(self, name: str) -> int:
         """Number of a keypoint. Raises KeypointError for an unknown name."""
         if name not in self.names:

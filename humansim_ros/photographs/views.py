@@ -362,6 +362,11 @@ class _Reader:
             keypoints = keypoint_set(config.keypoints)
         except HumansimError as reason:
             raise self._error(reason.message, "keypoints") from None
+        if not keypoints.has_body:
+            message = (
+                f"{config.keypoints} has no points of the body: give a set of a whole body, such as coco17"
+            )
+            raise self._error(message, "keypoints")
         cameras = self._cameras()
         images = {name: self._files(name, "image") for name in config.views}
         masks = {name: self._files(name, "mask") for name in config.views}

@@ -198,7 +198,7 @@ def test_the_face_decides_which_of_two_views_is_exchanged(views: tuple[int, ...]
 
 
 def test_the_front_of_the_body_is_in_front_of_its_back() -> None:
-    for keypoints in KEYPOINT_SETS.values():
+    for keypoints in (each for each in KEYPOINT_SETS.values() if each.has_body):
         body = body_points(keypoints)
         ahead = front_distance(body, keypoints)
         if keypoints.name != "h36m17":  # it has neither a face nor toes

@@ -63,6 +63,7 @@ def test_the_person_stands_in_the_masks(studio: Studio) -> None:
         ({"calibration": "nothing.toml"}, r"calibration: .*no such file"),
         ({"calibration": None}, r"calibration: .*missing|calibration.*required|needs"),
         ({"keypoints": "coco18"}, r"keypoints: no keypoint set 'coco18'.*coco17"),
+        ({"keypoints": "face70"}, r"keypoints: face70 has no points of the body.*coco17"),
         ({"views": {}}, r"views: "),
         ({"views": {"view_9": {"image": "view_1/*.jpg"}}}, r"no camera 'view_9'; it has view_1.*camera"),
         ({"views": {"view_1": {"image": "gone.jpg"}}}, r"views.view_1.image: .*no such file"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import yaml
@@ -82,9 +82,6 @@ def _line(number: int, box: list[float]) -> str:
     return f"{number},{identity:.0f},{place},1,{_PEDESTRIAN},{visible:.5f}\n"
 
 
-_SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
-
-
 class YoloWriter(FormatWriter):
     """Labels of people with keypoints.
 
@@ -120,7 +117,7 @@ class YoloWriter(FormatWriter):
             "val": "train.txt",
             "names": {0: "person"},
             "kpt_shape": [len(keypoints), 3],
-            "flip_idx": mirrored(keypoints.points),
+            "flip_idx": list(keypoints.mirrored),
         }
         folder.write("dataset.yaml", yaml.safe_dump(dataset, sort_keys=False))
         folder.link("images", "images")
@@ -136,25 +133,3 @@ def label_line(box: BodyBox, view: KeypointView, size: tuple[int, int]) -> str:
     words = [f"{value:.6f}" for value in numbers]
     words += [word for x, y, v in points for word in (f"{x:.6f}", f"{y:.6f}", f"{v:.0f}")]
     return f"0 {' '.join(words)}\n"
-
-
-def mirrored(points: Sequence[str]) -> list[int]:
-    """Keypoint of the other side of each keypoint; one without sides is its own.
-
-    Some markers are at different heights on both sides, such as on the upper arms: they belong together, too.
-
-    ``points``: anatomical points of a keypoint set, such as ``l_knee`` and ``left_heel``.
-    """
-    numbers = {_stem(point): number for number, point in enumerate(points)}
-    numbers |= {point: number for number, point in enumerate(points)}
-    found = []
-    for number, point in enumerate(points):
-        side, _, rest = point.partition("_")
-        other = f"{_SIDES[side]}_{rest}" if side in _SIDES else point
-        found.append(numbers.get(other, numbers.get(_stem(other), number)))
-    return found
-
-
-def _stem(point: str) -> str:
-    """A point of three words or more without its last word, which may be its height on the limb."""
-    return point.rpartition("_")[0] if point.count("_") > 1 else point

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from test_retarget import in_world, read
 
 from humansim_ros.body import Skeleton, hanim_skeleton
-from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.rigging import dominant_bones, without_details
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
@@ -127,7 +127,7 @@ def hull_depth(a: Array, b: Array) -> float:
 @pytest.mark.slow
 def test_penetration_of_limbs_agrees_with_the_hulls_of_their_meshes() -> None:
     """Without the two thighs, whose meshes meet between the legs."""
-    body, owner = man_capsules(), dominant_bones(man().weights)
+    body, owner = man_capsules(), dominant_bones(without_details(man().weights, man().skeleton))
     trunk = ("HumanoidRoot", "sacroiliac", "vl5")
     held = np.array([a not in trunk and (a, b) != ("l_hip", "r_hip") for a, b in body.pair_names])
     rng = np.random.default_rng(7)
@@ -153,7 +153,7 @@ def test_penetration_of_limbs_agrees_with_the_hulls_of_their_meshes() -> None:
 @pytest.mark.slow
 def test_a_hand_penetrates_the_trunk_when_rays_say_so() -> None:
     """The left arm moves through the body; ray casting gives the depth of the hand inside the mesh."""
-    body, owner = man_capsules(), dominant_bones(man().weights)
+    body, owner = man_capsules(), dominant_bones(without_details(man().weights, man().skeleton))
     skeleton, triangles = man().skeleton, man().mesh.triangles
     arm = [skeleton.bone(name) for name in ("l_shoulder", "l_elbow", "l_wrist")]
     others = triangles[~np.isin(owner[triangles], arm).all(1)]

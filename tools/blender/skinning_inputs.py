@@ -82,6 +82,7 @@ def artist(data: Path, random: np.random.Generator) -> Arrays:
 
 
 def surface(human: Human) -> Arrays:
+    human = human.without_details()  # the hand with its fingers
     mesh, hand = human.mesh, human.skeleton.bone("l_wrist")
     chosen = np.flatnonzero(human.triangle_parts == hand + 1)
     assert mesh.uv is not None and mesh.uv_triangles is not None

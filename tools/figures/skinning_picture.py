@@ -56,6 +56,7 @@ def draw(human: Human, renderer: GLRenderer, bend: str, method: str) -> Image:
 
 def main() -> int:
     human = load_human(Path(sys.argv[2]) if len(sys.argv) > 2 else ROOT / "assets/humans/adult_man.npz")
+    human = human.without_details()  # hands are shown with their fingers
     renderer = GLRenderer([], Lighting(background=(238, 240, 243)))
     rows = [
         np.concatenate([draw(human, renderer, bend, method) for bend in _VIEWS], axis=1)

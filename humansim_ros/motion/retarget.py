@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from humansim_ros.body.joint_names import finger_bones
+from humansim_ros.body.hands import FINGER_BONES
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, within_bounds
 from humansim_ros.motion.bone_drivers import (
@@ -23,6 +23,7 @@ from humansim_ros.motion.bone_drivers import (
     swing_onto,
 )
 from humansim_ros.motion.file_frame import BodyLines
+from humansim_ros.motion.hand_poses import FreeFingers
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import JointLimits, load_limits
@@ -41,8 +42,8 @@ from humansim_ros.rotations import (
 )
 from humansim_ros.types import Array, Indices
 
-#: Bones of the fingers of both hands.
-FINGER_BONES = (*finger_bones("l"), *finger_bones("r"))
+#: Hands that no key poses.
+NO_HANDS: Mapping[str, Array] = {}
 #: Percentage of the poses, lowest ankles first, in which feet are flat on the floor.
 _FLAT_PERCENTILE = 20
 #: A hinge axis is known where bends agree this well (length of the mean of unit axes).
@@ -461,12 +462,13 @@ class Retargeter:
             links,
         )
 
-    def apply(self, poses: JointPoses) -> tuple[Array, Array]:
+    def apply(self, poses: JointPoses, hands: Mapping[str, Array] = NO_HANDS) -> tuple[Array, Array]:
         """Bone rotations (N, B, 4) xyzw in bone space, and transforms (N, 4, 4) from body space to ``map``.
 
-        ``skeleton.pose(*apply(poses))`` equals :meth:`pose`.
+        ``skeleton.pose(*apply(poses))`` equals :meth:`pose`. ``hands``: finger bone -> rotation (N, 4) xyzw
+        in bone space, of bones that take it whatever the motion or the arm does.
         """
-        rotations, _, translation = self._solve(poses)
+        rotations, _, translation = self._solve(poses, hands)
         local = self.skeleton.rest_in_parent[:, :3, :3]
         parents = self.skeleton.parents
         inherited = np.where((parents < 0)[:, None, None], WORLD_FROM_BODY, rotations[:, parents]) @ local
@@ -475,14 +477,14 @@ class Retargeter:
             in_bone = self._limits.clamp(in_bone)
         return in_bone, transform(WORLD_FROM_BODY, translation)
 
-    def pose(self, poses: JointPoses) -> Array:
-        """Posed bone frames (N, B, 4, 4) in ``map``."""
+    def pose(self, poses: JointPoses, hands: Mapping[str, Array] = NO_HANDS) -> Array:
+        """Posed bone frames (N, B, 4, 4) in ``map``; ``hands`` as in :meth:`apply`."""
         if self.clamp:
-            return self.skeleton.pose(*self.apply(poses))
-        rotations, heads, translation = self._solve(poses)
+            return self.skeleton.pose(*self.apply(poses, hands))
+        rotations, heads, translation = self._solve(poses, hands)
         return transform(rotations, heads + translation[:, None])
 
-    def _solve(self, poses: JointPoses) -> tuple[Array, Array, Array]:
+    def _solve(self, poses: JointPoses, hands: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Bone rotations (N, B, 3, 3) and heads (N, B, 3) of an unplaced body in ``map`` axes.
 
         The third value is the translation (N, 3) that places the body.
@@ -496,6 +498,8 @@ class Retargeter:
         else:
             rotations = self._drivers.transfer(poses.positions, joint_rotations, self.rest)
             rotations, heads = self._with_trunk(rotations, self._heads(rotations), poses)
+        if self._free_fingers is not None:
+            self._free_fingers.move(rotations, heads, hands)
         hips = [self.skeleton.bone("l_hip"), self.skeleton.bone("r_hip")]
         return rotations, heads, self._hips(poses) - heads[:, hips].mean(1)
 
@@ -522,6 +526,10 @@ class Retargeter:
             return rotations, heads
         rotations = self._drivers.turned(rotations, poses.positions, turns, self._spine)
         return rotations, self._heads(rotations)
+
+    @cached_property
+    def _free_fingers(self) -> FreeFingers | None:
+        return FreeFingers.of(self.skeleton, self.match)
 
     @cached_property
     def _spine(self) -> Indices:

@@ -238,6 +238,11 @@ class WorldMotion:
         """Seconds of the file (N,) played until N times, over all cycles, after an offset."""
         return np.atleast_1d(np.asarray(times, dtype=float)) * self.speed + file_offset
 
+    def phases(self, times: ArrayLike, file_offset: float = 0.0) -> Array:
+        """Times (N,) of the file, seconds, that are played at times (N,), after an offset."""
+        t = self.file_times(times, file_offset)
+        return self.start + np.clip(t - self._cycles(t) * self.cycle_length, 0.0, self.cycle_length)
+
     def sample(self, times: ArrayLike, file_offset: float = 0.0) -> JointPoses:
         """Poses at N times in seconds: slerp between frames, then forward kinematics.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,8 @@ from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
+from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
+from humansim_ros.motion.hand_poses import HandKeys, without_hands
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
@@ -78,6 +80,7 @@ class Actor:
         offset: Time that the motion is ahead of the scene, seconds of the scene.
         ahead: Time that the motion is ahead after a change while it played, seconds of its file.
         keyframes: Keyframes that move, rotate and scale the space of the motion over scene time.
+        hands: Keys of the hands over the motion; None without.
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
     """
 
@@ -90,6 +93,7 @@ class Actor:
     ahead: float = 0.0
     keyframes: KeyframeTrack | None = None
     levels: Simplification | None = None
+    hands: HandKeys | None = None
 
     @classmethod
     def build(
@@ -148,7 +152,11 @@ class Actor:
         retargeter = cls._fit(world, human, config, source)
         if config.pin_feet:
             world = replace(world, correction=FootContacts.detect(world, retargeter))
-        return cls(name, instance, human, world, retargeter, config.offset)
+        with in_section("hands"):
+            hands = HandKeys.of(_hand_keys(config), human.skeleton, world, retargeter.match)
+        if config.hands and hands is None:
+            warn_about(name, "'hands' moves nothing: the body has no fingers, or the motion moves them all")
+        return cls(name, instance, human, world, retargeter, config.offset, hands=hands)
 
     @classmethod
     def load(
@@ -194,7 +202,7 @@ class Actor:
             origin = replace(world, placement=Placement())  # wherever the first of these humans is
             return Retargeter.fit(origin, human.skeleton, config.retarget, config.root_scale, config.clamp)
 
-        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet"}
+        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet", "hands"}
         fitted = source.once(fit, "fit", id(human.skeleton), config.model_dump_json(exclude=placed))
         x, y = world.placement.position
         return replace(fitted, origin=(float(x), float(y)))
@@ -219,7 +227,8 @@ class Actor:
     def joint_poses(self, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
-        return poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
+        poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
+        return poses if self.hands is None else self.hands.add(poses, seconds + self.offset, self.ahead)
 
     def state(self, poses: JointPoses) -> HumanState:
         """State of the body from joint poses with N = 1, as the skinner publishes it.
@@ -296,9 +305,18 @@ class Actor:
 
     def joints_of(self, poses: JointPoses) -> tuple[Array, Array]:
         """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""
+        poses, hands = without_hands(poses)
         own, space = undo_keyframes(poses)
-        joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
+        joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own, hands))
         return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
+
+
+def _hand_keys(config: MotionConfig) -> Sequence[HandKey]:
+    """Keys of the hands of a motion: of the scene, or of a built-in motion that plays from its start."""
+    if config.hands is not None:
+        return [key.key for key in config.hands]
+    whole = config.start == 0 and config.end is None
+    return BUILT_IN_HANDS.get(config.file, ()) if whole else ()
 
 
 def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, JointPoses]:
@@ -308,7 +326,7 @@ def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, Joi
     """
     walking: dict[int, dict[str, PathMotion]] = defaultdict(dict)
     for name, actor in actors.items():
-        if isinstance(actor.motion, PathMotion) and actor.keyframes is None:
+        if isinstance(actor.motion, PathMotion) and actor.keyframes is None and actor.hands is None:
             walking[id(actor.motion.gait)][name] = actor.motion
     together: dict[str, JointPoses] = {}
     for motions in walking.values():

@@ -14,6 +14,7 @@ from humansim_ros.io.motion_formats import MOTION_TITLES
 from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection, TopicName
 from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
+from humansim_ros.motion.hand_keys import HandKey, HandPoseName, HandSide
 from humansim_ros.render.lighting import Lighting, RendererName
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.robot_config import ROBOT, RobotConfig
@@ -49,6 +50,24 @@ _NodeName = Annotated[
     StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
     Expected("the name of a node, such as tracker"),
 ]
+
+
+class HandKeyConfig(ShortSection):
+    """Pose of the hands from a time of the motion on."""
+
+    other_words: ClassVar[dict[str, str]] = {"pose": "name hand gesture", "time": "at start", "side": "hand"}
+    short_key: ClassVar[str] = "pose"
+
+    pose: HandPoseName = Field(description="name of the hand pose")
+    time: float = Field(default=0.0, ge=0, description="start of the change, seconds of the file")
+    side: HandSide = Field(default="both", description="the hand")
+    blend: float = Field(default=0.3, ge=0, le=1e4, description="duration of the change, seconds of the file")
+    over_motion: bool = Field(default=False, description="also move fingers that the motion moves")
+
+    @property
+    def key(self) -> HandKey:
+        """The key as the motion plays it."""
+        return HandKey(self.pose, self.time, self.side, self.blend, self.over_motion)
 
 
 class MotionConfig(ShortSection):
@@ -118,6 +137,17 @@ class MotionConfig(ShortSection):
     )
     clamp: bool = Field(default=False, description="clamp bones to the limits of their joints")
     pin_feet: bool = Field(default=False, description="keep standing feet from sliding")
+    hands: tuple[HandKeyConfig, ...] | None = Field(
+        default=None,
+        max_length=1000,
+        description="poses of the hands over time; if absent, hands are relaxed, open with a raised arm, and "
+        "hold what a built-in motion holds",
+    )
+
+    @field_validator("hands", mode="before")
+    @classmethod
+    def _one_pose(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, (str, dict)) else value
 
 
 class KeyframesConfig(ShortSection):

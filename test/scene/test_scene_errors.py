@@ -29,7 +29,7 @@ SCENE: dict[str, Any] = {
     "humans": {
         "anna": {
             "body": "adult_man",
-            "motion": {"file": "walk", "joint_names": "table.yaml"},
+            "motion": {"file": "walk", "joint_names": "table.yaml", "hands": [{"pose": "fist"}]},
             "keyframes": {"file": "keys.xml"},
         }
     },

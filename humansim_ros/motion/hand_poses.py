@@ -1,0 +1,330 @@
+"""Poses of hands whose fingers no motion drives: by name, by keys over time, and by what the arm does.
+
+A pose is the flexion, spread and twist of the joints of a hand (:mod:`humansim_ros.body.hands`). Between two
+poses the angles change linearly, so that a finger bends and never passes through the palm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
+from humansim_ros.body.joint_names import FINGERS
+from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.motion.hand_keys import MAX_SECONDS, HandKey, HandPoseName
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.rotations import quaternion_to_matrix, rotate
+from humansim_ros.types import Array, Indices
+
+if TYPE_CHECKING:
+    from humansim_ros.motion.joint_match import JointMatch
+    from humansim_ros.motion.world_motion import WorldMotion
+
+#: Flexion of the joints of a finger, degrees: knuckle, middle and outer joint.
+_STRAIGHT = (0.0, 3.0, 2.0)
+#: Fingers of a fist: as far as they go on all built-in humans without sinking into the palm.
+_CLOSED = {
+    "index": (60.0, 90.0, 64.0),
+    "middle": (52.0, 97.0, 65.0),
+    "ring": (68.0, 85.0, 62.0),
+    "pinky": (54.0, 82.0, 60.0),
+}
+#: Thumb: flexion of its three joints, then spread and twist of its ball.
+_Thumb = tuple[float, float, float, float, float]
+_ACROSS: _Thumb = (20.0, 40.0, 55.0, -20.0, 20.0)
+_ASIDE: _Thumb = (-22.0, 0.0, 0.0, -10.0, 0.0)
+
+
+def _pose(
+    thumb: _Thumb,
+    fingers: Mapping[str, tuple[float, float, float]] | tuple[float, float, float],
+    spread: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+) -> Array:
+    """Angles (15, 3) degrees of a hand: flexion, spread and twist of each joint."""
+    angles = np.zeros((PER_HAND, 3))
+    angles[:3, 0], angles[0, 1:] = thumb[:3], thumb[3:]
+    for number, finger in enumerate(FINGERS[1:], 1):
+        flexion = fingers[finger] if isinstance(fingers, Mapping) else fingers
+        angles[3 * number : 3 * number + 3, 0] = flexion
+        angles[3 * number, 1] = spread[number - 1]
+    return angles
+
+
+def _counting(*straight: str) -> dict[str, tuple[float, float, float]]:
+    return {finger: _STRAIGHT if finger in straight else _CLOSED[finger] for finger in FINGERS[1:]}
+
+
+_RELAXED_FINGERS = {
+    "index": (35.0, 39.0, 21.0),
+    "middle": (45.0, 38.0, 23.0),
+    "ring": (47.0, 39.0, 25.0),
+    "pinky": (50.0, 43.0, 19.0),
+}
+#: Angles (15, 3) of each pose, degrees. Counting begins with the index finger; the thumb is the fifth.
+HAND_POSES: Mapping[str, Array] = {
+    "relaxed": _pose((0.0, 5.0, 31.0, 0.0, 0.0), _RELAXED_FINGERS),
+    "fist": _pose(_ACROSS, _CLOSED),
+    "point": _pose(_ACROSS, _counting("index")),
+    "flat": _pose(_ASIDE, _STRAIGHT, (-2.0, 0.0, 3.0, 6.0)),
+    "grip": _pose((8.0, 20.0, 25.0, 0.0, 20.0), (50.0, 55.0, 35.0)),
+    "wave": _pose((-28.0, 0.0, 0.0, 4.0, 0.0), _STRAIGHT, (8.0, 1.0, -6.0, -14.0)),
+    "one": _pose(_ACROSS, _counting("index")),
+    "two": _pose(_ACROSS, _counting("index", "middle"), (8.0, -6.0, 0.0, 0.0)),
+    "three": _pose(_ACROSS, _counting("index", "middle", "ring"), (8.0, 0.0, -8.0, 0.0)),
+    "four": _pose(_ACROSS, _STRAIGHT, (8.0, 2.0, -5.0, -12.0)),
+    "five": _pose((-28.0, 0.0, 0.0, 4.0, 0.0), _STRAIGHT, (8.0, 2.0, -5.0, -12.0)),
+}
+assert tuple(HAND_POSES) == get_args(HandPoseName)
+#: Heights of the wrist above the shoulder, as shares of the length of the arm, at which the hand begins to
+#: open, and is open.
+_OPENS, _OPEN = 0.1, 0.4
+#: Joints that carry poses of hands in a motion begin with this.
+HAND_JOINT = "hand_pose/"
+HAND_JOINTS = frozenset(HAND_JOINT + bone for bone in FINGER_BONES)
+
+
+def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
+    """Angles (15, 3) radians of a pose, by its name; of a relaxed hand those of the body, if it rests so.
+
+    Raises:
+        MotionError: No pose has this name.
+    """
+    if name not in HAND_POSES:
+        known = ", ".join(HAND_POSES) + did_you_mean(name, HAND_POSES)
+        raise MotionError(f"no hand pose {name!r}; the poses are {known}")
+    angles = np.radians(HAND_POSES[name])
+    if name == "relaxed" and anatomy.is_relaxed:
+        angles[:, 0] = anatomy.rest[:PER_HAND]
+    return angles
+
+
+@dataclass(frozen=True)
+class HandKeys:
+    """Keys of the hands of a human over its motion.
+
+    Before its first key, a hand is as after its last one if the motion loops, else relaxed.
+
+    Raises:
+        MotionError: A time is outside the motion, or a blend is longer than the time to the next key.
+    """
+
+    keys: tuple[HandKey, ...]
+    anatomy: HandAnatomy
+    motion: WorldMotion
+    driven: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(
+        cls, keys: Sequence[HandKey], skeleton: Skeleton, motion: WorldMotion, match: JointMatch
+    ) -> HandKeys | None:
+        """Keys for a skeleton.
+
+        Args:
+            keys: The keys, in any order.
+            skeleton: The skeleton.
+            motion: Motion that they belong to.
+            match: Joints of the motion that drive its bones.
+
+        Returns:
+            None without keys, or if they move no finger.
+        """
+        anatomy = HandAnatomy.of(skeleton)
+        if not keys or anatomy is None:
+            return None
+        driven = frozenset(bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra)
+        hands = cls(tuple(sorted(keys, key=lambda key: key.time)), anatomy, motion, driven)
+        return hands if hands.bones else None
+
+    def __post_init__(self) -> None:
+        start, end = self.motion.start, self.motion.start + self.motion.cycle_length
+        for key in self.keys:
+            hand_angles(key.pose, self.anatomy)
+            if not start <= key.time <= end:
+                raise MotionError(
+                    f"the hand key at {key.time:g} s is outside the part of the motion that plays, "
+                    f"{start:g} to {end:g} s of the file",
+                    path=self.motion.motion.path,
+                )
+            if not 0 <= key.blend <= MAX_SECONDS:
+                raise MotionError(f"the hand key at {key.time:g} s has a blend of {key.blend:g} s: 0 or more")
+
+    @cached_property
+    def bones(self) -> tuple[int, ...]:
+        """Numbers of the moved bones in :data:`FINGER_BONES`."""
+        over = {side for side in "lr" for key in self._of_side(side) if key.over_motion}
+        sides = {side for side in "lr" if self._of_side(side)}
+        return tuple(
+            number
+            for number, bone in enumerate(FINGER_BONES)
+            if bone[0] in sides and (bone not in self.driven or bone[0] in over)
+        )
+
+    def _of_side(self, side: str) -> list[HandKey]:
+        return [key for key in self.keys if key.side[0] in (side, "b")]
+
+    def angles(self, times: Array) -> Array:
+        """Angles (N, 30, 3) radians at times of a cycle (N,), seconds of the file."""
+        sides = [self._side_angles(self._of_side(side), times) for side in "lr"]
+        return np.concatenate(sides, axis=1)
+
+    def _side_angles(self, keys: Sequence[HandKey], times: Array) -> Array:
+        last = keys[-1].pose if keys and self.motion.loop != "none" else "relaxed"
+        out = np.tile(hand_angles(last, self.anatomy), (len(times), 1, 1))
+        for key in keys:
+            share = np.where(times >= key.time, 1.0, 0.0)
+            if key.blend > 0:
+                share = _smooth((times - key.time) / key.blend)
+            out += share[:, None, None] * (hand_angles(key.pose, self.anatomy) - out)
+        return out
+
+    def add(self, poses: JointPoses, seconds: float, file_offset: float) -> JointPoses:
+        """Poses (N = 1) of a motion at a time, with joints that carry the poses of the hands.
+
+        The rotation of such a joint is the rotation of its bone; its position is the first joint's.
+
+        Args:
+            poses: Joint poses of the motion.
+            seconds: Time of the motion, seconds.
+            file_offset: Seconds of the file that the motion is ahead.
+        """
+        times = seconds + np.array([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
+        phases = self.motion.phases(times, file_offset)
+        if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):  # a new cycle began
+            phases[:] = phases[1]
+        turns = self.anatomy.rotations(self.angles(phases))[:, list(self.bones)]
+        count = len(self.bones)
+        names = (*poses.names, *(HAND_JOINT + FINGER_BONES[number] for number in self.bones))
+        at = np.repeat(poses.positions[:, :1], count, axis=1)
+        positions = np.concatenate([poses.positions, at], axis=1)
+        rotations = np.concatenate([poses.rotations, turns[1:2]], axis=1)
+        if poses.linear is None or poses.angular is None:
+            return JointPoses(names, positions, rotations)
+        _, turning = central_difference(turns[0], turns[2], turns[0], turns[2], 2 * VELOCITY_STEP)
+        linear = np.concatenate([poses.linear, np.repeat(poses.linear[:, :1], count, axis=1)], axis=1)
+        angular = np.concatenate([poses.angular, turning[None]], axis=1)
+        return JointPoses(names, positions, rotations, linear, angular)
+
+
+def hand_joints(names: Sequence[str]) -> int:
+    """Number of joints at the end of a motion that carry poses of hands."""
+    count = 0
+    while count < len(names) and names[-1 - count] in HAND_JOINTS:
+        count += 1
+    return count
+
+
+def without_hands(poses: JointPoses) -> tuple[JointPoses, dict[str, Array]]:
+    """Joint poses without the joints that :meth:`HandKeys.add` appends, and bone -> rotation (N, 4) xyzw."""
+    count = hand_joints(poses.names)
+    if not count:
+        return poses, {}
+    own = len(poses.names) - count
+    hands = {
+        name.removeprefix(HAND_JOINT): poses.rotations[:, own + number]
+        for number, name in enumerate(poses.names[own:])
+    }
+    linear, angular = (
+        None if velocity is None else velocity[:, :own] for velocity in (poses.linear, poses.angular)
+    )
+    return (
+        replace(
+            poses,
+            names=poses.names[:own],
+            positions=poses.positions[:, :own],
+            rotations=poses.rotations[:, :own],
+            linear=linear,
+            angular=angular,
+        ),
+        hands,
+    )
+
+
+@dataclass(frozen=True)
+class FreeFingers:
+    """Moves the finger bones of a skeleton that no joint drives: by given rotations, else by the arm.
+
+    A hand is relaxed. While its wrist is above the shoulder by more than a tenth of the length of the arm, it
+    opens; it is open, with fingers apart, above four tenths.
+
+    Attributes:
+        skeleton: The skeleton.
+        anatomy: Its finger bones.
+        free: (30,) whether no joint drives a bone.
+    """
+
+    skeleton: Skeleton
+    anatomy: HandAnatomy
+    free: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, skeleton: Skeleton, match: JointMatch) -> FreeFingers | None:
+        """Free fingers of a skeleton; None if it has no fingers."""
+        anatomy = HandAnatomy.of(skeleton)
+        if anatomy is None:
+            return None
+        driven = {bone for bone in FINGER_BONES if bone in match.parallel or bone in match.extra}
+        fingers = {bone[:-1] for bone in driven}  # a finger that is driven is so to its end
+        return cls(skeleton, anatomy, np.array([bone[:-1] not in fingers for bone in FINGER_BONES]))
+
+    def move(self, rotations: Array, heads: Array, hands: Mapping[str, Array]) -> None:
+        """Set rotations (N, B, 3, 3) and heads (N, B, 3), z up, of the bones that are not as they rest.
+
+        ``hands``: bone -> rotation (N, 4) xyzw in bone space.
+        """
+        turns: Array | None = None
+        moved = np.zeros(len(FINGER_BONES), dtype=bool)
+        opened = self._opened(heads)
+        opened[:, [any(bone[0] == side for bone in hands) for side in "lr"]] = 0.0
+        if opened.any() or not self.anatomy.is_relaxed:
+            relaxed, wave = (np.tile(hand_angles(name, self.anatomy), (2, 1)) for name in ("relaxed", "wave"))
+            share = np.repeat(opened, PER_HAND, axis=1)[..., None]
+            turns = self.anatomy.rotations(relaxed + share * (wave - relaxed))
+            moved = self.free & ((share[..., 0] > 0).any(0) | np.array(not self.anatomy.is_relaxed))
+        if hands:
+            turns = np.zeros((len(rotations), len(FINGER_BONES), 4)) if turns is None else turns
+            for bone, turn in hands.items():
+                turns[:, FINGER_BONES.index(bone)], moved[FINGER_BONES.index(bone)] = turn, True
+        if turns is None or not moved.any():
+            return
+        local = self.skeleton.rest_in_parent
+        for level in self._levels:
+            rows = level[moved[level]]
+            bones = self.anatomy.bones[rows]
+            parents = self.skeleton.parents[bones]
+            turn = quaternion_to_matrix(turns[:, rows])
+            rotations[:, bones] = rotations[:, parents] @ local[bones, :3, :3] @ turn
+            bones = self.anatomy.bones[level]
+            parents = self.skeleton.parents[bones]
+            heads[:, bones] = heads[:, parents] + rotate(rotations[:, parents], local[bones, :3, 3])
+
+    @cached_property
+    def _levels(self) -> tuple[Indices, ...]:
+        """Numbers in :data:`FINGER_BONES` of the first, second and third bones of the fingers."""
+        return tuple(np.arange(first, len(FINGER_BONES), 3) for first in range(3))
+
+    @cached_property
+    def _arms(self) -> tuple[list[int], list[int], Array]:
+        """Shoulders, wrists, and lengths (2,) of the arms."""
+        shoulders, elbows, wrists = (
+            [self.skeleton.bone(f"{side}_{part}") for side in "lr"] for part in ("shoulder", "elbow", "wrist")
+        )
+        return shoulders, wrists, self.skeleton.lengths[shoulders] + self.skeleton.lengths[elbows]
+
+    def _opened(self, heads: Array) -> Array:
+        """How far the hands are open (N, 2), 0 to 1."""
+        shoulders, wrists, lengths = self._arms
+        raised = (heads[:, wrists, 2] - heads[:, shoulders, 2]) / lengths
+        return _smooth((raised - _OPENS) / (_OPEN - _OPENS))
+
+
+def _smooth(share: Array) -> Array:
+    """Share of a change, smooth at 0 and 1."""
+    clipped = np.clip(share, 0.0, 1.0)
+    return np.asarray(clipped**2 * (3 - 2 * clipped))

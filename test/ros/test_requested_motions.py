@@ -45,7 +45,13 @@ def refusal(requests: RequestedMotions, name: str) -> str:
     "name",
     [
         *("walk", "live", "sub/walk_copy.bvh", "{root}/scene/sub/walk_copy.bvh", "sub/../sub/walk_copy.bvh"),
-        *("in.bvh", "../mocap/walk_copy.bvh", "{root}/mocap/walk_copy.bvh", "{root}/elsewhere/walk_copy.bvh"),
+        *(
+            "in.bvh",
+            "activity#3,standing,10",
+            "../mocap/walk_copy.bvh",
+            "{root}/mocap/walk_copy.bvh",
+            "{root}/elsewhere/walk_copy.bvh",
+        ),
     ],
 )
 def test_built_in_motions_and_files_of_the_folders_are_read(

@@ -27,7 +27,7 @@ LEGS = {"l_knee": 1.2, "r_knee": 1.2}
 
 @pytest.fixture(scope="module")
 def man() -> Human:
-    return load_human("adult_man")
+    return load_human("adult_man").without_details()
 
 
 def test_equal_proportions_change_nothing(man: Human) -> None:

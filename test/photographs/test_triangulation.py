@@ -173,8 +173,12 @@ def test_two_wrong_points_that_agree_by_chance_do_not_make_a_long_arm() -> None:
     assert np.isfinite(np.delete(found.positions, wrist, axis=0)).all()
 
 
+#: Sets of a hand or a face, whose sides do not tell how a person stands.
+PARTS = {"left_hand21", "right_hand21", "face68", "face70"}
+
+
 @pytest.mark.daily("views2-body25", "views0-body25")
-@pytest.mark.parametrize("name", sorted(KEYPOINT_SETS))
+@pytest.mark.parametrize("name", sorted(KEYPOINT_SETS.keys() - PARTS))
 @pytest.mark.parametrize("views", [(), (2,), (0, 3)])
 def test_views_with_exchanged_sides_are_found_and_exchanged_back(name: str, views: tuple[int, ...]) -> None:
     keypoints = keypoint_set(name)

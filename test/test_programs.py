@@ -44,6 +44,7 @@ TOOLS = {
     "assets/make_motions": ("wave", "--folder", "OUT"),
     "assets/make_walk": ("--output", "OUT/walk.bvh"),
     "figures/body_sheet": ("OUT/sheet.jpg", "child"),
+    "figures/face_sheet": ("OUT/faces.jpg", "child"),
     "figures/calibration_sheet": (f"{SHARED_DATA}/calib", "-o", "OUT/sheet.jpg"),
     "figures/deformation_figures": ("child", "--motions", "wave"),
     "figures/draw_capsules": ("OUT/capsules.png",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -39,7 +40,7 @@ def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -
         MotionError: There is no such action, or a weight is not from 0 to 1.
 
     Example:
-        >>> face_weights({"jawOpen": 0.5})[ACTIONS.index("jawOpen")]
+        >>> float(face_weights({"jawOpen": 0.5})[ACTIONS.index("jawOpen")])
         0.5
     """
     numbers = _NUMBERS if names is ACTIONS else {name: number for number, name in enumerate(names)}
@@ -55,3 +56,54 @@ def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -
             raise MotionError(f"the weight of {name} must be from 0 to 1, not {weight!r}")
         out[numbers[name]] = weight
     return out
+
+
+#: Actions of the action units of FACS [Ekman 1978], without their sides.
+_UNITS: dict[int, str] = {
+    1: "browInnerUp",
+    2: "browOuterUp",
+    4: "browDown",
+    5: "eyeWide",
+    6: "cheekSquint",
+    7: "eyeSquint",
+    9: "noseSneer",
+    10: "mouthUpperUp",
+    12: "mouthSmile",
+    15: "mouthFrown",
+    17: "mouthShrugLower",
+    20: "mouthStretch",
+    23: "mouthPress",
+    26: "jawOpen",
+}
+#: Action units of the six basic emotions [Friesen 1983]; the weights look natural on the built-in humans.
+EXPRESSIONS: dict[str, dict[int, float]] = {
+    "neutral": {},
+    "happiness": {6: 0.7, 7: 0.2, 12: 0.8},
+    "sadness": {1: 0.9, 4: 0.4, 7: 0.2, 15: 0.8, 17: 0.4},
+    "surprise": {1: 0.9, 2: 0.9, 5: 0.8, 26: 0.4},
+    "fear": {1: 0.9, 2: 0.5, 4: 0.5, 5: 1.0, 20: 0.7, 26: 0.15},
+    "anger": {4: 1.0, 5: 0.4, 7: 0.6, 17: 0.6, 23: 0.35},
+    "disgust": {4: 0.4, 7: 0.4, 9: 0.9, 10: 0.6, 15: 0.4, 17: 0.4},
+}
+
+
+@functools.cache
+def expression(name: str) -> Mapping[str, float]:
+    """Weights by action of an expression at full strength: ``neutral`` or one of the six basic emotions.
+
+    Raises:
+        MotionError: There is no such expression.
+
+    Example:
+        >>> expression("surprise")["jawOpen"]
+        0.4
+    """
+    if name not in EXPRESSIONS:
+        hint = did_you_mean(name, EXPRESSIONS)
+        raise MotionError(f"no expression {name[:40]!r}{hint}; they are {', '.join(EXPRESSIONS)}")
+    weights = {}
+    for unit, weight in EXPRESSIONS[name].items():
+        action = _UNITS[unit]
+        for each in (action,) if action in _NUMBERS else (f"{action}Left", f"{action}Right"):
+            weights[each] = weight
+    return weights

@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 from test_makehuman import PEOPLE, needs_makehuman, person
 
-from humansim_ros.body.face_actions import ACTIONS, face_weights
+from humansim_ros.body.face_actions import ACTIONS, EXPRESSIONS, expression, face_weights
 from humansim_ros.body.shapes import Shapes, read_shapes, shape_arrays
 from humansim_ros.errors import MeshError, MotionError
 from humansim_ros.humans.human import read_human, write_human
@@ -116,6 +116,24 @@ def test_wrong_weights_are_told(face: dict[str, float], reason: str) -> None:
         face_weights(face)
     with pytest.raises(MotionError):
         person("adult_man").pose(resting(), face)
+
+
+def test_expressions_are_valid_faces_that_differ() -> None:
+    human = person("adult_woman")
+    neutral = human.pose(resting("adult_woman"))
+    assert not expression("neutral")
+    faces = [
+        human.pose(resting("adult_woman"), expression(name)) for name in EXPRESSIONS if name != "neutral"
+    ]
+    assert len(faces) == 6
+    for number, face in enumerate(faces):
+        others = [neutral, *faces[:number]]
+        assert min(np.abs(face - other).max() for other in others) > 0.002
+    smile = face_weights(expression("happiness"))
+    assert smile[ACTIONS.index("mouthSmileLeft")] == smile[ACTIONS.index("mouthSmileRight")] == 0.8
+    assert expression("sadness")["browInnerUp"] == 0.9
+    with pytest.raises(MotionError, match=r"no expression 'happy'.*happiness"):
+        expression("happy")
 
 
 def test_shapes_survive_a_file(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from typing import Any
 
+from humansim_ros.body.face_actions import expression as expression
 from humansim_ros.body.fitting import fit_skeleton as fit_skeleton
 from humansim_ros.body.fitting import fit_to_skeleton as fit_to_skeleton
 from humansim_ros.body.rigging import rig as rig

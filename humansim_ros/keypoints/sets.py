@@ -73,8 +73,8 @@ class KeypointSet:
         """Numbers of the keypoints of ``face`` (68), ``left_hand`` and ``right_hand`` (21), if it has them.
 
         Example:
-            >>> keypoint_set("wholebody133").parts["left_hand"][:2]
-            (91, 92)
+            >>> min(keypoint_set("wholebody133").parts["left_hand"])
+            91
         """
         names = {"face": tuple(_FACE), **{f"{side}_hand": tuple(_hand(side)) for side in _SIDES}}
         return {

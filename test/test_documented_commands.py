@@ -39,7 +39,7 @@ FOLLOWED = [*TUTORIALS, ROOT / "docs" / "from_photographs.md"]
 SINGLE_COMMANDS = [page for page in PAGES if page not in FOLLOWED]
 #: Commands that are slow, or run until they are stopped: their options are parsed and their files must exist.
 PARSED = {("run",), ("demo",), ("human", "rig"), ("human", "build"), ("human", "show"), ("human", "info")}
-PARSED |= {("human", "fit"), ("human", "texture")}
+PARSED |= {("human", "fit"), ("human", "texture"), ("human", "make")}
 PARSED |= {
     ("camera", "place"),
     ("camera", "idealize"),
@@ -64,7 +64,8 @@ WRITES = ("-o", "--output", "--picture", "--report", "--bvh", "--npz")
 def commands(text: str) -> list[list[str]]:
     """Commands of the indented lines and of the bash blocks of a page, without comments."""
     lines = re.findall(r"^(?:    |\$ )?(?:\S*/bin/)?((?:humansim|ros2|python) .*)$", text, re.MULTILINE)
-    return [shlex.split(line, comments=True) for line in lines]
+    # as in a shell, a comment begins after a blank: activity#4 is a word
+    return [shlex.split(re.sub(r"\s#.*", "", line)) for line in lines]
 
 
 def blocks(text: str, language: str) -> list[str]:

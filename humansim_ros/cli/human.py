@@ -50,6 +50,13 @@ class SkeletonChoice(Enum):
     general = "general"
 
 
+class SexChoice(Enum):
+    """Choices of ``make --sex``."""
+
+    female = "female"
+    male = "male"
+
+
 class SkinningChoice(Enum):
     """Choices of ``rig --skinning``."""
 
@@ -129,6 +136,47 @@ def build(
     check_output(output, ".npz")
     check_output(picture, ".png")
     _write(load_named(str(config)), output, picture)
+
+
+def make(
+    output: OutputHumanOption,
+    age: Annotated[float | None, typer.Option(metavar="YEARS", help="2 to 90; drawn if absent.")] = None,
+    sex: Annotated[SexChoice | None, typer.Option(help="Drawn if absent.")] = None,
+    height: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Barefoot; drawn by age and sex if absent.")
+    ] = None,
+    weight: Annotated[
+        float | None, typer.Option(metavar="KG", help="Drawn by age, sex and height if absent.")
+    ] = None,
+    skin: Annotated[
+        int | None, typer.Option(metavar="TONE", help="1 (light) to 10 (dark) of the Monk scale.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of all that is drawn.")] = 0,
+    picture: PictureOption = None,
+) -> None:
+    """Make a person: by seed, from surveys of people, and by what is given."""
+    from humansim_ros.humans.loading import make_person
+    from humansim_ros.humans.makehuman.population import AGES, draw_person
+
+    check_output(output, ".npz")
+    check_output(picture, ".png")
+    try:
+        person = draw_person(
+            seed,
+            ages=AGES if age is None else (age, age),
+            sex=None if sex is None else sex.value,
+            stature=height,
+            weight=weight,
+            tone=skin,
+        )
+        human = make_person(person, output.stem)
+    except MeshError as reason:
+        raise MeshError(f"--{reason.key}: {reason.message}" if reason.key else reason.message) from None
+    print_text(
+        f"{person.sex}, {person.age:g} years, {person.stature:.2f} m, {person.weight:.1f} kg "
+        f"(body mass index {person.bmi:.1f}), skin {person.tone} of 10"
+    )
+    _write(human, output, picture)
 
 
 def rig(

@@ -50,6 +50,7 @@ COMMANDS = {
     "human show": "human:show",
     "human info": "human:info",
     "human build": "human:build",
+    "human make": "human:make",
     "human rig": "human:rig",
     "human fit": "human:fit",
     "human texture": "human:texture",
@@ -64,7 +65,7 @@ COMMANDS = {
 #: Help of each group of commands.
 GROUPS = {
     "camera": "Read, convert, place and draw calibrations; arrange cameras to rigs.",
-    "human": "List, draw, build, rig, fit and texture humans.",
+    "human": "List, draw, build, make, rig, fit and texture humans.",
     "mesh": "List the built-in meshes for objects.",
     "motion": "Describe, match, retarget and draw motions.",
 }

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ from humansim_ros.humans.description import (
 )
 from humansim_ros.humans.figure import to_body_space
 from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human, write_human
-from humansim_ros.humans.makehuman.data import find_data
+from humansim_ros.humans.makehuman.data import MakeHumanData, find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset, resource_path
 from humansim_ros.io.files import cache_folder, missing_file, read_bytes, resolve_relative
@@ -46,6 +47,9 @@ from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, has_signature, read_format
 from humansim_ros.mesh.obj import material_files
+
+if TYPE_CHECKING:
+    from humansim_ros.humans.makehuman.population import Person
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
 CACHE_VERSION = 5
@@ -206,20 +210,37 @@ def _load(path: Path) -> Human:
     return _from_mesh(path, path, MeshHuman())
 
 
+def make_person(person: Person, name: str) -> Human:
+    """Build a person whom :func:`~humansim_ros.humans.makehuman.population.draw_person` has drawn.
+
+    Raises:
+        MeshError: MakeHuman's data are missing, or no slider gives the stature or weight.
+    """
+    from humansim_ros.humans.makehuman.population import person_config
+
+    data = find_data()
+    config = person_config(data, person)
+    return _parametric(data, ParametricHuman(makehuman=config, outfits={"own": person.outfit}), name)
+
+
+def _parametric(data: MakeHumanData, description: ParametricHuman, name: str) -> Human:
+    """Human of MakeHuman sliders, from the cache if it is there."""
+    key = content_key([b"makehuman", repr(description).encode(), data.version.encode()])
+
+    def make() -> Human:
+        from humansim_ros.humans.makehuman.building import build  # slow to import
+
+        arrays = build(data, description.makehuman, description.outfits)
+        human = human_from_arrays(arrays, name)
+        return replace(human, skinning=description.skinning or "linear")
+
+    return cached(key, name, make)
+
+
 def _described(path: Path) -> Human:
     description = read_description(path)
     if isinstance(description, ParametricHuman):
-        data = find_data()
-        key = content_key([b"makehuman", repr(description).encode(), data.version.encode()])
-
-        def make() -> Human:
-            from humansim_ros.humans.makehuman.building import build  # slow to import
-
-            arrays = build(data, description.makehuman, description.outfits)
-            human = human_from_arrays(arrays, path.stem)
-            return replace(human, skinning=description.skinning or "linear")
-
-        return cached(key, path.stem, make)
+        return _parametric(find_data(), description, path.stem)
     mesh, exists = resolve_relative(path, description.mesh)
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in _DESCRIPTIONS:
         known = ", ".join(MESH_SUFFIXES)

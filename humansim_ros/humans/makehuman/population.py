@@ -1,0 +1,403 @@
+"""People drawn by seed: age, sex, stature, weight, skin, hair, clothes, and MakeHuman sliders for them.
+
+Stature and body mass index follow the National Health and Nutrition Examination Survey, August 2021 to August
+2023 [Fryar 2025, tables 5, 7, 9, 10], by age and sex. Other traits are spread evenly, without a source.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Literal
+
+import numpy as np
+
+from humansim_ros.errors import MeshError
+from humansim_ros.humans.makehuman.data import Base, MakeHumanData, read_base
+from humansim_ros.humans.makehuman.shape import (
+    Fabric,
+    MakeHumanConfig,
+    Outfit,
+    Race,
+    target_strengths,
+    with_stature,
+)
+
+Sex = Literal["female", "male"]
+SEXES: tuple[Sex, ...] = ("female", "male")
+#: Ages in years and body mass indices that people may have, and most standard deviations of a stature.
+AGES, BMIS, _MOST_DEVIATIONS = (2.0, 90.0), (12.0, 42.0), 5
+#: Kilograms per cubic metre of a body: people just float.
+DENSITY = 985.0
+#: Middles of the age groups of the survey, years; from 20 on, ten years each, and the last from 80 on.
+_GROUPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 85.0)
+#: Standard normal values of the 5th, 10th, 15th, 25th, 50th, 75th, 85th, 90th and 95th percentile.
+_SCORES = (-1.6449, -1.2816, -1.0364, -0.6745, 0.0, 0.6745, 1.0364, 1.2816, 1.6449)
+#: Mean, 10th and 90th percentile of the stature of each age group, centimetres.
+_STATURE: dict[Sex, tuple[tuple[float, float, float], ...]] = {
+    "male": (
+        *((95.2, 86.1, 102.5), (110.2, 101.8, 119.7), (122.6, 112.7, 130.4), (134.6, 126.0, 143.9)),
+        *((146.8, 134.3, 156.4), (162.0, 150.2, 172.8), (171.1, 160.9, 179.7), (175.0, 166.8, 186.2)),
+        *((175.1, 164.6, 186.0), (176.3, 167.7, 185.9), (176.1, 166.6, 185.1), (176.4, 166.9, 186.8)),
+        *((174.3, 164.7, 183.6), (174.7, 165.2, 184.1), (172.4, 162.6, 181.6), (170.5, 160.1, 179.3)),
+    ),
+    "female": (
+        *((94.4, 85.0, 102.7), (108.9, 100.4, 119.1), (122.7, 114.1, 131.3), (134.8, 126.4, 144.4)),
+        *((148.7, 137.3, 160.6), (156.4, 145.4, 164.8), (159.6, 152.0, 166.6), (161.5, 152.5, 170.3)),
+        *((161.5, 151.5, 170.0), (163.5, 155.1, 171.9), (162.5, 152.8, 170.8), (161.7, 152.3, 170.4)),
+        *((161.2, 152.6, 170.4), (160.5, 151.6, 169.4), (158.3, 150.7, 166.2), (156.8, 145.9, 165.5)),
+    ),
+}
+#: Percentiles of the body mass index of each age group. The 5th of four groups, which the survey leaves out,
+#: continues the line through the 10th and the 15th.
+_BMI: dict[Sex, tuple[tuple[float, ...], ...]] = {
+    "male": (
+        (14.0, 14.6, 15.0, 15.5, 16.6, 17.5, 18.2, 18.6, 19.2),
+        (14.0, 14.5, 14.7, 15.2, 16.0, 17.4, 17.9, 18.5, 21.8),
+        (13.5, 14.1, 14.6, 14.8, 16.1, 17.7, 20.0, 21.0, 22.2),
+        (14.0, 14.3, 14.8, 15.5, 17.2, 19.6, 21.9, 23.2, 26.8),
+        (15.2, 15.4, 16.0, 16.7, 19.0, 25.0, 26.6, 29.6, 33.3),
+        (16.1, 16.7, 17.3, 18.1, 20.3, 24.8, 27.5, 28.4, 32.8),
+        (16.2, 17.0, 18.5, 19.5, 21.6, 27.6, 32.3, 35.0, 38.1),
+        (16.9, 17.7, 18.1, 20.1, 23.7, 27.9, 30.5, 33.2, 36.0),
+        (17.4, 18.7, 19.5, 20.4, 23.6, 27.9, 32.3, 32.7, 36.9),
+        (18.9, 19.9, 21.6, 23.3, 27.0, 31.1, 34.2, 36.1, 39.6),
+        (21.2, 22.7, 23.3, 24.9, 27.8, 33.0, 35.6, 38.0, 42.5),
+        (22.2, 23.3, 24.1, 25.7, 28.9, 33.5, 35.8, 39.2, 45.0),
+        (21.6, 23.0, 24.1, 25.5, 29.0, 33.3, 36.6, 38.9, 44.6),
+        (21.2, 22.7, 23.9, 25.2, 28.3, 32.1, 34.1, 36.0, 39.9),
+        (21.6, 22.9, 23.9, 25.6, 28.8, 32.3, 34.6, 36.5, 39.2),
+        (21.1, 22.8, 24.2, 24.6, 27.2, 30.2, 32.1, 32.6, 34.8),
+    ),
+    "female": (
+        (13.9, 14.2, 14.4, 15.1, 16.1, 17.4, 18.1, 18.4, 19.1),
+        (13.6, 14.1, 14.3, 14.8, 15.6, 16.8, 18.5, 19.9, 21.3),
+        (13.5, 14.0, 14.2, 14.9, 15.9, 17.9, 20.7, 21.9, 23.0),
+        (13.8, 14.5, 14.9, 15.4, 17.7, 20.7, 22.5, 25.0, 26.8),
+        (15.0, 15.9, 16.3, 16.8, 19.4, 24.0, 25.1, 27.4, 29.2),
+        (16.6, 17.2, 17.9, 18.8, 21.4, 24.9, 26.6, 28.3, 32.3),
+        (16.6, 17.9, 18.8, 19.7, 22.2, 27.3, 30.2, 33.4, 37.4),
+        (17.9, 18.1, 19.0, 20.0, 22.6, 27.6, 30.3, 33.3, 36.4),
+        (17.3, 18.1, 18.9, 20.8, 24.7, 30.1, 33.0, 34.9, 41.4),
+        (18.6, 19.9, 21.0, 22.2, 25.5, 31.6, 36.6, 39.7, 45.6),
+        (19.7, 21.3, 22.3, 24.2, 28.6, 35.2, 40.4, 42.1, 47.4),
+        (19.7, 21.9, 23.0, 24.6, 28.5, 35.1, 38.8, 41.0, 45.6),
+        (20.8, 22.3, 23.4, 24.9, 30.0, 36.5, 40.2, 42.4, 45.9),
+        (20.0, 22.0, 23.1, 24.8, 28.8, 34.5, 37.9, 40.0, 42.5),
+        (20.7, 22.0, 23.2, 24.7, 28.0, 33.4, 36.5, 38.3, 42.2),
+        (19.2, 21.1, 22.0, 23.6, 26.9, 31.3, 33.3, 34.7, 36.3),
+    ),
+}
+#: The ten tones of the Monk Skin Tone scale [Monk 2023], sRGB.
+MONK_TONES = (
+    *((246, 237, 228), (243, 231, 219), (247, 234, 208), (234, 218, 186), (215, 189, 150)),
+    *((160, 126, 86), (130, 92, 67), (96, 65, 52), (58, 49, 42), (41, 36, 32)),
+)
+#: Colours without grey, sRGB; people with the tones 5 to 10 have the dark ones.
+_HAIR = (
+    (28, 22, 20),
+    (46, 34, 28),
+    (66, 46, 34),
+    (98, 68, 44),
+    (140, 104, 66),
+    (186, 150, 100),
+    (142, 72, 38),
+)
+_IRIS = ((58, 40, 30), (78, 56, 40), (98, 82, 50), (92, 110, 84), (96, 124, 146), (110, 130, 140))
+_DARK = 2
+_GREY = (206, 204, 200)
+_FABRICS: tuple[Fabric, ...] = ("plain", "knit", "twill", "stripes", "checks", "dots", "flowers")
+_TROUSERS: tuple[tuple[int, int, int], ...] = (
+    *((52, 66, 96), (38, 42, 54), (96, 88, 78), (128, 110, 84), (64, 72, 60), (44, 40, 40), (150, 142, 130)),
+)
+_SHOES = ((58, 46, 40), (30, 30, 32), (164, 162, 158), (112, 74, 48), (52, 62, 92))
+#: Shape targets of the face that are drawn: names without their end, and their two ends.
+_FACE = (
+    *(("nose/nose-hump", "decr", "incr"), ("nose/nose-width1", "decr", "incr")),
+    *(("nose/nose-point", "down", "up"), ("nose/nose-scale-vert", "decr", "incr")),
+    *(("chin/chin-width", "decr", "incr"), ("chin/chin-prominent", "decr", "incr")),
+    *(("chin/chin-height", "decr", "incr"), ("mouth/mouth-scale-horiz", "decr", "incr")),
+    *(("mouth/mouth-upperlip-volume", "decr", "incr"), ("mouth/mouth-lowerlip-volume", "decr", "incr")),
+    *(("head/head-fat", "decr", "incr"), ("head/head-scale-horiz", "decr", "incr")),
+    *(("forehead/forehead-scale-vert", "decr", "incr"), ("eyebrows/eyebrows-trans", "down", "up")),
+)
+#: Largest strength of a target of the face.
+_FACE_STRENGTH = 0.6
+_NORMAL = NormalDist()
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person before it is built.
+
+    Attributes:
+        age: Years.
+        sex: ``female`` or ``male``.
+        stature: Metres, barefoot.
+        weight: Kilograms, without clothes.
+        tone: Number of the skin tone in the Monk scale, 1 to 10.
+        muscle: Muscles compared with others, 0.3 to 0.7.
+        race: Shares of MakeHuman's three races.
+        face: Strengths of targets of the face.
+        hair: Style of the hair.
+        sleeves: Length of the sleeves.
+        outfit: Colours and fabrics.
+    """
+
+    age: float
+    sex: Sex
+    stature: float
+    weight: float
+    tone: int
+    muscle: float
+    race: dict[Race, float]
+    face: dict[str, float]
+    hair: Literal["short", "long"]
+    sleeves: Literal["short", "long"]
+    outfit: Outfit
+
+    @property
+    def bmi(self) -> float:
+        """Body mass index, kilograms per square metre."""
+        return self.weight / self.stature**2
+
+
+def draw_person(
+    seed: int,
+    number: int = 0,
+    ages: tuple[float, float] = AGES,
+    sex: Sex | None = None,
+    stature: float | None = None,
+    weight: float | None = None,
+    tone: int | None = None,
+) -> Person:
+    """Draw a person. Each depends on the seed and its number only, and on what is given.
+
+    Args:
+        seed: Seed.
+        number: Number of the person.
+        ages: Youngest and oldest age, years; all ages between them are as frequent.
+        sex: Sex; drawn if absent, and so on.
+        stature: Metres, barefoot.
+        weight: Kilograms.
+        tone: Skin tone of the Monk scale, 1 to 10.
+
+    Raises:
+        MeshError: A trait is impossible.
+
+    Example:
+        >>> person = draw_person(4, sex="female", ages=(70, 70), stature=1.58)
+        >>> person.age, person.sex, person.stature
+        (70.0, 'female', 1.58)
+    """
+    _check("age", ages[0], AGES, "years")
+    _check("age", ages[1], AGES, "years")
+    if ages[0] > ages[1]:
+        raise MeshError(f"the youngest age, {ages[0]:g}, is above the oldest, {ages[1]:g}", key="age")
+    uniform = random.Random(f"{seed}/person {number}").random
+    age = round(ages[0] + (ages[1] - ages[0]) * uniform(), 2)
+    drawn_sex = SEXES[uniform() < 0.5]
+    sex = sex or drawn_sex
+    tall, heavy = _NORMAL.inv_cdf(0.002 + 0.996 * uniform()), _NORMAL.inv_cdf(0.002 + 0.996 * uniform())
+    mean, deviation = stature_of(age, sex)
+    drawn_stature = round((mean + deviation * tall) / 100, 3)
+    stature = drawn_stature if stature is None else stature
+    tallest, shortest = (round((mean + side * _MOST_DEVIATIONS * deviation) / 100, 2) for side in (1, -1))
+    _check("height", stature, (shortest, tallest), f"metres at {age:g} years")
+    bmi = bmi_of(age, sex, heavy)
+    weight = round(bmi * stature**2, 1) if weight is None else weight
+    _check("weight", weight, (round(BMIS[0] * stature**2, 1), round(BMIS[1] * stature**2, 1)), "kg")
+    drawn_tone = 1 + int(10 * uniform())
+    tone = drawn_tone if tone is None else tone
+    _check("skin", tone, (1, 10), "of the Monk scale")
+    return Person(
+        age=age,
+        sex=sex,
+        stature=stature,
+        weight=weight,
+        tone=tone,
+        muscle=round(0.3 + 0.4 * uniform(), 3),
+        race=_race(tone, uniform),
+        face=_face(uniform),
+        hair="long" if uniform() < (0.75 if sex == "female" and age < 65 else 0.04) else "short",
+        sleeves="long" if uniform() < 0.5 else "short",
+        outfit=_outfit(age, sex, tone, uniform),
+    )
+
+
+def _check(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
+    """Raise MeshError for a value outside limits."""
+    if not limits[0] <= value <= limits[1]:
+        raise MeshError(f"{value:g} is impossible: give {limits[0]:g} to {limits[1]:g} {unit}", key=name)
+
+
+def stature_of(age: float, sex: Sex) -> tuple[float, float]:
+    """Mean and standard deviation of the stature at an age, centimetres.
+
+    The deviation of a group is the distance of its 10th and 90th percentile, as of a normal distribution.
+    Between the middles of age groups they are interpolated. The growth within a group is no part of the
+    deviation at one age.
+    """
+    means, low, high = np.array(_STATURE[sex]).T
+    group = (high - low) / (_SCORES[7] - _SCORES[1])
+    growth = np.gradient(means, _GROUPS)
+    width = np.where(np.array(_GROUPS) < 20, 2.0, 10.0)
+    deviation = np.sqrt(np.maximum(group**2 - (growth * width) ** 2 / 12, (0.03 * means) ** 2))
+    # children of two are younger than the middle of the first group
+    before = growth[0] * min(age - _GROUPS[0], 0.0)
+    return float(np.interp(age, _GROUPS, means) + before), float(np.interp(age, _GROUPS, deviation))
+
+
+def bmi_of(age: float, sex: Sex, score: float) -> float:
+    """Body mass index at an age for a standard normal score, within :data:`BMIS`.
+
+    Between the percentiles of the survey it is interpolated, beyond them continued by a straight line.
+    """
+    rows = np.array(_BMI[sex])
+    scores = np.array(_SCORES)
+    if score < scores[0]:
+        values = rows[:, 0] + (rows[:, 1] - rows[:, 0]) / (scores[1] - scores[0]) * (score - scores[0])
+    elif score > scores[-1]:
+        values = rows[:, -1] + (rows[:, -1] - rows[:, -2]) / (scores[-1] - scores[-2]) * (score - scores[-1])
+    else:
+        values = np.array([np.interp(score, scores, row) for row in rows])
+    return float(np.clip(np.interp(age, _GROUPS, values), *BMIS))
+
+
+def _race(tone: int, uniform: Callable[[], float]) -> dict[Race, float]:
+    """Shares of races: the darker the skin, the more African; the rest is divided at random."""
+    african = min(max((tone - 5) / 4 + 0.4 * (uniform() - 0.5), 0.0), 1.0)
+    asian = uniform()
+    shares: dict[Race, float] = {
+        "african": african,
+        "asian": (1 - african) * asian,
+        "caucasian": (1 - african) * (1 - asian),
+    }
+    return {race: round(share, 3) for race, share in shares.items()}
+
+
+def _face(uniform: Callable[[], float]) -> dict[str, float]:
+    strengths = {}
+    for name, low, high in _FACE:
+        strength = _FACE_STRENGTH * (2 * uniform() - 1)
+        strengths[f"{name}-{low if strength < 0 else high}"] = round(abs(strength), 3)
+    return strengths
+
+
+def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Outfit:
+    """Colours of skin, hair, eyes and clothes, and traces of age."""
+
+    def one(options: Sequence[tuple[int, int, int]], count: int | None = None) -> tuple[int, int, int]:
+        return options[int((count or len(options)) * uniform())]
+
+    def color(saturation: float, low: float, high: float) -> tuple[int, int, int]:
+        red, green, blue = colorsys.hsv_to_rgb(
+            uniform(), saturation * uniform(), low + (high - low) * uniform()
+        )
+        return round(255 * red), round(255 * green), round(255 * blue)
+
+    few = _DARK if tone >= 5 else None
+    hair, iris = one(_HAIR, few), one(_IRIS, few)
+    grey = min(max((age - 35) / 45 + 0.5 * (uniform() - 0.5), 0.0), 1.0)
+    red, green, blue = (round((1 - grey) * own + grey * goal) for own, goal in zip(hair, _GREY, strict=True))
+    grown = age >= 16
+    return Outfit(
+        skin=skin_color(tone),
+        hair=(red, green, blue),
+        iris=iris,
+        shirt=color(0.8, 0.2, 0.95),
+        shirt_fabric=_FABRICS[int(len(_FABRICS) * uniform())],
+        shirt_second=color(0.6, 0.3, 1.0),
+        trousers=one(_TROUSERS),
+        trousers_fabric=("denim", "twill", "plain")[int(3 * uniform())],
+        shoes=one(_SHOES),
+        stubble=round(max(0.0, 1.6 * uniform() - 0.8), 2) * (sex == "male" and grown),
+        lips=round(max(0.0, uniform() - 0.4), 2) * (sex == "female" and grown),
+        wrinkles=round(min(max((age - 40) / 40, 0.0), 1.0), 2),
+    )
+
+
+def skin_color(tone: int) -> tuple[int, int, int]:
+    """Colour (sRGB) of the texture of skin of a Monk tone.
+
+    The scale shows how skin looks beside white. Skin reflects less than that and reddens what it scatters, by
+    factors that were chosen by looking at rendered faces.
+    """
+    swatch = np.array(MONK_TONES[tone - 1]) / 255
+    albedo = 0.02 + 0.66 * np.array([1.0, 0.84, 0.75]) * swatch**2.2
+    red, green, blue = np.rint(255 * albedo ** (1 / 2.2)).astype(int).tolist()
+    return red, green, blue
+
+
+def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
+    """MakeHuman sliders of a person: its stature exactly, and its weight to 0.2 %.
+
+    From thin to heavy, first the weight rises, then muscles become less, then the target of the heaviest
+    body counts more than once. The weight is that of the naked body's volume.
+
+    Raises:
+        MeshError: No slider gives the stature, or the weight with it.
+    """
+
+    def shape(fatness: float, height: float) -> MakeHumanConfig:
+        config = MakeHumanConfig(
+            gender=float(person.sex == "male"),
+            age=person.age,
+            height=height,
+            weight=min(max(fatness, 0.0), 1.0),
+            muscle=person.muscle * min(max(1 + fatness, 0.0), max(2 - fatness, 0.0), 1.0),
+            race=person.race,
+            targets=person.face,
+            hair=person.hair,
+            sleeves=person.sleeves,
+            cup_size=0.5,
+        )
+        if fatness <= 2:
+            return config
+        heaviest = {
+            name: round((fatness - 2) * strength, 4)
+            for name, strength in target_strengths(source, config).items()
+            if name.startswith("macrodetails/universal-")
+        }
+        return config.model_copy(update={"targets": {**person.face, **heaviest}})
+
+    def weight(config: MakeHumanConfig, scale: float) -> float:
+        return DENSITY * scale**3 * volume(read_base(source, target_strengths(source, config)))
+
+    fatness, height = 0.5, 0.5
+    for _ in range(3):
+        sized = shape(fatness, height).model_copy(update={"stature": person.stature})
+        try:
+            sized, scale = with_stature(source, sized)
+        except MeshError as reason:
+            raise MeshError(reason.message, key="height") from None
+        height = sized.height
+        low, high = _FATNESS
+        for _ in range(12):
+            fatness = (low + high) / 2
+            if weight(shape(fatness, height), scale) < person.weight:
+                low = fatness
+            else:
+                high = fatness
+    config = shape(fatness, height)
+    reached = weight(config, scale)
+    if abs(reached / person.weight - 1) > _WEIGHT_TOLERANCE:
+        most = f"{'at most' if reached < person.weight else 'at least'} {reached:.1f} kg"
+        message = f"{person.weight:g} kg is impossible for {person.stature:g} m: sex and age give {most}"
+        raise MeshError(message, key="weight")
+    return config.model_copy(update={"stature": person.stature})
+
+
+#: Range of the fatness, and largest relative error of the weight.
+_FATNESS, _WEIGHT_TOLERANCE = (-1.0, 3.5), 0.002
+
+
+def volume(base: Base) -> float:
+    """Volume of the naked body (cubic metres), by tetrahedra from the origin."""
+    faces = base.faces[base.face_groups == "body"]
+    a, b, c, d = (base.vertices[faces[:, corner]] for corner in range(4))
+    cross = np.cross(b, c) + np.cross(c, d)
+    return float(np.einsum("ij,ij->", a, cross)) / 6

@@ -1,0 +1,190 @@
+"""People drawn by seed: as the survey has them, the same everywhere, with their stature and weight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import humansim
+
+from humansim_ros import HumansimError, load_human
+from humansim_ros.errors import MeshError
+from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
+from humansim_ros.humans.makehuman.population import (
+    BMIS,
+    DENSITY,
+    MONK_TONES,
+    SEXES,
+    Sex,
+    bmi_of,
+    draw_person,
+    person_config,
+    skin_color,
+    stature_of,
+    volume,
+)
+from humansim_ros.humans.makehuman.shape import target_strengths, with_stature
+
+#: Age groups of the survey: first age, and age after the last.
+GROUPS = (
+    *((2, 4), (4, 6), (6, 8), (8, 10), (10, 12), (12, 14), (14, 16), (16, 18), (18, 20)),
+    *((20, 30), (30, 40), (40, 50), (50, 60), (60, 70), (70, 80), (80, 90)),
+)
+#: Means of stature (cm) and body mass index of the survey [Fryar 2025, tables 5, 7, 9, 10].
+MEAN_STATURE: dict[Sex, tuple[float, ...]] = {
+    "male": (
+        *(95.2, 110.2, 122.6, 134.6, 146.8, 162.0, 171.1, 175.0, 175.1),
+        *(176.3, 176.1, 176.4, 174.3, 174.7, 172.4, 170.5),
+    ),
+    "female": (
+        *(94.4, 108.9, 122.7, 134.8, 148.7, 156.4, 159.6, 161.5, 161.5),
+        *(163.5, 162.5, 161.7, 161.2, 160.5, 158.3, 156.8),
+    ),
+}
+MEAN_BMI: dict[Sex, tuple[float, ...]] = {
+    "male": (
+        *(16.8, 16.6, 16.9, 18.3, 21.3, 22.1, 24.2, 24.9, 25.0),
+        *(27.8, 29.5, 30.5, 30.2, 29.2, 29.4, 27.8),
+    ),
+    "female": (
+        *(16.4, 16.3, 17.1, 18.7, 20.6, 22.6, 24.2, 24.6, 26.4),
+        *(28.0, 30.5, 30.7, 31.4, 30.1, 29.5, 27.7),
+    ),
+}
+#: 10th and 90th percentile of the stature of adults, and 50th and 75th of their body mass index.
+ADULTS: dict[Sex, dict[tuple[int, int], tuple[float, float, float, float]]] = {
+    "male": {(30, 40): (166.6, 185.1, 27.8, 33.0), (50, 60): (164.7, 183.6, 29.0, 33.3)},
+    "female": {(30, 40): (152.8, 170.8, 28.6, 35.2), (60, 70): (151.6, 169.4, 28.8, 34.5)},
+}
+
+
+FACTS = [
+    (67.66, "female", 1.597, 85.9, 4, (142, 141, 147)),
+    (61.44, "female", 1.594, 74.5, 10, (82, 161, 62)),
+    (41.77, "male", 1.59, 83.7, 3, (55, 51, 45)),
+]
+
+
+@pytest.mark.parametrize("sex", SEXES)
+def test_statures_and_indices_of_all_ages_have_the_means_of_the_survey(sex: Sex) -> None:
+    scores = [NormalDist().inv_cdf((n + 0.5) / 400) for n in range(400)]
+    for (first, last), stature, bmi in zip(GROUPS, MEAN_STATURE[sex], MEAN_BMI[sex], strict=True):
+        ages = np.linspace(first, last, 21)
+        means = np.mean([stature_of(age, sex)[0] for age in ages])
+        assert means == pytest.approx(stature, rel=0.02)
+        indices = np.mean([[bmi_of(age, sex, score) for score in scores] for age in ages])
+        assert indices == pytest.approx(bmi, rel=0.035), (first, sex)
+
+
+@pytest.mark.parametrize("sex", SEXES)
+def test_ten_thousand_people_have_the_deviations_of_the_survey(sex: Sex) -> None:
+    """The spread between percentiles, within 3 %: middles of groups are interpolated."""
+    for ages, (low, high, median, upper) in ADULTS[sex].items():
+        people = [draw_person(9, number, ages, sex) for number in range(10_000)]
+        statures = 100 * np.array([person.stature for person in people])
+        group = GROUPS.index(ages)
+        assert statures.mean() == pytest.approx(MEAN_STATURE[sex][group], rel=0.005)
+        assert np.subtract(*np.percentile(statures, (90, 10))) == pytest.approx(high - low, rel=0.03)
+        indices = np.array([person.bmi for person in people])
+        assert np.percentile(indices, (50, 75)) == pytest.approx((median, upper), rel=0.02)
+        assert indices.min() >= BMIS[0] - 0.05 and indices.max() <= BMIS[1] + 0.05
+
+
+def test_ages_sexes_and_skin_tones_are_spread_evenly() -> None:
+    people = [draw_person(3, number) for number in range(4000)]
+    ages = np.array([person.age for person in people])
+    assert np.histogram(ages, bins=8, range=(2, 90))[0] == pytest.approx([500] * 8, rel=0.15)
+    assert np.mean([person.sex == "female" for person in people]) == pytest.approx(0.5, abs=0.03)
+    tones = np.bincount([person.tone for person in people], minlength=11)[1:]
+    assert tones == pytest.approx([400] * 10, rel=0.2)
+    colors = [skin_color(tone) for tone in range(1, 11)]
+    assert {person.outfit.skin for person in people} == set(colors)
+    # as the scale, from light to dark, with more red than blue
+    assert [sum(MONK_TONES[n]) for n in np.argsort([-sum(color) for color in colors])] == pytest.approx(
+        sorted(map(sum, MONK_TONES), reverse=True), abs=12
+    )
+    assert all(red > green > blue for red, green, blue in colors)
+    for person in people:
+        assert sum(person.race.values()) == pytest.approx(1, abs=0.002)
+        grey = min(person.outfit.hair) > 190
+        assert not grey or person.age > 50
+    old = [min(person.outfit.hair) for person in people if person.age > 85]
+    assert min(old) > 150
+
+
+def test_a_person_depends_on_the_seed_and_its_number_only() -> None:
+    """These are the numbers of a Debian machine; another Python or another processor gives the same."""
+    assert draw_person(4, 2) == draw_person(4, 2) != draw_person(4, 3) != draw_person(5, 3)
+    facts = [
+        (person.age, person.sex, person.stature, person.weight, person.tone, person.outfit.shirt)
+        for person in (draw_person(1, number) for number in range(3))
+    ]
+    assert facts == FACTS
+    grandma = draw_person(4, ages=(70, 70), sex="female", stature=1.58)
+    assert (grandma.age, grandma.sex, grandma.stature) == (70, "female", 1.58)
+    taller = draw_person(4, ages=(70, 70), sex="female", stature=1.68)
+    assert taller.bmi == pytest.approx(grandma.bmi, rel=0.002)
+    assert (taller.outfit, taller.face) == (grandma.outfit, grandma.face)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "message"),
+    [
+        ({"ages": (91, 91)}, "age: 91 is impossible: give 2 to 90 years"),
+        ({"ages": (30, 20)}, "age: the youngest age, 30, is above the oldest, 20"),
+        ({"ages": (8, 8), "stature": 1.95}, r"height: 1.95 is impossible: give 1 to 1\.58 metres at 8 years"),
+        ({"ages": (float("nan"), 20.0)}, "age: nan is impossible"),
+        ({"stature": float("inf")}, "height: inf is impossible"),
+        ({"weight": -3.0}, "weight: -3 is impossible: give .* kg"),
+        ({"tone": 0}, "skin: 0 is impossible: give 1 to 10 of the Monk scale"),
+    ],
+)
+def test_what_nobody_is(wishes: dict[str, Any], message: str) -> None:
+    with pytest.raises(MeshError, match=message):
+        draw_person(1, **wishes)
+
+
+@pytest.fixture(scope="module")
+def source() -> MakeHumanData:
+    try:
+        return find_data()
+    except HumansimError as reason:
+        pytest.skip(f"MakeHuman's data are not installed ({reason})")
+
+
+def test_sliders_give_stature_and_weight(source: MakeHumanData) -> None:
+    for number in (0, 4, 18):  # an old woman, a heavy young one, a thin boy
+        person = draw_person(1, number)
+        config, scale = with_stature(source, person_config(source, person))
+        base = read_base(source, target_strengths(source, config))
+        body = scale * base.vertices[base.vertex_groups["body"], 1]
+        assert np.ptp(body) == pytest.approx(person.stature, abs=1e-4)
+        assert DENSITY * scale**3 * volume(base) == pytest.approx(person.weight, rel=0.003)
+
+
+@pytest.mark.nightly
+def test_all_people_have_sliders(source: MakeHumanData) -> None:
+    for number in range(60):
+        person_config(source, draw_person(2, number))
+
+
+def test_a_weight_that_no_slider_gives(source: MakeHumanData) -> None:
+    person = draw_person(1, ages=(40, 40), sex="male", stature=1.9, weight=46)
+    with pytest.raises(MeshError, match=r"weight: 46 kg is impossible for 1.9 m: .* at least \d+\.\d kg"):
+        person_config(source, person)
+
+
+@pytest.mark.nightly
+def test_the_command_makes_a_person(source: MakeHumanData, tmp_path: Path) -> None:
+    path = tmp_path / "grandma.npz"
+    arguments = ("--age", "70", "--sex", "female", "--height", "1.58", "--seed", "4", "-o", str(path))
+    done = humansim("human", "make", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert "female, 70 years, 1.58 m" in done.stdout
+    human = load_human(path)
+    assert 1.58 < np.ptp(human.mesh.vertices[:, 1]) < 1.62  # shoes
+    assert path.stat().st_size < 3_000_000
+    assert human.name == "grandma"

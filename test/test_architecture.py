@@ -53,10 +53,10 @@ PUBLIC = {
         write_calibration""",
     "apps": "Comparison foxglove_layout rviz_layout",
     "bags": "BagMessage BagReader BagTopic BagWriter Qos encode_chunk",
-    "body": "Skeleton fit_skeleton fit_to_skeleton hanim_skeleton rig skin",
+    "body": "Skeleton expression fit_skeleton fit_to_skeleton hanim_skeleton rig skin",
     "camera": """Calibration Camera Coverage Ideal Lens Region Trajectory idealize load_calibration
         read_calibration rectify resolve_url write_calibration""",
-    "humans": "Human load_human make_human",
+    "humans": "Human draw_person load_human make_human make_person",
     "keypoints": "KEYPOINT_SETS KeypointLocator KeypointSet keypoint_set",
     "mesh": "Material Mesh read_mesh",
     "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity WorldMotion

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -87,7 +86,6 @@ EXPRESSIONS: dict[str, dict[int, float]] = {
 }
 
 
-@functools.cache
 def expression(name: str) -> Mapping[str, float]:
     """Weights by action of an expression at full strength: ``neutral`` or one of the six basic emotions.
 

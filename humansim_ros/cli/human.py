@@ -151,7 +151,7 @@ def make(
     skin: Annotated[
         int | None, typer.Option(metavar="TONE", help="1 (light) to 10 (dark) of the Monk scale.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of all that is drawn.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of all that is drawn.")] = 0,
     picture: PictureOption = None,
 ) -> None:
     """Make a person: by seed, from surveys of people, and by what is given."""

@@ -109,7 +109,7 @@ def plan_activity(seed: int, seconds: float, kind: str | None = None) -> list[Ac
 
     Example:
         >>> [step.part for step in plan_activity(4, 20, "standing")]
-        ['talk', 'stand', 'talk']
+        ['pick_up', 'talk', 'stand']
     """
     plan = _Plan(random.Random(f"activity/{seed}"), seconds)
     chosen = kind or plan.one_of({"around": 5, "desk": 2, "standing": 2, "exercise": 1})

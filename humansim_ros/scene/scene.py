@@ -228,7 +228,7 @@ class Scene(Pictured):
         >>> scene
         Scene(humans=['anna'], objects=[], cameras=['front'], rate=30)
         >>> scene.actors["anna"].at(0.5).positions.shape
-        (27, 3)
+        (77, 3)
     """
 
     source: SceneSource

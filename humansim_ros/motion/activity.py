@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import MotionError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.motion.bvh import read_bvh
+from humansim_ros.motion.joint_match import opposite_joints
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array
 
@@ -316,22 +317,13 @@ def _mirrored(values: Array) -> Array:
     """Frames (F, C) with left and right exchanged."""
     motion = _clip("stand")
     out = values.copy()
-    for joint, name in enumerate(motion.joint_names):
-        other = motion.joint(_opposite(name))
+    for joint, other in enumerate(opposite_joints(motion.joint_names, {}).tolist()):
         for column, source, channel in zip(
             motion.columns(joint), motion.columns(other), motion.channels[joint], strict=True
         ):
             sign = -1.0 if channel in ("Xposition", "Yrotation", "Zrotation") else 1.0
             out[:, column] = sign * values[:, source]
     return out
-
-
-def _opposite(name: str) -> str:
-    """Name of the joint on the other side."""
-    for side, other in (("Left", "Right"), ("Right", "Left")):
-        if name.startswith(side):
-            return other + name.removeprefix(side)
-    return name
 
 
 def _continued(last: Array, values: Array) -> Array:

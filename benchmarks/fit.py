@@ -97,7 +97,7 @@ def single(folder: Path, seeds: int, silhouettes: bool) -> None:
             place = folder / f"{human}_{motion}_{keypoints}_{cameras}_{seed}"
             studio = make_studio(place, human, motion, cameras, keypoints=keypoints, **options)
             fit, seconds = fitted(studio, silhouettes)
-            errors.append(np.linalg.norm(joints(fit) - studio.joints, axis=-1))
+            errors.append(np.linalg.norm(joints(fit) - studio.body_joints, axis=-1))
             overlaps.append(least_iou(fit, studio, silhouettes))
             times.append(seconds)
         name = f"{human} {motion}, {keypoints}, {cameras} cameras"
@@ -117,9 +117,9 @@ def sequence(folder: Path, frames: int, silhouettes: bool) -> None:
         )
         fit, seconds = fitted(studio, silhouettes)
         found = joints(fit)
-        errors = np.linalg.norm(found - studio.joints, axis=-1)
+        errors = np.linalg.norm(found - studio.body_joints, axis=-1)
         print(row(f"{human} {motion}, {keypoints}", errors, least_iou(fit, studio, silhouettes), seconds))
-        jitter = np.linalg.norm(np.diff(found - studio.joints, 2, axis=0), axis=-1)
+        jitter = np.linalg.norm(np.diff(found - studio.body_joints, 2, axis=0), axis=-1)
         print(f"    jitter {1000 * np.median(jitter):.2f} mm", end="")
         write_bvh(place / "fit.bvh", fit_motion(fit))
         write_human(place / "person.npz", fit.body)

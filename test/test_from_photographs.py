@@ -19,7 +19,6 @@ from photographs.studio import make_studio
 from test_documented_commands import run_as_printed
 from waiting import PATIENCE
 
-from humansim_ros.body.joint_names import body_joints
 from humansim_ros.camera import read_calibration
 from humansim_ros.humans import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit
@@ -120,8 +119,7 @@ def test_a_sequence_becomes_a_motion(tmp_path: Path) -> None:
         "cameras": {"a": {"position": [3, 0, 1], "look_at": [0, 0, 1]}},
     }
     (joints,) = (actor.at(0.08).positions for actor in Scene.from_dict(scene, tmp_path).actors.values())
-    body = body_joints(studio.human.skeleton.joint_names)
-    assert np.linalg.norm(joints - studio.joints[2][body], axis=1).mean() < 0.03
+    assert np.linalg.norm(joints - studio.body_joints[2], axis=1).mean() < 0.03
 
 
 def test_the_messages_of_the_page_exist() -> None:

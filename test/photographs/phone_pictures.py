@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.camera import Camera
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.render import Body, GLRenderer, Lighting
@@ -37,7 +38,7 @@ _LENSES = {
 
 @dataclass(frozen=True)
 class PhonePictures:
-    """Truth of the pictures: cameras in ``map``, and joints (J, 3) and vertices (V, 3) of the person."""
+    """Truth of the pictures: cameras in ``map``, joints (J, 3) without fingers, and vertices (V, 3)."""
 
     cameras: Mapping[str, Camera]
     joints: NDArray[np.float64]
@@ -100,7 +101,8 @@ def write_phone_pictures(folder: Path, seed: int = 0) -> PhonePictures:
     (folder / "known.json").write_text(json.dumps(known))
     (folder / "detect.py").write_text(_DETECTOR)
     state = frame.humans["person"]
-    return PhonePictures(cameras, state.positions, state.vertices)
+    body = body_joints(scene.actors["person"].human.skeleton.joint_names)
+    return PhonePictures(cameras, state.positions[body], state.vertices)
 
 
 #: Stands in for a detector: it looks the points up by the name of the picture.

@@ -20,6 +20,7 @@ from calibration_files import calibration_path
 from conftest import SHARED_DATA
 from numpy.typing import NDArray
 
+from humansim_ros.body.joint_names import body_joints
 from humansim_ros.camera import Camera, read_calibration, write_calibration
 from humansim_ros.humans import Human
 from humansim_ros.keypoints import keypoint_set
@@ -50,6 +51,11 @@ class Studio:
     vertices: NDArray[np.float32]
     masks: NDArray[np.bool_]
     points: NDArray[np.float64]
+
+    @property
+    def body_joints(self) -> NDArray[np.float64]:
+        """``joints`` without fingers, toes, jaw and eyes: those that a fit has."""
+        return self.joints[:, body_joints(self.human.skeleton.joint_names)]
 
 
 def ring(

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from photographs.studio import Studio, change_views, make_studio
 
-from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans.human import write_human
 from humansim_ros.keypoints import keypoint_set
@@ -27,8 +26,7 @@ from humansim_ros.scene import Scene
 def errors_of(fit: PersonFit, studio: Studio) -> NDArray[np.float64]:
     """Distances (F, J) of the joints from the truth, metres; without fingers, toes, jaw and eyes."""
     found = np.array([fit.joints(frame) for frame in range(len(fit.root))])
-    body = body_joints(studio.human.skeleton.joint_names)
-    return np.asarray(np.linalg.norm(found - studio.joints[:, body], axis=2))
+    return np.asarray(np.linalg.norm(found - studio.body_joints, axis=2))
 
 
 @pytest.mark.parametrize(
@@ -86,8 +84,7 @@ def test_frames_of_a_sequence_have_the_proportions_of_the_silhouettes(tmp_path: 
     assert fit.proportions.girths
     assert np.mean(list(silhouette_iou(fit, photos, 2).values())) > 0.88
     assert errors_of(fit, studio).mean() < 0.015
-    body = body_joints(studio.human.skeleton.joint_names)
-    paths = np.array([fit.joints(number) for number in range(6)]) - studio.joints[:, body]
+    paths = np.array([fit.joints(number) for number in range(6)]) - studio.body_joints
     assert np.linalg.norm(np.diff(paths, 2, axis=0), axis=-1).mean() < 0.014
 
 
@@ -154,8 +151,9 @@ def test_a_sequence_has_one_shape_and_is_smooth(tmp_path: Path) -> None:
     wrist = fit.body.skeleton.joint_names.index("r_wrist")
 
     def jitter(paths: NDArray[np.float64]) -> float:
-        truth = studio.joints[:6, body_joints(studio.human.skeleton.joint_names)]
-        return float(np.linalg.norm(np.diff(paths - truth, 2, axis=0)[:, wrist], axis=1).mean())
+        return float(
+            np.linalg.norm(np.diff(paths - studio.body_joints[:6], 2, axis=0)[:, wrist], axis=1).mean()
+        )
 
     together = np.array([fit.joints(number) for number in range(6)])
     assert jitter(together) < 0.7 * jitter(np.array(alone))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from photographs.studio import Studio, make_studio
 from scipy.spatial import cKDTree
 
-from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import keypoint_set
@@ -56,8 +55,7 @@ def fine(rough: PersonFit, photos: PhotoSet) -> PersonFit:
 
 def joint_errors(fit: PersonFit, studio: Studio) -> NDArray[np.float64]:
     """Millimetres."""
-    body = body_joints(studio.human.skeleton.joint_names)
-    return np.linalg.norm(fit.joints(0) - studio.joints[0][body], axis=1) * 1000
+    return np.linalg.norm(fit.joints(0) - studio.body_joints[0], axis=1) * 1000
 
 
 def mean_iou(fit: PersonFit, photos: PhotoSet) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body import landmarks
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.landmarks import Measures, measure, topology
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths
@@ -57,7 +58,7 @@ def random_people(source: MakeHumanData, seed: int, count: int) -> Iterator[Pers
             race={race: rng.uniform(0.01, 1) for race in RACES},
         )
         shaped = shape(base, source, config)
-        bones = make_bones(makehuman_landmarks(shaped))
+        bones = make_bones(makehuman_landmarks(shaped), {}, {})
         if weights is None:
             weights = bone_weights(source, bones, len(base.vertices))[body]
         vertices = shaped.vertices[body]
@@ -76,7 +77,9 @@ def shape(base: Base, source: MakeHumanData, config: MakeHumanConfig) -> Base:
 
 
 def joints_of(bones: Bones) -> dict[str, Array]:
-    heads = dict(zip(bones.names, bones.heads, strict=True))
+    heads = {
+        name: head for name, head in zip(bones.names, bones.heads, strict=True) if name not in DETAIL_BONES
+    }
     return heads | {f"{leaf}_end": bones.tails[bones.index(leaf)] for leaf in LEAVES}
 
 

@@ -8,13 +8,17 @@ position: its angles count from the rest pose.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humansim_ros.body.joint_names import FINGERS, finger_bones
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import multiply_quaternions, rotate
+from humansim_ros.rotations import multiply_quaternions, rotate, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Names of the finger bones of both hands, the left one first.
@@ -23,6 +27,11 @@ FINGER_BONES = (*finger_bones("l"), *finger_bones("r"))
 PER_HAND = len(FINGERS) * 3
 #: The rest pose is a relaxed hand if its fingers, without thumbs, are bent by this mean angle (degrees).
 _RELAXED = 15.0
+#: Sum of the sines of the bends of a finger above which they have a plane.
+_BENT = 0.35
+#: The knuckles of the little finger are nearer to the wrist: slope of their line.
+_SLANT = 0.17
+_IS_THUMB = np.array([name[2:].startswith("thumb") for name in FINGER_BONES])
 
 
 @dataclass(frozen=True)
@@ -30,8 +39,8 @@ class HandAnatomy:
     """The finger bones of a skeleton.
 
     Attributes:
-        bones: (30,) indices of the bones, in the order of :data:`FINGER_BONES`.
-        rest: (30,) flexion in the rest pose, radians.
+        bones: (30,) indices of the bones, in the order of :data:`FINGER_BONES`; -1 without a bone.
+        rest: (30,) flexion in the rest pose, radians; 0 without a bone.
     """
 
     bones: Indices
@@ -39,10 +48,11 @@ class HandAnatomy:
 
     @classmethod
     def of(cls, skeleton: Skeleton) -> HandAnatomy | None:
-        """Anatomy of a skeleton; None if it has not all finger bones."""
-        if not set(FINGER_BONES) <= set(skeleton.names):
+        """Anatomy of a skeleton; None if it has no finger bones."""
+        number = {name: bone for bone, name in enumerate(skeleton.names)}
+        bones = np.array([number.get(name, -1) for name in FINGER_BONES])
+        if (bones < 0).all():
             return None
-        bones = np.array([skeleton.bone(name) for name in FINGER_BONES])
         parents = skeleton.parents[bones]
         first = np.array([name.endswith("1") for name in FINGER_BONES])
         before = np.where(
@@ -50,13 +60,18 @@ class HandAnatomy:
         )
         in_bone = rotate(np.swapaxes(skeleton.rest[bones, :3, :3], -1, -2), before)
         rest = np.arctan2(-in_bone[:, 2], in_bone[:, 1])
-        return cls(bones, np.where([name.endswith("thumb1") for name in FINGER_BONES], 0.0, rest))
+        return cls(bones, np.where((_IS_THUMB & first) | (bones < 0), 0.0, rest))
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """(30,) whether the skeleton has a bone."""
+        return np.asarray(self.bones >= 0)
 
     @property
     def is_relaxed(self) -> bool:
         """Whether the rest pose is a relaxed hand: its fingers are bent."""
-        fingers = [not name[2:].startswith("thumb") for name in FINGER_BONES]
-        return bool(np.degrees(self.rest[fingers]).mean() > _RELAXED)
+        fingers = self.rest[self.present & ~_IS_THUMB]
+        return len(fingers) > 0 and bool(np.degrees(fingers).mean() > _RELAXED)
 
     def rotations(self, angles: Array) -> Array:
         """Bone rotations for flexion, spread and twist.
@@ -76,6 +91,74 @@ class HandAnatomy:
         straight = _about(0, -self.rest)
         turn = multiply_quaternions(multiply_quaternions(spread, flexion), twist)
         return multiply_quaternions(np.broadcast_to(straight, turn.shape), turn)
+
+
+def finger_hinges(side: str, bones: Mapping[str, tuple[Array, Array]], wrist: Array) -> dict[str, Array]:
+    """Axes about which the finger bones of a hand flex to the palm.
+
+    The palm lies between the wrist and the knuckles. With one finger beside the thumb, the base of the thumb
+    shows the side of the palm; with none, the thumb's side is forwards, as in a T or A pose. A finger that is
+    bent at rest flexes in the plane in which it is bent.
+
+    Args:
+        side: l or r.
+        bones: Finger bone -> its head and tail, (3,) each in body space; any of :data:`FINGER_BONES`.
+        wrist: (3,) head of the bone of the hand.
+
+    Returns:
+        Bone -> unit vector (3,), the x axis of the bone.
+    """
+    chains = {
+        finger: [bones[name] for number in (1, 2, 3) if (name := f"{side}_{finger}{number}") in bones]
+        for finger in FINGERS
+    }
+    thumb, *fingers = (np.array(list(chain.from_iterable(each))) for each in chains.values())
+    out, known = (1.0 if side == "l" else -1.0), [joints for joints in fingers if len(joints)]
+    knuckles = np.array([joints[0] for joints in known or [thumb]])
+    along = unit_vectors(knuckles.mean(axis=0) - wrist)
+    if len(knuckles) > 1:
+        across = knuckles[-1] - knuckles[0]
+    elif known and len(thumb):
+        across = knuckles[0] - thumb[0]
+    else:
+        across = np.array([0.0, 0.0, -1.0])
+    palm = out * np.cross(_beside(across, along), along)
+    own = [_axis_of_finger(joints, palm) for joints in fingers]
+    if known and len(known) < len(fingers):  # few knuckles do not show how the palm is tilted
+        axis = np.sum([axis for axis, joints in zip(own, fingers, strict=True) if len(joints)], axis=0)
+        across = out * axis
+        palm = out * np.cross(_beside(across, along), along)
+    # the thumb bends across the palm
+    across = unit_vectors(_beside(across, along) - _SLANT * along)
+    of_thumb = _axis_of_chord(thumb, 0.5 * palm + across)
+    axes = dict(zip(FINGERS, (of_thumb, *own), strict=True))
+    return {name: axes[name[2:-1]] for name in bones}
+
+
+def _beside(across: Array, along: Array) -> Array:
+    """Unit vector (3,) of the part of ``across`` at right angles to the unit vector ``along``."""
+    return unit_vectors(across - (across @ along) * along)
+
+
+def _axis_of_chord(joints: Array, goal: Array) -> Array:
+    """Axis (3,) about which a finger with joints (N, 3) turns to ``goal``; zero without joints."""
+    return unit_vectors(np.cross(joints[-1] - joints[0], goal)) if len(joints) else np.zeros(3)
+
+
+def _axis_of_finger(joints: Array, palm: Array) -> Array:
+    """Axis (3,) about which a finger flexes: of its bends, or towards the palm if it is nearly straight.
+
+    ``joints``: (2 S, 3) heads and tails of its S segments.
+    """
+    axis = _axis_of_chord(joints, palm)
+    if not len(joints):
+        return axis
+    segments = unit_vectors(joints[1::2] - joints[::2])
+    bend = np.cross(segments[:-1], segments[1:]).sum(axis=0)
+    towards = float(unit_vectors(bend) @ axis)
+    if np.linalg.norm(bend) < _BENT or abs(towards) < 0.5:
+        return axis
+    return np.asarray(np.sign(towards) * unit_vectors(bend))
 
 
 def _about(axis: int, angles: Array) -> Array:

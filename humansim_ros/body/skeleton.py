@@ -138,12 +138,17 @@ class Skeleton:
     @cached_property
     def wholes(self) -> NDArray[np.intp]:
         """(B,) bone of which each bone is a detail: hand, foot or head of fingers, toes, jaw and eyes, by
-        their names; other bones themselves.
+        their names, and of bones that these carry; other bones themselves.
         """
         wholes = np.arange(len(self))
-        for bone, name in enumerate(self.names):
-            if name in DETAIL_BONES and self.parents[bone] >= 0:
-                wholes[bone] = wholes[self.parents[bone]]
+        for bone, parent in enumerate(self.parents.tolist()):
+            if parent < 0:
+                continue
+            above = DETAIL_BONES.get(self.names[bone])
+            if above in self.names[:bone]:  # past other bones of the palm
+                wholes[bone] = wholes[self.names.index(above)]
+            elif above is not None or wholes[parent] != parent:
+                wholes[bone] = wholes[parent]
         return wholes
 
     @cached_property
@@ -184,7 +189,9 @@ class Skeleton:
 
 
 #: Bones whose tail is a joint although they may have children.
-_EXTREMITIES = frozenset(("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist"))
+_EXTREMITIES = (
+    DETAIL_BONES.keys() - set(DETAIL_BONES.values()) | set(DETAIL_BONES.values()) - DETAIL_BONES.keys()
+)
 
 
 def side_of(name: str) -> int:

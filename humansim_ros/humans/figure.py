@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from humansim_ros.body.hands import finger_hinges
+from humansim_ros.body.joint_names import DETAIL_BONES, finger_bones
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import MeshError, MotionError, warn_about
+from humansim_ros.humans.makehuman.skeleton import Bones
 from humansim_ros.mesh.mesh import Mesh, SkinnedMesh
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_match import JointMatch
@@ -39,14 +42,23 @@ _FOOT_GAP = 0.25
 #: Bones at the ends of limbs. Without a joint of their own they begin where the bone before them ends.
 _ENDS = ("l_wrist", "r_wrist", "l_ankle", "r_ankle")
 
+#: Directions of bones without a child that do not continue the bone above them.
+_ALONG = {
+    **dict.fromkeys(("l_ankle", "r_ankle", "l_metatarsal", "r_metatarsal"), (0.0, 0.0, 1.0)),
+    **dict.fromkeys(("l_eyeball_joint", "r_eyeball_joint"), (0.0, 0.0, 1.0)),
+    "temporomandibular": (0.0, -0.6, 0.8),
+    "vt3": (0.0, 1.0, 0.0),
+}
+
 
 def to_body_space(
     figure: SkinnedMesh, unit: float | None = None, up: str | None = None, facing: str | None = None
 ) -> tuple[Mesh, Skeleton, csr_matrix]:
     """Move a skinned mesh into body space, and name its bones as in the general skeleton.
 
-    Joints are matched by name and hierarchy, or by the shape of the skeleton. Other joints keep their names.
-    Bones of the general skeleton without a joint are inserted without skin.
+    Joints are matched by name and hierarchy, or by the shape of the skeleton; fingers, toes, jaw and eyes by
+    their names. Other joints keep their names. Bones of the general skeleton without a joint are inserted
+    without skin.
 
     Args:
         figure: Skinned mesh of a person.
@@ -168,6 +180,21 @@ def joints_of_bones(match: JointMatch) -> dict[str, int]:
     return joints
 
 
+def _details(figure: SkinnedMesh, match: JointMatch, matched: Mapping[str, int]) -> dict[str, int]:
+    """Joint at the head of each bone of fingers, toes, jaw and eyes, where it is below hand, foot or head.
+
+    ``matched``: joints of the general bones.
+    """
+    joints: dict[str, int] = {}
+    for bone, above in DETAIL_BONES.items():  # each after the bone above it
+        joint = match.details.get(bone, (-1,))[0]
+        over = joints.get(above, matched.get(above))
+        taken = (*matched.values(), *joints.values())
+        if joint >= 0 and joint not in taken and over is not None and _descends(joint, over, figure.parents):
+            joints[bone] = joint
+    return joints
+
+
 def _skeleton(
     figure: SkinnedMesh, match: JointMatch, joints: Array, vertices: Array
 ) -> tuple[Skeleton, list[int]]:
@@ -180,8 +207,10 @@ def _skeleton(
         n: general.names[p] if p >= 0 else None for n, p in zip(general.names, general.parents, strict=True)
     }
     matched = joints_of_bones(match)
+    details = _details(figure, match, matched)
     bone_of = {joint: bone for bone, joint in matched.items()}
-    taken = set(general.names)
+    detail_of = {joint: bone for bone, joint in details.items()}
+    taken = {*general.names, *details}
     names: list[str] = []
     parents: list[str | None] = []
     heads: list[Array] = []
@@ -196,7 +225,7 @@ def _skeleton(
         above = name_of[int(figure.parents[joint])] if figure.parents[joint] >= 0 else None
         bone = bone_of.get(joint)
         if bone is None:
-            bone = _unique_name(figure.joint_names[joint], taken)
+            bone = detail_of.get(joint) or _unique_name(figure.joint_names[joint], taken)
             add(bone, above, joints[joint])
         else:
             # bones of the general skeleton on the way to this one that have no joint
@@ -217,14 +246,26 @@ def _skeleton(
             parent = parent_of[name]
             add(name, parent, heads[names.index(parent)] if parent is not None else joints[0])
     tails = _tails(figure, match, names, parents, heads, name_of, joints, vertices)
-    skeleton = Skeleton(
-        tuple(names),
-        np.array([-1 if p is None else names.index(p) for p in parents], dtype=np.intp),
-        np.array(heads),
-        tails,
-        np.zeros(len(names)),
-    )
+    numbers = np.array([-1 if p is None else names.index(p) for p in parents])
+    bones = Bones(tuple(names), numbers, np.array(heads), tails, _hinges(names, heads, tails))
+    rolls = np.where(bones.hinges.any(axis=1), bones.rolls, 0.0)
+    skeleton = Skeleton(bones.names, bones.parents, bones.heads, tails, rolls)
     return skeleton, [names.index(name_of[joint]) for joint in range(len(joints))]
+
+
+def _hinges(names: list[str], heads: list[Array], tails: Array) -> Array:
+    """Axes (B, 3) about which fingers flex and toes bend down; zero for other bones."""
+    hinges = np.zeros((len(names), 3))
+    for side in "lr":
+        bones = {name: names.index(name) for name in finger_bones(side) if name in names}
+        ends = {name: (heads[bone], tails[bone]) for name, bone in bones.items()}
+        if ends:
+            for name, axis in finger_hinges(side, ends, heads[names.index(f"{side}_wrist")]).items():
+                hinges[bones[name]] = axis
+        if (toes := f"{side}_metatarsal") in names:
+            bone = names.index(toes)
+            hinges[bone] = unit_vectors(np.cross([0.0, 1.0, 0.0], tails[bone] - heads[bone]))
+    return hinges
 
 
 def _tails(
@@ -254,6 +295,7 @@ def _tails(
     """
     general = hanim_skeleton()
     joint_of = {name: joint for joint, name in name_of.items()}
+    links = {**match.details, **match.parallel}
     heaviest = dominant_bones(figure.weights)
     tails = np.array(heads)
     for number, name in enumerate(names):
@@ -266,8 +308,8 @@ def _tails(
         head = heads[number]
         if name == "vt3":
             goal = _top_of_head(figure, match, joint_of.get(name), joints, vertices, heaviest, head)
-        elif name in match.parallel and joint_of.get(name) == match.parallel[name][0]:
-            goal = joints[match.parallel[name][1]]
+        elif name in links and joint_of.get(name) == links[name][0]:
+            goal = joints[links[name][1]]
         elif name in _TRUNK:
             goal = heads[names.index(_TRUNK[_TRUNK.index(name) + 1])]
         elif len(named) == 1 or (named and len(children) == 1):
@@ -370,11 +412,9 @@ def _upright(name: str, along: Array) -> Array:
 
 
 def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
-    """Unit direction (3,) of a bone without a child: its parent's direction; forwards for feet."""
-    if names[number] in ("l_ankle", "r_ankle"):
-        return np.array([0.0, 0.0, 1.0])
-    if names[number] == "vt3":
-        return np.array([0.0, 1.0, 0.0])
+    """Unit direction (3,) of a bone without a child: its parent's direction, but of :data:`_ALONG`."""
+    if names[number] in _ALONG:
+        return np.array(_ALONG[names[number]])
     parent = parents[number]
     while parent is not None:
         step = heads[number] - heads[names.index(parent)]

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from humansim_ros.humans.makehuman.population import Person
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
-CACHE_VERSION = 5
+CACHE_VERSION = 6
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
 

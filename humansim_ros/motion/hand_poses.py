@@ -101,7 +101,8 @@ def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
         raise MotionError(f"no hand pose {name!r}; the poses are {known}")
     angles = np.radians(HAND_POSES[name])
     if name == "relaxed" and anatomy.is_relaxed:
-        angles[:, 0] = anatomy.rest[:PER_HAND]
+        left, right = anatomy.rest.reshape(2, PER_HAND)
+        angles[:, 0] = np.where(anatomy.present[:PER_HAND], left, right)
     return angles
 
 
@@ -163,7 +164,9 @@ class HandKeys:
         return tuple(
             number
             for number, bone in enumerate(FINGER_BONES)
-            if bone[0] in sides and (bone not in self.driven or bone[0] in over)
+            if self.anatomy.present[number]
+            and bone[0] in sides
+            and (bone not in self.driven or bone[0] in over)
         )
 
     def _of_side(self, side: str) -> list[HandKey]:
@@ -291,6 +294,7 @@ class FreeFingers:
             turns = np.zeros((len(rotations), len(FINGER_BONES), 4)) if turns is None else turns
             for bone, turn in hands.items():
                 turns[:, FINGER_BONES.index(bone)], moved[FINGER_BONES.index(bone)] = turn, True
+        moved &= self.anatomy.present
         if turns is None or not moved.any():
             return
         local = self.skeleton.rest_in_parent
@@ -303,11 +307,28 @@ class FreeFingers:
             bones = self.anatomy.bones[level]
             parents = self.skeleton.parents[bones]
             heads[:, bones] = heads[:, parents] + rotate(rotations[:, parents], local[bones, :3, 3])
+        fingers = np.asarray(moved.reshape(-1, 3).any(axis=1))
+        for number, finger in self._followers:
+            if fingers[finger]:
+                parent = self.skeleton.parents[number]
+                rotations[:, number] = rotations[:, parent] @ local[number, :3, :3]
+                heads[:, number] = heads[:, parent] + rotate(rotations[:, parent], local[number, :3, 3])
 
     @cached_property
     def _levels(self) -> tuple[Indices, ...]:
         """Numbers in :data:`FINGER_BONES` of the first, second and third bones of the fingers."""
-        return tuple(np.arange(first, len(FINGER_BONES), 3) for first in range(3))
+        levels = (np.arange(first, len(FINGER_BONES), 3) for first in range(3))
+        return tuple(level[self.anatomy.present[level]] for level in levels)
+
+    @cached_property
+    def _followers(self) -> tuple[tuple[int, int], ...]:
+        """Other bones that a finger carries, such as tips of figures, and the number of the finger."""
+        finger_of = {int(bone): number // 3 for number, bone in enumerate(self.anatomy.bones) if bone >= 0}
+        fingers = set(finger_of)
+        for bone, parent in enumerate(self.skeleton.parents.tolist()):
+            if parent in finger_of:
+                finger_of.setdefault(bone, finger_of[parent])
+        return tuple((bone, finger_of[bone]) for bone in sorted(finger_of.keys() - fingers))
 
     @cached_property
     def _arms(self) -> tuple[list[int], list[int], Array]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import in_section, warn_about
+from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import FootContacts
@@ -30,9 +30,11 @@ from humansim_ros.rotations import (
     rotate,
     transform,
 )
-from humansim_ros.scene.config import HumanConfig, MotionConfig
+from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
 from humansim_ros.types import Array
+
+_NO_HANDS_MOVE = "moves nothing: the body has no fingers, or the motion moves them all"
 
 
 @dataclass(frozen=True, repr=False)
@@ -155,7 +157,7 @@ class Actor:
         with in_section("hands"):
             hands = HandKeys.of(_hand_keys(config), human.skeleton, world, retargeter.match)
         if config.hands and hands is None:
-            warn_about(name, "'hands' moves nothing: the body has no fingers, or the motion moves them all")
+            warn_about(name, f"'hands' {_NO_HANDS_MOVE}")
         return cls(name, instance, human, world, retargeter, config.offset, hands=hands)
 
     @classmethod
@@ -193,6 +195,21 @@ class Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
         return replace(changed, keyframes=self.keyframes, levels=self.levels)
+
+    def with_hands(self, config: MotionConfig) -> Actor:
+        """The same human, whose motion goes on, with the hands of a section ``motion``.
+
+        Raises:
+            MotionError: The keys do not fit the motion, or move nothing.
+        """
+        with in_section("hands"):
+            if config.hands and config.file == LIVE:
+                raise MotionError("the sender of live joints poses the hands, too (docs/keyframes.md)")
+            motion = self.motion if self.hands is None else self.hands.motion
+            hands = HandKeys.of(_hand_keys(config), self.human.skeleton, motion, self.retargeter.match)
+            if config.hands and hands is None:
+                raise MotionError(_NO_HANDS_MOVE)
+        return replace(self, hands=hands)
 
     @staticmethod
     def _fit(world: WorldMotion, human: Human, config: MotionConfig, source: SceneSource) -> Retargeter:

@@ -315,6 +315,8 @@ class Playback:
         different |= {"file"} & set(settings)
         if different <= {"speed"}:
             actor = replace(before, motion=replace(before.motion, speed=new.speed))
+        elif different <= {"hands"}:
+            actor = before.with_hands(new)
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, source, None if read_again else before.motion.motion)

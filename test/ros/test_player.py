@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import threading
 import time
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from ros_support import Client, write_scene
+from scipy.spatial.transform import Rotation
 from waiting import PATIENCE, wait_until
 
 from humansim_ros import messages
@@ -455,6 +457,45 @@ def test_a_changed_motion_gives_the_same_truth_as_in_the_scene_file(player: Play
     legends = player.client.received[f"/{player.namespace}/humans/first/motion/legend"]
     assert player.client.spin_until(lambda: json.loads(legends[0].data)["lift"] == actor.retargeter.lift)
     assert actor.retargeter.lift != player.player.scene.actors["first"].retargeter.lift
+
+
+def test_hands_change_while_the_motion_goes_on(player: PlayerClient) -> None:
+    def turned(stamp: int, bone: str) -> float:
+        """Degrees by which a finger joint differs from rest in the body."""
+        joints, rest = (
+            player.of_stamp(stamp, kind="joints"),
+            player.player.scene.actors["first"].human.skeleton,
+        )
+        above = joints.rotations[0, joints.names.index(f"{bone[:-1]}{int(bone[-1]) - 1}")]
+        relative = Rotation.from_quat(above).inv() * Rotation.from_quat(
+            joints.rotations[0, joints.names.index(bone)]
+        )
+        at_rest = Rotation.from_matrix(rest.rest_in_parent[rest.bone(bone), :3, :3])
+        return float(np.degrees((at_rest.inv() * relative).magnitude()))
+
+    before = player.frames(1)[0]
+    assert player.set(first__hands="left: fist") == ""
+    after, later = (player.frames(2)[each] for each in (0, 1))
+    assert 40 < turned(after[0], "l_index2") < 60  # a finger at rest is bent by 39 degrees, of a fist by 90
+    assert turned(after[0], "r_index2") == pytest.approx(0.0, abs=0.01)
+    assert player.scene_time_of(after[0]) > player.scene_time_of(before[0])  # it did not start again
+    own = len(before[1].names)
+    np.testing.assert_allclose(
+        later[1].positions[0, :own],
+        player.player.scene.actors["first"].joint_poses(player.scene_time_of(later[0]) / SECOND).positions[0],
+        atol=1e-6,
+    )
+    for value, reason in (
+        ("left: fisst", r"fisst.*did you mean 'fist'|fist"),
+        ("top: fist", "left.*right"),
+        ("x" * 1000, "1000 characters; at most 100"),
+        ("", "relaxed"),
+        ("left: right: fist", "left"),
+    ):
+        assert re.search(reason, player.set(first__hands=value)), value
+    assert player.get("first.hands") == ["left: fist"]
+    assert player.set(first__hands="scene") == ""
+    assert turned(player.frames(1)[0][0], "l_index2") == pytest.approx(0.0, abs=0.01)
 
 
 def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(

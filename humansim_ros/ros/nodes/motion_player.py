@@ -157,9 +157,8 @@ class MotionPlayerNode(FramePlayer):
     def _prepare(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         """Prepare all changes before any is made, so that rejected parameters change nothing."""
         self._changes = []
-        changes = self._motion_parameters.changes(parameters)
         try:
-            self._changes = self._prepared(changes)
+            self._changes = self._prepared(self._motion_parameters.changes(parameters))
         except HumansimError as error:
             reason = printable(str(error), 1000)
             self.get_logger().error(f"parameters rejected, the old motion goes on: {reason}")

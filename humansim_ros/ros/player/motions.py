@@ -28,6 +28,10 @@ from humansim_ros.scene.source import SceneSource
 
 #: Largest scene time in seconds that parameters accept.
 MAX_SECONDS = 1e6
+#: Value of the parameter of the hands for the hands of the scene file.
+HANDS_OF_SCENE = "scene"
+#: Most characters of that parameter.
+_MAX_HANDS = 100
 
 
 @dataclass(frozen=True)
@@ -41,12 +45,16 @@ class _Setting:
     constraints: str = ""
 
     def parameter_value(self, motion: MotionConfig) -> Any:
-        """Value of the parameter for a motion; 0 for an absent end."""
+        """Value of the parameter for a motion of a scene file; 0 for an absent end."""
+        if self.key == "hands":
+            return HANDS_OF_SCENE
         value = getattr(motion, self.key)
         return 0.0 if value is None else value
 
-    def config_value(self, value: Any) -> Any:
-        """Value of the scene key for a value of the parameter."""
+    def config_value(self, value: Any, of_scene: MotionConfig) -> Any:
+        """Value of the scene key for a value of the parameter; ``of_scene``: the motion of the scene file."""
+        if self.key == "hands":
+            return of_scene.hands if value == HANDS_OF_SCENE else _hand_keys(value)
         return None if self.key == "end" and value == 0 else value
 
 
@@ -78,9 +86,31 @@ _SETTINGS = {
     "speed": _Setting(
         "speed", Parameter.Type.DOUBLE, "seconds of the file per second of the scene", (0.0, 100.0)
     ),
+    "hands": _Setting(
+        "hands",
+        Parameter.Type.STRING,
+        "pose of the hands from the next frame on",
+        constraints="name of a hand pose; poses of sides, as in 'left: fist, right: point'; or "
+        f"{HANDS_OF_SCENE}",
+    ),
 }
 #: Settings with a parameter for all humans; parameter ``speed`` without a human is the speed of the clock.
-_SHARED = tuple(name for name in _SETTINGS if name != "speed")
+_SHARED = tuple(name for name in _SETTINGS if name not in ("speed", "hands"))
+
+
+def _hand_keys(text: str) -> tuple[dict[str, str], ...]:
+    """Keys of ``hands`` of a scene file for a value of the parameter: a pose, or poses of sides.
+
+    Raises:
+        MotionError: The text is too long.
+    """
+    if len(text) > _MAX_HANDS:
+        raise MotionError(f"{len(text)} characters; at most {_MAX_HANDS}", key="hands")
+    keys = []
+    for part in text.split(","):
+        side, colon, pose = part.rpartition(":")
+        keys.append({"pose": pose.strip(), **({"side": side.strip()} if colon else {})})
+    return tuple(keys)
 
 
 class MotionParameters:
@@ -110,7 +140,7 @@ class MotionParameters:
                     f"{human}.{name}", default, setting.description, setting.limits, setting.constraints
                 )
                 if value != setting.parameter_value(motion):
-                    changes[setting.key] = setting.config_value(value)
+                    changes[setting.key] = setting.config_value(value, motion)
             if changes:
                 playback.change(human, **changes)
         playback.rewind()
@@ -155,7 +185,8 @@ class MotionParameters:
             if human not in self._playback.settings or name not in _SETTINGS:
                 continue
             setting = _SETTINGS[name]
-            value = setting.config_value(parameter.value)
+            of_scene = self._playback.scene.config.humans[human].motion
+            value = setting.config_value(parameter.value, of_scene)
             if name == "motion" or value != getattr(self._playback.settings[human], setting.key):
                 changes.setdefault(human, {})[setting.key] = value
         return changes

@@ -164,15 +164,25 @@ def _skip_without_package(report: Any, path: Path) -> None:
 
 def _names(value: Any) -> set[str]:
     """Names and strings in the code of a function of this folder, and of the helpers that it calls."""
-    visited, names, pending = set(), set(), [value]
+    return set().union(*map(_names_of_function, _functions(value)))
+
+
+@functools.cache
+def _names_of_function(function: FunctionType) -> set[str]:
+    visited, names, pending = set(), set(), [function]
     while pending:
-        for function in _functions(pending.pop()):
-            if function not in visited:
-                visited.add(function)
-                words = _words(function.__code__)
-                names |= words
-                pending += [function.__globals__[word] for word in words & function.__globals__.keys()]
+        each = pending.pop()
+        if each not in visited:
+            visited.add(each)
+            names |= _words(each.__code__)
+            pending += _called(each)
     return names
+
+
+@functools.cache
+def _called(function: FunctionType) -> list[FunctionType]:
+    known = function.__globals__
+    return [called for word in _words(function.__code__) & known.keys() for called in _functions(known[word])]
 
 
 def _functions(value: Any) -> list[FunctionType]:

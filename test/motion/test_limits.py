@@ -406,14 +406,14 @@ def test_bones_that_a_skeleton_lacks_are_left_out() -> None:
         LIMITS.report(still)
 
 
-def broken(**changes: object) -> str:
+BUILT_IN = yaml.safe_load(TABLE.read_text())
+PAIR = BUILT_IN["joints"][1]["first"]
+
+
+def broken(changes: dict[str, object]) -> str:
     """The built-in table with changes in its second joint row."""
-    table = yaml.safe_load(TABLE.read_text())
-    table["joints"][1].update(changes)
-    return yaml.safe_dump(table)
-
-
-PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
+    first, second, *others = BUILT_IN["joints"]
+    return yaml.safe_dump(BUILT_IN | {"joints": [first, second | changes, *others]})
 
 
 @pytest.mark.daily("text13-nothing turns from up towards down", "text8-not at right angles")
@@ -424,24 +424,26 @@ PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
         ("name: x", "margin: this key is missing: give a number from 0 to 90"),
         ("- 1", "give a mapping with the keys name, margin"),
         ("[" * 5000, "YAML"),
-        (broken(bone="tail"), r"joints.1: no bone 'tail'"),
-        (broken(colour="red"), r"joints.1.colour: unknown key"),
-        (broken(first=None), "either 'swing' or both"),
-        (broken(first=[PAIR[0], PAIR[0]]), "not opposite turns"),
-        (broken(second=PAIR), "not at right angles"),
-        (broken(first=[{**PAIR[0], "from": "out"}, PAIR[1]]), "directions of vl5 are"),
-        (broken(along="out"), "directions of vl5 are back, down"),
-        (broken(first=[{**PAIR[0], "degrees": 200}, PAIR[1]]), "joints.1.first.0.degrees"),
-        (broken(first=[{**PAIR[0], "source": "hearsay"}, PAIR[1]]), "no source 'hearsay'"),
-        (broken(first=[{**PAIR[0], "towards": "down"}, PAIR[1]]), "nothing turns from up towards down"),
-        (broken(bone="sacroiliac"), "there twice"),
-        (broken(twist_with="elbow"), "names no joint before it"),
-        (broken(first=None, second=None, swing=[PAIR[0]]), "needs 'along'"),
+        ({"bone": "tail"}, r"joints.1: no bone 'tail'"),
+        ({"colour": "red"}, r"joints.1.colour: unknown key"),
+        ({"first": None}, "either 'swing' or both"),
+        ({"first": [PAIR[0], PAIR[0]]}, "not opposite turns"),
+        ({"second": PAIR}, "not at right angles"),
+        ({"first": [{**PAIR[0], "from": "out"}, PAIR[1]]}, "directions of vl5 are"),
+        ({"along": "out"}, "directions of vl5 are back, down"),
+        ({"first": [{**PAIR[0], "degrees": 200}, PAIR[1]]}, "joints.1.first.0.degrees"),
+        ({"first": [{**PAIR[0], "source": "hearsay"}, PAIR[1]]}, "no source 'hearsay'"),
+        ({"first": [{**PAIR[0], "towards": "down"}, PAIR[1]]}, "nothing turns from up towards down"),
+        ({"bone": "sacroiliac"}, "there twice"),
+        ({"twist_with": "elbow"}, "names no joint before it"),
+        ({"first": None, "second": None, "swing": [PAIR[0]]}, "needs 'along'"),
     ],
 )
-def test_a_wrong_table_is_an_error_with_its_key(text: str, message: str, tmp_path: Path) -> None:
+def test_a_wrong_table_is_an_error_with_its_key(
+    text: str | dict[str, object], message: str, tmp_path: Path
+) -> None:
     path = tmp_path / "limits.yaml"
-    path.write_text(text)
+    path.write_text(text if isinstance(text, str) else broken(text))
     with pytest.raises(MotionError, match=message) as error:
         load_limits(path)
     assert error.value.path == str(path)

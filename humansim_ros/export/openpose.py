@@ -16,7 +16,7 @@ from humansim_ros.camera.calibration import write_calibration
 from humansim_ros.errors import ExportError, HumansimError, HumansimWarning
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
 from humansim_ros.io.files import ANY_SIZE, read_text
-from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
 from humansim_ros.truth import OCCLUDED, VISIBLE
 from humansim_ros.types import Array
 
@@ -58,7 +58,7 @@ class AniposeWriter(FormatWriter):
 #: Confidence of a keypoint that the camera sees, and of one that is occluded. Readers take 0 for "not found".
 VISIBLE_CONFIDENCE, OCCLUDED_CONFIDENCE = 1.0, 0.5
 #: Keypoint sets that Pose2Sim knows, and its names of them.
-POSE2SIM_MODELS = {"body25": "BODY_25", "coco17": "COCO_17", "halpe26": "HALPE_26"}
+POSE2SIM_MODELS = {"body25": "BODY_25", "openpose137": "BODY_25", "coco17": "COCO_17", "halpe26": "HALPE_26"}
 
 
 def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
@@ -69,8 +69,10 @@ def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
     return np.where(found[:, None], np.column_stack([np.nan_to_num(pixels), confidence]), 0.0)
 
 
-def openpose_text(people: Sequence[Array]) -> str:
+def openpose_text(people: Sequence[Array], keypoints: KeypointSet) -> str:
     """Text of the file of one image: keypoints (K, 3) of :func:`openpose_keypoints` of each.
+
+    Points of the face and the hands of the set of OpenPose are in fields of their own.
 
     The file lists all people in the order given, those out of sight with zeros: entry n of all files is the
     same person. ``person_id`` counts from 1.
@@ -78,16 +80,13 @@ def openpose_text(people: Sequence[Array]) -> str:
     entries = [
         {
             "person_id": [number],
-            "pose_keypoints_2d": np.round(keypoints, 6).ravel().tolist(),
-            "face_keypoints_2d": [],
-            "hand_left_keypoints_2d": [],
-            "hand_right_keypoints_2d": [],
-            "pose_keypoints_3d": [],
-            "face_keypoints_3d": [],
-            "hand_left_keypoints_3d": [],
-            "hand_right_keypoints_3d": [],
+            **{
+                f"{field}_keypoints_2d": np.round(points[list(own)], 6).ravel().tolist()
+                for field, own in keypoints.openpose_fields.items()
+            },
+            **{f"{field}_keypoints_3d": [] for field in keypoints.openpose_fields},
         }
-        for number, keypoints in enumerate(people, 1)
+        for number, points in enumerate(people, 1)
     ]
     return json.dumps({"version": 1.3, "people": entries})
 
@@ -134,10 +133,11 @@ class OpenPoseWriter(FormatWriter):
         self._calibration = calibration_text(settings, "anipose", self._cameras)
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        views = frame.frame.keypoints[self.settings.keypoints]
+        keypoints = keypoint_set(self.settings.keypoints)
+        views = frame.frame.keypoints[keypoints.name]
         for camera, people in views.items():
             rows = [openpose_keypoints(person.pixels, person.visible) for person in people.values()]
-            folder.write(openpose_file(camera, frame.index), openpose_text(rows))
+            folder.write(openpose_file(camera, frame.index), openpose_text(rows, keypoints))
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write the calibration and the configuration."""

@@ -12,6 +12,8 @@ from typing import TypeVar
 from humansim_ros.errors import KeypointError, did_you_mean
 
 _Value = TypeVar("_Value")
+#: Set of all keypoints of OpenPose.
+_OPENPOSE = "openpose137"
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,6 +84,27 @@ class KeypointSet:
             for part, own in names.items()
             if set(own) <= set(self.names)
         }
+
+    @cached_property
+    def openpose_fields(self) -> Mapping[str, tuple[int, ...]]:
+        """Numbers of the keypoints in each field of a person in files of OpenPose.
+
+        OpenPose has fields of their own for the parts of ``openpose137``; other sets are in one field, as
+        Pose2Sim has them.
+
+        Example:
+            >>> fields = keypoint_set("openpose137").openpose_fields
+            >>> {field: len(numbers) for field, numbers in fields.items()}
+            {'pose': 25, 'face': 70, 'hand_left': 21, 'hand_right': 21}
+        """
+        fields = {"pose": range(len(self)), "face": (), "hand_left": (), "hand_right": ()}
+        if self.name == _OPENPOSE:
+            start = self.index("face-0")
+            hands = (self.parts[f"{side}_hand"] for side in _SIDES)
+            fields = dict(
+                zip(fields, (range(start), range(start, start + len(_FACE70)), *hands), strict=True)
+            )
+        return {field: tuple(numbers) for field, numbers in fields.items()}
 
     @property
     def has_body(self) -> bool:
@@ -234,6 +257,14 @@ _HALPE26 = _make(
     "real-time, TPAMI 2022. https://github.com/Fang-Haoshu/Halpe-FullBody",
     (*_COCO_SIGMAS, 0.026, 0.026, 0.066, 0.079, 0.079, 0.079, 0.079, 0.079, 0.079),
 )
+_BODY25_LINES = (
+    "Nose Neck MidHip",
+    *(f"Neck {s}Shoulder {s}Elbow {s}Wrist" for s in "RL"),
+    *(f"MidHip {s}Hip {s}Knee {s}Ankle" for s in "RL"),
+    *(f"Nose {s}Eye {s}Ear" for s in "RL"),
+    *(f"{s}Ankle {s}BigToe {s}SmallToe" for s in "RL"),
+    *(f"{s}Ankle {s}Heel" for s in "RL"),
+)
 _BODY25 = _make(
     "body25",
     "OpenPose BODY_25",
@@ -249,14 +280,7 @@ _BODY25 = _make(
         **_rows("LBigToe left_big_toe, LSmallToe left_small_toe, LHeel left_heel"),
         **_rows("RBigToe right_big_toe, RSmallToe right_small_toe, RHeel right_heel"),
     },
-    (
-        "Nose Neck MidHip",
-        *(f"Neck {s}Shoulder {s}Elbow {s}Wrist" for s in "RL"),
-        *(f"MidHip {s}Hip {s}Knee {s}Ankle" for s in "RL"),
-        *(f"Nose {s}Eye {s}Ear" for s in "RL"),
-        *(f"{s}Ankle {s}BigToe {s}SmallToe" for s in "RL"),
-        *(f"{s}Ankle {s}Heel" for s in "RL"),
-    ),
+    _BODY25_LINES,
     "Z. Cao et al.: OpenPose: realtime multi-person 2D pose estimation using part affinity fields, "
     "TPAMI 2019. https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html",
 )
@@ -539,6 +563,20 @@ _HALPE136 = _make(
     ),
     _HALPE26.source,
 )
+_OPENPOSE137 = _make(
+    _OPENPOSE,
+    "OpenPose, BODY_25 with face and hands",
+    dict(zip(_BODY25.names, _BODY25.points, strict=True))
+    | dict(zip(_FACE70.names, _FACE70.points, strict=True))
+    | _hand("left")
+    | _hand("right"),
+    (
+        *_BODY25_LINES,
+        *_FACE_CONTOURS,
+        *(line for side in _SIDES for line in _hand_lines(side)),
+    ),
+    _FACE70.source,
+)
 
 #: All keypoint sets by name.
 KEYPOINT_SETS: Mapping[str, KeypointSet] = {
@@ -546,5 +584,6 @@ KEYPOINT_SETS: Mapping[str, KeypointSet] = {
     for keypoints in (
         *(_COCO17, _HALPE26, _BODY25, _H36M17, _PANOPTIC19, _SMPL24, _MEDIAPIPE33, _PLUG_IN_GAIT),
         *(_LEFT_HAND21, _RIGHT_HAND21, _FACE68, _FACE70, _WHOLEBODY133, _HALPE136),
+        _OPENPOSE137,
     )
 }

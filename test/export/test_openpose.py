@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -44,10 +45,25 @@ def test_points_outside_the_image_are_zeros_and_occluded_ones_less_certain() -> 
 
 def test_a_file_lists_everybody_in_order() -> None:
     rows = np.array([[1.5, 2.25, 1.0], [0.0, 0.0, 0.0]])
-    data = json.loads(openpose_text([rows, np.zeros((2, 3))]))
+    data = json.loads(
+        openpose_text([rows, np.zeros((2, 3))], replace(keypoint_set("coco17"), names=("nose", "left_eye")))
+    )
     assert data["version"] == 1.3
     assert [person["pose_keypoints_2d"] for person in data["people"]] == [[1.5, 2.25, 1, 0, 0, 0], [0] * 6]
     assert [person["person_id"] for person in data["people"]] == [[1], [2]]
+
+
+def test_face_and_hands_of_openpose_have_fields_of_their_own() -> None:
+    """The numbers of points of OpenPose's output format: BODY_25, 70 of the face, 21 of each hand."""
+    keypoints = keypoint_set("openpose137")
+    rows = np.column_stack([np.arange(137.0), np.zeros(137), np.ones(137)])
+    (person,) = json.loads(openpose_text([rows], keypoints))["people"]
+    first = {"pose": (25, "Nose"), "face": (70, "face-0")}
+    first |= {f"hand_{side}": (21, f"{side}_hand_root") for side in ("left", "right")}
+    for field, (count, name) in first.items():
+        numbers = np.reshape(person[f"{field}_keypoints_2d"], (-1, 3))[:, 0].astype(int)
+        assert len(numbers) == count and keypoints.names[numbers[0]] == name
+        assert (np.diff(numbers) == 1).all()
 
 
 def test_cameras_are_in_the_order_of_pose2sim() -> None:

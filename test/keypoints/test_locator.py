@@ -32,6 +32,7 @@ HEIGHTS = {
     "face70": "face-8 face-57 face-54 face-51 face-33 face-30 face-69 face-44 face-24",
     "wholebody133": "left_ankle left_knee left_hip left_shoulder face-8 face-66 face-62 face-30 face-42",
     "halpe136": "left_big_toe left_ankle left_knee neck face-8 face-57 nose face-27 face-22 head",
+    "openpose137": "LHeel LAnkle LKnee MidHip Neck face-8 face-57 Nose face-69 face-24",
     # palms face down, the little finger is the lowest of the bent fingers
     "left_hand21": "left_pinky_finger4 left_pinky_finger2 left_pinky_finger1",
     "right_hand21": "right_pinky_finger4 right_pinky_finger2 right_pinky_finger1",

@@ -44,6 +44,10 @@ PUBLISHED = {
         136,
         {17: "head", 25: "right_heel", 26: "face-0", 94: "left_hand_root", 135: "right_pinky_finger4"},
     ),
+    "openpose137": (
+        137,
+        {1: "Neck", 24: "RHeel", 25: "face-0", 94: "face-69", 95: "left_hand_root", 116: "right_hand_root"},
+    ),
     "plug_in_gait": (39, {0: "LFHD", 4: "C7", 8: "RBAK", 22: "RFIN", 25: "LPSI", 38: "RTOE"}),
 }
 #: Constants of the object keypoint similarity, from pycocotools (kpt_oks_sigmas) and from HALPE's evaluation.
@@ -109,7 +113,7 @@ def test_sigmas_are_the_published_ones() -> None:
     }
 
 
-@pytest.mark.parametrize("name", ["face68", "face70", "wholebody133", "halpe136"])
+@pytest.mark.parametrize("name", ["face68", "face70", "wholebody133", "halpe136", "openpose137"])
 def test_points_of_the_face_have_the_numbers_of_300_w(name: str) -> None:
     keypoints = keypoint_set(name)
     assert {n: keypoints.points[keypoints.index(f"face-{n}")] for n in FACE} == FACE
@@ -141,10 +145,12 @@ def test_every_keypoint_is_a_known_point_of_its_side_and_connected(name: str) ->
             assert actual == side, keypoint
     # nose and wrists of whole bodies are points of the body, and of face and hands
     twice = {"nose", "l_wrist", "r_wrist"} if keypoints.parts.keys() >= {"face", "left_hand"} else set()
+    pupils = {keypoints.index(each) for each in ("face-68", "face-69") if each in keypoints.names}
+    twice |= {"left_eye", "right_eye"} if twice and pupils else set()
     assert len(set(keypoints.points)) == len(keypoints) - len(twice)
     # markers of a back alone have no line to draw
     drawn = {number for edge in keypoints.edges for number in edge}
-    assert drawn == set(range(len(keypoints))) - ({68, 69} if name == "face70" else set())  # pupils
+    assert drawn == set(range(len(keypoints))) - pupils
     assert all(first != second for first, second in keypoints.edges)
     assert "http" in keypoints.source
 

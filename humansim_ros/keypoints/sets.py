@@ -562,6 +562,8 @@ _HALPE136 = _make(
         *(line for side in _SIDES for line in _hand_lines(side)),
     ),
     _HALPE26.source,
+    # halpecocotools/cocoeval.py of that source, which has other constants for the 26 points
+    (*_COCO_SIGMAS, *3 * (0.08,), *6 * (0.089,), *110 * (0.015,)),
 )
 _OPENPOSE137 = _make(
     _OPENPOSE,

@@ -108,8 +108,11 @@ def test_sigmas_are_the_published_ones() -> None:
     np.testing.assert_allclose(whole[:17], COCO_SIGMAS / 10)
     assert {number: whole[number] for number in WHOLE_BODY_SIGMAS} == WHOLE_BODY_SIGMAS
     assert whole[91:112] == whole[112:]
+    halpe = keypoint_set("halpe136").sigmas or ()
+    assert halpe[17:26] == (0.08, 0.08, 0.08, 0.089, 0.089, 0.089, 0.089, 0.089, 0.089)
+    assert set(halpe[26:]) == {0.015} and halpe[:17] == keypoint_set("coco17").sigmas
     assert {name for name, row in KEYPOINT_SETS.items() if row.sigmas is not None} == {
-        *("coco17", "halpe26", "wholebody133")
+        *("coco17", "halpe26", "wholebody133", "halpe136")
     }
 
 

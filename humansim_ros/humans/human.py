@@ -21,7 +21,7 @@ from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.body.skinning import SkinningFunction, make_skinner
 from humansim_ros.errors import MeshError, did_you_mean
 from humansim_ros.io.images import decode_image
-from humansim_ros.io.npz import read_npz, write_npz
+from humansim_ros.io.npz import BEST, read_npz, write_npz
 from humansim_ros.mesh.mesh import Mesh, normalise_weights
 from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array
@@ -175,8 +175,8 @@ def read_human(path: str | os.PathLike[str]) -> Human:
         raise MeshError(error.message, path=path, key=error.key) from None
 
 
-def write_human(path: str | os.PathLike[str], human: Human) -> None:
-    """Write a human file atomically; equal humans give equal bytes."""
+def write_human(path: str | os.PathLike[str], human: Human, level: int = BEST) -> None:
+    """Write a human file atomically; equal humans give equal bytes. ``level``: of compression, 1 to 9."""
     mesh, skeleton = human.mesh, human.skeleton
     counts = np.diff(human.weights.indptr)
     width = int(counts.max())
@@ -212,7 +212,7 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
         arrays |= shape_arrays(human.shapes)
     if human.skinning != "linear":
         arrays["skinning"] = np.array(human.skinning)
-    write_npz(path, arrays)
+    write_npz(path, arrays, level)
 
 
 def _shading(arrays: dict[str, NDArray[Any]], mesh: Mesh) -> csr_matrix | None:

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimError, MeshError
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import make_person
+from humansim_ros.humans.makehuman.population import is_person, model_of, read_person
 from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import cache_folder
 from humansim_ros.io.npz import read_npz, write_npz
@@ -31,9 +33,14 @@ FOLDER = "assets/humans/levels"
 
 
 def levels_of(human: Human) -> Simplification | None:
-    """Levels of detail of a human, made once; None for a mesh of few triangles."""
+    """Levels of detail of a human, made once; None for a mesh of few triangles.
+
+    Drawn people have the levels of one of them with the same faces.
+    """
     if len(human.mesh.triangles) < _FEWEST:
         return None
+    if is_person(human.name):
+        human = make_person(model_of(read_person(human.name)), "model")
     cache = cache_folder()
     own = None if cache is None else path_of(human, cache / "levels")
     for path in (path_of(human, resource_root() / FOLDER), own):

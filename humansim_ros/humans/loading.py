@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,9 @@ from humansim_ros.humans.description import (
 )
 from humansim_ros.humans.figure import to_body_space
 from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human, write_human
-from humansim_ros.humans.makehuman.data import MakeHumanData, find_data
+from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data
+from humansim_ros.humans.makehuman.packed import people_data
+from humansim_ros.humans.makehuman.population import Person, is_person, person_config, read_person
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset, resource_path
 from humansim_ros.io.files import cache_folder, missing_file, read_bytes, resolve_relative
@@ -48,11 +49,10 @@ from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, has_signature, read_format
 from humansim_ros.mesh.obj import material_files
 
-if TYPE_CHECKING:
-    from humansim_ros.humans.makehuman.population import Person
-
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
-CACHE_VERSION = 6
+CACHE_VERSION = 7
+#: Level of compression in the cache: a tenth of the time of the best one, for files of 1.2 times the size.
+_LEVEL = 1
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
 
@@ -87,7 +87,7 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     human = make()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_human(path, human)
+        write_human(path, human, level=_LEVEL)
         _delete_oldest(folder)
         # read back, so that the first call gives the same rounded numbers as later calls
         return replace(read_human(path), name=name)
@@ -121,6 +121,16 @@ _TROUSER_BONES = (
 )
 
 
+def find_human(name: str, folder: Path | None = None, error: type[HumansimError] = MeshError) -> str:
+    """Path of a built-in human or of a file.
+
+    A drawn person (``person#7-3``) has no file: its name is returned.
+
+    ``folder``: folder that relative paths start from; the current folder if None. Raises ``error``.
+    """
+    return name if is_person(name) else str(find_asset(name, "humans", folder, error))
+
+
 def load_human(
     path: str | os.PathLike[str], outfit: str | None = None, skinning: Skinning | None = None
 ) -> Human:
@@ -131,7 +141,8 @@ def load_human(
     (docs/humans.md).
 
     Args:
-        path: Name of a built-in human (``humansim human list``), or file to read.
+        path: Name of a built-in human (``humansim human list``), name of a drawn person (``person#7-3``), or
+            file to read.
         outfit: Name of the outfit to wear; the default outfit if absent.
         skinning: ``linear`` or ``dual_quaternion``; as the file says if absent.
 
@@ -143,10 +154,11 @@ def load_human(
         >>> len(human.skeleton), human.weights.shape[1]
         (57, 57)
     """
+    name = os.fspath(path)
     if not Path(path).suffix:
-        path = find_asset(os.fspath(path), "humans", error=MeshError)
+        path = find_human(name)
     with located(path=path):
-        human = _load(Path(path))
+        human = make_person(read_person(name), name) if is_person(name) else _load(Path(path))
         if outfit is not None:
             human = human.wearing(outfit)
     return human if skinning is None else replace(human, skinning=skinning)
@@ -214,13 +226,17 @@ def make_person(person: Person, name: str) -> Human:
     """Build a person whom :func:`~humansim_ros.humans.makehuman.population.draw_person` has drawn.
 
     Raises:
-        MeshError: MakeHuman's data are missing, or no slider gives the stature or weight.
+        MeshError: No slider gives the stature or weight.
     """
-    from humansim_ros.humans.makehuman.population import person_config
+    data = people_data()
 
-    data = find_data()
-    config = person_config(data, person)
-    return _parametric(data, ParametricHuman(makehuman=config, outfits={"own": person.outfit}), name)
+    def make() -> Human:
+        from humansim_ros.humans.makehuman.building import build  # slow to import
+
+        config = person_config(data, person)
+        return human_from_arrays(build(data, config, {"own": person.outfit}, fine=False), name)
+
+    return cached(content_key([b"person", repr(person).encode(), data.version.encode()]), name, make)
 
 
 def _parametric(data: MakeHumanData, description: ParametricHuman, name: str) -> Human:
@@ -240,7 +256,7 @@ def _parametric(data: MakeHumanData, description: ParametricHuman, name: str) ->
 def _described(path: Path) -> Human:
     description = read_description(path)
     if isinstance(description, ParametricHuman):
-        return _parametric(find_data(), description, path.stem)
+        return _parametric(installed_data() or people_data(), description, path.stem)
     mesh, exists = resolve_relative(path, description.mesh)
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in _DESCRIPTIONS:
         known = ", ".join(MESH_SUFFIXES)

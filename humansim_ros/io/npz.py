@@ -108,10 +108,17 @@ def _array(content: bytes) -> NDArray[Any]:
     return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays atomically; equal arrays give equal bytes. Encoded images are not compressed again."""
+#: Best level of compression.
+BEST = 9
+
+
+def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], level: int = BEST) -> None:
+    """Write arrays atomically; equal arrays give equal bytes. Encoded images are not compressed again.
+
+    ``level``: level of compression, 1 to 9.
+    """
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        _write(archive, arrays)
+        _write(archive, arrays, level)
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -122,11 +129,11 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return content.getvalue()
 
 
-def _write(archive: zipfile.ZipFile, arrays: Mapping[str, NDArray[Any]]) -> None:
+def _write(archive: zipfile.ZipFile, arrays: Mapping[str, NDArray[Any]], level: int = BEST) -> None:
     for name, array in arrays.items():
         data = io.BytesIO()
         np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
         entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
         compressed = array.dtype == np.uint8 and array.ndim == 1
         entry.compress_type = zipfile.ZIP_STORED if compressed else zipfile.ZIP_DEFLATED
-        archive.writestr(entry, data.getvalue(), compresslevel=None if compressed else 9)
+        archive.writestr(entry, data.getvalue(), compresslevel=None if compressed else level)

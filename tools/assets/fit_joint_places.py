@@ -60,7 +60,7 @@ def random_people(source: MakeHumanData, seed: int, count: int) -> Iterator[Pers
         shaped = shape(base, source, config)
         bones = make_bones(makehuman_landmarks(shaped), {}, {})
         if weights is None:
-            weights = bone_weights(source, bones, len(base.vertices))[body]
+            weights = bone_weights(source, len(base.vertices))[body]
         vertices = shaped.vertices[body]
         motion, t_bones = t_pose(bones)
         yield Person(config, "A", vertices, joints_of(bones))

@@ -1,11 +1,15 @@
-"""Build a dressed human from MakeHuman sliders."""
+"""Build a dressed human from MakeHuman sliders, in three stages.
+
+1. *Choice*: what decides the faces, the layout of the texture and the weights: hair, sleeves, and the raster.
+2. *Topology* of a choice: all that its people have in common. It is made once for a choice, and kept.
+3. *Person*: the sum of targets, the skeleton, cloth and hair over this body, and the paint.
+"""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -28,9 +32,11 @@ from humansim_ros.humans.makehuman.data import (
 )
 from humansim_ros.humans.makehuman.face import face_offsets, unskin_offsets
 from humansim_ros.humans.makehuman.paint import (
+    AO_DIRECTIONS,
     TEXTURE_SIZE,
     Canvas,
-    downsample,
+    Texels,
+    as_image,
     openness,
     paint,
     rasterise,
@@ -39,10 +45,12 @@ from humansim_ros.humans.makehuman.paint import (
 )
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.humans.makehuman.skeleton import (
+    BONE_NAMES,
     BONES_PER_VERTEX,
     Bones,
     bend_in_shoes,
     bone_weights,
+    edges_of,
     landmarks,
     limit_details,
     make_bones,
@@ -76,26 +84,32 @@ def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict
     return transforms, hinges
 
 
-def relax_hands(source: MakeHumanData, vertices: Array, transforms: Mapping[str, Array]) -> Array:
+def finger_shares(source: MakeHumanData, count: int) -> Array:
+    """Weights (N, 31) of the artists, of the rest of the body and of the finger bones.
+
+    The order of the bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N.
+    """
+    shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
+    names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
+    for column, name in enumerate(names, 1):
+        number = FINGERS.index(name[2:-1]) + 1
+        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
+        shares[pairs[:, 0].astype(int), column] = pairs[:, 1]
+    shares[:, 0] = np.maximum(1.0 - shares[:, 1:].sum(axis=1), 0.0)
+    return shares
+
+
+def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array]) -> Array:
     """Bend the fingers of both hands.
 
     Args:
-        source: Weights of the artists.
+        shares: See :func:`finger_shares`.
         vertices: (N, 3) all vertices of the base mesh, metres, in the A pose.
         transforms: See :func:`relaxed_fingers`, of the same body.
 
     Returns:
         (N, 3) vertices; only the vertices of the fingers differ.
     """
-    columns = [np.zeros(len(vertices))]
-    for name in transforms:
-        number = FINGERS.index(name[2:-1]) + 1
-        pairs = np.array(source.weights[f"finger{number}-{name[-1]}.{name[0].upper()}"])
-        column = np.zeros(len(vertices))
-        column[pairs[:, 0].astype(int)] = pairs[:, 1]
-        columns.append(column)
-    shares = np.stack(columns, axis=1)
-    shares[:, 0] = np.maximum(1.0 - shares.sum(axis=1), 0.0)
     moved = np.flatnonzero(shares[:, 0] < 1.0)
     out = vertices.copy()
     shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
@@ -158,27 +172,23 @@ ADULT_MAN = MakeHumanConfig(gender=1.0)
 
 @dataclass(frozen=True)
 class _Body:
-    """Naked body in the A pose of MakeHuman (``mesh.vertices``) and in the T pose (``mesh.naked``).
+    """Naked body: ``vertices`` (V, 3) in the A pose of MakeHuman, ``naked`` (V, 3) in the T pose."""
 
-    ``rows`` (V,): vertices of the base mesh.
-    """
-
-    mesh: BodySurface
+    vertices: Array
+    naked: Array
     bones: Bones
     points: Mapping[str, Array]
     motion: Array
     floor: Array
-    rows: VertexIndices
 
-    def regions(self, is_ear: Array, config: MakeHumanConfig) -> BodyRegions:
+    def regions(self, is_ear: Array, part: VertexIndices, choice: Choice) -> BodyRegions:
         """Regions of clothes and hair. ``is_ear`` (V,) is above 0.5 at the ears."""
-        mesh = self.mesh
-        eye = mesh.naked[mesh.part == 1]
-        ear = mesh.naked[(is_ear > 0.5) & (mesh.naked[:, 0] > 0)].mean(axis=0)
+        eye = self.naked[part == 1]
+        ear = self.naked[(is_ear > 0.5) & (self.naked[:, 0] > 0)].mean(axis=0)
         middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
-        top = float(mesh.naked[mesh.part == 0, 1].max())
+        top = float(self.naked[part == 0, 1].max())
         radius = float(np.ptp(eye, axis=0).max() / 2)
-        return BodyRegions(self.bones, middle, radius, ear, top, config.hair, config.sleeves)
+        return BodyRegions(self.bones, middle, radius, ear, top, choice.hair, choice.sleeves)
 
     @property
     def gaze(self) -> Array:
@@ -186,54 +196,144 @@ class _Body:
         return np.array([self.points[f"joint-{side}-eye-target"] for side in "lr"]) - self.floor
 
 
+@dataclass(frozen=True)
+class Choice:
+    """What decides the topology of a person.
+
+    ``raster``: texels of the raster across; twice the size of the texture smooths edges, and takes four times
+    as long to paint.
+    """
+
+    hair: Literal["short", "long"]
+    sleeves: Literal["short", "long"]
+    raster: int = 2 * TEXTURE_SIZE
+
+
+@dataclass(frozen=True)
+class PersonTopology:
+    """What all people of a choice have in common.
+
+    Attributes:
+        bare: Body and eyes of the base mesh, on the reference body.
+        rows: (V,) its vertices in the base mesh.
+        fingers: (N, 31) see :func:`finger_shares`.
+        is_ear: (V,) above 0.5 at the ears.
+        reference: Regions of the reference body.
+        gaze: (2, 3) points that its eyes look at.
+        refined: The mesh with a finer scalp, and the matrix that gives its vertices from ``bare``.
+        cut: The mesh cut along the borders of clothes, and the matrix from ``refined`` to it.
+        ear_cover: (V',) above 0 at the ears, of ``cut``.
+        uv: (T, 2) layout of the texture.
+        texels: Raster of the texture.
+        canvas: Geometry of the texels on the reference body.
+        skin: (S, S) share of skin in each texel of the texture.
+        edges: (E, 2) of ``cut``.
+    """
+
+    bare: BodySurface
+    rows: VertexIndices
+    fingers: Array
+    is_ear: Array
+    reference: BodyRegions
+    gaze: Array
+    refined: tuple[BodySurface, csr_matrix]
+    cut: tuple[BodySurface, csr_matrix]
+    ear_cover: Array
+    uv: Array
+    texels: Texels
+    canvas: Canvas
+    skin: NDArray[np.uint8]
+    edges: VertexIndices
+
+    @classmethod
+    def of_choice(cls, source: MakeHumanData, choice: Choice) -> PersonTopology:
+        """Cut and lay out the clothes of a choice on the reference body; takes seconds."""
+        base = read_base(source, target_strengths(source, ADULT_MAN))
+        fingers = finger_shares(source, len(base.vertices))
+        rows, bare = _bare(source, base)
+        man = _naked(base, rows, bare, fingers)
+        is_ear = _at_vertices(bare, source.mask("ears"))
+        reference = man.regions(is_ear, bare.part, choice)
+        bare = replace(bare, vertices=man.vertices, canonical=man.naked, naked=man.naked)
+        on_scalp = (reference.hair(bare.canonical) > 0.01) & (is_ear < 0.01) & (bare.part == 0)
+        refined = refine(bare, on_scalp[bare.faces].all(axis=1))
+        mesh, carry = cut_clothes(refined[0], reference)
+        uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
+        texels = rasterise(mesh, uv, choice.raster)
+        body = texels.mixing @ mesh.canonical
+        canvas = Canvas(body, body, texels.uv @ mesh.uv, reference, reference, source)
+        return cls(
+            bare=bare,
+            rows=rows,
+            fingers=fingers,
+            is_ear=is_ear,
+            reference=reference,
+            gaze=man.gaze,
+            refined=refined,
+            cut=(mesh, carry),
+            ear_cover=_at_vertices(mesh, source.mask("ears")),
+            uv=uv,
+            texels=texels,
+            canvas=canvas,
+            skin=as_image(texels, 255 * skin_share(mesh, texels, canvas)),
+            edges=edges_of(mesh.faces),
+        )
+
+    def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:
+        """The mesh on a body, with the body smoothed under clothes, before it is dressed."""
+        refined, into_refined = self.refined
+        cut, into_cut = self.cut
+        naked = into_refined @ body.naked
+        skin = replace(refined, vertices=into_refined @ body.vertices, naked=naked)
+        vertices = smooth_under_clothes(skin, self.reference, own)
+        return replace(cut, vertices=into_cut @ vertices, naked=into_cut @ naked)
+
+
+def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
+    """Topology of a choice; it is kept with the source."""
+    if choice not in source.kept:
+        source.kept[choice] = PersonTopology.of_choice(source, choice)
+    found = source.kept[choice]
+    assert isinstance(found, PersonTopology)
+    return found
+
+
 def build(
-    source: MakeHumanData, config: MakeHumanConfig, outfits: Mapping[str, Outfit]
+    source: MakeHumanData, config: MakeHumanConfig, outfits: Mapping[str, Outfit], fine: bool = True
 ) -> dict[str, NDArray[Any]]:
     """Build the arrays of a human file (docs/humans.md) from MakeHuman sliders.
 
     Clothes are cut and painted on the reference body, and draped over this body; both have the same topology.
     Equal input gives equal arrays. Raises MeshError if a target is missing or the stature is impossible.
+
+    Args:
+        source: MakeHuman's files.
+        config: Sliders.
+        outfits: Colours and fabrics by the name of the outfit.
+        fine: Paint a raster of twice the size of the texture.
     """
+    choice = Choice(config.hair, config.sleeves, TEXTURE_SIZE * (2 if fine else 1))
+    common = topology(source, choice)
     config, scale = with_stature(source, config)
-    man = _naked(source, read_base(source, target_strengths(source, ADULT_MAN)))
-    body = _naked(source, _scaled(read_base(source, target_strengths(source, config)), scale))
-    ears = source.mask("ears")
-    is_ear = _at_vertices(man.mesh, ears)
-    reference, own = man.regions(is_ear, config), body.regions(is_ear, config)
-
-    shapes = scale * face_offsets(source, body.rows)
-    mesh = replace(body.mesh, canonical=man.mesh.naked, shapes=shapes)
-    on_scalp = (reference.hair(mesh.canonical) > 0.01) & (is_ear < 0.01) & (mesh.part == 0)
-    mesh = refine(mesh, on_scalp[mesh.faces].all(axis=1))
-    mesh = cut_clothes(replace(mesh, vertices=smooth_under_clothes(mesh, reference, own)), reference)
+    base = _scaled(read_base(source, target_strengths(source, config)), scale)
+    body = _naked(base, common.rows, common.bare, common.fingers)
+    own = body.regions(common.is_ear, common.bare.part, choice)
+    mesh = common.worn_by(body, own)
     balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
-    dressed = dress(mesh, reference, own, _at_vertices(mesh, ears), balls)
-    offsets = unskin_offsets(mesh.shapes, mesh.weights, body.motion)
+    dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
+    offsets = unskin_offsets(scale * mesh.shapes, mesh.weights, body.motion)
     dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
-    uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
-
-    texels = rasterise(mesh.faces, uv, mesh.uv_faces, 2 * TEXTURE_SIZE)
-    base_uv = np.einsum("nk,nkj->nj", texels.weights, mesh.uv[texels.uv])
-    canvas = Canvas(texels.mix(mesh.canonical), texels.mix(dressed), base_uv, reference, own, source)
-    open_sky = texels.mix(openness(dressed, mesh.surface))
-    light = np.where(mesh.part[texels.vertices[:, 0]] == 0, 0.55 + 0.45 * open_sky, 1.0)
-    painter = functools.partial(paint, mesh, texels, canvas, light)
-    looks = {name: downsample(texels, painter(outfit, man.gaze)) for name, outfit in outfits.items()}
-    skin = downsample(texels, 255 * np.repeat(skin_share(mesh, texels, canvas)[:, None], 3, axis=1))
+    looks = _painted(common, mesh, dressed, own, outfits)
 
     sole = np.array([0, dressed[:, 1].min(), 0])
-    reach = _PARTING * float(np.ptp(dressed[:, 1]))
-    weights = smooth_weights(mesh.weights, dressed, mesh.faces, reach)
-    in_shoes = mesh.garment == SHOES
-    weights[in_shoes] = bend_in_shoes(weights[in_shoes], dressed[in_shoes], body.bones)
-    weights = limit_details(weights)
+    weights = _worn_weights(common, mesh, dressed, body.bones)
     order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
     values = np.take_along_axis(weights, order, axis=1)
     triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
     arrays: dict[str, NDArray[Any]] = {
         "vertices": (dressed - sole).astype(np.float32),
         "faces": mesh.faces.astype(np.int32),
-        "uv": uv.astype(np.float32),
+        "uv": common.uv.astype(np.float32),
         "uv_faces": mesh.uv_faces.astype(np.int32),
         "bone_names": np.array(body.bones.names),
         "bone_parents": body.bones.parents.astype(np.int32),
@@ -245,13 +345,45 @@ def build(
         "outfits": np.array(list(looks)),
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
         **shape_arrays(Shapes.of_offsets(ACTIONS, offsets), scale),
-        "skin": np.ascontiguousarray(skin[..., 0]),
+        "skin": common.skin,
         "license": np.array("CC0-1.0"),
         "source": np.array(SOURCE),
     }
     arrays["faces"][triangle, 3] = -1
     arrays["uv_faces"][triangle, 3] = -1
     return arrays
+
+
+def _painted(
+    common: PersonTopology, mesh: BodySurface, dressed: Array, own: BodyRegions, outfits: Mapping[str, Outfit]
+) -> dict[str, NDArray[np.uint8]]:
+    """Textures by outfit.
+
+    Args:
+        common: Topology of the person.
+        mesh: Surface of the person.
+        dressed: Its vertices with clothes, (V, 3), in the T pose.
+        own: Its regions.
+        outfits: Colours and fabrics by the name of the outfit.
+    """
+    texels = common.texels
+    canvas = replace(common.canvas, dressed=texels.mixing @ dressed, own=own)
+    fine = len(texels.nearest) > TEXTURE_SIZE
+    open_sky = texels.mixing @ openness(dressed, mesh.surface, AO_DIRECTIONS // (1 if fine else 2))
+    light = np.where(mesh.part[texels.vertex] == 0, 0.55 + 0.45 * open_sky, 1.0)
+    return {
+        name: as_image(texels, paint(mesh, texels, canvas, light, outfit, common.gaze))
+        for name, outfit in outfits.items()
+    }
+
+
+def _worn_weights(common: PersonTopology, mesh: BodySurface, dressed: Array, bones: Bones) -> Array:
+    """Weights (V, B) of cloth, shoes and skin; ``dressed``: vertices (V, 3) with clothes."""
+    reach = _PARTING * float(np.ptp(dressed[:, 1]))
+    weights = smooth_weights(mesh.weights, dressed, common.edges, reach)
+    in_shoes = mesh.garment == SHOES
+    weights[in_shoes] = bend_in_shoes(weights[in_shoes], dressed[in_shoes], bones)
+    return limit_details(weights)
 
 
 def _jpeg(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -265,43 +397,53 @@ def _scaled(base: Base, scale: float) -> Base:
     return base if scale == 1.0 else replace(base, vertices=base.vertices * scale)
 
 
-def _naked(source: MakeHumanData, base: Base) -> _Body:
-    """Body and eyes without the other helpers; in the T pose the bare soles are at height 0."""
-    points = landmarks(base)
-    transforms, hinges = relaxed_fingers(points)
-    bones_a = make_bones(points, transforms, hinges)
-    weights = bone_weights(source, bones_a, len(base.vertices))
-    for side in "lr":
-        eye = bones_a.index(f"{side}_eyeball_joint")
-        weights[base.vertex_groups[f"helper-{side}-eye"]] = np.eye(len(bones_a.names))[eye]
-    motion, bones = t_pose(bones_a)
+def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface]:
+    """Rows (V,) of the base mesh that are body and eyes, and their surface with faces, weights and shapes."""
     keep = np.isin(base.face_groups, ("body", "helper-l-eye", "helper-r-eye"))
     rows, faces = compact(base.faces[keep], len(base.vertices))
     uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
     part = np.zeros(len(rows), np.int64)
-    for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
+    weights = bone_weights(source, len(base.vertices))
+    for number, side in enumerate("lr", 1):
+        group = f"helper-{side}-eye"
         part[faces[base.face_groups[keep] == group]] = number
-    vertices = relax_hands(source, base.vertices, transforms)[rows]
-    naked = unskin(vertices, weights[rows], motion)
-    floor = np.array([0, float(naked[part == 0, 1].min()), 0])
-    naked = naked - floor
-    bare, bare_faces = np.full(len(rows), NONE), np.full(len(faces), NONE)
-    mesh = BodySurface(
-        vertices,
-        faces,
-        base.uv[uv_rows],
-        uv_faces,
-        weights[rows],
-        naked,
-        naked,
-        part,
-        bare,
-        bare_faces,
-        np.arange(len(rows)),
-        np.zeros((len(rows), 0)),
+        weights[base.vertex_groups[group]] = np.eye(len(BONE_NAMES))[
+            BONE_NAMES.index(f"{side}_eyeball_joint")
+        ]
+    naked = base.vertices[rows]
+    return rows, BodySurface(
+        vertices=naked,
+        faces=faces,
+        uv=base.uv[uv_rows],
+        uv_faces=uv_faces,
+        weights=weights[rows],
+        canonical=naked,
+        naked=naked,
+        part=part,
+        garment=np.full(len(rows), NONE),
+        face_garment=np.full(len(faces), NONE),
+        weld=np.arange(len(rows)),
+        shapes=face_offsets(source, rows),
     )
+
+
+def _naked(base: Base, rows: VertexIndices, bare: BodySurface, fingers: Array) -> _Body:
+    """Body and eyes without the other helpers; in the T pose the bare soles are at height 0.
+
+    Args:
+        base: Base mesh with its targets.
+        rows: Its vertices (V,) that are body and eyes.
+        bare: Their surface.
+        fingers: See :func:`finger_shares`.
+    """
+    points = landmarks(base)
+    transforms, hinges = relaxed_fingers(points)
+    motion, bones = t_pose(make_bones(points, transforms, hinges))
+    vertices = relax_hands(fingers, base.vertices, transforms)[rows]
+    naked = unskin(vertices, bare.weights, motion)
+    floor = np.array([0, float(naked[bare.part == 0, 1].min()), 0])
     bones = replace(bones, heads=bones.heads - floor, tails=bones.tails - floor)
-    return _Body(mesh, bones, points, motion, floor, rows)
+    return _Body(vertices, naked - floor, bones, points, motion, floor)
 
 
 def _at_vertices(mesh: BodySurface, mask: VertexMask) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,7 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.ndimage import gaussian_filter, grey_closing, map_coordinates
 from scipy.sparse import csgraph
-from scipy.sparse.linalg import factorized
+from scipy.sparse.linalg import splu
 from scipy.spatial import ConvexHull
 
 from humansim_ros.humans.makehuman.data import VertexIndices
@@ -27,6 +28,8 @@ from humansim_ros.humans.makehuman.surface import (
     outline,
     ramp,
     smooth,
+    smooth_rows,
+    smooth_towards,
     vertex_normals,
 )
 from humansim_ros.types import Array
@@ -68,8 +71,12 @@ class Outline:
         """Reach (N,) at the height and in the direction of points (N, 3)."""
         row = ((points[:, 1] - self.bottom) / _HIGH - 0.5).clip(0, len(self.reach) - 1)
         column = around(points, self.axis)[0] / _WIDE - 0.5
-        wrapped = np.pad(self.reach, ((0, 0), (1, 1)), "wrap")
-        return np.asarray(map_coordinates(wrapped, np.stack([row, column + 1]), order=1, mode="nearest"))
+        return np.asarray(map_coordinates(self._ring, np.stack([row, column + 1]), order=1, mode="nearest"))
+
+    @functools.cached_property
+    def _ring(self) -> Array:
+        """Reach with the first and the last direction on both sides."""
+        return np.pad(self.reach, ((0, 0), (1, 1)), "wrap")
 
 
 def around(points: Array, axis: float) -> tuple[Array, Array]:
@@ -106,7 +113,8 @@ def shrink_onto(
 
 def push_outwards(points: Array, reach: Array, axis: float) -> Array:
     """Move points (N, 3) away from the axis to at least ``reach`` (N,)."""
-    factor = np.maximum(reach / np.maximum(around(points, axis)[1], 1e-6), 1.0)
+    distance = np.hypot(points[:, 0], points[:, 2] - axis)
+    factor = np.maximum(reach / np.maximum(distance, 1e-6), 1.0)
     out = points.copy()
     out[:, 0] *= factor
     out[:, 2] = axis + (points[:, 2] - axis) * factor
@@ -335,19 +343,24 @@ def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyReg
     quad_area = np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
     area = np.zeros(len(x))
     np.add.at(area, mesh.faces, quad_area[:, None] / 4)
-    solve = factorized((sparse.diags(area) + CLOTH_SMOOTHING**2 * csgraph.laplacian(graph)).tocsc())
+    matrix = (sparse.diags(area) + CLOTH_SMOOTHING**2 * csgraph.laplacian(graph)).tocsc()
+    # the ordering and the pivots of symmetric, positive matrices: five times as fast
+    factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     def diffuse(values: Array) -> Array:
-        return np.stack([solve(area * column) for column in values.T], axis=1)
+        return np.asarray(factors.solve(area[:, None] * values))
 
     once = diffuse(x)
     return mesh.vertices + amount[:, None] * (once + diffuse(x - once) - mesh.vertices)
 
 
-def snap_to_border(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Array]:
+def snap_to_border(
+    mesh: BodySurface, fields: Array, column: int
+) -> tuple[BodySurface, Array, sparse.csr_matrix]:
     """Move vertices along edges onto the zero line of one field, so that no edge crosses it.
 
-    ``fields``: (V, K) values at the vertices. Returns the mesh and its new fields.
+    ``fields``: (V, K) values at the vertices. Returns the mesh, its new fields, and the matrix (V, V) that
+    moves the vertices.
     """
     corners = [0, 1, 2, 3]
     pairs = [
@@ -370,24 +383,22 @@ def snap_to_border(mesh: BodySurface, fields: Array, column: int) -> tuple[BodyS
         if len(targets[a, b]) == len(copies[a]):  # vertices on a texture seam move along the seam only
             length = step * float(np.linalg.norm(mesh.canonical[b] - mesh.canonical[a]))
             best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
-    vertices, canonical, naked = mesh.vertices.copy(), mesh.canonical.copy(), mesh.naked.copy()
-    weights, uv, new_fields = mesh.weights.copy(), mesh.uv.copy(), fields.copy()
-    shapes = mesh.shapes.copy()
+    carry = sparse.identity(len(mesh.vertices), format="lil")
+    uv = mesh.uv.copy()
     for a, (_, b, step) in best.items():
-        for new, old in (
-            (vertices, mesh.vertices),
-            (canonical, mesh.canonical),
-            (naked, mesh.naked),
-            (weights, mesh.weights),
-            (shapes, mesh.shapes),
-            (new_fields, fields),
-        ):
-            new[a] = (1 - step) * old[a] + step * old[b]
-        new_fields[a, column] = 0.0
+        carry[a, a], carry[a, b] = 1 - step, step
         for ta, tb in targets[a, b].items():
             uv[ta] = (1 - step) * mesh.uv[ta] + step * mesh.uv[tb]
-    moved = replace(mesh, vertices=vertices, canonical=canonical, naked=naked, weights=weights, uv=uv)
-    return replace(moved, shapes=shapes), new_fields
+    carry = carry.tocsr()
+    new_fields = carry @ fields
+    new_fields[list(best), column] = 0.0
+    return replace(carried(mesh, carry), uv=uv), new_fields, carry
+
+
+def carried(mesh: BodySurface, carry: sparse.csr_matrix) -> BodySurface:
+    """The mesh with all values of its vertices multiplied by a matrix (V', V)."""
+    names = ("vertices", "canonical", "naked", "weights", "shapes")
+    return replace(mesh, **{name: carry @ getattr(mesh, name) for name in names})
 
 
 def split_along(
@@ -407,11 +418,16 @@ def split_along(
     return np.concatenate(pieces), np.concatenate(uv_pieces)
 
 
-def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> BodySurface:
-    """Cut the mesh along the borders of garments, and connect the edges by hems."""
+def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> tuple[BodySurface, sparse.csr_matrix]:
+    """Cut the mesh along the borders of garments, and connect the edges by hems.
+
+    Returns the mesh, and the matrix (V', V) that gives its vertices from the vertices before.
+    """
     fields = np.stack([border(mesh.canonical) for border in reference.borders], axis=1)
+    carry = sparse.identity(len(mesh.vertices), format="csr")
     for column in range(fields.shape[1]):
-        mesh, fields = snap_to_border(mesh, fields, column)
+        mesh, fields, moved = snap_to_border(mesh, fields, column)
+        carry = moved @ carry
     faces, uv_faces = mesh.faces, mesh.uv_faces
     for column in range(fields.shape[1]):
         faces, uv_faces = split_along(faces, uv_faces, fields[:, column])
@@ -440,7 +456,7 @@ def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> BodySurface:
         uv += [0.75 * mesh.uv[uv_faces[f, i]] + 0.25 * middle for i in (to_b, k)]
         uv_hems.append([len(uv) - 2, len(uv) - 1, len(uv) - 1, len(uv) - 2])
         hem_garment.append(face_garment[f])
-    return BodySurface(
+    cut = BodySurface(
         vertices=mesh.vertices[old],
         faces=np.concatenate([faces_cut, hems]),
         uv=np.array(uv),
@@ -455,6 +471,7 @@ def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> BodySurface:
         shapes=np.where((garment == NONE)[:, None], mesh.shapes[old], 0.0),
         hems=len(hems),
     )
+    return cut, carry[old]
 
 
 def wrap_in_shoe(
@@ -494,7 +511,7 @@ def wrap_in_shoe(
     shoe = ConvexHull(
         np.concatenate([skin + 0.004 * size * np.sign(skin - skin.mean(axis=0)) * [1, 0, 0], *levels, box])
     )
-    normals, offsets = shoe.equations[:, :3], -shoe.equations[:, 3]
+    sides = (shoe.equations * [1, 1, 1, -1]).astype(np.float32)  # micrometres are enough
 
     heel = skin[:, 2].min() + 0.045 * size
     middle = np.array([low[:, 0].mean(), floor + 0.03 * size, ball[2] - 0.035 * size])
@@ -503,19 +520,22 @@ def wrap_in_shoe(
         centre = np.tile(middle, (len(points), 1))
         centre[:, 2] = np.clip(points[:, 2], heel, middle[2])
         ray = points - centre
-        reach = ray @ normals.T
-        room = offsets - centre @ normals.T
-        stretch = np.where(reach > 1e-9, room / np.maximum(reach, 1e-9), np.inf).min(axis=1)
-        return centre + ray * stretch[:, None]
+        room = sides[:, 3] - centre.astype(np.float32) @ sides[:, :3].T
+        near = ray.astype(np.float32) @ sides[:, :3].T
+        near /= np.maximum(room, np.float32(1e-9))
+        return centre + ray / near.max(axis=1)[:, None]
 
     free = np.zeros(len(vertices))
     free[foot] = naked[foot, 2] > ball[2] - 0.012 * size
-    wrapped = smooth(naked, faces, free, 300)
+    mean = mean_matrix(neighbours(faces, len(vertices)))
+    wrapped = smooth_towards(mean, naked, free, 300)
     rows = foot[amount[foot] > 0.9]
     free[rows] = 1.0
+    loose = np.flatnonzero(free)
+    near, half = mean[loose], 0.5 * free[loose, None]
     for _ in range(60):
         wrapped[rows] = project(wrapped[rows])
-        wrapped = smooth(wrapped, faces, 0.5 * free, 2)
+        smooth_rows(near, wrapped, loose, half, 2)
     wrapped[foot] = project(wrapped[foot])
     return vertices + amount[:, None] * (wrapped - vertices)
 

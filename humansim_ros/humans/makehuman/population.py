@@ -9,27 +9,31 @@ from __future__ import annotations
 import colorsys
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from statistics import NormalDist
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.makehuman.data import Base, MakeHumanData, read_base
+from humansim_ros.humans.makehuman.data import Base, MakeHumanData
 from humansim_ros.humans.makehuman.shape import (
     Fabric,
     MakeHumanConfig,
     Outfit,
     Race,
+    read_body,
     target_strengths,
     with_stature,
 )
+from humansim_ros.types import Array
 
 Sex = Literal["female", "male"]
 SEXES: tuple[Sex, ...] = ("female", "male")
-#: Ages in years and body mass indices that people may have, and most standard deviations of a stature.
-AGES, BMIS, _MOST_DEVIATIONS = (2.0, 90.0), (12.0, 42.0), 5
+#: Ages in years, statures in metres and body mass indices that people may have.
+AGES, STATURES, BMIS = (2.0, 90.0), (0.6, 2.3), (12.0, 42.0)
+#: Most standard deviations of a stature.
+_MOST_DEVIATIONS = 5
 #: Kilograms per cubic metre of a body: people just float.
 DENSITY = 985.0
 #: Middles of the age groups of the survey, years; from 20 on, ten years each, and the last from 80 on.
@@ -124,6 +128,8 @@ _FACE = (
     *(("head/head-fat", "decr", "incr"), ("head/head-scale-horiz", "decr", "incr")),
     *(("forehead/forehead-scale-vert", "decr", "incr"), ("eyebrows/eyebrows-trans", "down", "up")),
 )
+#: All of them by name.
+FACE_TARGETS = tuple(f"{name}-{end}" for name, *ends in _FACE for end in ends)
 #: Largest strength of a target of the face.
 _FACE_STRENGTH = 0.6
 _NORMAL = NormalDist()
@@ -165,6 +171,124 @@ class Person:
         return self.weight / self.stature**2
 
 
+@dataclass(frozen=True)
+class PeopleLimits:
+    """Whom to draw.
+
+    Attributes:
+        age: Youngest and oldest age, years.
+        women: Share of women and girls.
+        stature: Least and greatest stature, metres.
+        bmi: Least and greatest body mass index, kilograms per square metre.
+        skin: First and last skin tone of the Monk scale.
+        uniform: Whether all wear clothes of the same cut, colours and fabrics.
+    """
+
+    age: tuple[float, float] = AGES
+    women: float = 0.5
+    stature: tuple[float, float] = STATURES
+    bmi: tuple[float, float] = BMIS
+    skin: tuple[int, int] = (1, 10)
+    uniform: bool = False
+
+
+def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
+    """Draw a person of some people; all else is drawn as by :func:`draw_person`.
+
+    Who has another stature or body mass index is drawn anew.
+
+    Raises:
+        MeshError: An age or a tone is impossible, or nobody has these traits together.
+
+    Example:
+        >>> 30 <= draw_people(7, 3, PeopleLimits(age=(30, 40))).age <= 40
+        True
+    """
+    for attempt in range(_ATTEMPTS):
+        person = _drawn(f"{seed}/person {number}{f'/{attempt}' if attempt else ''}", people)
+        fits = people.stature[0] <= person.stature <= people.stature[1]
+        if fits and people.bmi[0] <= round(person.bmi, 2) <= people.bmi[1]:
+            break
+    else:
+        raise MeshError(
+            f"of {_ATTEMPTS} people of {people.age[0]:g} to {people.age[1]:g} years nobody is "
+            f"{people.stature[0]:g} to {people.stature[1]:g} m tall with a body mass index of "
+            f"{people.bmi[0]:g} to {people.bmi[1]:g}: give wider ranges (stature, bmi) or other ages (age)"
+        )
+    if people.uniform:
+        model = _drawn(f"{seed}/uniform", PeopleLimits())
+        clothes = {key: getattr(model.outfit, key) for key in _CLOTHES}
+        outfit = person.outfit.model_copy(update=clothes)
+        person = replace(person, outfit=outfit, sleeves=model.sleeves)
+    return person
+
+
+#: Draws after which nobody is found, and what the outfits of people in uniform have in common.
+_ATTEMPTS = 1000
+_CLOTHES = (
+    *("shirt", "shirt_fabric", "shirt_second", "trousers", "trousers_fabric", "trousers_second"),
+    *("belt", "shoes", "soles"),
+)
+#: Start of the name of a drawn person, and the separator of ranges in it.
+_PERSON, _TO = "person#", ".."
+
+
+def is_person(name: str) -> bool:
+    """Whether the name of a human is the name of a drawn person, such as ``person#7-3,age=20..60``."""
+    return name.startswith(_PERSON)
+
+
+def person_name(seed: int, number: int, people: PeopleLimits) -> str:
+    """Name from which :func:`read_person` draws a person anew."""
+    parts = [f"{_PERSON}{seed}-{number}"]
+    for each in fields(PeopleLimits):
+        value = getattr(people, each.name)
+        if value != each.default:
+            parts.append(each.name if value is True else f"{each.name}={_text(value)}")
+    return ",".join(parts)
+
+
+def _text(value: float | tuple[float, float]) -> str:
+    return _TO.join(repr(part) for part in value) if isinstance(value, tuple) else repr(value)
+
+
+def read_person(name: str) -> Person:
+    """Draw the person of a name: ``person#SEED-NUMBER``, with fields of :class:`PeopleLimits` if given.
+
+    Raises:
+        MeshError: The name is wrong, or nobody has these traits.
+
+    Example:
+        >>> read_person("person#7-3,age=20..60,uniform").age > 20
+        True
+    """
+    try:
+        start, *parts = name.removeprefix(_PERSON).split(",")
+        seed, number = (int(part) for part in start.split("-"))
+        known = {each.name: each.default for each in fields(PeopleLimits)}
+        values: dict[str, Any] = {}
+        for part in parts:
+            key, _, text = part.partition("=")
+            kind = int if key == "skin" else float
+            if isinstance(known[key], tuple):
+                low, high = (kind(word) for word in text.split(_TO))
+                values[key] = (low, high)
+            else:
+                values[key] = True if key == "uniform" and not text else float(text)
+    except (ValueError, KeyError):
+        raise MeshError(
+            f"{name[:60]!r} is no drawn person: give a seed and a number, and if you like "
+            f"{', '.join(each.name for each in fields(PeopleLimits))}, as in person#7-3,age=20..60,women=0.5"
+        ) from None
+    return draw_people(seed, number, PeopleLimits(**values))
+
+
+def model_of(person: Person) -> Person:
+    """Person of average age whose mesh has the same faces: what holds for all of them is computed for it."""
+    model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
+    return replace(model, hair=person.hair, sleeves=person.sleeves)
+
+
 def draw_person(
     seed: int,
     number: int = 0,
@@ -193,13 +317,37 @@ def draw_person(
         >>> person.age, person.sex, person.stature
         (70.0, 'female', 1.58)
     """
-    _check("age", ages[0], AGES, "years")
-    _check("age", ages[1], AGES, "years")
+    return _drawn(f"{seed}/person {number}", PeopleLimits(age=ages), sex, stature, weight, tone)
+
+
+def _drawn(
+    seed: str,
+    people: PeopleLimits,
+    sex: Sex | None = None,
+    stature: float | None = None,
+    weight: float | None = None,
+    tone: int | None = None,
+) -> Person:
+    """A person by its own seed.
+
+    Args:
+        seed: Seed of the person.
+        people: Ages, sexes and skin tones; stature and body mass index are not limited to it.
+        sex: See :func:`draw_person`; and so on.
+        stature: Metres.
+        weight: Kilograms.
+        tone: Skin tone.
+    """
+    ages = people.age
+    for limit in ages:
+        _check("age", limit, AGES, "years")
     if ages[0] > ages[1]:
         raise MeshError(f"the youngest age, {ages[0]:g}, is above the oldest, {ages[1]:g}", key="age")
-    uniform = random.Random(f"{seed}/person {number}").random
+    for limit in people.skin:
+        _check("skin", limit, (1, 10), "of the Monk scale")
+    uniform = random.Random(seed).random
     age = round(ages[0] + (ages[1] - ages[0]) * uniform(), 2)
-    drawn_sex = SEXES[uniform() < 0.5]
+    drawn_sex = SEXES[uniform() < 1 - people.women]
     sex = sex or drawn_sex
     tall, heavy = _NORMAL.inv_cdf(0.002 + 0.996 * uniform()), _NORMAL.inv_cdf(0.002 + 0.996 * uniform())
     mean, deviation = stature_of(age, sex)
@@ -210,7 +358,8 @@ def draw_person(
     bmi = bmi_of(age, sex, heavy)
     weight = round(bmi * stature**2, 1) if weight is None else weight
     _check("weight", weight, (round(BMIS[0] * stature**2, 1), round(BMIS[1] * stature**2, 1)), "kg")
-    drawn_tone = 1 + int(10 * uniform())
+    lightest, darkest = people.skin
+    drawn_tone = lightest + int((darkest - lightest + 1) * uniform())
     tone = drawn_tone if tone is None else tone
     _check("skin", tone, (1, 10), "of the Monk scale")
     return Person(
@@ -365,23 +514,24 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
         return config.model_copy(update={"targets": {**person.face, **heaviest}})
 
     def weight(config: MakeHumanConfig, scale: float) -> float:
-        return DENSITY * scale**3 * volume(read_base(source, target_strengths(source, config)))
+        return DENSITY * scale**3 * volume(source.base, read_body(source, target_strengths(source, config)))
 
-    fatness, height = 0.5, 0.5
+    def excess(fatness: float) -> float:
+        return weight(shape(fatness, height), scale) / person.weight - 1
+
+    height, bracket = 0.5, _FATNESS
+    fatness = 0.5
     for _ in range(3):
         sized = shape(fatness, height).model_copy(update={"stature": person.stature})
         try:
             sized, scale = with_stature(source, sized)
         except MeshError as reason:
             raise MeshError(reason.message, key="height") from None
-        height = sized.height
-        low, high = _FATNESS
-        for _ in range(12):
-            fatness = (low + high) / 2
-            if weight(shape(fatness, height), scale) < person.weight:
-                low = fatness
-            else:
-                high = fatness
+        before, height = height, sized.height
+        fatness = _root(excess, bracket)
+        if abs(height - before) < _SETTLED:
+            break
+        bracket = (max(fatness - _NEAR, _FATNESS[0]), min(fatness + _NEAR, _FATNESS[1]))
     config = shape(fatness, height)
     reached = weight(config, scale)
     if abs(reached / person.weight - 1) > _WEIGHT_TOLERANCE:
@@ -391,13 +541,28 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
     return config.model_copy(update={"stature": person.stature})
 
 
-#: Range of the fatness, and largest relative error of the weight.
-_FATNESS, _WEIGHT_TOLERANCE = (-1.0, 3.5), 0.002
+#: Range of the fatness, largest relative error of the weight, and range in which later rounds search first.
+_FATNESS, _WEIGHT_TOLERANCE, _NEAR = (-1.0, 3.5), 0.002, 0.1
+#: Change of the height slider that changes the weight by less than a thousandth.
+_SETTLED = 0.002
 
 
-def volume(base: Base) -> float:
-    """Volume of the naked body (cubic metres), by tetrahedra from the origin."""
+def _root(excess: Callable[[float], float], bracket: tuple[float, float]) -> float:
+    """Fatness at which a rising excess is zero, to five digits; the nearest end of all if there is none."""
+    low, high = bracket
+    from scipy.optimize import brentq  # slow to import
+
+    below, above = excess(low), excess(high)
+    if below < 0 < above:
+        return round(float(brentq(excess, low, high, xtol=1e-5)), 5)
+    end = low if below >= 0 else high
+    if end in _FATNESS or below * above == 0:
+        return end
+    return _root(excess, (_FATNESS[0], end) if below > 0 else (end, _FATNESS[1]))
+
+
+def volume(base: Base, body: Array) -> float:
+    """Volume of a naked body (V, 3), cubic metres, by tetrahedra from the origin."""
     faces = base.faces[base.face_groups == "body"]
-    a, b, c, d = (base.vertices[faces[:, corner]] for corner in range(4))
-    cross = np.cross(b, c) + np.cross(c, d)
-    return float(np.einsum("ij,ij->", a, cross)) / 6
+    a, b, c, d = (body[faces[:, corner]] for corner in range(4))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c) + np.cross(c, d))) / 6

@@ -7,13 +7,14 @@ is the product of the shares of the values in its name.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.makehuman.data import MakeHumanData, read_base
+from humansim_ros.humans.makehuman.data import METRES, MakeHumanData, read_base
 from humansim_ros.io.schema import ByteColor, Section, Share
 from humansim_ros.types import Array
 
@@ -38,6 +39,7 @@ _COMBINATIONS = (
     ("macrodetails/height/", ("gender", "age", "muscle", "weight", "height")),
     ("breast/", ("gender", "age", "muscle", "weight", "cup_size", "firmness")),
 )
+_HEIGHT = _COMBINATIONS[3:4]
 #: Range of the scale factor for a stature, beyond the height slider.
 _TALLEST, _SHORTEST = 1.35, 0.7
 
@@ -100,18 +102,7 @@ class MakeHumanConfig(Section):
 
 def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str, float]:
     """Strengths of targets by name. Raises MeshError for an unknown target."""
-    shares: dict[str, dict[str, float]] = {"race": _race_shares(config)}
-    for slider in _SLIDERS:
-        shares[slider] = _slider_shares(slider, float(getattr(config, slider)))
-    strengths: dict[str, float] = {}
-    for start, sliders in _COMBINATIONS:
-        for values in itertools.product(*(shares[slider].items() for slider in sliders)):
-            strength = float(np.prod([share for _, share in values]))
-            names = [name for name, _ in values]
-            target = start + "-".join(names)
-            # an unnamed value or a missing target means the average
-            if strength > 0 and all(names) and source.has_target(target):
-                strengths[target] = strength
+    strengths = _combined(source, config, _COMBINATIONS)
     for name, strength in config.targets.items():
         if not source.has_target(name):
             raise MeshError(
@@ -122,14 +113,34 @@ def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str
     return strengths
 
 
+def _combined(
+    source: MakeHumanData, config: MakeHumanConfig, combinations: Sequence[tuple[str, Sequence[str]]]
+) -> dict[str, float]:
+    """Strengths of the targets of combinations of sliders."""
+    strengths: dict[str, float] = {}
+    for start, sliders in combinations:
+        for values in itertools.product(*(_shares(slider, config) for slider in sliders)):
+            target = start + "-".join(name for name, _ in values)
+            # an unnamed value or a missing target means the average
+            if all(name for name, _ in values) and source.has_target(target):
+                strengths[target] = float(np.prod([share for _, share in values]))
+    return strengths
+
+
 def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHumanConfig, float]:
     """Set the height slider for the ``stature``, and return the remaining scale factor."""
     if config.stature is None:
         return config, 1.0
+    # only targets of the height differ
+    level = read_body(source, target_strengths(source, config.model_copy(update={"height": 0.5})))[:, 1]
     low, high = 0.0, 1.0
     for _ in range(14):
         middle = (low + high) / 2
-        if _barefoot(source, config.model_copy(update={"height": middle})) < config.stature:
+        y = level.copy()
+        taller = config.model_copy(update={"height": middle})
+        for name, strength in _combined(source, taller, _HEIGHT).items():
+            y += METRES * strength * source.body_target(name)[:, 1]
+        if np.ptp(y) < config.stature:
             low = middle
         else:
             high = middle
@@ -149,18 +160,24 @@ def _barefoot(source: MakeHumanData, config: MakeHumanConfig) -> float:
     return float(np.ptp(base.vertices[base.vertex_groups["body"], 1]))
 
 
-def _race_shares(config: MakeHumanConfig) -> dict[str, float]:
-    if isinstance(config.race, str):
-        return {config.race: 1.0}
-    total = sum(config.race.values())
-    return {race: config.race.get(race, 0.0) / total for race in _RACES}
+def read_body(source: MakeHumanData, targets: Mapping[str, float]) -> Array:
+    """Vertices (V, 3) of the naked body in metres, to nanometres; faster than the whole base mesh."""
+    base = source.base
+    vertices = base.vertices[base.vertex_groups["body"]]
+    for name, strength in targets.items():
+        vertices += strength * source.body_target(name)
+    return vertices * METRES
 
 
-def _slider_shares(slider: str, value: float) -> dict[str, float]:
-    """Shares of the named values of a slider at a value."""
-    values: Array = np.array([value for value, _ in _SLIDERS[slider]])
-    names = [name for _, name in _SLIDERS[slider]]
-    return {
-        name: float(np.interp(value, values, np.eye(len(values))[number]))
-        for number, name in enumerate(names)
-    }
+def _shares(slider: str, config: MakeHumanConfig) -> list[tuple[str, float]]:
+    """Named values of a slider, or races, with their shares above zero."""
+    if slider == "race":
+        races = {config.race: 1.0} if isinstance(config.race, str) else config.race
+        total = sum(races.values())
+        shares = {str(race): races.get(race, 0.0) / total for race in _RACES}
+    else:
+        names = [name for _, name in _SLIDERS[slider]]
+        values: Array = np.array([value for value, _ in _SLIDERS[slider]])
+        eye, value = np.eye(len(values)), float(getattr(config, slider))
+        shares = {name: float(np.interp(value, values, eye[row])) for row, name in enumerate(names)}
+    return [(name, share) for name, share in shares.items() if share > 0]

@@ -92,13 +92,16 @@ WEIGHT_SHARES: dict[str, dict[str, float]] = {
 }
 
 
+_GENERAL = (*(name for name, *_ in TRUNK), *(name.format(side) for side in "lr" for name, *_ in SIDE))
+#: Names of all bones of a MakeHuman body.
+BONE_NAMES = (*_GENERAL, *DETAIL_BONES)
+
+
 def _wholes() -> VertexIndices:
     """Bone (B,) of the first 22 that each bone is a detail of; one of the 22 itself."""
-    names = [name for name, *_ in TRUNK] + [name.format(side) for side in "lr" for name, *_ in SIDE]
-    wholes = list(range(len(names)))
-    names += DETAIL_BONES
+    wholes = list(range(len(_GENERAL)))
     for bone in DETAIL_BONES:
-        wholes.append(wholes[names.index(DETAIL_BONES[bone])])
+        wholes.append(wholes[BONE_NAMES.index(DETAIL_BONES[bone])])
     return np.array(wholes)
 
 
@@ -186,9 +189,9 @@ def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: 
     return Bones(names, parents, heads, tails, axes)
 
 
-def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Array:
+def bone_weights(source: MakeHumanData, vertex_count: int) -> Array:
     """Weights of the artists summed per bone, dense (N, B); rows sum to one (see :func:`limit_weights`)."""
-    weights = np.zeros((vertex_count, len(bones.names)))
+    weights = np.zeros((vertex_count, len(BONE_NAMES)))
     for name, pairs in source.weights.items():
         if not pairs:
             continue
@@ -196,15 +199,18 @@ def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Arra
         side = "l" if name.endswith(".L") else "r"
         rows = np.array(pairs)
         for bone, share in WEIGHT_SHARES[prefix].items():
-            np.add.at(weights[:, bones.index(bone.format(side))], rows[:, 0].astype(int), share * rows[:, 1])
-    weights[weights.sum(axis=1) == 0, bones.index("vt3")] = 1.0
+            np.add.at(
+                weights[:, BONE_NAMES.index(bone.format(side))], rows[:, 0].astype(int), share * rows[:, 1]
+            )
+    weights[weights.sum(axis=1) == 0, BONE_NAMES.index("vt3")] = 1.0
     return limit_weights(weights)
 
 
 def _sums(weights: Array) -> Array:
     """Weights (N, 22) of the bones with their details."""
-    sums = np.zeros((len(weights), int(_WHOLE.max()) + 1))
-    np.add.at(sums.T, _WHOLE, weights.T)
+    sums = weights[:, : int(_WHOLE.max()) + 1].copy()
+    for bone in range(sums.shape[1], len(_WHOLE)):
+        sums[:, _WHOLE[bone]] += weights[:, bone]
     return sums
 
 
@@ -263,7 +269,13 @@ def limit_details(weights: Array) -> Array:
     return weights
 
 
-def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach: float) -> Array:
+def edges_of(faces: VertexIndices) -> VertexIndices:
+    """Edges (E, 2) of quads (F, 4), each once."""
+    edges = np.unique(np.sort(np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)]), axis=1), axis=0)
+    return edges[edges[:, 0] != edges[:, 1]]
+
+
+def smooth_weights(weights: Array, vertices: Array, edges: VertexIndices, reach: float) -> Array:
     """Smooth weights (N, B) along short edges, which motion would stretch to many times their length.
 
     Weights of the ends of an edge may differ so far that it stretches to about twice its length when bones
@@ -272,7 +284,7 @@ def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach:
     Args:
         weights: (N, B).
         vertices: (N, 3) metres.
-        faces: Quads (F, 4).
+        edges: See :func:`edges_of`.
         reach: Distance in metres.
 
     Returns:
@@ -280,23 +292,36 @@ def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach:
     """
     details = weights
     weights = _sums(details)
-    edges = np.unique(np.sort(np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)]), axis=1), axis=0)
-    edges = edges[edges[:, 0] != edges[:, 1]]
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     allowed = 2.0 * length / reach
+    around = _edges_around(edges, len(weights))
+    step = weights[edges[:, 1]] - weights[edges[:, 0]]
+    differ = np.abs(step).sum(axis=1) / 2
     for _ in range(200):
-        a, b = weights[edges[:, 0]], weights[edges[:, 1]]
-        differ = np.abs(a - b).sum(axis=1) / 2
         bad = np.flatnonzero(differ > 1.02 * allowed)
         if not len(bad):
             break
-        share = (0.5 * (1 - allowed[bad] / differ[bad]))[:, None]
-        step, count = np.zeros_like(weights), np.zeros((len(weights), 1))
-        np.add.at(step, edges[bad, 0], share * (b - a)[bad])
-        np.add.at(step, edges[bad, 1], share * (a - b)[bad])
-        np.add.at(count, edges[bad].ravel(), 1.0)
-        weights += step / np.maximum(count, 1.0)
+        moved, place = np.unique(edges[bad], return_inverse=True)
+        place = place.reshape(-1, 2)
+        pull = (0.5 * (1 - allowed[bad] / differ[bad]))[:, None] * step[bad]
+        total = np.zeros((len(moved), weights.shape[1]))
+        np.add.at(total, place[:, 0], pull)
+        np.subtract.at(total, place[:, 1], pull)
+        weights[moved] += total / np.bincount(place.ravel())[:, None]
+        near = np.unique(around[moved])  # only these edges have changed
+        step[near] = weights[edges[near, 1]] - weights[edges[near, 0]]
+        differ[near] = np.abs(step[near]).sum(axis=1) / 2
     return _shared(_limited(weights), details)
+
+
+def _edges_around(edges: VertexIndices, count: int) -> VertexIndices:
+    """Edges (V, K) at each of V vertices; a vertex with fewer has some twice."""
+    vertex = edges.ravel()
+    order = np.argsort(vertex, kind="stable")
+    starts = np.searchsorted(vertex[order], np.arange(count + 1))
+    degree = np.diff(starts)
+    column = np.minimum(np.arange(degree.max())[None], np.maximum(degree - 1, 0)[:, None])
+    return order[np.minimum(starts[:-1, None] + column, len(order) - 1)] // 2
 
 
 def t_pose(bones: Bones) -> tuple[Array, Bones]:

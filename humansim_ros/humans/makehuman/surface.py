@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +92,7 @@ def mean_matrix(graph: sparse.csr_matrix) -> sparse.csr_matrix:
 
 
 def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) -> Array:
-    """Smooth vertices towards the mean of their neighbours.
+    """Smooth vertices as :func:`smooth_towards` does.
 
     Args:
         vertices: (V, 3).
@@ -102,31 +103,118 @@ def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) ->
     Returns:
         Vertices (V, 3).
     """
-    mean = mean_matrix(neighbours(faces, len(vertices)))
+    return smooth_towards(mean_matrix(neighbours(faces, len(vertices))), vertices, amount, rounds)
+
+
+def smooth_towards(mean: sparse.csr_matrix, vertices: Array, amount: Array, rounds: int) -> Array:
+    """Smooth vertices towards the mean of their neighbours.
+
+    Args:
+        mean: Matrix (V, V) of :func:`mean_matrix`.
+        vertices: (V, 3).
+        amount: Factor (V,) of each step, 0 to 1.
+        rounds: Number of steps.
+
+    Returns:
+        Vertices (V, 3).
+    """
+    rows, out = np.flatnonzero(amount), vertices.copy()
+    smooth_rows(mean[rows], out, rows, amount[rows, None], rounds)
+    return out
+
+
+def smooth_rows(mean: sparse.csr_matrix, out: Array, rows: VertexIndices, amount: Array, rounds: int) -> None:
+    """Smooth the rows (M,) of vertices (V, 3) in place.
+
+    Args:
+        mean: These rows (M, V) of the matrix of :func:`mean_matrix`.
+        out: Vertices.
+        rows: Rows that move.
+        amount: Factor (M, 1) of each step.
+        rounds: Number of steps.
+    """
     for _ in range(rounds):
-        vertices = vertices + amount[:, None] * (mean @ vertices - vertices)
-    return vertices
+        out[rows] += amount * (mean @ out - out[rows])
+
+
+#: Points whose noise is computed at once: their arrays fit into the cache of a processor.
+_CHUNK = 8192
 
 
 def noise(points: Array, scale: float, seed: int) -> Array:
     """Smooth value noise (N,), -1 to 1, at points (N, 3), with features of about ``scale`` metres."""
-    p = points / scale + 1000.0  # keep cells positive for the hash
-    cell = np.floor(p).astype(np.uint64)
-    t = p - cell
-    t = t * t * (3 - 2 * t)
+    out = np.empty(len(points))
+    for start in range(0, len(points), _CHUNK):
+        out[start : start + _CHUNK] = _noise(points[start : start + _CHUNK], scale, seed)
+    return out
+
+
+def _noise(points: Array, scale: float, seed: int) -> Array:
+    p = points.T / scale + 1000.0  # keep cells positive for the hash
+    floor = np.floor(p)
+    cell = floor.astype(np.int64).view(np.uint64)
+    t = p - floor
+    t *= t * (3 - 2 * t)
     factors = (np.uint64(73856093), np.uint64(19349663), np.uint64(83492791))
-    keys = [(cell[:, k] * f, (cell[:, k] + np.uint64(1)) * f) for k, f in enumerate(factors)]
-    shares = [(1 - t[:, k], t[:, k]) for k in range(3)]
+    keys = [(cell[k] * f, (cell[k] + np.uint64(1)) * f) for k, f in enumerate(factors)]
+    keys[0] = (keys[0][0] + np.uint64(seed * 2654435761), keys[0][1] + np.uint64(seed * 2654435761))
+    shares = [(1 - t[k], t[k]) for k in range(3)]
     total = np.zeros(len(points))
-    for corner in range(8):
-        x, y, z = corner & 1, corner >> 1 & 1, corner >> 2
-        key = keys[0][x] + keys[1][y] + keys[2][z] + np.uint64(seed * 2654435761)
-        key *= np.uint64(0x9E3779B97F4A7C15)
-        key ^= key >> np.uint64(29)
-        key *= np.uint64(0xBF58476D1CE4E5B9)
-        value = (key >> np.uint64(40)).astype(float) / 2**23 - 1
-        total += value * (shares[0][x] * shares[1][y] * shares[2][z])
+    for x in (0, 1):
+        for y in (0, 1):
+            edge, share = keys[0][x] + keys[1][y], shares[0][x] * shares[1][y]
+            for z in (0, 1):
+                value = _hashed(edge + keys[2][z])
+                value *= share * shares[2][z]
+                total += value
     return total
+
+
+def _hashed(key: NDArray[np.uint64]) -> Array:
+    """Numbers from -1 to 1 that look random, of keys that are overwritten."""
+    key *= np.uint64(0x9E3779B97F4A7C15)
+    key ^= key >> np.uint64(29)
+    key *= np.uint64(0xBF58476D1CE4E5B9)
+    key >>= np.uint64(40)
+    value: Array = key.view(np.int64) / 2.0**23
+    value -= 1
+    return value
+
+
+#: Bits of the number of cells along a side of the cube that repeats in grain.
+_BITS = 6
+
+
+def grain(points: Array, scale: float, seed: int) -> Array:
+    """Noise as of :func:`noise` that repeats after 64 cells, for paint; a quarter of the time."""
+    table, last = _lattice(seed), (1 << _BITS) - 1
+    out = np.empty(len(points))
+    for start in range(0, len(points), _CHUNK):
+        p = (points[start : start + _CHUNK].T / scale).astype(np.float32)
+        floor = np.floor(p)
+        t = p - floor
+        t *= t * (3 - 2 * t)
+        cell = floor.astype(np.int32)
+        x, y, z = ((cell[axis] & last, (cell[axis] + 1) & last) for axis in range(3))
+        planes = []
+        for i in x:
+            lines = []
+            for j in y:
+                line = ((i << _BITS) + j) << _BITS
+                low = table[line + z[0]]
+                lines.append(low + t[2] * (table[line + z[1]] - low))
+            planes.append(lines[0] + t[1] * (lines[1] - lines[0]))
+        out[start : start + _CHUNK] = planes[0] + t[0] * (planes[1] - planes[0])
+    return out
+
+
+@functools.lru_cache(maxsize=64)
+def _lattice(seed: int) -> NDArray[np.float32]:
+    """Values at the corners of the cells of :func:`grain`."""
+    cells = np.arange(1 << (3 * _BITS), dtype=np.uint64)
+    return _hashed((cells + np.uint64(1)) * np.uint64(73856093) + np.uint64(seed * 2654435761)).astype(
+        np.float32
+    )
 
 
 def outline(points: Array, grow: float) -> Array:
@@ -137,8 +225,11 @@ def outline(points: Array, grow: float) -> Array:
     return rounded[ConvexHull(rounded).vertices]
 
 
-def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
-    """Subdivide the chosen quads (F,) into four, adapt their neighbours, and smooth the result."""
+def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> tuple[BodySurface, sparse.csr_matrix]:
+    """Subdivide the chosen quads (F,) into four, adapt their neighbours, and smooth the result.
+
+    Returns the mesh, and the matrix (V', V) that gives its vertices from the vertices before.
+    """
     # a new vertex is the mean of the old vertices in its row
     rows: list[list[int]] = [[i] for i in range(len(mesh.vertices))]
     uv_rows: list[list[int]] = [[i] for i in range(len(mesh.uv))]
@@ -182,27 +273,38 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
                 [polygon[0], polygon[k], polygon[k + 1], polygon[k + 1]] for k in range(1, len(polygon) - 1)
             ]
 
-    def means(values: Array, table: list[list[int]]) -> Array:
-        return np.array([values[r].mean(axis=0) for r in table])
-
-    vertices, canonical, naked = (means(v, rows) for v in (mesh.vertices, mesh.canonical, mesh.naked))
-    new_faces = np.array(faces)
-    scalp = np.zeros(len(vertices))
+    new_faces, count = np.array(faces), len(rows)
+    means, uv_means = (
+        _mean_of_rows(table, len(old)) for table, old in ((rows, mesh.vertices), (uv_rows, mesh.uv))
+    )
+    scalp = np.zeros(count)
     scalp[np.unique(mesh.faces[chosen])] = 1.0
     scalp[len(mesh.vertices) :] = 1.0
     scalp[np.unique(mesh.faces[~chosen])] = 0.0  # the border stays in place
-    bare, bare_faces = np.full(len(vertices), NONE), np.full(len(new_faces), NONE)
-    return BodySurface(
-        vertices=smooth(vertices, new_faces, 0.5 * scalp, 4),
+    pull, mean = sparse.diags(0.5 * scalp), mean_matrix(neighbours(new_faces, count))
+    carry = means
+    for _ in range(4):
+        carry = (carry + pull @ (mean @ carry - carry)).tocsr()
+    refined = BodySurface(
+        vertices=carry @ mesh.vertices,
         faces=new_faces,
-        uv=means(mesh.uv, uv_rows),
+        uv=uv_means @ mesh.uv,
         uv_faces=np.array(uv_faces),
-        weights=means(mesh.weights, rows),
-        canonical=smooth(canonical, new_faces, 0.5 * scalp, 4),
-        naked=smooth(naked, new_faces, 0.5 * scalp, 4),
-        part=np.concatenate([mesh.part, np.zeros(len(vertices) - len(mesh.part), int)]),
-        garment=bare,
-        face_garment=bare_faces,
-        weld=np.arange(len(vertices)),
-        shapes=smooth(means(mesh.shapes, rows), new_faces, 0.5 * scalp, 4),
+        weights=means @ mesh.weights,
+        canonical=carry @ mesh.canonical,
+        naked=carry @ mesh.naked,
+        part=np.concatenate([mesh.part, np.zeros(count - len(mesh.part), int)]),
+        garment=np.full(count, NONE),
+        face_garment=np.full(len(new_faces), NONE),
+        weld=np.arange(count),
+        shapes=carry @ mesh.shapes,
     )
+    return refined, carry
+
+
+def _mean_of_rows(table: list[list[int]], count: int) -> sparse.csr_matrix:
+    """Matrix (N, ``count``) of the means of the rows that each of N lists names."""
+    sizes = np.array([len(row) for row in table])
+    columns = np.concatenate([np.array(row) for row in table])
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    return sparse.csr_matrix((np.repeat(1 / sizes, sizes), columns, starts), shape=(len(table), count))

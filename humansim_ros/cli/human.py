@@ -263,10 +263,9 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 def load_named(name: str, outfit: str | None = None) -> Human:
     """Load a built-in human or a file. ``outfit``: name of its outfit; the first one if None."""
-    from humansim_ros.humans.loading import load_human
-    from humansim_ros.io.assets import find_asset
+    from humansim_ros.humans.loading import find_human, load_human
 
-    return load_human(find_asset(name, "humans"), outfit)
+    return load_human(find_human(name), outfit)
 
 
 def _write(human: Human, output: Path, picture: Path | None) -> None:

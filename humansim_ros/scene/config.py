@@ -11,7 +11,16 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from humansim_ros.errors import MAX_FRAMES, SceneError, printable
 from humansim_ros.io.motion_formats import MOTION_TITLES
-from humansim_ros.io.schema import Axis, ByteColor, FileName, NamedFile, Section, ShortSection, TopicName
+from humansim_ros.io.schema import (
+    Axis,
+    ByteColor,
+    FileName,
+    NamedFile,
+    Section,
+    Share,
+    ShortSection,
+    TopicName,
+)
 from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.hand_keys import HandKey, HandPoseName, HandSide
@@ -279,16 +288,58 @@ class RoomConfig(Section):
 _Area = tuple[Bounded, Bounded, Bounded, Bounded]
 
 
+_Age = Annotated[float, Field(ge=2, le=90)]
+_Stature = Annotated[float, Field(ge=0.6, le=2.3)]
+_Bmi = Annotated[float, Field(ge=12, le=42)]
+_Tone = Annotated[int, Field(ge=1, le=10)]
+
+
+class PeopleConfig(Section):
+    """People drawn by seed from surveys (docs/humans.md)."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "age": "ages years",
+        "women": "female sex gender",
+        "stature": "height size",
+        "bmi": "weight",
+        "skin": "tone tones",
+        "uniform": "same_outfit outfit clothes",
+    }
+
+    age: tuple[_Age, _Age] = Field(default=(2.0, 90.0), description="youngest and oldest age, years")
+    women: Share = Field(default=0.5, description="share of women and girls")
+    stature: tuple[_Stature, _Stature] = Field(
+        default=(0.6, 2.3), description="least and greatest stature barefoot, metres"
+    )
+    bmi: tuple[_Bmi, _Bmi] = Field(
+        default=(12.0, 42.0), description="least and greatest body mass index, kg/m²"
+    )
+    skin: tuple[_Tone, _Tone] = Field(
+        default=(1, 10), description="first and last skin tone of the Monk scale"
+    )
+    uniform: bool = Field(default=False, description="all wear clothes of the same cut, colours and fabrics")
+
+    @field_validator("age", "stature", "bmi", "skin")
+    @classmethod
+    def _rising(cls, limits: tuple[float, float]) -> tuple[float, float]:
+        if limits[0] > limits[1]:
+            raise ValueError(f"the first number, {limits[0]:g}, is above the second, {limits[1]:g}")
+        return limits
+
+
 class VarietyConfig(Section):
     """Random humans from a seed."""
 
-    other_words: ClassVar[dict[str, str]] = {"count": "number n", "bodies": "humans people"}
+    other_words: ClassVar[dict[str, str]] = {"count": "number n", "bodies": "humans", "people": "population"}
 
     count: int = Field(ge=0, le=1000, description="number of humans")
     seed: int = Field(default=1, ge=0, description="the same seed gives the same humans")
     name: _Name = Field(default="person", description="prefix of their names: person_1, person_2 …")
     bodies: tuple[FileName, ...] | None = Field(
         default=None, min_length=1, description="bodies to choose from; the built-in humans if absent"
+    )
+    people: PeopleConfig | None = Field(
+        default=None, description="draw another person each time, instead of one of the bodies"
     )
     motions: tuple[FileName, ...] | None = Field(
         default=None,
@@ -306,6 +357,12 @@ class VarietyConfig(Section):
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
         default=(0.9, 1.1), description="least and greatest factor of the motion's speed"
     )
+
+    @model_validator(mode="after")
+    def _bodies_or_people(self) -> VarietyConfig:
+        if self.people is not None and self.bodies is not None:
+            raise ValueError("give bodies to choose from, or people to draw, not both")
+        return self
 
 
 class FlowConfig(Section):

@@ -15,8 +15,7 @@ import numpy as np
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section, warn_about
 from humansim_ros.humans.human import Human, Skinning
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import find_asset
+from humansim_ros.humans.loading import find_human, load_human
 from humansim_ros.io.files import exists, expand_user, missing_file
 from humansim_ros.io.yaml import line_of, parse_yaml, read_yaml
 from humansim_ros.mesh.mesh import Mesh
@@ -126,7 +125,7 @@ class SceneSource:
         with in_section(key):
             human = self._object(name, Human)
             if human is None:
-                path = find_asset(name, "humans", self.folder, SceneError)
+                path = find_human(name, self.folder, SceneError)
                 human = self.once(lambda: load_human(path), "human", name)
         if outfit is not None:
             with in_section("outfit"):

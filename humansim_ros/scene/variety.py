@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from humansim_ros.body.joint_names import body_joints
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section, some_of
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.makehuman.population import PeopleLimits, person_name
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.motion.activity import ACTIVITY, needs_table
@@ -327,6 +328,7 @@ class _Crowd:
         source: Finds bodies and motions.
         paths: Paths so far from the origin along +x, by body and motion.
         crossing: Names of the humans that found no free place.
+        drawn: Bodies of all humans so far.
     """
 
     variety: VarietyConfig
@@ -335,6 +337,7 @@ class _Crowd:
     source: SceneSource
     paths: dict[tuple[str, str], Path] = field(default_factory=dict)
     crossing: list[str] = field(default_factory=list)
+    drawn: list[str] = field(default_factory=list)
 
     @classmethod
     def of_scene(cls, config: SceneConfig, variety: VarietyConfig, source: SceneSource) -> _Crowd:
@@ -351,7 +354,12 @@ class _Crowd:
     def draw(self, name: str) -> HumanConfig:
         """The next human. Raises SceneError with the key."""
         variety, uniform = self.variety, random_numbers(self.variety.seed, name)
-        body = _one_of(variety.bodies or built_in_names("humans"), uniform())
+        share = uniform()
+        if variety.people is None:
+            body = _one_of(variety.bodies or built_in_names("humans"), share)
+        else:
+            body = person_name(variety.seed, len(self.drawn), PeopleLimits(**dict(variety.people)))
+        self.drawn.append(body)
         outfit = _one_of(self._body(body).outfits, uniform())
         motions = self._own_activities(name, _order(variety.motions or MOTIONS, uniform))
         ahead, mirror = 10 * uniform(), uniform() < 0.5
@@ -439,7 +447,7 @@ class _Crowd:
 
     def _body(self, name: str) -> Human:
         with in_section("variety"):
-            return self.source.human(name, key="bodies")
+            return self.source.human(name, key="bodies" if self.variety.people is None else "people")
 
     def _path(self, body: str, motion: str, mirror: bool) -> Path:
         """Path from the origin along +x. Raises HumansimError if the human cannot play the motion."""

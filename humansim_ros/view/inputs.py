@@ -22,7 +22,8 @@ from humansim_ros.evaluate.joint_names import set_of_names
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
 from humansim_ros.humans import Human, load_human
-from humansim_ros.io.assets import built_in_names, find_asset, resource_path
+from humansim_ros.humans.loading import find_human
+from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.motion_formats import motion_format
 from humansim_ros.io.yaml import read_yaml
@@ -261,7 +262,7 @@ def _built_in(what: Path) -> Callable[[], ViewSource]:
     except HumansimError:
         pass
     try:
-        find_asset(name, "humans", Path.cwd(), SceneError)
+        find_human(name, Path.cwd(), SceneError)
     except HumansimError:
         known = [*built_in_names("motions"), *built_in_names("humans")]
         hint = f"give a scene, bag, motion, human or calibration{did_you_mean(name, known)}"

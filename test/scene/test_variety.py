@@ -13,6 +13,8 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import HumansimWarning, SceneError
+from humansim_ros.humans import make_person
+from humansim_ros.humans.makehuman.population import PeopleLimits, draw_people
 from humansim_ros.mesh import Mesh
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
@@ -68,6 +70,37 @@ def test_what_a_seed_draws_is_the_same_on_every_machine(tmp_path: Path) -> None:
     person = drawn(tmp_path, count=1, seed=5)["person_1"]
     assert (person.body, person.outfit, person.motion.file) == ("tall_heavy_man", "plain", "sit_stand")
     assert person.motion.position == (pytest.approx(-0.239), pytest.approx(0.502))
+
+
+@pytest.mark.parametrize(
+    ("people", "key", "message"),
+    [
+        ({"age": [1, 20]}, "age", "2"),
+        ({"age": [30, 20]}, "age", "30, is above the second, 20"),
+        ({"women": 1.5}, "women", "1"),
+        ({"stature": [1.5, 3]}, "stature", "2.3"),
+        ({"skin": [0, 10]}, "skin", "1"),
+        ({"sex": "male"}, "sex", "women"),
+    ],
+)
+def test_people_whom_nobody_can_draw(tmp_path: Path, people: Any, key: str, message: str) -> None:
+    with pytest.raises(SceneError, match=rf"scene.yaml:\d+: variety.people.{key}.*{message}"):
+        load_config(scene(tmp_path, count=2, people=people))
+    with pytest.raises(SceneError, match="bodies to choose from, or people to draw, not both"):
+        load_config(scene(tmp_path, count=2, people={}, bodies=["child"]))
+
+
+@pytest.mark.slow
+def test_people_are_drawn_instead_of_bodies(tmp_path: Path) -> None:
+    """Their names hold all that a node needs to draw them, and each process builds the same mesh."""
+    people = {"age": [20, 30], "women": 1, "uniform": True}
+    humans = drawn(tmp_path, count=2, seed=3, people=people, motions=["wave"])
+    names = [human.body for human in humans.values()]
+    assert names == [f"person#3-{number},age=20.0..30.0,women=1.0,uniform" for number in range(2)]
+    again = make_person(draw_people(3, 1, PeopleLimits(age=(20, 30), women=1, uniform=True)), "someone")
+    loaded = Scene.load(tmp_path / "scene.yaml").actors["person_2"].human
+    np.testing.assert_array_equal(loaded.mesh.vertices, again.mesh.vertices)
+    np.testing.assert_array_equal(loaded.mesh.texture, again.mesh.texture)
 
 
 def test_more_people_do_not_change_the_first(tmp_path: Path) -> None:

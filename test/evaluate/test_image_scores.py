@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import io
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from humansim_ros.errors import EvaluationError, HumansimWarning
 from humansim_ros.keypoints import keypoint_set
@@ -17,7 +20,13 @@ pytest.importorskip("pycocotools")
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from humansim_ros.evaluate.images import Detections2D, ImageTruth, PartScore, evaluate_images
+from humansim_ros.evaluate.images import (
+    _KEYPOINT_SCORES,
+    Detections2D,
+    ImageTruth,
+    PartScore,
+    evaluate_images,
+)
 from humansim_ros.evaluate.readers.detections import encoded_mask
 from humansim_ros.export.coco import divided_keypoints, joined_keypoints
 
@@ -313,3 +322,49 @@ def test_faces_from_the_side_have_no_nme_and_other_sets_no_parts(truth: ImageTru
     scores = evaluate_images(side, Detections2D([flat])).keypoints
     assert scores is not None and scores.by_part["face"] == PartScore(0.0, None, None)
     assert evaluate_images(truth, found(truth)).kinds["keypoints"].by_part == {}
+
+
+@pytest.mark.nightly
+def test_whole_bodies_are_judged_as_by_the_tools_of_coco_wholebody() -> None:
+    """OKS of each pair, AP and AR of xtcocotools, of all 133 keypoints of noisy detections."""
+    judge = pytest.importorskip("xtcocotools.cocoeval")
+    coco_class = pytest.importorskip("xtcocotools.coco").COCO
+    random, rows, results = np.random.default_rng(5), [], []
+    first = whole_body_truth()
+    images = [first.images[0] | {"id": number, "frame": number} for number in range(10, 40)]
+    for number in range(90):
+        image = 10 + number // 3
+        visible = random.integers(0, 3, 133)
+        points = np.column_stack([random.uniform(5, 60, 133), random.uniform(5, 50, 133), visible])
+        points[visible == 0] = 0
+        row = annotation(number + 1, image, f"p{number}", (5, 5, 55, 45))
+        flat = {"keypoints": points.ravel().tolist(), "num_keypoints": 133}
+        rows.append(row | divided_keypoints(flat, "wholebody133"))
+        points[:, :2] += random.normal(0, random.uniform(0, 2), (133, 2))
+        points[:, 2] = 1
+        one = {"image_id": image, "category_id": 1, "score": float(random.random())}
+        if number % 7:
+            results.append(one | divided_keypoints({"keypoints": points.ravel().tolist()}, "wholebody133"))
+    truth = replace(first, images=images, annotations=rows)
+    scores = evaluate_images(
+        truth, Detections2D([joined_keypoints(row, "wholebody133") for row in results])
+    ).keypoints
+    assert scores is not None
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # no score of the whole body: the score is used
+        coco = coco_class()
+        coco.dataset = {"images": images, "annotations": rows, "categories": list(truth.categories)}
+        coco.createIndex()
+        theirs = judge.COCOeval(
+            coco, coco.loadRes(results), "keypoints_wholebody", np.array(WHOLE_BODY.sigmas), use_area=True
+        )
+        theirs.evaluate()
+        theirs.accumulate()
+        theirs.summarize()
+    expected = dict(zip(_KEYPOINT_SCORES, theirs.stats, strict=True))
+    for name in ("ap", "ap50", "ap75", "ar", "ar50", "ar75"):
+        assert scores.all.precision[name] == pytest.approx(expected[name], abs=1e-9), name
+    assert 0.1 < expected["ap"] < 0.9
+    # similarity of people is the best OKS of each, 0 without one
+    total = sum(table[linear_sum_assignment(-np.asarray(table))].sum() for table in theirs.ious.values())
+    assert scores.all.similarity == pytest.approx(total / 90, abs=1e-9)

@@ -65,6 +65,7 @@ TOOLS = {
     "figures/scanner_picture": ("OUT/scanners.jpg",),
     "figures/skinning_picture": ("OUT/skinning.jpg",),
     "figures/hand_figure": ("OUT/hands.jpg",),
+    "figures/face_scene_picture": ("OUT/faces.jpg",),
     "figures/snapshot_picture": ("OUT/snapshot.jpg",),
 }
 PROGRAMS = [

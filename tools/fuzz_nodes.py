@@ -72,8 +72,8 @@ from humansim_ros.ros.qos import CAMERA_ALIVE  # noqa: E402
 SCENE = """\
 rate: 20
 humans:
-  anna: {motion: {file: walk, loop: continue}}
-  bob: {body: adult_woman, motion: {file: live, position: [1.0, 0.5]}}
+  anna: {motion: {file: walk, loop: continue}, face: {alive: true, keys: {gaze: left}}}
+  bob: {body: adult_woman, motion: {file: live, position: [1.0, 0.5]}, face: {}}
 objects:
   box: {size: [0.2, 0.4, 0.5], position: [0.5, 0, 0.3], keyframes: moves.xml}
 cameras:
@@ -347,7 +347,7 @@ class Stage:
         }
         for name, human in (("skinner", "anna"), ("live_skinner", "bob")):
             self.send(self.nodes[name], f"/humans/{human}/motion", self.valid(f"/humans/{human}/motion"))
-            for part in ("joints", "vertices"):
+            for part in ("joints", "vertices", "face"):
                 self.seeds[f"/humans/{human}/{part}"] = self.newest(f"humans/{human}/{part}")
 
     def newest(self, topic: str) -> Any:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -74,6 +76,7 @@ _UNITS: dict[int, str] = {
     23: "mouthPress",
     26: "jawOpen",
 }
+ExpressionName = Literal["neutral", "happiness", "sadness", "surprise", "fear", "anger", "disgust"]
 #: Action units of the six basic emotions [Friesen 1983]; the weights look natural on the built-in humans.
 EXPRESSIONS: dict[str, dict[int, float]] = {
     "neutral": {},
@@ -84,6 +87,7 @@ EXPRESSIONS: dict[str, dict[int, float]] = {
     "anger": {4: 1.0, 5: 0.4, 7: 0.6, 17: 0.6, 23: 0.35},
     "disgust": {4: 0.4, 7: 0.4, 9: 0.9, 10: 0.6, 15: 0.4, 17: 0.4},
 }
+assert tuple(EXPRESSIONS) == get_args(ExpressionName)
 
 
 def expression(name: str) -> Mapping[str, float]:
@@ -105,3 +109,15 @@ def expression(name: str) -> Mapping[str, float]:
         for each in (action,) if action in _NUMBERS else (f"{action}Left", f"{action}Right"):
             weights[each] = weight
     return weights
+
+
+@dataclass(frozen=True, eq=False)
+class FaceState:
+    """A face at one stamp: weights (52,) of :data:`ACTIONS`, and their rates (52,) per second."""
+
+    weights: Array
+    rates: Array
+
+    def after(self, seconds: float) -> Array:
+        """Weights (52,) some time later, at constant rates."""
+        return np.clip(self.weights + seconds * self.rates, 0.0, 1.0)

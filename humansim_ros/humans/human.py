@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.face_actions import face_weights
+from humansim_ros.body.face_actions import ACTIONS, face_weights
 from humansim_ros.body.rigging import triangle_parts, without_details
 from humansim_ros.body.shapes import Shapes, read_shapes, shape_arrays
 from humansim_ros.body.skeleton import Skeleton
@@ -123,6 +123,17 @@ class Human(Pictured):
         if self.shapes is None:
             return np.zeros(0)
         return face_weights(face, self.shapes.names)
+
+    @cached_property
+    def _action_shapes(self) -> NDArray[np.intp]:
+        """(S,) number of the action that moves each shape; the number of actions for other shapes."""
+        numbers = {name: number for number, name in enumerate(ACTIONS)}
+        names = () if self.shapes is None else self.shapes.names
+        return np.array([numbers.get(name, len(ACTIONS)) for name in names], dtype=np.intp)
+
+    def of_actions(self, weights: Array) -> Array:
+        """Weights (S,) of the shapes from weights (52,) of the actions of ARKit, in their order."""
+        return np.append(weights, 0.0)[self._action_shapes]
 
     def pose(self, posed: Array, face: Mapping[str, float] | Array | None = None) -> NDArray[np.float32]:
         """Pose the human: vertices (V, 3) float32, in the space of the posed bone frames (B, 4, 4).

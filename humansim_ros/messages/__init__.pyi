@@ -35,11 +35,13 @@ from humansim_ros.messages.headers import serialised_stamp as serialised_stamp
 from humansim_ros.messages.headers import to_nanoseconds as to_nanoseconds
 from humansim_ros.messages.headers import to_time as to_time
 from humansim_ros.messages.humans import MarkerBuilder as MarkerBuilder
+from humansim_ros.messages.humans import face_message as face_message
 from humansim_ros.messages.humans import joint_motion as joint_motion
 from humansim_ros.messages.humans import joints_message as joints_message
 from humansim_ros.messages.humans import keypoints_message as keypoints_message
 from humansim_ros.messages.humans import mesh_message as mesh_message
 from humansim_ros.messages.humans import motion_message as motion_message
+from humansim_ros.messages.humans import read_face as read_face
 from humansim_ros.messages.humans import read_joints as read_joints
 from humansim_ros.messages.humans import read_mesh as read_mesh
 from humansim_ros.messages.humans import read_vertices as read_vertices

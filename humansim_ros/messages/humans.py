@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from humansim_ros.body.face_actions import ACTIONS, FaceState
 from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
@@ -14,6 +15,7 @@ from humansim_ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.messages.points import point_cloud
 from humansim_ros.messages.types import (
     ColorRGBA,
+    JointState,
     Marker,
     MarkerArray,
     MeshTriangle,
@@ -120,12 +122,34 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     return JointPoses(names, positions[None], unit_quaternions(rotations)[None], linear, angular)
 
 
-def joint_motion(poses: JointPoses) -> JointMotion:
-    """Joints of a human from the poses (N = 1) of a ``joints`` message."""
+def joint_motion(poses: JointPoses, face: FaceState | None = None) -> JointMotion:
+    """Joints of a human from the poses (N = 1) of a ``joints`` message, with its face."""
     joints = transform(quaternion_to_matrix(poses.rotations[0]), poses.positions[0])
     if poses.linear is None or poses.angular is None:
-        return JointMotion(joints, None, None)
-    return JointMotion(joints, poses.linear[0], poses.angular[0])
+        return JointMotion(joints, None, None, face)
+    return JointMotion(joints, poses.linear[0], poses.angular[0], face)
+
+
+def face_message(face: FaceState | None, stamp: int) -> JointState:
+    """Build ``humans/<id>/face``: weight and rate of every action; all 0 for a face that does not move."""
+    face = FaceState(np.zeros(len(ACTIONS)), np.zeros(len(ACTIONS))) if face is None else face
+    message = JointState(header=header(stamp, WORLD_FRAME), name=list(ACTIONS))
+    message.position, message.velocity = face.weights.tolist(), face.rates.tolist()
+    return message
+
+
+def read_face(message: JointState) -> FaceState:
+    """Read a ``face`` message.
+
+    Raises:
+        RosError: Other actions than those of ARKit in their order, or a weight that is not from 0 to 1.
+    """
+    if tuple(message.name) != ACTIONS or not len(message.position) == len(message.velocity) == len(ACTIONS):
+        raise RosError(f"a face has the {len(ACTIONS)} actions of ARKit, sorted, each with weight and rate")
+    weights, rates = np.array(message.position, dtype=float), np.array(message.velocity, dtype=float)
+    if not ((weights >= 0) & (weights <= 1)).all() or not within_bounds(rates):
+        raise RosError("a weight of the face is not from 0 to 1, or its rate is not finite")
+    return FaceState(weights, rates)
 
 
 def vertices_message(vertices: Float32Array, stamp: int) -> PointCloud2:

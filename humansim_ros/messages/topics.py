@@ -31,6 +31,7 @@ from humansim_ros.messages.types import (
     Header,
     Image,
     ImageMarker,
+    JointState,
     LaserScan,
     Marker,
     MarkerArray,
@@ -200,6 +201,7 @@ class HumanTopics:
         markers: Bones, joints and a coarse skin for viewers.
         mesh: Surface at rest.
         keypoints: Keypoints in ``map`` by set.
+        face: Weights of the actions of the face; None for a human whose face does not move.
     """
 
     def __init__(self, actor: Actor, live: bool = False) -> None:
@@ -249,6 +251,15 @@ class HumanTopics:
             state,
         )
         self.mesh = _sent_once(f"{root}/mesh", MeshMessage, lambda: messages.mesh_message(actor.human.mesh))
+        self.face: Topic[HumanState] | None = None
+        if actor.face is not None:
+            self.face = Topic(
+                f"{root}/face",
+                JointState,
+                lambda body, stamp: messages.face_message(body.face, stamp),
+                state,
+                shown=True,
+            )
         self.keypoints: dict[str, Topic[HumanState]] = {
             keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
         }
@@ -273,7 +284,8 @@ class HumanTopics:
     def __iter__(self) -> Iterator[Topic[Any]]:
         driven = (self.frame,) if self.live else (self.motion,)
         body = (self.joints, self.vertices, self.markers, self.mesh)
-        return iter((*driven, self.legend, *body, *self.keypoints.values()))
+        face = () if self.face is None else (self.face,)
+        return iter((*driven, self.legend, *body, *face, *self.keypoints.values()))
 
 
 class ObjectTopics:

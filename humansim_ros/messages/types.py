@@ -27,8 +27,8 @@ _PACKAGES = {
         "geometry_msgs": """Point Pose PoseStamped Quaternion Transform TransformStamped Twist TwistStamped
             Vector3""",
         "nav_msgs": "Odometry",
-        "sensor_msgs": """CameraInfo CompressedImage Image LaserScan MultiDOFJointState PointCloud2
-            PointField TimeReference""",
+        "sensor_msgs": """CameraInfo CompressedImage Image JointState LaserScan MultiDOFJointState
+            PointCloud2 PointField TimeReference""",
         "shape_msgs": "Mesh MeshTriangle",
         "std_msgs": "ColorRGBA Float64MultiArray Header MultiArrayDimension String",
         "visualization_msgs": "ImageMarker Marker MarkerArray",

@@ -7,7 +7,7 @@ poses the angles change linearly, so that a finger bends and never passes throug
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, get_args
 
@@ -202,17 +202,9 @@ class HandKeys:
         if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):  # a new cycle began
             phases[:] = phases[1]
         turns = self.anatomy.rotations(self.angles(phases))[:, list(self.bones)]
-        count = len(self.bones)
-        names = (*poses.names, *(HAND_JOINT + FINGER_BONES[number] for number in self.bones))
-        at = np.repeat(poses.positions[:, :1], count, axis=1)
-        positions = np.concatenate([poses.positions, at], axis=1)
-        rotations = np.concatenate([poses.rotations, turns[1:2]], axis=1)
-        if poses.linear is None or poses.angular is None:
-            return JointPoses(names, positions, rotations)
         _, turning = central_difference(turns[0], turns[2], turns[0], turns[2], 2 * VELOCITY_STEP)
-        linear = np.concatenate([poses.linear, np.repeat(poses.linear[:, :1], count, axis=1)], axis=1)
-        angular = np.concatenate([poses.angular, turning[None]], axis=1)
-        return JointPoses(names, positions, rotations, linear, angular)
+        names = [HAND_JOINT + FINGER_BONES[number] for number in self.bones]
+        return poses.with_joints(names, turns[1], turning)
 
 
 def hand_joints(names: Sequence[str]) -> int:
@@ -233,20 +225,7 @@ def without_hands(poses: JointPoses) -> tuple[JointPoses, dict[str, Array]]:
         name.removeprefix(HAND_JOINT): poses.rotations[:, own + number]
         for number, name in enumerate(poses.names[own:])
     }
-    linear, angular = (
-        None if velocity is None else velocity[:, :own] for velocity in (poses.linear, poses.angular)
-    )
-    return (
-        replace(
-            poses,
-            names=poses.names[:own],
-            positions=poses.positions[:, :own],
-            rotations=poses.rotations[:, :own],
-            linear=linear,
-            angular=angular,
-        ),
-        hands,
-    )
+    return poses.first(own), hands
 
 
 @dataclass(frozen=True)

@@ -297,6 +297,44 @@ class JointPoses:
         positions, rotations = np.ascontiguousarray(self.positions), np.ascontiguousarray(self.rotations)
         return JointPoses(self.names, positions, rotations, linear, angular)
 
+    def first(self, count: int) -> JointPoses:
+        """Poses of the first joints."""
+        linear, angular = (
+            None if velocity is None else velocity[:, :count] for velocity in (self.linear, self.angular)
+        )
+        return JointPoses(
+            self.names[:count], self.positions[:, :count], self.rotations[:, :count], linear, angular
+        )
+
+    def with_joints(
+        self,
+        names: Sequence[str],
+        rotations: Array,
+        angular: Array,
+        positions: Array | None = None,
+        linear: Array | None = None,
+    ) -> JointPoses:
+        """A single pose (N = 1) with K more joints at the end.
+
+        Args:
+            names: K names.
+            rotations: (K, 4) xyzw.
+            angular: Angular velocities (K, 3); unused if the pose has no velocities.
+            positions: (K, 3); if None, all at the first joint and with its velocity.
+            linear: Velocities (K, 3) of ``positions``.
+        """
+        if positions is None:
+            positions = np.repeat(self.positions[0, :1], len(names), axis=0)
+            linear = None if self.linear is None else np.repeat(self.linear[0, :1], len(names), axis=0)
+        names = (*self.names, *names)
+        positions = np.concatenate([self.positions, positions[None]], axis=1)
+        rotations = np.concatenate([self.rotations, rotations[None]], axis=1)
+        if self.linear is None or self.angular is None or linear is None:
+            return JointPoses(names, positions, rotations)
+        linear = np.concatenate([self.linear, linear[None]], axis=1)
+        angular = np.concatenate([self.angular, angular[None]], axis=1)
+        return JointPoses(names, positions, rotations, linear, angular)
+
     def extrapolate(self, seconds: ArrayLike) -> JointPoses:
         """Poses (M, J) at times (M,) relative to a single pose (N = 1), at its constant velocity.
 

@@ -10,11 +10,12 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
-from sensor_msgs.msg import MultiDOFJointState, PointCloud2, TimeReference
+from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2, TimeReference
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from humansim_ros import messages
+from humansim_ros.body.face_actions import FaceState
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import GivenUpFrame, PacedFrames
@@ -41,9 +42,9 @@ _MAX_POINT, _MAX_HEADER = 64, 64 << 10
 class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
-    Subscriptions: vertices and joints of every human, marker and twist of every moving object, pose and twist
-    of some cameras; and ``scene_time``, while it has a publisher. Without one, as when a recording of
-    vertices is played, the stamp is used as scene time.
+    Subscriptions: vertices and joints of every human, and its face if it moves, marker and twist of every
+    moving object, pose and twist of some cameras; and ``scene_time``, while it has a publisher. Without one,
+    as when a recording of vertices is played, the stamp is used as scene time.
 
     Each finished frame is reported on ``frame_done``: the motion player sends a frame only if all cameras
     have time for it, and every frame is passed on. If nobody listens to the reports, and frames arrive faster
@@ -92,6 +93,8 @@ class FrameSynchronizer:
             node.create_subscription(
                 MultiDOFJointState, joints, partial(self._on_joints, joints), NEWEST, raw=True
             )
+            if self._scene.actors[human].face is not None:
+                self._subscribe(JointState, f"humans/{human}/face", messages.read_face)
         for name in objects:
             self._subscribe(Marker, f"objects/{name}/marker", messages.read_object)
         for name in moving_cameras:
@@ -171,12 +174,12 @@ class FrameSynchronizer:
             raise RosError(f"{len(vertices)} vertices, but the body has {count}")
         return vertices
 
-    def _read_joints(self, human: str, data: bytes) -> JointMotion:
-        """Joints of a serialised message. Raises RosError unless the body has the same joints."""
+    def _read_joints(self, human: str, data: bytes, face: FaceState | None) -> JointMotion:
+        """Joints of a serialised message, with the face. Raises RosError unless the body has these joints."""
         poses = messages.read_joints(deserialised(data, MultiDOFJointState))
         if poses.names != self._scene.actors[human].human.skeleton.joint_names:
             raise RosError(f"{human}: {len(poses.names)} joints that are not the joints of its body")
-        return messages.joint_motion(poses)
+        return messages.joint_motion(poses, face)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the others of its stamp."""
@@ -246,7 +249,11 @@ class FrameSynchronizer:
                 scene=self._scene,
                 actors=self._scene.actors,
                 vertices={human: content[f"humans/{human}/vertices"] for human in self._scene.actors},
-                joints_of=cache(lambda human: self._read_joints(human, content[f"humans/{human}/joints"])),
+                joints_of=cache(
+                    lambda human: self._read_joints(
+                        human, content[f"humans/{human}/joints"], content.get(f"humans/{human}/face")
+                    )
+                ),
                 objects=objects,
                 cameras=cameras,
             )

@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
+from humansim_ros.body.face_actions import FaceState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.faces import Face, without_face
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
 from humansim_ros.motion.hand_poses import HandKeys, without_hands
@@ -50,6 +54,7 @@ class HumanState:
         size: Scale of the body by keyframes.
         rotations: (J, 4) quaternions xyzw that the rotations of ``joints`` are computed from, as messages
             carry them.
+        face: Weights of the actions of the face; None for a stiff face.
     """
 
     joint_names: tuple[str, ...]
@@ -59,6 +64,7 @@ class HumanState:
     vertices: NDArray[np.float32]
     size: float = 1.0
     rotations: Array = field(kw_only=True)
+    face: FaceState | None = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
         return f"HumanState({len(self.joint_names)} joints, {len(self.vertices)} vertices)"
@@ -84,6 +90,7 @@ class Actor:
         keyframes: Keyframes that move, rotate and scale the space of the motion over scene time.
         hands: Keys of the hands over the motion; None without.
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
+        face: Its face over scene time; None for a stiff face.
     """
 
     name: str
@@ -96,6 +103,7 @@ class Actor:
     keyframes: KeyframeTrack | None = None
     levels: Simplification | None = None
     hands: HandKeys | None = None
+    face: Face | None = None
 
     @classmethod
     def build(
@@ -194,7 +202,7 @@ class Actor:
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
-        return replace(changed, keyframes=self.keyframes, levels=self.levels)
+        return replace(changed, keyframes=self.keyframes, levels=self.levels, face=self.face)
 
     def with_hands(self, config: MotionConfig) -> Actor:
         """The same human, whose motion goes on, with the hands of a section ``motion``.
@@ -245,7 +253,12 @@ class Actor:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
         poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
-        return poses if self.hands is None else self.hands.add(poses, seconds + self.offset, self.ahead)
+        poses = poses if self.hands is None else self.hands.add(poses, seconds + self.offset, self.ahead)
+        return self.with_face(poses, seconds)
+
+    def with_face(self, poses: JointPoses, seconds: float) -> JointPoses:
+        """Joint poses of the motion at a scene time, with the joints that carry the face."""
+        return poses if self.face is None else self.face.add(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:
         """State of the body from joint poses with N = 1, as the skinner publishes it.
@@ -253,11 +266,13 @@ class Actor:
         It has the same bits for poses that were sent as a message and for those that were not.
         """
         skeleton, poses = self.human.skeleton, poses.contiguous()
+        face = linear = angular = None
         if poses.linear is None:
-            (joints,), (size,) = self.joints_of(poses)
-            linear = angular = None
+            (joints,), (size,), weights = self._posed(poses)
+            if weights is not None:
+                face = FaceState(weights[0], np.zeros_like(weights[0]))
         else:
-            (before, joints, after), (_, size, _) = self.joints_of(
+            (before, joints, after), (_, size, _), weights = self._posed(
                 poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
             linear, angular = central_difference(
@@ -267,6 +282,8 @@ class Actor:
                 matrix_to_quaternion(after[:, :3, :3]),
                 2 * VELOCITY_STEP,
             )
+            if weights is not None:
+                face = FaceState(weights[1], (weights[2] - weights[0]) / (2 * VELOCITY_STEP))
         bones = joints[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
@@ -276,10 +293,15 @@ class Actor:
             transform(quaternion_to_matrix(rotations), joints[:, :3, 3]),
             linear,
             angular,
-            self.human.pose(bones),
+            self._skin(bones, None if face is None else face.weights),
             float(size),
             rotations=rotations,
+            face=face,
         )
+
+    def _skin(self, bones: Array, weights: Array | None) -> NDArray[np.float32]:
+        """Vertices (V, 3) of bone frames (B, 4, 4) and weights (52,) of the face, if it moves."""
+        return self.human.pose(bones, None if weights is None else self.human.of_actions(weights))
 
     def at(self, seconds: float) -> HumanState:
         """State of the body at a scene time in seconds."""
@@ -287,15 +309,42 @@ class Actor:
 
     def joint_paths(self, times: Array) -> Array:
         """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints."""
-        joints = self.joints_of(self.motion.sample(times + self.offset, self.ahead))[0]
-        if self.keyframes is not None:
-            key = self.keyframes.at(times)
-            joints = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0]).to_map(
-                joints
-            )
-        return joints[..., :3, 3]
+        return self._joints_at(times)[..., :3, 3]
 
-    def moved(self, joints: Array, linear: Array, angular: Array, seconds: float) -> NDArray[np.float32]:
+    def _joints_at(self, times: Array) -> Array:
+        """Frames (N, J, 4, 4) of the joints at scene times (N,), without hands and face."""
+        joints = self.joints_of(self.motion.sample(times + self.offset, self.ahead))[0]
+        if self.keyframes is None:
+            return joints
+        key = self.keyframes.at(times)
+        space = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
+        return space.to_map(joints)
+
+    def eye_rays(self, times: Array) -> tuple[Array, Array]:
+        """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,).
+
+        Of a body without eyes, the middle of the head, and the direction of its top.
+        """
+        joints = self._joints_at(times)
+        if self._eyes is not None:
+            return self._eyes.rays(joints)
+        head = joints[:, self.human.skeleton.bone("vt3")]
+        along = head[:, :3, 1]
+        return head[:, :3, 3] + 0.5 * self.human.skeleton.lengths[
+            self.human.skeleton.bone("vt3")
+        ] * along, along
+
+    def eyes_at(self, times: Array) -> Array:
+        """Point (N, 3) of the face that others look at, at scene times (N,)."""
+        return self.eye_rays(times)[0]
+
+    @cached_property
+    def _eyes(self) -> Eyes | None:
+        return Eyes.of(self.human.skeleton)
+
+    def moved(
+        self, joints: Array, linear: Array, angular: Array, seconds: float, face: FaceState | None = None
+    ) -> NDArray[np.float32]:
         """Vertices (V, 3) some time after a state, with all joints at constant velocity.
 
         Args:
@@ -303,6 +352,7 @@ class Actor:
             linear: (J, 3) velocities, m/s.
             angular: (J, 3) angular velocities, rad/s.
             seconds: Time after the state; negative for before.
+            face: The face at the state.
         """
         skeleton = self.human.skeleton
         count = len(skeleton)
@@ -314,11 +364,27 @@ class Actor:
             turn = bones[above, :3, :3] @ np.swapaxes(joints[above, :3, :3], -1, -2)
             bones[details, :3, 3] = bones[above, :3, 3] + rotate(turn, offset)
         size = skeleton.size_of(joints[:count, :3, 3])
-        return self.human.pose(bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones)
+        bones = bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones
+        return self._skin(bones, None if face is None else face.after(seconds))
 
     def body(self, vertices: NDArray[np.float32]) -> Body:
         """Body for renderers from the vertices (V, 3) of a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance, levels=self.levels)
+
+    def _posed(self, poses: JointPoses) -> tuple[Array, Array, Array | None]:
+        """Poses (N, J, 4, 4) of the joints, scale of the body (N,), and weights (N, 52) of its face."""
+        poses, face = without_face(poses)
+        joints, sizes = self.joints_of(poses)
+        if face is None:
+            return joints, sizes, None
+        if self._eyes is None:
+            return joints, sizes, face.weights
+        angles = looked_angles(face.weights)
+        if face.shares.any():
+            angles += face.shares[:, None, None] * self._eyes.angles_to(joints, face.points)
+        angles = within_limits(angles)
+        self._eyes.turn(joints, angles)
+        return joints, sizes, with_looks(face.weights, angles)
 
     def joints_of(self, poses: JointPoses) -> tuple[Array, Array]:
         """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""
@@ -352,4 +418,7 @@ def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, Joi
             for name, motion in motions.items()
         ]
         together |= zip(motions, sample_together(list(motions.values()), times), strict=True)
-    return {name: together.get(name) or actor.joint_poses(seconds) for name, actor in actors.items()}
+    return {
+        name: actor.with_face(together[name], seconds) if name in together else actor.joint_poses(seconds)
+        for name, actor in actors.items()
+    }

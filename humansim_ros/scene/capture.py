@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.face_actions import FaceState
 from humansim_ros.camera import Camera
 from humansim_ros.render import AdjacentFrame, Body, Renderer, View
 from humansim_ros.render.pixel_geometry import pixel_rays
@@ -183,11 +184,15 @@ def capture_depth(
 
 @dataclass(frozen=True)
 class JointMotion:
-    """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s or None."""
+    """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s or None.
+
+    ``face``: its face, if it moves.
+    """
 
     joints: Array
     linear: Array | None
     angular: Array | None
+    face: FaceState | None = None
 
     @property
     def positions(self) -> Array:
@@ -303,7 +308,7 @@ class SceneState:
         motion = self.joints_of(name)
         if motion.linear is None or motion.angular is None:
             return self.vertices[name]
-        return self.actors[name].moved(motion.joints, motion.linear, motion.angular, seconds)
+        return self.actors[name].moved(motion.joints, motion.linear, motion.angular, seconds, motion.face)
 
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
         pose = self.calibrated_pose(camera).moved(seconds)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from humansim_ros.errors import MAX_FRAMES, SceneError, printable
+from humansim_ros.body.face_actions import ExpressionName, face_weights
+from humansim_ros.errors import MAX_FRAMES, MotionError, SceneError, printable
 from humansim_ros.io.motion_formats import MOTION_TITLES
 from humansim_ros.io.schema import (
     Axis,
@@ -23,6 +24,7 @@ from humansim_ros.io.schema import (
 )
 from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
+from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.hand_keys import HandKey, HandPoseName, HandSide
 from humansim_ros.render.lighting import Lighting, RendererName
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
@@ -77,6 +79,73 @@ class HandKeyConfig(ShortSection):
     def key(self) -> HandKey:
         """The key as the motion plays it."""
         return HandKey(self.pose, self.time, self.side, self.blend, self.over_motion)
+
+
+class FaceKeyConfig(ShortSection):
+    """What a face does from a time on; what a key does not name goes on."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "expression": "emotion name face",
+        "actions": "weights blendshapes shapes",
+        "gaze": "look_at eyes target look",
+        "speak": "talk speech say",
+        "time": "at start",
+        "strength": "weight intensity",
+    }
+    short_key: ClassVar[str] = "expression"
+
+    time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins, seconds of the scene")
+    expression: ExpressionName | None = Field(default=None, description="name of the expression")
+    strength: Share = Field(default=1.0, description="strength of the expression")
+    actions: dict[str, float] | None = Field(
+        default=None,
+        description="weights from 0 to 1 of actions in ARKit's names, beside the expression; {} ends them",
+    )
+    gaze: BoundedVector3 | str | None = Field(
+        default=None,
+        description="what the eyes look at: a point in map, the name of a human or a camera, or ahead",
+    )
+    speak: float | None = Field(default=None, gt=0, le=3600, description="seconds for which it speaks")
+    blend: float = Field(
+        default=0.3, ge=0, le=1e4, description="duration of the change of expression and actions, seconds"
+    )
+
+    @field_validator("actions")
+    @classmethod
+    def _known_actions(cls, actions: dict[str, float] | None) -> dict[str, float] | None:
+        try:
+            face_weights(actions or {})
+        except MotionError as error:
+            raise ValueError(error.message) from None
+        return actions
+
+    @property
+    def key(self) -> FaceKey:
+        """The key as the face plays it."""
+        return FaceKey(
+            self.time, self.expression, self.strength, self.actions, self.gaze, self.speak, self.blend
+        )
+
+
+class FaceConfig(ShortSection):
+    """Face of a human over the time of the scene."""
+
+    other_words: ClassVar[dict[str, str]] = {"alive": "blink blinks life living", "file": "path csv take"}
+    short_key: ClassVar[str] = "keys"
+
+    alive: bool = Field(default=False, description="blink, and let the eyes glance around")
+    seed: int = Field(default=1, ge=0, description="the same seed gives a human the same life and speech")
+    keys: tuple[FaceKeyConfig, ...] = Field(
+        default=(), max_length=1000, description="expressions, actions, gaze and speech over time"
+    )
+    file: FileName | None = Field(
+        default=None, description="recording of a face: the CSV file of Live Link Face, from time 0 on"
+    )
+
+    @field_validator("keys", mode="before")
+    @classmethod
+    def _one_key(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, (str, dict)) else value
 
 
 class MotionConfig(ShortSection):
@@ -192,6 +261,9 @@ class HumanConfig(ShortSection):
     motion: MotionConfig = MotionConfig.model_construct()
     keyframes: KeyframesConfig | None = Field(
         default=None, description="move, rotate and scale the human on top of the motion"
+    )
+    face: FaceConfig | None = Field(
+        default=None, description="move the face: life, expressions, gaze and speech; stiff if absent"
     )
     seat: Literal["chair", "none"] = Field(
         default="chair",

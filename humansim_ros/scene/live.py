@@ -13,6 +13,7 @@ import numpy as np
 
 from humansim_ros.errors import MotionError, within_bounds
 from humansim_ros.motion.bone_drivers import has_rotations
+from humansim_ros.motion.faces import FACE_JOINT, check_face
 from humansim_ros.motion.hand_poses import HAND_JOINTS
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_names
@@ -182,11 +183,16 @@ class LiveRetargeter:
             raise MotionError(f"joint names appear twice: {', '.join(twice[:6])}")
         space = SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
         hands = tuple(name for name in poses.names if name in HAND_JOINTS)
-        own = tuple(name for name in poses.names if name not in space and name not in HAND_JOINTS)
+        face = tuple(name for name in poses.names if name.startswith(FACE_JOINT))
+        if face and self._actor.face is None:
+            raise MotionError(f"the scene gives {self._actor.name} no face: add the key face: {{}}")
+        check_face(poses)
+        added = {*space, *hands, *face}
+        own = tuple(name for name in poses.names if name not in added)
         moved, _ = undo_keyframes(_in_order(poses, (*own, *space)))
         self._source = self._source_of(moved, stamp)
         actor = replace(self._actor, retargeter=self._source.retargeter)
-        return actor.state(_in_order(poses, (*self._source.names, *space, *hands)))
+        return actor.state(_in_order(poses, (*self._source.names, *space, *hands, *face)))
 
     def _source_of(self, poses: JointPoses, stamp: int | None) -> JointSource:
         """Source of a pose: a known one, or a new one."""

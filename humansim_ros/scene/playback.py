@@ -21,6 +21,7 @@ from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, n
 from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.faces import with_gazes
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.robot import CommandedDrive
 from humansim_ros.scene.robot_config import ROBOT
@@ -335,6 +336,12 @@ class Playback:
         ahead = at - actor.motion.speed * (seconds + actor.offset)
         self.actors[change.name] = replace(actor, ahead=ahead)
         self.settings[change.name] = change.settings
+        self._look()
+
+    def _look(self) -> None:
+        """Let people look at others where these are with their present motions."""
+        faces = {name: self.scene.config.humans[name].face for name in self.actors}
+        self.actors |= with_gazes(self.actors, faces, self.scene.scene_cameras)
 
     def _object_at(self, name: str, seconds: float) -> ObjectPose:
         pose = self.scene.moving_objects[name].at(seconds)
@@ -411,6 +418,7 @@ class Playback:
             self.drive.reset()
         for name, actor in self.actors.items():
             self.actors[name] = replace(actor, ahead=0.0)
+        self._look()
 
 
 def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig) -> MotionConfig:

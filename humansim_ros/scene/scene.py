@@ -39,6 +39,7 @@ from humansim_ros.scene.config import (
 )
 from humansim_ros.scene.crowd import with_crowd
 from humansim_ros.scene.environment import Environment
+from humansim_ros.scene.faces import with_faces
 from humansim_ros.scene.holding import held
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
@@ -356,6 +357,7 @@ class Scene(Pictured):
                 f"pyrender does not render distorted lenses, as of {distorted[0]}: use moderngl",
                 key="renderer",
             )
+        actors = with_faces(actors, config.humans, cameras, source)
         random = config.humans.keys() - named
         return cls(source, config, actors, cameras, objects, environment, frozenset(random), scanners, robot)
 

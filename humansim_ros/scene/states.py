@@ -60,7 +60,8 @@ class SceneStates:
         humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
 
         def joints_of(name: str) -> JointMotion:
-            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
+            human = humans[name]
+            return JointMotion(human.joints, human.linear, human.angular, human.face)
 
         state = SceneState(
             stamp=self._start + elapsed,

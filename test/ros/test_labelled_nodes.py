@@ -13,6 +13,7 @@ from keyframe_text import keyframes
 from ros_support import write_scene
 
 from humansim_ros import messages
+from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
@@ -22,7 +23,10 @@ from humansim_ros.truth.camera_truth import OCCLUDED, VISIBLE
 SCENE = """\
 rate: 4
 humans:
-  anna: {body: child, motion: {file: wave, anchor: center, loop: repeat}}
+  anna:
+    body: child
+    motion: {file: wave, anchor: center, loop: repeat}
+    face: {alive: true, keys: [{speak: 9}, {gaze: left}]}
 objects:
   post: {mesh: cylinder, size: [0.1, 0.1, 1], position: [0.6, -0.5, 0.5]}
   box: {size: [0.1, 0.3, 0.9], position: [0, 0, 0.6], keyframes: moves.xml, label: true}
@@ -45,7 +49,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     scene = Scene.load(write_scene(folder, SCENE))
     of_left = [*IMAGES, *(f"{kind}/{name}/image" for kind in ("alpha", "amodal") for name in NUMBERS)]
     of_left += ["joints", "boxes", "visible_vertices", "keypoints/halpe26"]
-    others = ("objects/box/marker", "humans/anna/keypoints/halpe26")
+    others = ("objects/box/marker", "humans/anna/keypoints/halpe26", "humans/anna/face")
     with SceneGraph(scene, namespace="labels") as graph, Simulation(scene, CHANNELS) as simulation:
         received = {
             topic: graph.subscribe(topic) for topic in (*others, *(f"left/{name}" for name in of_left))
@@ -106,6 +110,14 @@ def test_boxes_vertices_and_joints_equal_those_of_simulation(flow: Any) -> None:
         assert joints["occluder"].tolist() == truth.occluder.tolist()
         hidden |= set(truth.by[truth.visible == OCCLUDED].tolist())
     assert hidden >= {NUMBERS["box"]}
+
+
+def test_the_face_equals_that_of_simulation(flow: Any) -> None:
+    for stamp in flow.stamps:
+        truth = frame_of(flow, stamp).humans["anna"].face
+        face = messages.read_face(message_at(flow, "humans/anna/face", stamp))
+        np.testing.assert_array_equal([face.weights, face.rates], [truth.weights, truth.rates])
+        assert face.weights[ACTIONS.index("jawOpen")] > 0 or stamp == flow.stamps[0]
 
 
 def test_keypoints_equal_those_of_simulation(flow: Any) -> None:

@@ -31,6 +31,7 @@ SCENE: dict[str, Any] = {
             "body": "adult_man",
             "motion": {"file": "walk", "joint_names": "table.yaml", "hands": [{"pose": "fist"}]},
             "keyframes": {"file": "keys.xml"},
+            "face": {"file": "take.csv", "keys": [{"gaze": "left"}]},
         }
     },
     "variety": {"count": 1, "bodies": ["adult_man"], "motions": ["walk"]},
@@ -94,6 +95,7 @@ FILE_KEYS = (
     "humans.anna.motion.file",
     "humans.anna.motion.joint_names",
     "humans.anna.keyframes.file",
+    "humans.anna.face.file",
     "variety.bodies",
     "variety.motions",
     "crowd.bodies",
@@ -138,10 +140,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "table.yaml").write_bytes((ROOT / "config/joint_names/biovision.yaml").read_bytes())
     (folder / "keys.xml").write_text(KEYS_XML)
     (folder / "ball.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (folder / "take.csv").write_text("Timecode,BlendShapeCount,JawOpen\n00:00:00:01,1,0.5\n")
     (folder / "path.txt").write_text("0 0 0 1 0 0 0 1\n")
     (folder / "photo.png").write_bytes(encode_image(np.zeros((8, 8, 3), np.uint8)).tobytes())
     (folder / "sky.png").write_bytes(encode_image(np.zeros((8, 16, 3), np.uint8)).tobytes())
-    for suffix in (".npz", ".obj", ".bvh", ".yaml", ".xml", ".json", ".txt", ".png"):
+    for suffix in (".npz", ".obj", ".bvh", ".csv", ".yaml", ".xml", ".json", ".txt", ".png"):
         (folder / f"folder{suffix}").mkdir()
         (folder / f"damaged{suffix}").write_text("{[ these are words\n")
     return folder

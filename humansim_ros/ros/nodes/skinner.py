@@ -3,8 +3,9 @@
 Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture, whose joint
 names, scale and rest pose are detected from its messages (docs/playing.md); to the legend of the motion
 player, ``humans/<id>/motion/legend``; and to ``humans/<id>/frame``, with which the motion player gives the
-stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers`` and, for
-subscribers, ``keypoints/<set>`` with the same stamp, and latched ``humans/<id>/mesh``.
+stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers``, ``face`` of
+a human whose face moves and, for subscribers, ``keypoints/<set>`` with the same stamp, and latched
+``humans/<id>/mesh``.
 """
 
 from __future__ import annotations
@@ -138,6 +139,7 @@ class SkinnerNode(SceneNode):
         self._joints, self._vertices, self._markers = map(
             self.topic_publisher, (topics.joints, topics.vertices, topics.markers)
         )
+        self._face = None if topics.face is None else self.topic_publisher(topics.face)
         self._keypoints = [(topic, self.topic_publisher(topic)) for topic in topics.keypoints.values()]
         _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
@@ -201,6 +203,8 @@ class SkinnerNode(SceneNode):
         )
         self._wait_for(stamp)
         self._joints.publish(joints)
+        if self._face is not None and self._topics.face is not None:
+            self._face.publish(self._topics.face.build(state, stamp))
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices)
         for topic, publisher in self._keypoints:
@@ -238,7 +242,8 @@ class SkinnerNode(SceneNode):
 def _at_standstill(state: HumanState) -> HumanState:
     """State with velocities of zero."""
     nothing = np.zeros((len(state.joints), 3))
-    return replace(state, linear=nothing, angular=nothing)
+    face = None if state.face is None else replace(state.face, rates=np.zeros_like(state.face.rates))
+    return replace(state, linear=nothing, angular=nothing, face=face)
 
 
 def main(scene: Scene | None = None) -> int:

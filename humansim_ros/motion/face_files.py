@@ -1,0 +1,115 @@
+"""Recordings of faces: CSV files of Live Link Face, with the 52 actions of ARKit in each frame."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+
+import numpy as np
+
+from humansim_ros.body.face_actions import ACTIONS
+from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.io.files import read_bytes
+from humansim_ros.motion.faces import WeightTrack
+from humansim_ros.types import Array
+
+#: Largest file that is read, bytes, and most frames.
+_MAX_BYTES, _MAX_FRAMES = 64 << 20, 1_000_000
+#: Hours, minutes, seconds, and frames of a second with their fraction.
+_TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:\.\d+)?)")
+_RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
+_DAY = 86400.0
+#: Columns that are no actions: rotations of head and eyes. The actions say where the eyes look.
+_OTHER = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
+
+
+def read_face_file(path: str | os.PathLike[str]) -> WeightTrack:
+    """Read the weights of a face over time from a CSV file of Live Link Face.
+
+    A time code counts the frames of a second: the rate is the smallest usual one that has them all, and 60
+    for less than a second. The first frame is at time 0. Between frames, weights change linearly. Rows
+    without a face, which have no weights, are left out; the first line has the names of the columns.
+
+    Raises:
+        MotionError: The file is not such a recording; with file, line and column.
+    """
+    text = read_bytes(path, MotionError, "face", _MAX_BYTES).decode("utf-8-sig", errors="replace")
+    try:
+        rows = list(csv.reader(io.StringIO(text, newline="")))
+    except csv.Error as reason:
+        raise MotionError(f"not a CSV file: {reason}", path=path) from None
+    columns = _columns(rows[0] if rows else [], path)
+    frames = [(line, row) for line, row in enumerate(rows[1:], 2) if len(row) > max(columns.values())]
+    if not 0 < len(frames) <= _MAX_FRAMES:
+        raise MotionError(f"{len(frames)} frames with weights; a recording has 1 to {_MAX_FRAMES}", path=path)
+    times = _times([(line, row[columns["timecode"]]) for line, row in frames], path)
+    names = [name for name in columns if name != "timecode"]
+    weights = np.array(
+        [[_weight(row[columns[name]], line, name, path) for name in names] for line, row in frames]
+    )
+    order = np.flatnonzero(np.diff(times, prepend=-1.0) > 0)  # a frame that repeats a time is left out
+    if len(order) < len(times) and (np.diff(times) < 0).any():
+        line = frames[int(np.argmax(np.diff(times) < 0)) + 1][0]
+        raise MotionError("the time code goes back", path=path, line=line)
+    lower = {action.lower(): number for number, action in enumerate(ACTIONS)}
+    return WeightTrack(tuple(lower[name] for name in names), times[order], weights[order], ease=_linear)
+
+
+def _linear(share: Array) -> Array:
+    return share
+
+
+def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
+    """Number of the column of the time code, and of each action, by name in lower case."""
+    lower = {action.lower(): action for action in ACTIONS}
+    columns: dict[str, int] = {}
+    for number, title in enumerate(head):
+        name = title.strip().lower()
+        if name in columns:
+            raise MotionError(f"the column {title.strip()[:40]!r} is there twice", path=path, line=1)
+        if name == "timecode" or name in lower:
+            columns[name] = number
+        elif name and name != "blendshapecount" and not _OTHER.fullmatch(name):
+            hint = did_you_mean(title.strip(), ACTIONS)
+            raise MotionError(f"no action of the face {title.strip()[:40]!r}{hint}", path=path, line=1)
+    if "timecode" not in columns or len(columns) < 2:
+        raise MotionError(
+            "not a recording of Live Link Face: its first line has Timecode, BlendShapeCount and the names "
+            "of the actions",
+            path=path,
+            line=1,
+        )
+    return columns
+
+
+def _times(codes: list[tuple[int, str]], path: str | os.PathLike[str]) -> Array:
+    """Seconds (F,) of time codes with their lines, from 0."""
+    parts = []
+    for line, code in codes:
+        match = _TIMECODE.fullmatch(code.strip())
+        if match is None:
+            raise MotionError(
+                f"{code.strip()[:40]!r} is no time code: HH:MM:SS:FF or HH:MM:SS:FF.FFF", path=path, line=line
+            )
+        parts.append([float(part) for part in match.groups()])
+    hours, minutes, seconds, frames = np.array(parts).T
+    whole = hours * 3600 + minutes * 60 + seconds
+    last = np.floor(frames.max())
+    rate = (
+        60.0 if np.ptp(whole) == 0 and last < 60 else next((each for each in _RATES if last < each), last + 1)
+    )
+    times = whole + frames / rate
+    times = times - times[0]
+    return np.where(times < -_DAY / 2, times + _DAY, times)  # a take over midnight
+
+
+def _weight(text: str, line: int, name: str, path: str | os.PathLike[str]) -> float:
+    try:
+        weight = float(text)
+    except ValueError:
+        weight = float("nan")
+    if not 0 <= weight <= 1 + 1e-3:
+        raise MotionError(f"{name} must be from 0 to 1, not {text.strip()[:40]!r}", path=path, line=line)
+    return min(weight, 1.0)

@@ -1,0 +1,33 @@
+"""Keys of faces; imports neither meshes nor motions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from humansim_ros.body.face_actions import ExpressionName
+
+#: Gaze at nothing: the eyes look ahead.
+AHEAD = "ahead"
+
+
+@dataclass(frozen=True)
+class FaceKey:
+    """What a face does from a time on. What it does not name goes on.
+
+    Attributes:
+        time: Seconds of the scene.
+        expression: Name of an expression, and its ``strength`` from 0 to 1.
+        actions: Weights by action, beside the expression.
+        gaze: Point (3,) in ``map``, name of a human or a camera, or :data:`AHEAD`.
+        speak: Seconds for which the face speaks.
+        blend: Seconds in which expression and actions change from those before.
+    """
+
+    time: float = 0.0
+    expression: ExpressionName | None = None
+    strength: float = 1.0
+    actions: Mapping[str, float] | None = None
+    gaze: str | tuple[float, float, float] | None = None
+    speak: float | None = None
+    blend: float = 0.3

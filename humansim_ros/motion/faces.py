@@ -1,0 +1,393 @@
+"""Faces over time: what keys, files and life do to the actions of a face and to its gaze.
+
+All of it is a function of the scene time and of a seed. A face travels with a motion as joints at its end:
+the angle in radians of ``face/<action>`` about x is the weight of the action, and ``face/gaze`` is at the
+point that the eyes see. Its angle is the share of the gaze: 0 where eyes are as their actions say, or 1.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from humansim_ros.body.eyes import LOOKS, with_looks
+from humansim_ros.body.face_actions import ACTIONS, expression, face_weights
+from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.motion.face_keys import FaceKey
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
+from humansim_ros.rotations import angle_between, unit_vectors
+from humansim_ros.types import Array
+
+#: Joints that carry a face in a motion begin with this.
+FACE_JOINT = "face/"
+GAZE_JOINT = FACE_JOINT + "gaze"
+FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT))
+#: Returns points (N, 3) in ``map`` at scene times (N,).
+PointAt = Callable[[Array], Array]
+#: Returns the middle of the eyes (N, 3) and the direction ahead (N, 3) at scene times (N,).
+RaysAt = Callable[[Array], tuple[Array, Array]]
+#: Returns the next random number, uniformly distributed from 0 to 1.
+Uniform = Callable[[], float]
+#: Seconds after which blinks and glances repeat.
+LIFE_SECONDS = 600.0
+#: Blinks at rest: number a minute [Bentivoglio 1997], spread of the logarithm of their intervals, and the
+#: shortest interval.
+_BLINKS, _SPREAD, _SHORTEST = 17.0, 0.7, 0.6
+#: Lids during a blink [VanderWerf 2003]: seconds, and how far they are closed.
+_BLINK = ((0.0, 0.0), (0.1, 1.0), (0.12, 1.0), (0.35, 0.0))
+#: Saccades take 21 ms, and 2.2 ms for each degree [Carpenter 1988].
+_SACCADE, _SACCADE_DEGREE = 0.021, 0.0022
+#: Mean size of glances, whose sizes are distributed exponentially [Lee 2002], and the largest; degrees.
+_GLANCE, _LARGEST_GLANCE = 6.9, 12.0
+#: Shortest and longest rest of the eyes between two glances, seconds.
+_FIXATION = (0.4, 3.0)
+#: Share of glances that is left while the eyes look at something.
+_FIXED = 0.1
+#: Syllables, seconds; their rhythm is 2 to 7 Hz [Chandrasekaran 2009].
+_SYLLABLE = (0.15, 0.3)
+#: Syllables between two pauses, and seconds of a pause.
+_PHRASE, _PAUSE = (4, 13), (0.25, 0.6)
+_PAIRS = "mouthLowerDown", "mouthUpperUp", "mouthSmile", "mouthStretch", "mouthPress"
+#: Mouths of consonants and of vowels: weights by action, of both sides.
+_CONSONANTS: tuple[dict[str, float], ...] = (
+    {"mouthPress": 0.35, "mouthRollLower": 0.2, "mouthRollUpper": 0.2},  # m, b, p
+    {"jawOpen": 0.05, "mouthRollLower": 0.4, "mouthUpperUp": 0.12},  # f, v
+    {"jawOpen": 0.08, "mouthStretch": 0.1},  # d, t, n, s
+    {"jawOpen": 0.08, "mouthFunnel": 0.35, "mouthPucker": 0.15},  # ch, sh
+    {"jawOpen": 0.14, "mouthLowerDown": 0.1},  # g, k, l
+)
+_VOWELS: tuple[dict[str, float], ...] = (
+    {"jawOpen": 0.45, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},  # a
+    {"jawOpen": 0.28, "mouthStretch": 0.15, "mouthUpperUp": 0.1},  # e
+    {"jawOpen": 0.14, "mouthSmile": 0.25, "mouthStretch": 0.2},  # i
+    {"jawOpen": 0.3, "mouthFunnel": 0.4},  # o
+    {"jawOpen": 0.1, "mouthFunnel": 0.2, "mouthPucker": 0.5},  # u
+)
+
+
+def _smooth(share: Array) -> Array:
+    return share * share * (3 - 2 * share)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightTrack:
+    """Weights of some actions over time.
+
+    Attributes:
+        actions: Numbers of A actions.
+        times: (K,) seconds, rising; the first and last weights go on before and after.
+        weights: (K, A).
+        period: Seconds after which they repeat.
+        ease: Share of a change, for shares of the time from one of the times to the next.
+    """
+
+    actions: tuple[int, ...]
+    times: Array
+    weights: Array
+    period: float = math.inf
+    ease: Callable[[Array], Array] = _smooth
+
+    def at(self, times: Array) -> Array:
+        """Weights (N, A) at times (N,)."""
+        if self.period < math.inf:
+            times = times % self.period
+        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
+        after = np.minimum(after, len(self.times) - 1)
+        before = np.maximum(after - 1, 0)
+        span = np.maximum(self.times[after] - self.times[before], 1e-9)
+        share = self.ease(np.clip((times - self.times[before]) / span, 0.0, 1.0))[:, None]
+        return np.asarray(self.weights[before] + share * (self.weights[after] - self.weights[before]))
+
+    @classmethod
+    def of_points(cls, points: Sequence[tuple[float, Array]], period: float = math.inf) -> WeightTrack:
+        """Track through weights (52,) at rising times."""
+        weights = np.array([weight for _, weight in points])
+        actions = np.flatnonzero(weights.any(axis=0))
+        times = np.array([time for time, _ in points])
+        return cls(tuple(actions.tolist()), times, weights[:, actions], period)
+
+
+def key_track(keys: Sequence[tuple[float, float, Array]]) -> WeightTrack:
+    """Track of keys in the order of time: time, seconds of the change, weights (52,).
+
+    A key at 0 holds from the start.
+    """
+    points: list[tuple[float, Array]] = [(-1.0, np.zeros(len(ACTIONS)))]
+    for time, blend, weights in keys:
+        if time == 0:
+            points = [(-1.0, weights)]
+            continue
+        track = WeightTrack.of_points(points)
+        start = np.zeros(len(ACTIONS))
+        start[list(track.actions)] = track.at(np.array([time]))[0]
+        points = [point for point in points if point[0] < time]
+        points += [(time, start), (time + max(blend, 1e-3), weights)]
+    return WeightTrack.of_points(points)
+
+
+def blinks(uniform: Uniform) -> WeightTrack:
+    """Blinks of both eyes for :data:`LIFE_SECONDS`."""
+    closed = face_weights({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
+    middle = math.log(60 / _BLINKS) - _SPREAD**2 / 2
+    normal = statistics.NormalDist(middle, _SPREAD)
+    points: list[tuple[float, Array]] = [(0.0, 0 * closed)]
+    time = 0.0
+    while True:
+        interval = math.exp(normal.inv_cdf(min(max(uniform(), 1e-6), 1 - 1e-6)))
+        time += round(max(interval, _SHORTEST), 3)  # rounded: logarithms of two machines may differ
+        if time + _BLINK[-1][0] > LIFE_SECONDS:
+            return WeightTrack.of_points(points, LIFE_SECONDS)
+        points += [(time + after, share * closed) for after, share in _BLINK]
+
+
+def saccade_seconds(degrees: float) -> float:
+    """Seconds in which the eyes turn by an angle at once."""
+    return _SACCADE + _SACCADE_DEGREE * degrees
+
+
+def glances(uniform: Uniform) -> WeightTrack:
+    """Small movements of the eyes around where they look, for :data:`LIFE_SECONDS`."""
+    points: list[tuple[float, Array]] = [(0.0, np.zeros(len(ACTIONS)))]
+    time, before, eyes = 0.0, np.zeros(2), points[0][1]
+    while True:
+        time += round(_FIXATION[0] + (_FIXATION[1] - _FIXATION[0]) * uniform(), 3)
+        size = -_GLANCE * math.log(max(uniform(), 1e-6))
+        size, direction = round(min(size, _LARGEST_GLANCE), 2), 2 * math.pi * uniform()
+        # the eyes move more to the sides than up and down
+        now = np.round([size * math.cos(direction), 0.5 * size * math.sin(direction)], 2)
+        if time + 0.2 > LIFE_SECONDS:
+            return WeightTrack.of_points([*points, (LIFE_SECONDS, points[0][1])], LIFE_SECONDS)
+        points.append((time, eyes))
+        eyes = look_weights(np.radians(now))
+        points.append((time + round(saccade_seconds(math.dist(now, before)), 3), eyes))
+        before = now
+
+
+def look_weights(angles: Array) -> Array:
+    """Weights (52,) with which both eyes look to yaw and pitch (2,), radians."""
+    return with_looks(np.zeros((1, len(ACTIONS))), np.broadcast_to(angles, (1, 2, 2)))[0]
+
+
+def speech(start: float, seconds: float, uniform: Uniform) -> WeightTrack:
+    """A mouth that speaks for some seconds: syllables of a consonant and a vowel, and pauses."""
+    silence = np.zeros(len(ACTIONS))
+    points, time, left = [(start, silence)], start, 0
+    while True:
+        if left == 0:
+            if len(points) > 1:
+                points.append((time, silence))
+                time += _between(_PAUSE, uniform)
+                points.append((time, silence))
+            left = int(_between(_PHRASE, uniform))
+        length, strength = _between(_SYLLABLE, uniform), _between((0.7, 1.1), uniform)
+        consonant, vowel = (_mouth(each, uniform) for each in (_CONSONANTS, _VOWELS))
+        if time + length > start + seconds:
+            return WeightTrack.of_points([*points, (max(start + seconds, time + 0.1), silence)])
+        points += [(time + 0.3 * length, consonant), (time + 0.7 * length, strength * vowel)]
+        time, left = time + length, left - 1
+
+
+def _between(limits: tuple[float, float], uniform: Uniform) -> float:
+    return limits[0] + (limits[1] - limits[0]) * uniform()
+
+
+def _mouth(mouths: Sequence[dict[str, float]], uniform: Uniform) -> Array:
+    """Weights (52,) of one of some mouths."""
+    chosen = mouths[min(int(len(mouths) * uniform()), len(mouths) - 1)]
+    weights = {}
+    for action, weight in chosen.items():
+        for each in (action + "Left", action + "Right") if action in _PAIRS else (action,):
+            weights[each] = weight
+    return face_weights(weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaze:
+    """Eyes turn to a point at a time; ``point``: None for ahead."""
+
+    time: float
+    point: PointAt | None
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """The face of a human over scene time.
+
+    Attributes:
+        tracks: Weights of actions, which are added and limited to 1.
+        glances: Movements of the eyes while they look at nothing, if it has any.
+        gazes: Changes of the gaze, in the order of time.
+        rays: Where the human's own eyes are, of which the length of saccades depends.
+    """
+
+    tracks: tuple[WeightTrack, ...] = ()
+    glances: WeightTrack | None = None
+    gazes: tuple[Gaze, ...] = ()
+    rays: RaysAt | None = field(default=None, repr=False)
+
+    def looking(self, gazes: tuple[Gaze, ...], rays: RaysAt) -> Face:
+        """The same face with gazes at points."""
+        return replace(self, gazes=gazes, rays=rays)
+
+    @cached_property
+    def _actions(self) -> tuple[int, ...]:
+        """Numbers of the actions that ever move, in order."""
+        tracks = self.tracks if self.glances is None else (*self.tracks, self.glances)
+        return tuple(sorted({action for track in tracks for action in track.actions}))
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that carry it."""
+        names = tuple(FACE_JOINT + ACTIONS[action] for action in self._actions)
+        return (*names, GAZE_JOINT) if self.gazes else names
+
+    def add(self, poses: JointPoses, seconds: float) -> JointPoses:
+        """Poses (N = 1) of a motion at a scene time, with the joints that carry the face."""
+        if not self.joints:
+            return poses
+        times = seconds + np.array([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
+        shares, points = self._gaze(times)
+        weights = self._weights(times, shares)[:, list(self._actions)]
+        count, step = len(self.joints), 2 * VELOCITY_STEP
+        angles = np.concatenate([weights, shares[:, None]], axis=1)[:, :count]
+        rotations, angular = np.zeros((count, 4)), np.zeros((count, 3))
+        rotations[:, 0], rotations[:, 3] = np.sin(angles[1] / 2), np.cos(angles[1] / 2)
+        angular[:, 0] = (angles[2] - angles[0]) / step
+        positions = np.repeat(poses.positions[0, :1], count, axis=0)
+        linear = (
+            np.zeros((count, 3)) if poses.linear is None else np.repeat(poses.linear[0, :1], count, axis=0)
+        )
+        if self.gazes:
+            positions[-1], linear[-1] = points[1], (points[2] - points[0]) / step
+        return poses.with_joints(self.joints, rotations, angular, positions, linear)
+
+    def _weights(self, times: Array, shares: Array) -> Array:
+        """Weights (N, 52) at times (N,) with shares (N,) of the gaze."""
+        weights = np.zeros((len(times), len(ACTIONS)))
+        for track in self.tracks:
+            weights[:, track.actions] += track.at(times)
+        if self.gazes:
+            weights[:, LOOKS] *= 1 - shares[:, None, None, None]
+        if self.glances is not None:
+            left = 1 - (1 - _FIXED) * shares
+            weights[:, self.glances.actions] += left[:, None] * self.glances.at(times)
+        return np.clip(weights, 0.0, 1.0)
+
+    def _gaze(self, times: Array) -> tuple[Array, Array]:
+        """Shares (N,) of the gaze, and its points (N, 3), at times (N,) around a frame."""
+        number = sum(gaze.time <= times[len(times) // 2] for gaze in self.gazes) - 1
+        shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
+        if number < 0:
+            return shares, points
+        gaze = self.gazes[number]
+        before = self.gazes[number - 1].point if number else None
+        done = np.ones(len(times))
+        if gaze.time > 0:  # a gaze from the start is there at once
+            done = _smooth(np.clip((times - gaze.time) / self._saccades[number], 0.0, 1.0))
+        if gaze.point is None or before is None:
+            point = gaze.point or before
+            if point is not None:
+                shares, points = done if gaze.point is not None else 1 - done, point(times)
+            return shares, points
+        if done.min() == 1:
+            return np.ones(len(times)), gaze.point(times)
+        eyes = self._rays(times)[0]
+        start, end = before(times) - eyes, gaze.point(times) - eyes
+        near, far = (np.linalg.norm(line, axis=-1) for line in (start, end))
+        return np.ones(len(times)), eyes + (near + done * (far - near))[:, None] * _turned(start, end, done)
+
+    def _rays(self, times: Array) -> tuple[Array, Array]:
+        assert self.rays is not None
+        return self.rays(times)
+
+    @cached_property
+    def _saccades(self) -> tuple[float, ...]:
+        """Seconds of the saccade to each gaze."""
+        return tuple(self._saccade_lengths())
+
+    def _saccade_lengths(self) -> Iterator[float]:
+        before: PointAt | None = None
+        for gaze in self.gazes:
+            time = np.array([gaze.time])
+            eyes, ahead = self._rays(time)
+            start, end = (
+                ahead if point is None else unit_vectors(point(time) - eyes) for point in (before, gaze.point)
+            )
+            yield saccade_seconds(float(np.degrees(angle_between(start, end))[0]))
+            before = gaze.point
+
+
+def _turned(start: Array, end: Array, share: Array) -> Array:
+    """Unit vectors (N, 3) a share (N,) of the way from some directions to others."""
+    angle = angle_between(unit_vectors(start), unit_vectors(end))
+    sine = np.sin(angle)
+    weights = np.where(
+        sine > 1e-6,
+        np.stack([np.sin((1 - share) * angle), np.sin(share * angle)]) / np.maximum(sine, 1e-6),
+        np.stack([1 - share, share]),
+    )
+    return unit_vectors(weights[0][:, None] * unit_vectors(start) + weights[1][:, None] * unit_vectors(end))
+
+
+def key_tracks(keys: Sequence[FaceKey], numbers: Callable[[str], Uniform]) -> tuple[WeightTrack, ...]:
+    """Tracks of the expressions, actions and speech of keys. ``numbers``: random numbers for a purpose."""
+    keys = sorted(keys, key=lambda key: key.time)
+    expressions = [
+        (key.time, key.blend, key.strength * face_weights(expression(key.expression)))
+        for key in keys
+        if key.expression is not None
+    ]
+    actions = [(key.time, key.blend, face_weights(key.actions)) for key in keys if key.actions is not None]
+    spoken = [
+        speech(key.time, key.speak, numbers(f"speech {key.time:g}")) for key in keys if key.speak is not None
+    ]
+    return (*(key_track(each) for each in (expressions, actions) if each), *spoken)
+
+
+@dataclass(frozen=True, eq=False)
+class FacePoses:
+    """A face at N times: weights (N, 52), and points (N, 3) of the gaze with their shares (N,)."""
+
+    weights: Array
+    points: Array
+    shares: Array
+
+
+def without_face(poses: JointPoses) -> tuple[JointPoses, FacePoses | None]:
+    """Joint poses without the joints that :meth:`Face.add` appends, and the face that they carry."""
+    own = len(poses.names)
+    while own and poses.names[own - 1].startswith(FACE_JOINT):
+        own -= 1
+    if own == len(poses.names):
+        return poses, None
+    turns = poses.rotations[:, own:]
+    angles = 2 * np.arctan(turns[..., 0] / turns[..., 3])  # q and -q are one rotation
+    weights = np.zeros((len(angles), len(ACTIONS)))
+    shares, points = np.zeros(len(angles)), np.zeros((len(angles), 3))
+    for number, name in enumerate(poses.names[own:]):
+        if name == GAZE_JOINT:
+            shares, points = angles[:, number], poses.positions[:, own + number]
+        else:
+            weights[:, ACTIONS.index(name.removeprefix(FACE_JOINT))] = angles[:, number]
+    return poses.first(own), FacePoses(np.clip(weights, 0.0, 1.0), points, np.clip(shares, 0.0, 1.0))
+
+
+def check_face(poses: JointPoses) -> None:
+    """Raise MotionError for joints that cannot carry a face: unknown actions, or weights out of range."""
+    for number, name in enumerate(poses.names):
+        if not name.startswith(FACE_JOINT):
+            continue
+        action = name.removeprefix(FACE_JOINT)
+        if name not in FACE_JOINTS:
+            raise MotionError(f"no action of the face {action[:40]!r}{did_you_mean(action, ACTIONS)}")
+        x, y, z, w = poses.rotations[0, number].tolist()
+        weight = 2 * math.atan2(math.copysign(x, x * w), abs(w))
+        if math.hypot(y, z) > 1e-6 or not -1e-6 <= weight <= 1 + 1e-6:
+            raise MotionError(
+                f"the angle of {FACE_JOINT}{action[:40]} about x is its weight: from 0 to 1, not {weight:.4g}"
+            )

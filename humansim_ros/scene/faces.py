@@ -1,0 +1,145 @@
+"""Faces of the humans of a scene: from the section ``face`` of each, with gazes at others and at cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from humansim_ros.body.eyes import EYE_BONES
+from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.motion.face_files import read_face_file
+from humansim_ros.motion.face_keys import AHEAD
+from humansim_ros.motion.faces import Face, Gaze, PointAt, blinks, glances, key_tracks
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.camera import SceneCamera
+from humansim_ros.scene.config import LIVE, FaceConfig, HumanConfig
+from humansim_ros.scene.randomise import RandomNumbers, random_numbers
+from humansim_ros.scene.source import SceneSource
+from humansim_ros.types import Array
+
+
+def face_of(name: str, config: FaceConfig, source: SceneSource) -> Face:
+    """Face of a human without its gazes.
+
+    Args:
+        name: Name of the human: people with one seed differ.
+        config: Section ``face``.
+        source: Finds its file.
+
+    Raises:
+        HumansimError: The file is no recording of a face; ``key`` is relative to the section.
+    """
+
+    def numbers(purpose: str) -> RandomNumbers:
+        return random_numbers(config.seed, f"face {name} {purpose}")
+
+    tracks = key_tracks([key.key for key in config.keys], numbers)
+    if config.file is not None:
+        with in_section("file"):
+            tracks = (*tracks, read_face_file(source.find(config.file)))
+    if not config.alive:
+        return Face(tracks)
+    return Face((*tracks, blinks(numbers("blinks"))), glances(numbers("glances")))
+
+
+def with_faces(
+    actors: Mapping[str, Actor],
+    configs: Mapping[str, HumanConfig],
+    cameras: Mapping[str, SceneCamera],
+    source: SceneSource,
+) -> dict[str, Actor]:
+    """Humans with their faces.
+
+    Args:
+        actors: Humans by name.
+        configs: Their sections.
+        cameras: Cameras by name, which they may look at.
+        source: Finds the files.
+
+    Raises:
+        HumansimError: With the key, as of a gaze at nobody.
+    """
+    faces = {name: config.face for name, config in configs.items()}
+    if not any(faces.values()):
+        return dict(actors)
+    out = dict(actors)
+    for name, config in faces.items():
+        if config is None:
+            continue
+        with in_section(f"humans.{name}.face"):
+            for number, key in enumerate(config.keys):
+                with in_section(f"keys.{number}.gaze"):
+                    _check_gaze(name, key.gaze, configs, cameras)
+            out[name] = replace(actors[name], face=face_of(name, config, source))
+            if configs[name].motion.file == LIVE and config != FaceConfig():
+                source.warn(
+                    f"humans.{name}.face", "another node moves this human, and its face: nothing else does"
+                )
+            human = actors[name].human
+            if human.shapes is None:
+                eyes = "only its eyes move" if EYE_BONES[0] in human.skeleton.names else "nothing moves"
+                source.warn(f"humans.{name}.face", f"the body has no actions of the face: {eyes}")
+    return with_gazes(out, faces, cameras)
+
+
+def _check_gaze(
+    name: str,
+    gaze: str | tuple[float, float, float] | None,
+    humans: Mapping[str, HumanConfig],
+    cameras: Mapping[str, SceneCamera],
+) -> None:
+    if not isinstance(gaze, str) or gaze == AHEAD:
+        return
+    if gaze == name:
+        raise SceneError("nobody can look at the own face: name another human")
+    if gaze not in humans and gaze not in cameras:
+        known = [each for each in humans if each != name]
+        listed = "; ".join(
+            f"the {kind} are {some_of(names)}"
+            for kind, names in (("humans", known), ("cameras", cameras))
+            if names
+        )
+        raise SceneError(
+            f"no human and no camera {gaze[:40]!r}{did_you_mean(gaze, (*known, *cameras))}; {listed}; "
+            f"{AHEAD} ends a gaze"
+        )
+    if gaze in humans and humans[gaze].motion.file == LIVE:
+        raise SceneError(f"another node moves {gaze}, so that its place is not known: give a point")
+
+
+def with_gazes(
+    actors: Mapping[str, Actor],
+    configs: Mapping[str, FaceConfig | None],
+    cameras: Mapping[str, SceneCamera],
+) -> dict[str, Actor]:
+    """Humans that look at others and at cameras where these are with their present motions."""
+
+    def point(gaze: str | tuple[float, float, float]) -> PointAt | None:
+        if not isinstance(gaze, str):
+            return partial(_fixed, np.array(gaze))
+        if gaze == AHEAD:
+            return None
+        return actors[gaze].eyes_at if gaze in actors else partial(_camera_at, cameras[gaze])
+
+    out = dict(actors)
+    for name, config in configs.items():
+        face = actors[name].face
+        keys = [] if config is None else [key for key in config.keys if key.gaze is not None]
+        if face is not None and keys:
+            keys.sort(key=lambda key: key.time)
+            gazes = tuple(Gaze(key.time, point(key.gaze)) for key in keys if key.gaze is not None)
+            out[name] = replace(actors[name], face=face.looking(gazes, actors[name].eye_rays))
+    return out
+
+
+def _fixed(point: Array, times: Array) -> Array:
+    return np.broadcast_to(point, (len(times), 3))
+
+
+def _camera_at(camera: SceneCamera, times: Array) -> Array:
+    if not camera.moves:
+        return _fixed(camera.whole.center, times)
+    return np.stack([camera.pose(float(time)).position for time in times])

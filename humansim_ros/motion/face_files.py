@@ -16,7 +16,7 @@ from humansim_ros.motion.faces import WeightTrack
 from humansim_ros.types import Array
 
 #: Largest file that is read, bytes, and most frames.
-_MAX_BYTES, _MAX_FRAMES = 64 << 20, 1_000_000
+_MAX_BYTES, _MAX_FRAMES = 32 << 20, 1_000_000
 #: Hours, minutes, seconds, and frames of a second with their fraction.
 _TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:\.\d+)?)")
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)

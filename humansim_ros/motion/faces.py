@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -287,8 +287,9 @@ class Face:
         gaze = self.gazes[number]
         before = self.gazes[number - 1].point if number else None
         done = np.ones(len(times))
-        if gaze.time > 0:  # a gaze from the start is there at once
-            done = _smooth(np.clip((times - gaze.time) / self._saccades[number], 0.0, 1.0))
+        # a gaze from the start is there at once
+        if gaze.time > 0 and times[0] < gaze.time + saccade_seconds(180):
+            done = _smooth(np.clip((times - gaze.time) / self._saccade(number), 0.0, 1.0))
         if gaze.point is None or before is None:
             point = gaze.point or before
             if point is not None:
@@ -305,21 +306,16 @@ class Face:
         assert self.rays is not None
         return self.rays(times)
 
-    @cached_property
-    def _saccades(self) -> tuple[float, ...]:
-        """Seconds of the saccade to each gaze."""
-        return tuple(self._saccade_lengths())
-
-    def _saccade_lengths(self) -> Iterator[float]:
-        before: PointAt | None = None
-        for gaze in self.gazes:
-            time = np.array([gaze.time])
-            eyes, ahead = self._rays(time)
-            start, end = (
-                ahead if point is None else unit_vectors(point(time) - eyes) for point in (before, gaze.point)
-            )
-            yield saccade_seconds(float(np.degrees(angle_between(start, end))[0]))
-            before = gaze.point
+    def _saccade(self, number: int) -> float:
+        """Seconds of the saccade to a gaze."""
+        time = np.array([self.gazes[number].time])
+        eyes, ahead = self._rays(time)
+        before = self.gazes[number - 1].point if number else None
+        start, end = (
+            ahead if point is None else unit_vectors(point(time) - eyes)
+            for point in (before, self.gazes[number].point)
+        )
+        return saccade_seconds(float(np.degrees(angle_between(start, end))[0]))
 
 
 def _turned(start: Array, end: Array, share: Array) -> Array:

@@ -148,6 +148,11 @@ class FaceConfig(ShortSection):
         return (value,) if isinstance(value, (str, dict)) else value
 
 
+def living_face(alive: bool, seed: int) -> FaceConfig | None:
+    """Face of a random human: alive, or stiff."""
+    return FaceConfig(alive=True, seed=seed) if alive else None
+
+
 class MotionConfig(ShortSection):
     """Motion of a human."""
 
@@ -426,6 +431,7 @@ class VarietyConfig(Section):
     spacing: float = Field(
         default=0.9, ge=0, le=100, description="least distance between the middles of two paths, metres"
     )
+    alive: bool = Field(default=False, description="give them faces that blink and glance around")
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
         default=(0.9, 1.1), description="least and greatest factor of the motion's speed"
     )
@@ -479,6 +485,7 @@ class CrowdConfig(Section):
         default=None,
         description="floor of the crowd: x, y of two corners; the room if absent, or 10 x 10 m without one",
     )
+    alive: bool = Field(default=False, description="give them faces that blink and glance around")
     flows: tuple[FlowConfig, ...] = Field(
         default=(), max_length=100, description="where they walk; to places at random in the area if absent"
     )

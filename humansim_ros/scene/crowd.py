@@ -20,7 +20,7 @@ from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion.orca import Walkers
 from humansim_ros.motion.path_motion import FloorPath
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import CrowdConfig, HumanConfig, MotionConfig, SceneConfig
+from humansim_ros.scene.config import CrowdConfig, HumanConfig, MotionConfig, SceneConfig, living_face
 from humansim_ros.scene.floor_plan import FloorPlan
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.objects import load_tracks
@@ -114,6 +114,7 @@ def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> H
         motion=MotionConfig(
             file=motion, loop="continue", position=(round(float(home[0]), 4), round(float(home[1]), 4))
         ),
+        face=living_face(crowd.alive, crowd.seed),
     )
 
 

@@ -22,7 +22,7 @@ from humansim_ros.motion.activity import ACTIVITY, needs_table
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig
+from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig, living_face
 from humansim_ros.scene.environment import mesh_files
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
@@ -377,6 +377,7 @@ class _Crowd:
                 speed=round(speed, 4),
                 mirror=mirror,
             ),
+            face=living_face(variety.alive, variety.seed),
         )
 
     def _own_activities(self, name: str, motions: Sequence[str]) -> list[str]:

@@ -200,6 +200,18 @@ def test_life_blinks_as_often_as_people_do_and_differs_by_name() -> None:
     assert seen["anna"] != seen["ben"] and max(seen["anna"]) > 0.3
 
 
+def test_random_people_are_alive_on_request() -> None:
+    variety = {"count": 1, "bodies": ["adult_woman"], "motions": ["stand"], "area": [-1, -1, 1, 1]}
+    camera = {"position": [3, 0, 1.6], "look_at": [0, 0, 1.5]}
+    stiff, alive = (
+        Scene.from_dict({"room": None, "variety": {**variety, "alive": each}, "cameras": {"front": camera}})
+        for each in (False, True)
+    )
+    one, other = (each.config.humans["person_1"] for each in (stiff, alive))
+    assert one.face is None and other.face is not None and one == other.model_copy(update={"face": None})
+    assert "face/eyeBlinkLeft" in alive.actors["person_1"].joint_poses(0.0).names
+
+
 def test_a_mouth_speaks_for_its_time_in_the_rhythm_of_syllables() -> None:
     times = np.arange(-1, 12, 0.01)
     track = speech(0.0, 10.0, random_numbers(1, "speech"))

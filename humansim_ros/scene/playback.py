@@ -428,6 +428,9 @@ def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig)
     if file != old.file:
         base = of_scene if file == of_scene.file else MotionConfig()
         values.update({key: getattr(base, key) for key in _FILE_KEYS})
+        # times of hand keys are of the old file; a pose that holds all the time is of any
+        if old.hands is None or any(key.time > 0 for key in old.hands):
+            values["hands"] = base.hands
     return validated(MotionConfig, {**values, **changes}, MotionError)
 
 

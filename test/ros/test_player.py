@@ -215,6 +215,21 @@ def test_settings_of_a_file_are_not_used_for_another_file_but_return_with_it(tmp
     assert 3.0 < height() < 3.6
 
 
+def test_hand_keys_with_times_are_for_the_file_of_the_scene(tmp_path: Path) -> None:
+    text = "humans: {anna: {motion: {file: talk, hands: [{pose: fist, time: 3}]}}}\n"
+    text += "cameras: {c: {position: [3, 0, 1], look_at: [0, 0, 1]}}\n"
+    playback = Playback(Scene.load(write_scene(tmp_path, text)))
+    of_scene = playback.settings["anna"].hands
+    assert of_scene is not None
+    playback.change("anna", file="walk")  # of 2 s
+    assert playback.settings["anna"].hands is None
+    playback.change("anna", file="talk")
+    assert playback.settings["anna"].hands == of_scene
+    playback.change("anna", hands=["fist"])
+    playback.change("anna", file="walk")
+    assert [key.pose for key in playback.settings["anna"].hands or ()] == ["fist"]
+
+
 # With ROS
 
 

@@ -16,7 +16,7 @@ from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import FootContacts
-from humansim_ros.motion.faces import Face, without_face
+from humansim_ros.motion.faces import Face, PointAt, without_face
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
 from humansim_ros.motion.hand_poses import HandKeys, without_hands
@@ -337,6 +337,13 @@ class Actor:
     def eyes_at(self, times: Array) -> Array:
         """Point (N, 3) of the face that others look at, at scene times (N,)."""
         return self.eye_rays(times)[0]
+
+    def sees(self, point: PointAt, times: Array) -> NDArray[np.bool_]:
+        """Whether the eyes can turn to a point at scene times (N,); always without eyes."""
+        if self._eyes is None:
+            return np.ones(len(times), dtype=bool)
+        angles = self._eyes.angles_to(self._joints_at(times), point(times))
+        return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
 
     @cached_property
     def _eyes(self) -> Eyes | None:

@@ -189,6 +189,10 @@ _SPINE = ("HumanoidRoot", "sacroiliac", "vl5", "vt3", "vt3_end")
 _POINTS, _DEPTH = 9, 0.12
 
 
+#: Share of the time in which eyes reach what they look at.
+_SEEN = 0.5
+
+
 def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
     """Check all humans."""
     outside: dict[str, NDArray[np.bool_]] = {}
@@ -200,6 +204,7 @@ def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterat
     for name, joints in samples.joints.items():
         yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
     yield from _in_the_air(samples)
+    yield from _out_of_sight(samples)
     yield from _in_each_other(samples)
 
 
@@ -223,6 +228,30 @@ def _in_the_air(samples: SceneSamples) -> Iterator[Finding]:
                 text += f"; without humans.{name}.seat: none a chair is put there"
             yield Finding("error", motion_key(samples, name), text)
             break
+
+
+def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about gazes at what the eyes do not reach."""
+    for name in samples.joints:
+        actor, config = samples.scene.actors[name], samples.scene.config.humans[name].face
+        if actor.face is None or config is None:
+            continue
+        keys = sorted(
+            (key.time, number, key.gaze) for number, key in enumerate(config.keys) if key.gaze is not None
+        )
+        ends = [time for time, *_ in keys[1:]] + [np.inf]
+        for gaze, (time, number, target), end in zip(actor.face.gazes, keys, ends, strict=True):
+            times = samples.times[(samples.times >= time) & (samples.times < end)]
+            if gaze.point is None or not len(times):
+                continue
+            share = float(actor.sees(gaze.point, times).mean())
+            if share < _SEEN:
+                shown = target if isinstance(target, str) else numbers(target)
+                text = (
+                    f"the eyes of {name} reach {shown} in {share:.0%} of the time, and the head does not "
+                    "turn with them: turn the human (motion.yaw_deg), or let it look at what is before it"
+                )
+                yield Finding("warning", f"humans.{name}.face.keys.{number}.gaze", text)
 
 
 def motion_key(samples: SceneSamples, name: str) -> str:

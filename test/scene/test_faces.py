@@ -17,6 +17,7 @@ from humansim_ros.motion.faces import LIFE_SECONDS, blinks, glances, saccade_sec
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.scene.actor import Actor, HumanState
+from humansim_ros.scene.checks import check_scene
 from humansim_ros.scene.live import JointSource, LiveRetargeter
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.randomise import random_numbers
@@ -133,6 +134,13 @@ def test_eyes_look_at_points_people_and_cameras() -> None:
     playback.change("ben", position=(1.5, -0.5))
     eyes = playback.actors["ben"].eyes_at(np.array([1.8]))[0]
     assert off_target(playback.actors["anna"].at(1.8), eyes) < 1e-3
+
+
+def test_check_finds_what_eyes_do_not_reach() -> None:
+    keys = [{"gaze": "front"}, {"time": 5, "gaze": [-2, 0, 1.5]}]
+    found = [each for each in check_scene(scene({"keys": keys}), quick=True) if "gaze" in each.key]
+    assert [each.key for each in found] == ["humans.anna.face.keys.1.gaze"]
+    assert "reach [-2, 0, 1.5] in 0% of the time" in found[0].text
 
 
 def test_a_saccade_takes_the_time_of_its_angle_and_lids_follow() -> None:

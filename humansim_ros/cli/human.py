@@ -151,6 +151,21 @@ def make(
     skin: Annotated[
         int | None, typer.Option(metavar="TONE", help="1 (light) to 10 (dark) of the Monk scale.")
     ] = None,
+    hair: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Hair, such as bun; docs/humans.md.")
+    ] = None,
+    beard: Annotated[
+        str | None, typer.Option(metavar="NAME", help="none, moustache, goatee or full.")
+    ] = None,
+    top: Annotated[str | None, typer.Option(metavar="NAME", help="Of the upper body, such as coat.")] = None,
+    bottom: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Of the lower body, such as skirt.")
+    ] = None,
+    shoes: Annotated[str | None, typer.Option(metavar="NAME", help="shoes, boots, sandals or bare.")] = None,
+    wears: Annotated[
+        list[str] | None,
+        list_option("--wears", "NAME", "Things worn, such as glasses,backpack; 'nothing' for none."),
+    ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of all that is drawn.")] = 0,
     picture: PictureOption = None,
 ) -> None:
@@ -160,6 +175,10 @@ def make(
 
     check_output(output, ".npz")
     check_output(picture, ".png")
+    given = {"hair": hair, "beard": beard, "top": top, "bottom": bottom, "shoes": shoes}
+    clothes: dict[str, Any] = {key: name for key, name in given.items() if name is not None}
+    if wears:
+        clothes["wears"] = () if wears == ["nothing"] else tuple(wears)
     try:
         person = draw_person(
             seed,
@@ -168,6 +187,7 @@ def make(
             stature=height,
             weight=weight,
             tone=skin,
+            clothes=clothes,
         )
         human = make_person(person, output.stem)
     except MeshError as reason:
@@ -176,6 +196,9 @@ def make(
         f"{person.sex}, {person.age:g} years, {person.stature:.2f} m, {person.weight:.1f} kg "
         f"(body mass index {person.bmi:.1f}), skin {person.tone} of 10"
     )
+    worn = person.clothes
+    things = ", ".join((worn.top, worn.bottom, worn.shoes, *worn.wears))
+    print_text(f"hair: {worn.hair}, beard: {worn.beard}, wears {things}")
     _write(human, output, picture)
 
 

@@ -71,8 +71,8 @@ ADULTS: dict[Sex, dict[tuple[int, int], tuple[float, float, float, float]]] = {
 
 FACTS = [
     (67.66, "female", 1.597, 85.9, 4, (142, 141, 147)),
-    (61.44, "female", 1.594, 74.5, 10, (82, 161, 62)),
-    (41.77, "male", 1.59, 83.7, 3, (55, 51, 45)),
+    (61.44, "female", 1.594, 74.5, 10, (100, 99, 112)),
+    (41.77, "male", 1.59, 83.7, 3, (222, 236, 64)),
 ]
 
 
@@ -166,7 +166,7 @@ def test_people_are_drawn_within_ranges_and_again_from_their_names() -> None:
     assert draw_people(5, 2, PeopleLimits()) == draw_person(5, 2) == read_person("person#5-2")
     assert person_name(5, 2, PeopleLimits()) == "person#5-2"
     team = [draw_people(5, number, PeopleLimits(uniform=True)) for number in range(9)]
-    assert len({(person.outfit.shirt, person.outfit.trousers, person.sleeves) for person in team}) == 1
+    assert len({(person.outfit.shirt, person.outfit.trousers, person.clothes.top) for person in team}) == 1
     assert len({person.outfit.skin for person in team}) > 3
 
 

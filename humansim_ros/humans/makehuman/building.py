@@ -1,6 +1,7 @@
 """Build a dressed human from MakeHuman sliders, in three stages.
 
-1. *Choice*: what decides the faces, the layout of the texture and the weights: hair, sleeves, and the raster.
+1. *Choice*: what decides the faces, the layout of the texture and the weights: where clothes are cut, and
+   the raster.
 2. *Topology* of a choice: all that its people have in common. It is made once for a choice, and kept.
 3. *Person*: the sum of targets, the skeleton, cloth and hair over this body, and the paint.
 """
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +22,14 @@ from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.shapes import Shapes, shape_arrays
 from humansim_ros.body.skinning import skin
-from humansim_ros.humans.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
+from humansim_ros.humans.makehuman.clothes import (
+    BodyRegions,
+    Cut,
+    Dress,
+    cut_clothes,
+    dress,
+    smooth_under_clothes,
+)
 from humansim_ros.humans.makehuman.data import (
     SOURCE,
     Base,
@@ -59,6 +67,14 @@ from humansim_ros.humans.makehuman.skeleton import (
     unskin,
 )
 from humansim_ros.humans.makehuman.surface import NONE, SHOES, BodySurface, compact, refine, sample
+from humansim_ros.humans.makehuman.worn import (
+    Wearer,
+    add_parts,
+    strip_height,
+    strip_image,
+    under_skirts,
+    worn_parts,
+)
 from humansim_ros.types import Array
 
 #: Flexion of the three joints of each finger, degrees: thumb to little finger of a hand at rest.
@@ -188,7 +204,7 @@ class _Body:
         middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
         top = float(self.naked[part == 0, 1].max())
         radius = float(np.ptp(eye, axis=0).max() / 2)
-        return BodyRegions(self.bones, middle, radius, ear, top, choice.hair, choice.sleeves)
+        return BodyRegions(self.bones, middle, radius, ear, top, choice.cut)
 
     @property
     def gaze(self) -> Array:
@@ -204,8 +220,7 @@ class Choice:
     as long to paint.
     """
 
-    hair: Literal["short", "long"]
-    sleeves: Literal["short", "long"]
+    cut: Cut
     raster: int = 2 * TEXTURE_SIZE
 
 
@@ -312,12 +327,13 @@ def build(
         outfits: Colours and fabrics by the name of the outfit.
         fine: Paint a raster of twice the size of the texture.
     """
-    choice = Choice(config.hair, config.sleeves, TEXTURE_SIZE * (2 if fine else 1))
+    worn = Dress.of(config)
+    choice = Choice(worn.cut, TEXTURE_SIZE * (2 if fine else 1))
     common = topology(source, choice)
     config, scale = with_stature(source, config)
     base = _scaled(read_base(source, target_strengths(source, config)), scale)
     body = _naked(base, common.rows, common.bare, common.fingers)
-    own = body.regions(common.is_ear, common.bare.part, choice)
+    own = replace(body.regions(common.is_ear, common.bare.part, choice), dress=worn)
     mesh = common.worn_by(body, own)
     balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
     dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
@@ -325,16 +341,35 @@ def build(
     dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
     looks = _painted(common, mesh, dressed, own, outfits)
 
-    sole = np.array([0, dressed[:, 1].min(), 0])
     weights = _worn_weights(common, mesh, dressed, body.bones)
+    wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
+    parts = worn_parts(config, wearer)
+    solid = add_parts(
+        {
+            "vertices": under_skirts(config, wearer),
+            "faces": mesh.faces,
+            "uv": common.uv,
+            "uv_faces": mesh.uv_faces,
+            "weights": weights,
+        },
+        parts,
+        TEXTURE_SIZE,
+    )
+    looks = {
+        name: np.concatenate([look, strip_image(parts, config, outfits[name])])
+        for name, look in looks.items()
+    }
+    skin = np.pad(common.skin, ((0, strip_height(parts)), (0, 0)))
+    sole = np.array([0, solid["vertices"][:, 1].min(), 0])
+    weights, faces = solid["weights"], solid["faces"]
     order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
     values = np.take_along_axis(weights, order, axis=1)
-    triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
+    triangle = faces[:, 3] == faces[:, 2]
     arrays: dict[str, NDArray[Any]] = {
-        "vertices": (dressed - sole).astype(np.float32),
-        "faces": mesh.faces.astype(np.int32),
-        "uv": common.uv.astype(np.float32),
-        "uv_faces": mesh.uv_faces.astype(np.int32),
+        "vertices": (solid["vertices"] - sole).astype(np.float32),
+        "faces": faces.astype(np.int32),
+        "uv": solid["uv"].astype(np.float32),
+        "uv_faces": solid["uv_faces"].astype(np.int32),
         "bone_names": np.array(body.bones.names),
         "bone_parents": body.bones.parents.astype(np.int32),
         "bone_heads": body.bones.heads - sole,
@@ -345,7 +380,7 @@ def build(
         "outfits": np.array(list(looks)),
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
         **shape_arrays(Shapes.of_offsets(ACTIONS, offsets), scale),
-        "skin": common.skin,
+        "skin": skin,
         "license": np.array("CC0-1.0"),
         "source": np.array(SOURCE),
     }

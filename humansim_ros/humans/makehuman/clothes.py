@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import ConvexHull
 
 from humansim_ros.humans.makehuman.data import VertexIndices
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig
 from humansim_ros.humans.makehuman.skeleton import Bones, limit_weights
 from humansim_ros.humans.makehuman.surface import (
     NONE,
@@ -31,6 +32,18 @@ from humansim_ros.humans.makehuman.surface import (
     smooth_rows,
     smooth_towards,
     vertex_normals,
+)
+from humansim_ros.humans.makehuman.wardrobe import (
+    BEARDS,
+    BOTTOMS,
+    FOOTWEAR,
+    HAIR,
+    TOPS,
+    Beard,
+    Bottom,
+    Footwear,
+    HairStyle,
+    Top,
 )
 from humansim_ros.types import Array
 
@@ -171,6 +184,57 @@ TROUSER_LEG = 0.060  # radius at the hem
 
 
 @dataclass(frozen=True)
+class Cut:
+    """All that decides where the body is cut and refined for a dress; the rest of it only moves and paints.
+
+    Attributes:
+        hair: See ``HairStyle.base``.
+        sleeves: Length of the sleeves.
+        drop: See ``Top``.
+        hem: See ``Bottom``.
+        covers: See ``Footwear``.
+        shaft: See ``Footwear``.
+    """
+
+    hair: Literal["none", "short", "long"] = "short"
+    sleeves: Literal["none", "short", "long"] = "short"
+    drop: float = 0.0
+    hem: float = 0.0
+    covers: bool = True
+    shaft: float = 0.0
+
+
+@dataclass(frozen=True)
+class Dress:
+    """Rows of the wardrobe that a person wears, and the sleeves of garments without own ones."""
+
+    hair: HairStyle = HAIR["short"]
+    beard: Beard = BEARDS["none"]
+    top: Top = TOPS["shirt"]
+    bottom: Bottom = BOTTOMS["trousers"]
+    footwear: Footwear = FOOTWEAR["shoes"]
+    sleeves: Literal["short", "long"] = "short"
+
+    @classmethod
+    def of(cls, config: MakeHumanConfig) -> Dress:
+        """Dress of a person."""
+        return cls(
+            HAIR[config.hair],
+            BEARDS[config.beard],
+            TOPS[config.top],
+            BOTTOMS[config.bottom],
+            FOOTWEAR[config.shoes],
+            config.sleeves,
+        )
+
+    @property
+    def cut(self) -> Cut:
+        """Where the body is cut."""
+        sleeves, shoes = self.top.sleeves or self.sleeves, self.footwear
+        return Cut(self.hair.base, sleeves, self.top.drop, self.bottom.hem, shoes.covers, shoes.shaft)
+
+
+@dataclass(frozen=True)
 class BodyRegions:
     """Regions of clothes and hair on the naked body in the T pose (metres, bare soles at y = 0).
 
@@ -182,8 +246,8 @@ class BodyRegions:
     eye_radius: float
     ear: Array
     skull_top: float
-    hair_style: Literal["short", "long"] = "short"
-    sleeves: Literal["short", "long"] = "short"
+    cut: Cut = field(default_factory=Cut)
+    dress: Dress = field(default_factory=Dress)
 
     def _head(self, name: str) -> Array:
         return self.bones.heads[self.bones.index(name)]
@@ -194,15 +258,22 @@ class BodyRegions:
         return 0.6 * self._head("sacroiliac")[1] + 0.4 * self._head("vl5")[1]
 
     @property
+    def ankle_height(self) -> float:
+        """Height of the upper edge of shoes."""
+        return self._head("l_ankle")[1] - 0.005
+
+    @property
     def hem_height(self) -> float:
         """Height of the trouser hem."""
-        return self._head("l_ankle")[1] - 0.005
+        return float(np.interp(self.cut.hem, (0, 1, 2), (self.ankle_height, self.knee_y, self.hip_y)))
 
     @property
     def sleeve_end(self) -> float:
         """x of the end of the left sleeve."""
-        if self.sleeves == "long":
+        if self.cut.sleeves == "long":
             return float(self._head("l_wrist")[0] - 0.012)
+        if self.cut.sleeves == "none":
+            return float(self.shoulder_x + 0.008)
         return float(0.45 * self._head("l_shoulder")[0] + 0.55 * self._head("l_elbow")[0])
 
     @property
@@ -253,6 +324,10 @@ class BodyRegions:
         """Region above the belt."""
         return p[:, 1] - 0.12 * p[:, 2] - self.belt_height + 0.012
 
+    def above_edge(self, p: Array) -> Array:
+        """Region above the lower edge of the garment of the upper body."""
+        return self.above_belt(p) + self.cut.drop
+
     def above_neckline(self, p: Array) -> Array:
         """Region above the neckline."""
         nape = self._head("vt3")
@@ -267,21 +342,29 @@ class BodyRegions:
         """Region above the trouser hems."""
         return p[:, 1] - self.hem_height
 
+    def above_shoes(self, p: Array) -> Array:
+        """Region above footwear that covers the feet."""
+        return p[:, 1] - self.ankle_height - self.cut.shaft
+
     @property
     def borders(self) -> tuple[Callable[[Array], Array], ...]:
         """Fields whose zero lines are the edges of clothes."""
-        return self.above_belt, self.above_neckline, self.below_sleeve_end, self.above_hem
+        edges = self.above_edge, self.above_neckline, self.below_sleeve_end, self.above_hem
+        apart = self.cut.covers and (self.cut.hem > 0 or self.cut.shaft > 0)
+        return (*edges, self.above_shoes) if apart else edges
 
-    @staticmethod
-    def garment(fields: Array) -> VertexIndices:
-        """Garment (N,) at points with these values (N, 4) of the borders."""
-        belt, neck, sleeve, hem = fields.T
+    def garment(self, fields: Array) -> VertexIndices:
+        """Garment (N,) at points with these values (N, K) of the borders."""
+        edge, neck, sleeve, hem = fields.T[:4]
+        shoes = fields[:, -1] < 0 if self.cut.covers else np.zeros(len(fields), bool)
         bare = (neck > 0) | (sleeve > 0)
-        return np.select([hem < 0, belt < 0, ~bare], [SHOES, TROUSERS, SHIRT], NONE)
+        return np.select([shoes, hem < 0, edge < 0, ~bare], [SHOES, NONE, TROUSERS, SHIRT], NONE)
 
     def hair(self, p: Array) -> Array:
         """Region above the hairline: forehead, temples, around the ears, nape."""
         eye, ear = self.eye, self.ear
+        if self.cut.hair == "none":
+            return np.full(len(p), -1.0)
         knots = np.array(
             [
                 [ear[2] - 0.13, ear[1] - 0.045],  # nape
@@ -293,7 +376,7 @@ class BodyRegions:
                 [eye[2] + 0.05, eye[1] + 0.062],  # forehead
             ]
         )
-        if self.hair_style == "short":
+        if not self.long_hair:
             return p[:, 1] - np.interp(p[:, 2], *knots.T)
         knots[5:, 1] -= 0.010  # a fringe
         cap = p[:, 1] - np.interp(p[:, 2], *knots.T)
@@ -301,6 +384,25 @@ class BodyRegions:
         edge = ear[2] + 0.030 - 0.10 * (ear[1] - p[:, 1]).clip(0)
         outside = np.hypot(p[:, 0], p[:, 2] - ear[2] - 0.010) - 0.042  # not in the mouth
         return np.maximum(cap, np.minimum.reduce([edge - p[:, 2], p[:, 1] - self.hair_end, outside]))
+
+    @property
+    def long_hair(self) -> bool:
+        """Whether hair is draped over the ears."""
+        return self.cut.hair == "long"
+
+    def beard(self, p: Array, beard: Beard) -> Array:
+        """Thickness (N,) of a beard."""
+        eye = self.eye
+        side, up = np.abs(p[:, 0]), p[:, 1] - eye[1]
+        front = ramp(p[:, 2], self.ear[2] + 0.005, self.ear[2] + 0.03)
+        low = ramp(up, -0.155, -0.135)
+        lip = np.hypot(side / 0.029, (up + 0.0665) / 0.0125)  # the mouth stays free
+        free = ramp(lip, 0.95, 1.35)
+        above = ramp(up, -0.047, -0.052) * ramp(up, -0.070, -0.062) * ramp(side, 0.034, 0.026)
+        chin = ramp(up, -0.076, -0.084) * ramp(side, 0.034, 0.024)
+        jaw = ramp(up + 0.35 * (side - 0.03), -0.050, -0.075)
+        thickness = np.maximum.reduce([beard.moustache * above, beard.chin * chin, beard.jaw * jaw])
+        return thickness * front * low * free
 
     @property
     def hair_end(self) -> float:
@@ -334,7 +436,7 @@ def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyReg
     One implicit diffusion step over CLOTH_SMOOTHING metres, independent of the vertex density. A second step
     adds back part of the difference, so that limbs keep their thickness.
     """
-    _, neck, sleeve, hem = (border(mesh.canonical) for border in reference.borders)
+    _, neck, sleeve, hem = (border(mesh.canonical) for border in reference.borders[:4])
     amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
     bridged = bridge_hollows(mesh, own)
     x = mesh.vertices + bridged + taut_shirt(mesh, own, mesh.naked + bridged)
@@ -598,7 +700,8 @@ def dress(
     p, body = mesh.canonical, mesh.part == 0
     size = own.foot_length / reference.foot_length
     shirt, trousers = mesh.garment == SHIRT, mesh.garment == TROUSERS
-    belt, neck, sleeve, hem = (border(p) for border in reference.borders)
+    belt, neck, sleeve, hem = (border(p) for border in reference.borders[:4])
+    worn, ankle = own.dress, p[:, 1] - reference.ankle_height
     vertices = mesh.vertices
     joined = mesh.weld[mesh.surface]  # hems have one normal on both sides
     welded, cloth = np.zeros_like(vertices), np.zeros(len(vertices))
@@ -609,27 +712,38 @@ def dress(
     q = mesh.naked
     shin = q * [1, 0, 1] - np.stack([np.sign(q[:, 0]) * own.leg_x(q), 0 * hem, own.leg_z(q)], axis=1)
     radius = np.linalg.norm(shin, axis=1)
-    tube = trousers * ramp(p[:, 1], 0.40, 0.20)
+    tube = trousers * ramp(p[:, 1], 0.40, 0.20) * worn.bottom.loose
     normals = normals + tube[:, None] * (shin / np.maximum(radius, 1e-3)[:, None] - normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     cuff = ramp(sleeve, -0.14, 0.0)
     waist = ramp(belt, 0.30, 0.10) * ramp(belt, -0.02, 0.05)
     shirt_thickness = 0.005 + 0.005 * cuff + 0.005 * ramp(neck, -0.03, -0.10) + 0.010 * waist
+    shirt_thickness += worn.top.ease
     trouser_thickness = 0.006 + 0.003 * ramp(belt, 0.0, -0.1)
     trouser_thickness += 0.005 * np.exp(-(((p[:, 1] - reference.knee_y) / 0.12) ** 2))
     trouser_thickness += tube * np.maximum(0.75 * (TROUSER_LEG * size - radius), 0.0)
+    if not worn.bottom.loose:
+        trouser_thickness = np.full(len(p), 0.002)
+    elif worn.bottom.hem > 0:
+        trouser_thickness += 0.012 * ramp(hem, 0.18, 0.0)
     top = ramp(p[:, 1], reference.eye[1], reference.skull_top)
     lumps = 1 + 0.25 * noise(p, 0.035, 1)
     covered = reference.hair(p)
     hair = ramp(covered, -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
+    if worn.hair.thickness != 1 or worn.beard != BEARDS["none"]:
+        hair = hair * worn.hair.thickness + reference.beard(p, worn.beard) * (1 + 0.3 * noise(p, 0.012, 42))
+    if worn.footwear.shaft:
+        hair = np.where(mesh.garment == SHOES, 0.010 * ramp(ankle, -0.01, 0.02), hair)
     thickness = np.select([shirt, trousers, body], [shirt_thickness, trouser_thickness, hair], 0.0)
     dressed = vertices + thickness[:, None] * normals
-    if reference.hair_style == "long":
+    if reference.long_hair:
         inside = np.where(body & (mesh.garment == NONE), covered, 0.0)
         dressed = drape_long_hair(mesh, reference, own, dressed, inside, is_ear, lumps)
-    in_shoe = np.where(mesh.garment == SHOES, ramp(hem, 0.0, -0.015), 0.0)
+    in_shoe = np.where(mesh.garment == SHOES, ramp(ankle, 0.0, -0.015), 0.0)
+    if not worn.footwear.covers:
+        return dressed
     for side, ball in zip((1, -1), balls, strict=True):
-        foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (hem < 0.015))
+        foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (ankle < 0.015))
         this_shoe = in_shoe * (p[:, 0] * side > 0)
         dressed = wrap_in_shoe(dressed, mesh.surface, mesh.vertices, foot, ball, this_shoe, size)
     return dressed

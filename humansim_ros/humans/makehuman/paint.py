@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
 
 from humansim_ros.humans.makehuman.clothes import BodyRegions
 from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
-from humansim_ros.humans.makehuman.shape import Fabric, Outfit
+from humansim_ros.humans.makehuman.shape import Outfit
 from humansim_ros.humans.makehuman.surface import (
     NONE,
     SHIRT,
@@ -28,6 +29,7 @@ from humansim_ros.humans.makehuman.surface import (
     sample,
     vertex_normals,
 )
+from humansim_ros.humans.makehuman.wardrobe import BEARDS, Fabric
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.mesh.texels import rasterise_uv
 from humansim_ros.types import Array
@@ -47,10 +49,18 @@ def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
     return csgraph.connected_components(neighbours(uv_faces, count), directed=False)[1]
 
 
+def _with_hems(island: VertexIndices, uv: Array) -> VertexIndices:
+    """Islands (T,) where the two points of a hem belong to the island around them."""
+    small = np.bincount(island)[island] < 3
+    out = island.copy()
+    out[small] = island[~small][cKDTree(uv[~small]).query(uv[small])[1]]
+    return out
+
+
 def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
     """Enlarge face and eyes in the texture. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
     u, h = uv[:, 0].copy(), 1 - uv[:, 1]
-    island = uv_islands(uv_faces, len(uv))
+    island = _with_hems(uv_islands(uv_faces, len(uv)), uv)
     new_u, new_h = u.copy(), h.copy()
     eyes = np.unique(island[uv_faces[is_eye]])
     for number in np.unique(island):
@@ -327,9 +337,20 @@ def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
 def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
     """Skin, and hair above the hairline."""
     colour = paint_skin(c, outfit)
+    if c.own.dress.beard != BEARDS["none"]:
+        beard = beard_on(c)
+        strands = 1 + 0.35 * c.noise(0.003, 43, (1, 0.4, 1))
+        colour = blend(colour, np.array(outfit.hair) * strands[:, None], beard)
     rows, amount = hair_on(c)
     colour[rows] = blend(colour[rows], paint_hair(c.part("hair", rows), outfit), amount)
     return colour
+
+
+def beard_on(c: Canvas) -> Array:
+    """Share (N,) of the beard at each texel."""
+    thickness = c.reference.beard(c.body, c.own.dress.beard) * (1 + 0.35 * c.noise(0.003, 44))
+    lips = np.clip(c.mask("lips") * 2, 0, 1)
+    return ramp(thickness, 0.0006, 0.0026) * (1 - lips)
 
 
 def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
@@ -338,7 +359,7 @@ def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
     hairline = c.reference.hair(p) + 0.004 * c.noise(0.006, 22) + 0.003 * c.noise(0.002, 23)
     rows = np.flatnonzero(hairline > -0.004)
     amount = ramp(hairline[rows], -0.004, 0.005)
-    if c.reference.hair_style == "short":
+    if not c.reference.long_hair:
         amount *= 1 - c.mask("ears")[rows]
     return rows, amount
 
@@ -346,7 +367,7 @@ def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
 def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of hair with strands."""
     # long hair covers the ears, so it needs the dressed positions
-    p, t = (c.body, c.reference) if c.reference.hair_style == "short" else (c.dressed, c.own)
+    p, t = (c.body, c.reference) if not c.reference.long_hair else (c.dressed, c.own)
     crown = np.array([0, t.skull_top - 0.09, t.ear[2] - 0.03])
     ray = p - crown
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -354,7 +375,7 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
     strands = 0.6 * grain(along, 0.035, 9) + 0.4 * grain(along, 0.016, 10) + 0.25 * grain(p, 0.02, 11)
     shade = 1 + 0.38 * strands
-    if c.reference.hair_style == "long":  # in its own shadow below
+    if c.reference.long_hair:  # in its own shadow below
         shade *= 1 - 0.40 * ramp(c.body[:, 1], c.reference.ear[1] + 0.05, c.reference.hair_end)
     return np.array(outfit.hair) * shade[:, None]
 
@@ -457,7 +478,41 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     )
     armhole = line(np.abs(p[:, 0]) - t.shoulder_x + 0.012 + 0.10 * (t.shoulder_y - p[:, 1]).clip(0), 0.002)
     armhole *= ramp(p[:, 1], t.shoulder_y - 0.09, t.shoulder_y - 0.04)
+    if c.own.dress.top.front != "closed" or c.own.dress.top.bands:
+        colour = _details(c, outfit, colour, collar, forward > 0)
     return np.asarray(colour * (1 - 0.28 * np.maximum(seams, 0.6 * armhole))[:, None])
+
+
+def _details(c: Canvas, outfit: Outfit, colour: Array, collar: Array, front: NDArray[np.bool_]) -> Array:
+    """Add zip, buttons, lapels, tie and reflecting bands to the colours (N, 3) of a garment.
+
+    ``collar``: distance (N,) below the neckline. ``front``: whether a texel is in front.
+    """
+    p, t = c.body, c.reference
+    x, top = p[:, 0], c.own.dress.top
+    if top.front == "zip":
+        colour = colour * (1 - 0.45 * line(x, 0.010) * front)[:, None]
+        colour = blend(colour, (150, 150, 152), 0.8 * line(x, 0.004) * front)
+    elif top.front == "buttons":
+        colour = colour * (1 - 0.35 * line(x + 0.020, 0.003) * front)[:, None]
+        button = np.hypot(x, (p[:, 1] % 0.095) - 0.047)
+        colour = blend(colour, 0.35 * np.array(outfit.shirt), ramp(button, 0.009, 0.007) * front)
+    elif top.front == "suit":
+        edge = np.abs(x) - 0.062 * (1 - collar / 0.27)
+        shirt = ramp(edge, 0.001, -0.001) * front * (collar < 0.27)
+        colour = colour * (1 - 0.4 * line(edge - 0.036 * ramp(collar, 0.30, 0.18), 0.003) * front)[:, None]
+        colour = blend(colour, (232, 232, 228), shirt)
+        tie = ramp(np.abs(x) - 0.014 - 0.06 * collar.clip(0, 0.25), 0.001, -0.001) * shirt
+        colour = blend(colour, outfit.shirt_second, tie)
+        colour = colour * (1 - 0.35 * line(x + 0.004, 0.003) * front * (collar > 0.27))[:, None]
+    if top.bands:
+        band = np.minimum(np.abs(p[:, 1] - t.belt_height - 0.03), np.abs(p[:, 1] - t.belt_height - 0.16))
+        elbow = 0.5 * (t.shoulder_x + t.sleeve_end)
+        sleeve = np.minimum(np.abs(np.abs(x) - elbow), np.abs(np.abs(x) - elbow - 0.14))
+        on_sleeve = np.abs(x) > t.shoulder_x + 0.02
+        distance = np.where(on_sleeve, sleeve, band)
+        colour = blend(colour, (206, 208, 204), ramp(distance, 0.026, 0.024))
+    return colour
 
 
 def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
@@ -465,9 +520,12 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     p, t = c.body, c.reference
     q, own = c.dressed, c.own
     outward, ahead = np.abs(q[:, 0]) - own.leg_x(q), q[:, 2] - own.leg_z(q)
-    girth = _girth(np.hypot(outward, ahead)[q[:, 1] < own.knee_y])
+    below_knee = q[:, 1] < own.knee_y
+    girth = _girth(np.hypot(outward, ahead)[below_knee if below_knee.any() else slice(None)])
     leg = girth * np.arctan2(outward, ahead) / (2 * np.pi)
     colour = weave(q, q[:, 1], leg, outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
+    if not c.own.dress.bottom.loose or c.own.dress.bottom.skirt or c.own.dress.bottom.hem > 1.5:
+        return colour  # no seams, pockets and belt
     from_leg, front = np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p)
     worn_out = np.exp(-((from_leg / 0.05) ** 2)) * ramp(front, 0.0, 0.05)
     worn_out *= np.exp(-(((p[:, 1] - 0.62) / 0.17) ** 2))
@@ -475,7 +533,7 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     below = -t.above_belt(p)
     seam = line(front, 0.003) * (below > 0.05)  # down both sides of each leg
     fly = line(p[:, 0] - 0.018, 0.0025) * ramp(below, 0.14, 0.135) * (front > 0)
-    hem = line(p[:, 1] - t.hem_height - 0.02, 0.003)
+    hem = line(t.above_hem(p) - 0.02, 0.003)
     pocket = (
         line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003)
         * (from_leg > -0.035)
@@ -543,7 +601,8 @@ def paint(
 
     def fill(name: str, chosen: NDArray[np.bool_], painter: Callable[[Canvas], Array]) -> None:
         rows = np.flatnonzero(chosen)
-        colour[rows] = painter(canvas.part(name, rows))
+        if len(rows):  # bare feet have no shoes
+            colour[rows] = painter(canvas.part(name, rows))
 
     fill("skin", (garment == NONE) & (part == 0), lambda c: paint_head_and_hands(c, outfit))
     fill("shirt", garment == SHIRT, lambda c: paint_shirt(c, outfit))

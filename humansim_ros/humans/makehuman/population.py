@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import colorsys
 import random
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -18,7 +18,6 @@ import numpy as np
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData
 from humansim_ros.humans.makehuman.shape import (
-    Fabric,
     MakeHumanConfig,
     Outfit,
     Race,
@@ -26,6 +25,8 @@ from humansim_ros.humans.makehuman.shape import (
     target_strengths,
     with_stature,
 )
+from humansim_ros.humans.makehuman.wardrobe import WORN, Attire, Fabric, draw_clothes
+from humansim_ros.io.schema import ByteColor
 from humansim_ros.types import Array
 
 Sex = Literal["female", "male"]
@@ -148,8 +149,7 @@ class Person:
         muscle: Muscles compared with others, 0.3 to 0.7.
         race: Shares of MakeHuman's three races.
         face: Strengths of targets of the face.
-        hair: Style of the hair.
-        sleeves: Length of the sleeves.
+        clothes: Hair, beard, garments and things worn.
         outfit: Colours and fabrics.
     """
 
@@ -161,8 +161,7 @@ class Person:
     muscle: float
     race: dict[Race, float]
     face: dict[str, float]
-    hair: Literal["short", "long"]
-    sleeves: Literal["short", "long"]
+    clothes: Attire
     outfit: Outfit
 
     @property
@@ -216,10 +215,11 @@ def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
             f"{people.bmi[0]:g} to {people.bmi[1]:g}: give wider ranges (stature, bmi) or other ages (age)"
         )
     if people.uniform:
-        model = _drawn(f"{seed}/uniform", PeopleLimits())
+        model = _drawn(f"{seed}/uniform", PeopleLimits(), sex="male")  # what men wear, women wear, too
         clothes = {key: getattr(model.outfit, key) for key in _CLOTHES}
         outfit = person.outfit.model_copy(update=clothes)
-        person = replace(person, outfit=outfit, sleeves=model.sleeves)
+        same = {key: getattr(model.clothes, key) for key in ("sleeves", "top", "bottom", "shoes")}
+        person = replace(person, outfit=outfit, clothes=replace(person.clothes, **same))
     return person
 
 
@@ -286,7 +286,7 @@ def read_person(name: str) -> Person:
 def model_of(person: Person) -> Person:
     """Person of average age whose mesh has the same faces: what holds for all of them is computed for it."""
     model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
-    return replace(model, hair=person.hair, sleeves=person.sleeves)
+    return replace(model, clothes=person.clothes)
 
 
 def draw_person(
@@ -297,6 +297,7 @@ def draw_person(
     stature: float | None = None,
     weight: float | None = None,
     tone: int | None = None,
+    clothes: Mapping[str, Any] | None = None,
 ) -> Person:
     """Draw a person. Each depends on the seed and its number only, and on what is given.
 
@@ -308,6 +309,7 @@ def draw_person(
         stature: Metres, barefoot.
         weight: Kilograms.
         tone: Skin tone of the Monk scale, 1 to 10.
+        clothes: Names of hair, beard, sleeves, top, bottom, shoes and wears that are not drawn.
 
     Raises:
         MeshError: A trait is impossible.
@@ -317,7 +319,8 @@ def draw_person(
         >>> person.age, person.sex, person.stature
         (70.0, 'female', 1.58)
     """
-    return _drawn(f"{seed}/person {number}", PeopleLimits(age=ages), sex, stature, weight, tone)
+    limits = PeopleLimits(age=ages)
+    return _drawn(f"{seed}/person {number}", limits, sex, stature, weight, tone, clothes)
 
 
 def _drawn(
@@ -327,6 +330,7 @@ def _drawn(
     stature: float | None = None,
     weight: float | None = None,
     tone: int | None = None,
+    clothes: Mapping[str, Any] | None = None,
 ) -> Person:
     """A person by its own seed.
 
@@ -337,6 +341,7 @@ def _drawn(
         stature: Metres.
         weight: Kilograms.
         tone: Skin tone.
+        clothes: What is worn.
     """
     ages = people.age
     for limit in ages:
@@ -362,18 +367,25 @@ def _drawn(
     drawn_tone = lightest + int((darkest - lightest + 1) * uniform())
     tone = drawn_tone if tone is None else tone
     _check("skin", tone, (1, 10), "of the Monk scale")
+    muscle = round(0.3 + 0.4 * uniform(), 3)
+    race, face = _race(tone, uniform), _face(uniform)
+    uniform()
+    sleeves: Literal["short", "long"] = "long" if uniform() < 0.5 else "short"
+    outfit = _outfit(age, sex, tone, uniform)
+    # numbers of their own, so that new garments leave faces and colours as they are
+    others = random.Random(f"{seed}/clothes").random
+    worn = draw_clothes(others, age, sex == "female", sleeves, clothes or {})
     return Person(
         age=age,
         sex=sex,
         stature=stature,
         weight=weight,
         tone=tone,
-        muscle=round(0.3 + 0.4 * uniform(), 3),
-        race=_race(tone, uniform),
-        face=_face(uniform),
-        hair="long" if uniform() < (0.75 if sex == "female" and age < 65 else 0.04) else "short",
-        sleeves="long" if uniform() < 0.5 else "short",
-        outfit=_outfit(age, sex, tone, uniform),
+        muscle=muscle,
+        race=race,
+        face=face,
+        clothes=worn,
+        outfit=_worn_colors(outfit, worn, others),
     )
 
 
@@ -469,6 +481,30 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
     )
 
 
+def _worn_colors(outfit: Outfit, clothes: Attire, uniform: Callable[[], float]) -> Outfit:
+    """Colours of garments that have colours of their own, and of things worn."""
+
+    def color(most: float, low: float, high: float) -> ByteColor:
+        rgb = colorsys.hsv_to_rgb(uniform(), most * uniform(), low + (high - low) * uniform())
+        red, green, blue = (round(255 * part) for part in rgb)
+        return red, green, blue
+
+    cloth, bright = color(0.4, 0.08, 0.45), uniform() < 0.7
+    worn = {name: color(0.8, 0.15, 0.9) for name in WORN if WORN[name].place in ("head", "back", "side")}
+    changes: dict[str, Any] = {
+        "worn": {name: worn[name] for name in clothes.wears if name in worn and name != "hard_hat"}
+    }
+    if clothes.top == "suit":
+        changes |= {"shirt": cloth, "trousers": cloth, "shirt_fabric": "twill", "trousers_fabric": "twill"}
+    elif clothes.top in ("coat", "jacket"):
+        changes |= {"shirt": cloth, "shirt_fabric": "twill"}
+    elif clothes.top == "hi_vis":
+        changes |= {"shirt": (222, 236, 64) if bright else (242, 120, 40), "shirt_fabric": "plain"}
+    if clothes.bottom in ("leggings", "tights", "none"):
+        changes |= {"trousers": (34, 34, 40), "trousers_fabric": "plain"}
+    return outfit.model_copy(update=changes)
+
+
 def skin_color(tone: int) -> tuple[int, int, int]:
     """Colour (sRGB) of the texture of skin of a Monk tone.
 
@@ -500,9 +536,8 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
             muscle=person.muscle * min(max(1 + fatness, 0.0), max(2 - fatness, 0.0), 1.0),
             race=person.race,
             targets=person.face,
-            hair=person.hair,
-            sleeves=person.sleeves,
             cup_size=0.5,
+            **asdict(person.clothes),
         )
         if fatness <= 2:
             return config

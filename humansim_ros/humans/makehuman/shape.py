@@ -8,13 +8,25 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.data import METRES, MakeHumanData, read_base
+from humansim_ros.humans.makehuman.wardrobe import (
+    Attire,
+    BeardName,
+    BottomName,
+    Fabric,
+    FootwearName,
+    HairName,
+    TopName,
+    WornName,
+    check_clothes,
+)
 from humansim_ros.io.schema import ByteColor, Section, Share
 from humansim_ros.types import Array
 
@@ -44,9 +56,6 @@ _HEIGHT = _COMBINATIONS[3:4]
 _TALLEST, _SHORTEST = 1.35, 0.7
 
 
-Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
-
-
 class Outfit(Section):
     """Outfit of a made body: colours (sRGB, 0 to 255) and fabrics."""
 
@@ -65,6 +74,7 @@ class Outfit(Section):
     stubble: float = Field(default=0.0, ge=0, le=1, description="strength of a shaved beard")
     wrinkles: float = Field(default=0.0, ge=0, le=1, description="strength of wrinkles")
     lips: float = Field(default=0.0, ge=0, le=1, description="strength of lipstick")
+    worn: dict[WornName, ByteColor] = Field(default_factory=dict, description="colours of things worn")
 
 
 class MakeHumanConfig(Section):
@@ -89,8 +99,15 @@ class MakeHumanConfig(Section):
         max_length=200,
         description="more targets by strength, such as nose/nose-hump-incr: 0.5",
     )
-    hair: Literal["short", "long"] = "short"
-    sleeves: Literal["short", "long"] = "short"
+    hair: HairName = "short"
+    beard: BeardName = "none"
+    sleeves: Literal["short", "long"] = Field(
+        default="short", description="of a top that has no sleeves of its own"
+    )
+    top: TopName = "shirt"
+    bottom: BottomName = "trousers"
+    shoes: FootwearName = "shoes"
+    wears: tuple[WornName, ...] = Field(default=(), max_length=5, description="one thing at each place")
 
     @field_validator("race")
     @classmethod
@@ -98,6 +115,18 @@ class MakeHumanConfig(Section):
         if isinstance(race, dict) and not sum(race.values()) > 0:
             raise ValueError("the shares of the races sum to zero")
         return race
+
+    @model_validator(mode="after")
+    def _garments_fit(self) -> MakeHumanConfig:
+        wrong = check_clothes(self.clothes)
+        if wrong is not None:
+            raise ValueError(": ".join(wrong))
+        return self
+
+    @property
+    def clothes(self) -> Attire:
+        """Names of what the person wears."""
+        return Attire(**{each.name: getattr(self, each.name) for each in fields(Attire)})
 
 
 def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str, float]:

@@ -1,0 +1,452 @@
+"""Tables of hair styles, beards, garments, footwear and things worn: each is a row, not code.
+
+Lengths are metres on the reference body (an adult man); a body of another size scales them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from humansim_ros.errors import MeshError, did_you_mean
+from humansim_ros.io.schema import ByteColor
+
+Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
+HairName = Literal[
+    "bald",
+    "cropped",
+    "short",
+    "side_part",
+    "slick",
+    "fringe",
+    "curly",
+    "afro",
+    "mohawk",
+    "long",
+    "shoulder",
+    "straight",
+    "tail",
+    "bun",
+    "top_knot",
+    "pigtails",
+    "plaits",
+]
+BeardName = Literal["none", "moustache", "goatee", "full"]
+TopName = Literal["shirt", "vest", "jumper", "hoodie", "jacket", "suit", "coat", "dress", "hi_vis"]
+BottomName = Literal["trousers", "leggings", "shorts", "skirt", "long_skirt", "tights", "none"]
+FootwearName = Literal["shoes", "boots", "sandals", "bare"]
+WornName = Literal[
+    "glasses",
+    "sunglasses",
+    "mask",
+    "cap",
+    "beanie",
+    "hard_hat",
+    "sun_hat",
+    "turban",
+    "hijab",
+    "backpack",
+    "bag",
+]
+
+
+@dataclass(frozen=True)
+class Attire:
+    """Names of what a person wears, and of hair and beard."""
+
+    hair: HairName = "short"
+    beard: BeardName = "none"
+    sleeves: Literal["short", "long"] = "short"
+    top: TopName = "shirt"
+    bottom: BottomName = "trousers"
+    shoes: FootwearName = "shoes"
+    wears: tuple[WornName, ...] = ()
+
+
+@dataclass(frozen=True)
+class HairStyle:
+    """A hair style.
+
+    Attributes:
+        base: Hair on the scalp: none, short, or draped to the chin.
+        thickness: Factor of the thickness of short hair on the scalp.
+        volume: Thickness of the hair above the scalp.
+        lumps: Strength of lumps, as a share of the volume.
+        curl: Size of lumps.
+        front: Distance by which the front edge is lower.
+        part: x of the parting; 0 without.
+        ridge: Half width of a ridge to which the volume is limited; 0 without.
+        length: Length of hanging hair below the ears; 0 without.
+        tie: How hanging hair is tied.
+    """
+
+    base: Literal["none", "short", "long"] = "short"
+    thickness: float = 1.0
+    volume: float = 0.0
+    lumps: float = 0.15
+    curl: float = 0.03
+    front: float = 0.0
+    part: float = 0.0
+    ridge: float = 0.0
+    length: float = 0.0
+    tie: Literal["loose", "tail", "bun", "top_knot", "pigtails", "plaits"] = "loose"
+
+
+HAIR: Mapping[HairName, HairStyle] = {
+    "bald": HairStyle("none"),
+    "cropped": HairStyle(thickness=0.3),
+    "short": HairStyle(),
+    "side_part": HairStyle(volume=0.012, part=0.034),
+    "slick": HairStyle(thickness=0.7, volume=0.004, lumps=0.0),
+    "fringe": HairStyle(volume=0.010, front=0.030),
+    "curly": HairStyle(volume=0.030, lumps=0.55, curl=0.020),
+    "afro": HairStyle(volume=0.050, lumps=0.10, curl=0.011),
+    "mohawk": HairStyle(thickness=0.3, volume=0.060, lumps=0.3, curl=0.012, ridge=0.018),
+    "long": HairStyle("long"),
+    "shoulder": HairStyle("long", length=0.17),
+    "straight": HairStyle("long", length=0.36),
+    "tail": HairStyle(thickness=0.6, length=0.26, tie="tail"),
+    "bun": HairStyle(thickness=0.6, tie="bun"),
+    "top_knot": HairStyle(thickness=0.6, tie="top_knot"),
+    "pigtails": HairStyle(thickness=0.6, length=0.20, tie="pigtails"),
+    "plaits": HairStyle(thickness=0.6, length=0.26, tie="plaits"),
+}
+
+
+@dataclass(frozen=True)
+class Beard:
+    """A beard: thickness of the moustache, on the chin, and on the jaw up to the ears."""
+
+    moustache: float = 0.0
+    chin: float = 0.0
+    jaw: float = 0.0
+
+
+BEARDS: Mapping[BeardName, Beard] = {
+    "none": Beard(),
+    "moustache": Beard(moustache=0.005),
+    "goatee": Beard(moustache=0.004, chin=0.010),
+    "full": Beard(moustache=0.005, chin=0.014, jaw=0.008),
+}
+
+
+@dataclass(frozen=True)
+class Top:
+    """A garment of the upper body.
+
+    Attributes:
+        sleeves: Length of the sleeves; as chosen if None.
+        ease: Thickness beyond the thickness of a shirt.
+        drop: Distance of the lower edge below the belt.
+        collar: What lies around the neck.
+        front: How the front closes.
+        skirt: Length of the part that hangs from the waist; 0 without.
+        flare: Metres by which a metre of it is wider.
+        bands: Whether it has reflecting bands.
+        bottoms: Garments below it that fit.
+    """
+
+    sleeves: Literal["none", "short", "long"] | None = None
+    ease: float = 0.0
+    drop: float = 0.0
+    collar: Literal["none", "fold", "stand", "hood"] = "none"
+    front: Literal["closed", "zip", "buttons", "suit"] = "closed"
+    skirt: float = 0.0
+    flare: float = 0.05
+    bands: bool = False
+    bottoms: tuple[BottomName, ...] = ("trousers", "leggings", "shorts", "skirt", "long_skirt")
+
+
+_UNDER_COAT: tuple[BottomName, ...] = ("trousers", "leggings", "tights", "skirt")
+TOPS: Mapping[TopName, Top] = {
+    "shirt": Top(),
+    "vest": Top("none"),
+    "jumper": Top("long", ease=0.004, drop=0.07),
+    "hoodie": Top("long", ease=0.007, drop=0.07, collar="hood", front="zip"),
+    "jacket": Top("long", ease=0.008, drop=0.07, collar="stand", front="zip"),
+    "suit": Top("long", ease=0.006, drop=0.07, collar="fold", front="suit", bottoms=("trousers", "skirt")),
+    "coat": Top("long", ease=0.009, collar="fold", front="buttons", skirt=0.42, bottoms=_UNDER_COAT),
+    "dress": Top(skirt=0.50, flare=0.11, bottoms=("none", "tights", "leggings")),
+    "hi_vis": Top("long", ease=0.007, drop=0.07, collar="stand", front="zip", bands=True),
+}
+
+
+@dataclass(frozen=True)
+class Bottom:
+    """A garment of the lower body.
+
+    Attributes:
+        hem: Height of the lower edge of the legs, from 0 at the ankles over 1 at the knees to 2 at the hips.
+        loose: Whether the legs of the garment are tubes around the shins.
+        skirt: Length of a skirt; 0 without.
+        flare: Metres by which a metre of it is wider.
+    """
+
+    hem: float = 0.0
+    loose: bool = True
+    skirt: float = 0.0
+    flare: float = 0.07
+
+
+BOTTOMS: Mapping[BottomName, Bottom] = {
+    "trousers": Bottom(),
+    "leggings": Bottom(loose=False),
+    "shorts": Bottom(hem=1.25),
+    "skirt": Bottom(hem=1.72, skirt=0.50),
+    "long_skirt": Bottom(hem=1.72, skirt=0.76),
+    "tights": Bottom(loose=False),
+    "none": Bottom(hem=1.72),
+}
+
+
+@dataclass(frozen=True)
+class Footwear:
+    """Footwear.
+
+    Attributes:
+        covers: Whether it covers the foot.
+        shaft: Height of the upper edge above the ankle.
+        sole: Thickness of the sole of footwear that does not cover the foot; 0 for bare feet.
+    """
+
+    covers: bool = True
+    shaft: float = 0.0
+    sole: float = 0.0
+
+
+FOOTWEAR: Mapping[FootwearName, Footwear] = {
+    "shoes": Footwear(),
+    "boots": Footwear(shaft=0.20),
+    "sandals": Footwear(covers=False, sole=0.016),
+    "bare": Footwear(covers=False),
+}
+
+
+@dataclass(frozen=True)
+class Worn:
+    """A thing that is worn.
+
+    Attributes:
+        place: Place of the body; only one thing is worn at each.
+        shape: Shape of the thing.
+        color: Colour, unless the outfit gives one.
+        fabric: Fabric.
+        ease: Distance from the head of things around it.
+        brim: Width of a brim all around; of a cap, in front.
+    """
+
+    place: Literal["eyes", "mouth", "head", "back", "side"]
+    shape: Literal["glasses", "mask", "hat", "scarf", "wrap", "pack"]
+    color: ByteColor
+    fabric: Fabric = "plain"
+    ease: float = 0.0
+    brim: float = 0.0
+
+
+WORN: Mapping[WornName, Worn] = {
+    "glasses": Worn("eyes", "glasses", (40, 36, 34)),
+    "sunglasses": Worn("eyes", "glasses", (22, 22, 24)),
+    "mask": Worn("mouth", "mask", (150, 186, 208), ease=0.007),
+    "cap": Worn("head", "hat", (44, 62, 110), "twill", ease=0.007, brim=0.075),
+    "beanie": Worn("head", "hat", (140, 50, 52), "knit", ease=0.009),
+    "hard_hat": Worn("head", "hat", (238, 196, 40), ease=0.026, brim=0.028),
+    "sun_hat": Worn("head", "hat", (206, 178, 126), "twill", ease=0.010, brim=0.090),
+    "turban": Worn("head", "wrap", (196, 92, 40), "plain", ease=0.034),
+    "hijab": Worn("head", "scarf", (110, 76, 116), "plain", ease=0.009),
+    "backpack": Worn("back", "pack", (54, 74, 66), "twill"),
+    "bag": Worn("side", "pack", (116, 74, 46)),
+}
+
+
+#: Names of each key of :class:`Attire`.
+CHOICES: Mapping[str, Sequence[str]] = {
+    "hair": tuple(HAIR),
+    "beard": tuple(BEARDS),
+    "sleeves": ("short", "long"),
+    "top": tuple(TOPS),
+    "bottom": tuple(BOTTOMS),
+    "shoes": tuple(FOOTWEAR),
+    "wears": tuple(WORN),
+}
+
+
+def check_clothes(clothes: Attire) -> tuple[str, str] | None:
+    """Key and message of what cannot be worn together; None if all fits."""
+    fitting = TOPS[clothes.top].bottoms
+    if clothes.bottom not in fitting:
+        fits = ", ".join(fitting)
+        return "bottom", f"{clothes.bottom} does not fit the top {clothes.top}; {fits} fit it"
+    places: dict[str, WornName] = {}
+    for name in clothes.wears:
+        other = places.setdefault(WORN[name].place, name)
+        if other != name or clothes.wears.count(name) > 1:
+            return "wears", f"{other} and {name} are worn at the same place ({WORN[name].place}): give one"
+    return None
+
+
+#: Shares of styles, garments and things: frequent ones of women and men, girls and boys.
+_Shares = Mapping[str, float]
+_HAIR_SHARES: Mapping[str, _Shares] = {
+    "woman": {
+        "long": 3,
+        "shoulder": 4,
+        "straight": 3,
+        "tail": 3,
+        "bun": 2,
+        "plaits": 0.7,
+        "fringe": 1,
+        "side_part": 1,
+        "curly": 2,
+        "afro": 1,
+        "short": 1,
+        "top_knot": 0.7,
+    },
+    "man": {
+        "short": 4,
+        "cropped": 4,
+        "side_part": 3,
+        "slick": 1.5,
+        "curly": 1.5,
+        "afro": 1,
+        "bald": 1,
+        "long": 0.5,
+        "top_knot": 0.4,
+        "tail": 0.3,
+        "mohawk": 0.2,
+    },
+    "girl": {"tail": 3, "pigtails": 2, "plaits": 2, "shoulder": 2, "straight": 1, "fringe": 2, "bun": 0.5},
+    "boy": {"short": 4, "fringe": 2, "side_part": 2, "cropped": 2, "curly": 1.5},
+    "old woman": {"short": 3, "curly": 3, "bun": 2, "long": 2, "side_part": 1},
+    "old man": {"bald": 3, "cropped": 3, "short": 3, "side_part": 2},
+}
+_TOP_SHARES: Mapping[str, _Shares] = {
+    "woman": {
+        "shirt": 5,
+        "jumper": 3,
+        "hoodie": 1,
+        "jacket": 2,
+        "coat": 2,
+        "dress": 2,
+        "suit": 0.5,
+        "vest": 1,
+    },
+    "man": {
+        "shirt": 5,
+        "jumper": 3,
+        "hoodie": 2,
+        "jacket": 3,
+        "coat": 1.5,
+        "suit": 1.5,
+        "hi_vis": 0.7,
+        "vest": 0.5,
+    },
+    "girl": {"shirt": 4, "jumper": 2, "hoodie": 2, "dress": 3, "jacket": 1},
+    "boy": {"shirt": 5, "jumper": 2, "hoodie": 3, "jacket": 1.5, "vest": 0.5},
+}
+_BOTTOM_SHARES: Mapping[str, _Shares] = {
+    "female": {
+        "trousers": 5,
+        "leggings": 1.5,
+        "shorts": 1,
+        "skirt": 1.5,
+        "long_skirt": 0.7,
+        "tights": 2,
+        "none": 2,
+    },
+    "male": {"trousers": 6, "shorts": 1},
+}
+_SHOE_SHARES: Mapping[str, _Shares] = {
+    "female": {"shoes": 6, "boots": 1.5, "sandals": 1.2, "bare": 0.1},
+    "male": {"shoes": 7, "boots": 1, "sandals": 0.6, "bare": 0.1},
+}
+_BEARD_SHARES: _Shares = {"none": 6, "full": 2, "goatee": 0.8, "moustache": 0.7}
+
+
+def draw_clothes(
+    uniform: Callable[[], float],
+    age: float,
+    female: bool,
+    sleeves: Literal["short", "long"],
+    wishes: Mapping[str, Any],
+) -> Attire:
+    """Draw hair, beard, garments and things worn, with plausible shares by age and sex.
+
+    Args:
+        uniform: Numbers from 0 to 1; their count does not depend on the wishes.
+        age: Years.
+        female: Sex.
+        sleeves: Length of the sleeves of a shirt or dress.
+        wishes: Keys of :class:`Attire` that are not drawn.
+
+    Raises:
+        MeshError: A name is unknown, or garments do not fit together.
+    """
+    for key, value in wishes.items():
+        for name in value if key == "wears" else (value,):
+            if name not in CHOICES[key]:
+                known = ", ".join(CHOICES[key])
+                raise MeshError(
+                    f"unknown {name!r}{did_you_mean(name, CHOICES[key])}; there are {known}", key=key
+                )
+    sex, young = "female" if female else "male", age < 13
+    group = ("girl" if female else "boy") if young else ("woman" if female else "man")
+    styles = _HAIR_SHARES[f"old {group}" if age >= 68 else group]
+    hair, top, bottom, shoes, beard = (uniform() for _ in range(5))
+    tops, bottoms = _TOP_SHARES[group], _BOTTOM_SHARES[sex]
+    if "bottom" in wishes:
+        tops = {name: tops.get(name, 0.01) for name, row in TOPS.items() if wishes["bottom"] in row.bottoms}
+    worn_top: TopName = wishes.get("top") or _pick(tops, top)
+    fitting = TOPS[worn_top].bottoms
+    shares: _Shares = {str(name): bottoms[name] for name in fitting if name in bottoms} or {
+        str(name): 1.0 for name in fitting
+    }
+    grown = not female and age >= 18
+    drawn = Attire(
+        hair=_pick(styles, hair),
+        beard=_pick(_BEARD_SHARES, beard) if grown else "none",
+        sleeves=sleeves,
+        top=worn_top,
+        bottom=_pick(shares, bottom),
+        shoes=_pick(_SHOE_SHARES[sex], shoes),
+        wears=_things(uniform, age, female, worn_top),
+    )
+    clothes = replace(drawn, **wishes)
+    wrong = check_clothes(clothes)
+    if wrong is not None:
+        raise MeshError(wrong[1], key=wrong[0])
+    return clothes
+
+
+def _things(uniform: Callable[[], float], age: float, female: bool, top: TopName) -> tuple[WornName, ...]:
+    """Things that are worn."""
+    eyes, mouth, head, kind, back = (uniform() for _ in range(5))
+    things: list[WornName] = []
+    if eyes < 0.10 + 0.45 * min(max((age - 10) / 70, 0.0), 1.0):
+        things.append("glasses")
+    elif eyes > 0.95 and age > 5:
+        things.append("sunglasses")
+    if mouth < 0.03:
+        things.append("mask")
+    hats: dict[str, float] = {"cap": 2, "beanie": 2, "sun_hat": 1}
+    if age > 12:
+        hats["hijab" if female else "turban"] = 2 if female else 1
+    if top == "hi_vis":
+        things.append("hard_hat")
+    elif head < 0.20:
+        things.append(_pick(hats, kind))
+    if back < 0.14 and age > 5:
+        things.append("backpack")
+    elif back > (0.80 if female else 0.93) and age > 12:
+        things.append("bag")
+    return tuple(things)
+
+
+def _pick(shares: _Shares, value: float) -> Any:
+    """Name at a value, 0 to 1, of names with shares."""
+    value *= sum(shares.values())
+    for name, share in shares.items():
+        value -= share
+        if value < 0:
+            return name
+    return list(shares)[-1]

@@ -184,9 +184,10 @@ class LiveRetargeter:
         space = SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
         hands = tuple(name for name in poses.names if name in HAND_JOINTS)
         face = tuple(name for name in poses.names if name.startswith(FACE_JOINT))
-        if face and self._actor.face is None:
-            raise MotionError(f"the scene gives {self._actor.name} no face: add the key face: {{}}")
-        check_face(poses)
+        if face:
+            if self._actor.face is None:
+                raise MotionError(f"the scene gives {self._actor.name} no face: add the key face: {{}}")
+            check_face(poses)
         added = {*space, *hands, *face}
         own = tuple(name for name in poses.names if name not in added)
         moved, _ = undo_keyframes(_in_order(poses, (*own, *space)))

@@ -233,7 +233,7 @@ def test_people_of_one_choice_have_one_topology(
 ) -> None:
     """It is cut once; faces, texture layout and the model for the levels of detail are the same."""
     first, second = draw_person(1, 0), draw_person(1, 4)
-    people = [replace(second, hair=first.hair, sleeves=first.sleeves), model_of(first)]
+    people = [replace(second, clothes=first.clothes), model_of(first)]
     cut: list[Choice] = []
     made = PersonTopology.of_choice
     monkeypatch.setattr(
@@ -267,9 +267,22 @@ def test_a_weight_that_no_slider_gives(source: MakeHumanData) -> None:
 def test_the_command_makes_a_person(source: MakeHumanData, tmp_path: Path) -> None:
     path = tmp_path / "grandma.npz"
     arguments = ("--age", "70", "--sex", "female", "--height", "1.58", "--seed", "4", "-o", str(path))
-    done = humansim("human", "make", *arguments)
+    clothes = (
+        "--hair",
+        "cropped",
+        "--top",
+        "coat",
+        "--bottom",
+        "skirt",
+        "--shoes",
+        "shoes",
+        "--wears",
+        "nothing",
+    )
+    done = humansim("human", "make", *arguments, *clothes)
     assert done.returncode == 0, done.stderr
     assert "female, 70 years, 1.58 m" in done.stdout
+    assert "hair: cropped, beard: none, wears coat, skirt, shoes" in done.stdout
     human = load_human(path)
     assert 1.58 < np.ptp(human.mesh.vertices[:, 1]) < 1.62  # shoes
     assert path.stat().st_size < 3_000_000

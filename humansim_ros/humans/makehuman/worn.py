@@ -39,8 +39,8 @@ _ROWS, _COLUMNS = 44, 72
 _HIDDEN = 0.008
 #: The same far from its edge, and its largest distance from the middle of the head there.
 _DEEP, _DEEPEST = 0.035, 0.065
-#: Texels to a metre, and width of the texture.
-_DENSITY, _WIDTH = 420, 1024
+#: Largest side of a tile, and width of the texture, texels.
+_LARGEST, _WIDTH = 500, 1024
 #: Texels around a tile that have its colours, so that smaller images do not mix tiles.
 _MARGIN = 4
 
@@ -81,11 +81,9 @@ class WornPart:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width of its tile, texels."""
-        down = np.linalg.norm(np.diff(self.points, axis=0), axis=2).sum(axis=0).max()
-        across = np.linalg.norm(np.diff(self.points, axis=1), axis=2).sum(axis=1).max()
-        height, width = np.clip(np.array([down, across]) * _DENSITY, (16, 16), (448, 512)).astype(int)
-        return int(height), int(width)
+        """Height and width of its tile, texels; the same for all bodies, as the layout of the texture is."""
+        rows, columns = self.points.shape[:2]
+        return min(8 * rows, _LARGEST), min(10 * columns, _LARGEST)
 
     @cached_property
     def mesh(self) -> tuple[VertexIndices, Array, VertexIndices]:

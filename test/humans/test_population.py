@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import humansim
+from render_scenes import EVEN, renderer_or_skip
 
 from humansim_ros import load_human
+from humansim_ros.camera import Camera
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.building import Choice, PersonTopology, build
 from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data, read_base
@@ -35,6 +37,9 @@ from humansim_ros.humans.makehuman.population import (
     volume,
 )
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.render import Body, View
+from humansim_ros.rotations import WORLD_FROM_BODY, transform
+from humansim_ros.types import Array
 
 #: Age groups of the survey: first age, and age after the last.
 GROUPS = (
@@ -255,6 +260,39 @@ def test_people_of_one_choice_have_one_topology(
 def test_all_people_have_sliders(source: MakeHumanData) -> None:
     for number in range(60):
         person_config(source, draw_person(2, number))
+
+
+def look(view: View) -> Array:
+    """Colours, contrasts and widths in twelve bands from head to foot, and the height in the image."""
+    seen = view.instance > 0
+    rows = np.flatnonzero(seen.any(axis=1))
+    numbers = [4 * len(rows) / len(seen)]
+    for band in np.array_split(rows, 12):
+        colors = view.rgb[band][seen[band]] / 255
+        numbers += [
+            *colors.mean(axis=0),
+            *(0.5 * colors.std(axis=0)),
+            2 * len(colors) / len(band) / len(rows),
+        ]
+    return np.array(numbers)
+
+
+@pytest.mark.nightly
+def test_people_differ_more_than_two_views_of_one() -> None:
+    renderer = renderer_or_skip(lighting=EVEN)
+    cameras = [Camera.look_at((9.0, y, 1.3), (0.0, 0.0, 0.98), (240, 240), 0.22) for y in (5.0, -5.0)]
+    looks = []
+    for number in range(30):
+        human = load_human(f"person#7-{number}")
+        vertices = human.pose(transform(WORLD_FROM_BODY, np.zeros(3)) @ human.skeleton.rest)
+        body = Body(human.mesh, vertices, human.triangle_parts, 1)
+        looks.append([look(renderer.render([body], each, ("rgb", "instance"))) for each in cameras])
+    renderer.close()
+    views = np.array(looks)
+    one = np.linalg.norm(views[:, 0] - views[:, 1], axis=-1)
+    apart = np.linalg.norm(views[:, None, :, None] - views[None, :, None, :], axis=-1).min(axis=(2, 3))
+    np.fill_diagonal(apart, np.inf)
+    assert apart.min() > 2 * one.max()
 
 
 def test_a_weight_that_no_slider_gives(source: MakeHumanData) -> None:

@@ -19,6 +19,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.levels import levels_of
+from humansim_ros.humans.loading import forget_people_data
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_blocks
 from humansim_ros.mesh.mesh import Mesh
@@ -307,6 +308,7 @@ class Scene(Pictured):
         source = source or SceneSource()
         with source.locating_errors():
             scene = cls._from_config(config, source.loading())
+        forget_people_data()
         return replace(scene, source=source)
 
     @classmethod

@@ -276,7 +276,7 @@ class PersonTopology:
         uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
         texels = rasterise(mesh, uv, choice.raster)
         body = texels.mixing @ mesh.canonical
-        canvas = Canvas(body, body, texels.uv @ mesh.uv, reference, reference, source)
+        canvas = Canvas(body, body, texels.uv, reference, reference, source)
         return cls(
             bare=bare,
             rows=rows,
@@ -305,12 +305,17 @@ class PersonTopology:
 
 
 def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
-    """Topology of a choice; it is kept with the source."""
-    if choice not in source.kept:
-        source.kept[choice] = PersonTopology.of_choice(source, choice)
-    found = source.kept[choice]
+    """Topology of a choice; those of the last choices are kept with the source."""
+    found = source.kept.pop(choice, None) or PersonTopology.of_choice(source, choice)
     assert isinstance(found, PersonTopology)
+    source.kept[choice] = found  # the last one of the dictionary is the one that was used last
+    while len(source.kept) > _MOST_KEPT:
+        del source.kept[next(iter(source.kept))]
     return found
+
+
+#: Topologies that are kept; each takes about 150 MB.
+_MOST_KEPT = 4
 
 
 def build(

@@ -43,7 +43,10 @@ class PackedData(MakeHumanData):
 
     def __init__(self, path: Path) -> None:
         self.folder = path
-        self._arrays = read_npz(path, MeshError, "MakeHuman")
+
+    @functools.cached_property
+    def _arrays(self) -> Mapping[str, NDArray[Any]]:
+        return read_npz(self.folder, MeshError, "MakeHuman")
 
     @functools.cached_property
     def version(self) -> str:

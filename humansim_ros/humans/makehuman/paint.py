@@ -88,14 +88,14 @@ class Texels:
     """N texels of faces.
 
     face: (N,) face of each. vertex: (N,) first corner of its triangle. mixing: (N, V) matrix that
-    interpolates values of vertices. uv: (N, T) matrix that interpolates values of texture coordinates.
-    nearest: (S, S) nearest texel of all places of the texture.
+    interpolates values of vertices. uv: (N, 2) texture coordinates of the base mesh. nearest: (S, S) nearest
+    texel of all places of the texture.
     """
 
     face: VertexIndices
     vertex: VertexIndices
     mixing: sparse.csr_matrix
-    uv: sparse.csr_matrix
+    uv: Array
     nearest: NDArray[np.int32]
 
 
@@ -122,7 +122,7 @@ def rasterise(mesh: BodySurface, uv: Array, size: int) -> Texels:
     _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     texel = np.zeros(int(labels.max()) + 1, np.int32)
     texel[labels[found.row, found.column]] = np.arange(count)
-    return Texels(number % len(mesh.faces), triangles[number, 0], mixing, uv_mixing, texel[labels])
+    return Texels(number % len(mesh.faces), triangles[number, 0], mixing, uv_mixing @ mesh.uv, texel[labels])
 
 
 def as_image(texels: Texels, colour: Array) -> NDArray[np.uint8]:

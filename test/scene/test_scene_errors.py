@@ -20,7 +20,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.images import encode_image
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
-from humansim_ros.scene.config import HoldConfig, load_config, map_files
+from humansim_ros.scene.config import HoldConfig, PeopleConfig, load_config, map_files
 from humansim_ros.scene.robot_config import PathConfig
 
 #: A scene with all sections and all keys that name files.
@@ -297,8 +297,9 @@ def out_of_range() -> Iterator[tuple[str, str]]:
 
 
 def test_all_sections_are_there() -> None:
-    # a robot has a path or a trajectory, an object keyframes or hands that hold it
-    assert set(SECTIONS.values()) == {SceneConfig, *all_models(SceneConfig)} - {PathConfig, HoldConfig}
+    # a robot has a path or a trajectory, an object keyframes or hands that hold it, variety bodies or people
+    others = {PathConfig, HoldConfig, PeopleConfig}
+    assert set(SECTIONS.values()) == {SceneConfig, *all_models(SceneConfig)} - others
 
 
 def all_models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:

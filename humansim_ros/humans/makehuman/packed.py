@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.data import INSTALL, Base, MakeHumanData, VertexIndices, VertexMask
 from humansim_ros.io.assets import resource_path
+from humansim_ros.io.files import read_blocks
 from humansim_ros.io.npz import read_npz
 from humansim_ros.types import Array
 
@@ -51,7 +52,10 @@ class PackedData(MakeHumanData):
     @functools.cached_property
     def version(self) -> str:
         """Digest of the file."""
-        return hashlib.sha256(self.folder.read_bytes()).hexdigest()
+        digest = hashlib.sha256()
+        for block in read_blocks(self.folder, MeshError, "MakeHuman"):
+            digest.update(block)
+        return digest.hexdigest()
 
     @functools.cached_property
     def weights(self) -> dict[str, list[tuple[int, float]]]:

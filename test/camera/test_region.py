@@ -103,7 +103,7 @@ def test_camera_info_describes_the_whole_sensor_and_the_region(shown: tuple[Scen
             assert image is not None and image.shape[1::-1] == sizes[name.split("_")[1]]
 
 
-@pytest.mark.daily("ideal_both", "bent_*")
+@pytest.mark.daily("ideal_both", "bent_part", "bent_binned", "bent_both")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_pixel_shows_the_surface_on_its_ray(shown: tuple[Scene, Frame], name: str) -> None:

@@ -114,6 +114,7 @@ class _InterruptionError(Exception):
     pass
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_interruptions_and_processes_do_not_change_the_files(tmp_path: Path, bag: Path) -> None:
     formats = "images,labels,webdataset"

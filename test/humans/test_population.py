@@ -92,6 +92,8 @@ def test_statures_and_indices_of_all_ages_have_the_means_of_the_survey(sex: Sex)
         assert indices == pytest.approx(bmi, rel=0.035), (first, sex)
 
 
+@pytest.mark.nightly
+@pytest.mark.slow
 @pytest.mark.parametrize("sex", SEXES)
 def test_ten_thousand_people_have_the_deviations_of_the_survey(sex: Sex) -> None:
     """The spread between percentiles, within 3 %: middles of groups are interpolated."""

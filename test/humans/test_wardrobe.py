@@ -96,6 +96,7 @@ WORN_TOGETHER: tuple[dict[str, Any], ...] = (
 )
 
 
+@pytest.mark.daily("side_part-*", "afro-*", "shoulder-*", "bun-*", "plaits")
 @pytest.mark.parametrize("names", WORN_TOGETHER, ids=lambda names: "-".join(map(str, names.values())))
 def test_all_parts_are_closed_near_the_body_and_bound_to_four_bones(names: dict[str, Any]) -> None:
     config = MakeHumanConfig(**names)

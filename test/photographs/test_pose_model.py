@@ -18,6 +18,7 @@ def some_state(model: PoseModel, seed: int = 0) -> BodyState:
     return model.moved(model.neutral(), rng.normal(0, 0.25, model.size))
 
 
+@pytest.mark.daily("coco17", "mediapipe33", "plug_in_gait", "smpl24", "wholebody133")
 @pytest.mark.parametrize("name", sorted(KEYPOINT_SETS))
 def test_keypoints_are_those_of_the_posed_body(name: str) -> None:
     human = load_human("adult_man")

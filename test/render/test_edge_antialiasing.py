@@ -47,6 +47,7 @@ def test_a_straight_edge_is_as_bright_as_it_covers_the_pixel(angle: float) -> No
     renderer.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_edges_of_a_person_come_close_to_supersampling(monkeypatch: pytest.MonkeyPatch) -> None:
     renderer = renderer_or_skip()

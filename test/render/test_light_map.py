@@ -139,6 +139,8 @@ def decibels(image: Image, reference: Image) -> float:
     return float(10 * np.log10(255**2 / ((image.astype(float) - reference) ** 2).mean()))
 
 
+@pytest.mark.nightly
+@pytest.mark.slow
 def test_a_still_image_is_as_good_as_sixteen_samples_a_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene.load()
     camera = next(iter(scene.cameras.values()))

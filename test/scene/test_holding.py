@@ -27,6 +27,8 @@ def palms(made: Scene, time: float) -> np.ndarray:
     return np.asarray(0.55 * wrists + 0.45 * tips)
 
 
+@pytest.mark.daily("child")
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["adult_man", "child", "tall_heavy_man"])
 def test_a_carried_box_touches_both_palms_all_the_time(body: str) -> None:
     made = scene({"file": "carry", "loop": "continue"}, {"held_by": "anna"}, body)

@@ -751,7 +751,7 @@ def test_a_run_in_lockstep_records_every_frame_although_a_node_is_killed_and_slo
 ) -> None:
     """The new process is stopped for three time-outs, as if the machine were too busy to start it."""
     scene, bag, output = write_scene(tmp_path, SCENE), tmp_path / "bag", tmp_path / "output.txt"
-    mark, timeout = f"HUMANSIM_TEST_MARK={tmp_path}", 1.0
+    mark, timeout = f"HUMANSIM_TEST_MARK={tmp_path}", 2.0
     command = [sys.executable, "-m", "humansim_ros", "run", str(scene), "--lockstep", "--frames", str(FRAMES)]
     with output.open("wb") as file:
         run = subprocess.Popen(

@@ -450,7 +450,7 @@ def documented_scenes() -> Iterator[Any]:
 @pytest.mark.parametrize(("text", "folder"), list(documented_scenes()))
 def test_scenes_of_the_package_and_of_its_documents_have_no_findings(text: str, folder: Path) -> None:
     content = yaml.safe_load(text)
-    names = re.findall(r"[\w/]+\.(?:json|yaml|txt|xml|glb|npz|obj|hdr|png|jpg|bvh)\b", text)
+    names = re.findall(r"[\w/]+\.(?:json|yaml|txt|csv|xml|glb|npz|obj|hdr|png|jpg|bvh)\b", text)
     if any(not (folder / name).exists() for name in names):
         pytest.skip("it names files of the reader")
     content.setdefault("cameras", CLEAN["cameras"])

@@ -140,6 +140,7 @@ def test_check_finds_what_eyes_do_not_reach() -> None:
     keys = [{"gaze": "front"}, {"time": 5, "gaze": [-2, 0, 1.5]}]
     found = [each for each in check_scene(scene({"keys": keys}), quick=True) if "gaze" in each.key]
     assert [each.key for each in found] == ["humans.anna.face.keys.1.gaze"]
+    assert check_scene(scene({"alive": True}), quick=True) == []
     assert "reach [-2, 0, 1.5] in 0% of the time" in found[0].text
 
 

@@ -102,7 +102,7 @@ def test_a_person_of_the_model_is_found_in_photographs(model: Path, tmp_path: Pa
     found = rest(shaped_human(str(model), Proportions(shape=fit.proportions.shape)))
     wrong = [np.linalg.norm(body - rest(studio.human), axis=1).mean() for body in (found, mean)]
     assert wrong[0] < 0.5 * wrong[1], wrong
-    errors = np.linalg.norm(fit.joints() - studio.joints[0], axis=1)
+    errors = np.linalg.norm(fit.joints() - studio.body_joints[0], axis=1)
     assert errors.mean() < 0.02, errors.round(3)
     write_fit(tmp_path / "fit.yaml", fit)
     again = read_fit(tmp_path / "fit.yaml")

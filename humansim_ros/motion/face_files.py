@@ -21,6 +21,8 @@ _MAX_BYTES, _MAX_FRAMES = 32 << 20, 1_000_000
 _TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:\.\d+)?)")
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
 _DAY = 86400.0
+#: Number of an action by its name in lower case.
+_NUMBERS = {action.lower(): number for number, action in enumerate(ACTIONS)}
 #: Columns that are no actions: rotations of head and eyes. The actions say where the eyes look.
 _OTHER = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
 
@@ -53,8 +55,7 @@ def read_face_file(path: str | os.PathLike[str]) -> WeightTrack:
     if len(order) < len(times) and (np.diff(times) < 0).any():
         line = frames[int(np.argmax(np.diff(times) < 0)) + 1][0]
         raise MotionError("the time code goes back", path=path, line=line)
-    lower = {action.lower(): number for number, action in enumerate(ACTIONS)}
-    return WeightTrack(tuple(lower[name] for name in names), times[order], weights[order], ease=_linear)
+    return WeightTrack(tuple(_NUMBERS[name] for name in names), times[order], weights[order], ease=_linear)
 
 
 def _linear(share: Array) -> Array:
@@ -63,13 +64,12 @@ def _linear(share: Array) -> Array:
 
 def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
     """Number of the column of the time code, and of each action, by name in lower case."""
-    lower = {action.lower(): action for action in ACTIONS}
     columns: dict[str, int] = {}
     for number, title in enumerate(head):
         name = title.strip().lower()
         if name in columns:
             raise MotionError(f"the column {title.strip()[:40]!r} is there twice", path=path, line=1)
-        if name == "timecode" or name in lower:
+        if name == "timecode" or name in _NUMBERS:
             columns[name] = number
         elif name and name != "blendshapecount" and not _OTHER.fullmatch(name):
             hint = did_you_mean(title.strip(), ACTIONS)

@@ -239,7 +239,7 @@ def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
         keys = sorted(
             (key.time, number, key.gaze) for number, key in enumerate(config.keys) if key.gaze is not None
         )
-        ends = [time for time, *_ in keys[1:]] + [np.inf] * bool(keys)
+        ends = [*(time for time, *_ in keys), np.inf][1:]
         for gaze, (time, number, target), end in zip(actor.face.gazes, keys, ends, strict=True):
             times = samples.times[(samples.times >= time) & (samples.times < end)]
             if gaze.point is None or not len(times):

@@ -369,7 +369,7 @@ def _drawn(
     _check("skin", tone, (1, 10), "of the Monk scale")
     muscle = round(0.3 + 0.4 * uniform(), 3)
     race, face = _race(tone, uniform), _face(uniform)
-    uniform()
+    uniform()  # drew the hair once: the numbers after it stay those of each seed
     sleeves: Literal["short", "long"] = "long" if uniform() < 0.5 else "short"
     outfit = _outfit(age, sex, tone, uniform)
     # numbers of their own, so that new garments leave faces and colours as they are

@@ -1,20 +1,25 @@
 """Camera-frames per second of the device that OpenGL finds, by cameras, pixels and people.
 
-    python benchmarks/gpu.py [--device N] [--seconds 2] [--cases CAMERASxWIDTHxHEIGHTxPEOPLE ...]
+    python benchmarks/gpu.py [--device N] [--seconds 2] [--processes N]
+        [--cases CAMERASxWIDTHxHEIGHTxPEOPLE ...]
 
 Of each case: rgb, depth, instance and part with full read-back, rgb alone, the bare draw of ``core.py`` with
-full read-back, and the same without read-back, whose images stay on the device. All take turns. "CPU" is the
-share of the elapsed time in which this process computes: near 100 % or more, the processor is the limit,
-otherwise the device or the read-back. Poses change with every frame; motion and skinning are computed before.
+full read-back, and the same without read-back, whose images stay on the device. "CPU" is the share of the
+elapsed time in which processes compute: near 100 % for each, the processor is the limit, otherwise the device
+or the read-back. Poses change with every frame; motion and skinning are computed before. With several
+processes, as of camera nodes or workers of a recording, each renders all cameras of a case at the same time;
+frames and shares of all are added.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import multiprocessing
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,31 +78,52 @@ def works(
     }
 
 
+#: Waits until all processes are ready to measure.
+_together: Callable[[], object] = int
+
+
+def _start(together: Callable[[], object]) -> None:
+    global _together
+    _together = together
+
+
 def measure(
     case: tuple[int, int, int, int], seconds: float, device: int | None
 ) -> dict[str, tuple[float, float]]:
-    """Camera-frames per second and share of the processor, by work."""
+    """Camera-frames per second and share of the processor, by work. All processes start each together."""
     scene = scene_of(*case)
     cameras = list(scene.cameras.values())
     actors = scene.actors.values()
     frames = [[actor.body(actor.at(1 + pose / 30).vertices) for actor in actors] for pose in range(POSES)]
+    found = {}
     with GLRenderer(scene.static_meshes, device=device) as renderer:
-        doing = works(renderer, cameras, frames)
-        spent = {name: [0, 0.0, 0.0] for name in doing}
-        for work in doing.values():
+        for name, work in works(renderer, cameras, frames).items():
             work(0)  # static scenes, programs and buffers
-        end = time.perf_counter() + seconds * len(doing)
-        for number in itertools.count():
-            for name, work in doing.items():
-                cpu, start = time.process_time(), time.perf_counter()
+            _together()
+            cpu, start = time.process_time(), time.perf_counter()
+            elapsed = 0.0
+            for number in itertools.count(1):
                 work(number % POSES)
-                sums = spent[name]
-                sums[0] += len(cameras)
-                sums[1] += time.perf_counter() - start
-                sums[2] += time.process_time() - cpu
-            if time.perf_counter() > end:
-                break
-    return {name: (count / elapsed, cpu / elapsed) for name, (count, elapsed, cpu) in spent.items()}
+                elapsed = time.perf_counter() - start
+                if elapsed > seconds:
+                    break
+            found[name] = number * len(cameras) / elapsed, (time.process_time() - cpu) / elapsed
+    return found
+
+
+def measure_together(processes: int, *case: object) -> dict[str, tuple[float, float]]:
+    """Sums of what as many processes :func:`measure` at the same time."""
+    if processes == 1:
+        return measure(*case)  # type: ignore[arg-type]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        processes, spawn, initializer=_start, initargs=(spawn.Barrier(processes).wait,)
+    ) as pool:
+        found = [task.result() for task in [pool.submit(measure, *case) for _ in range(processes)]]
+    return {
+        name: (sum(each[name][0] for each in found), sum(each[name][1] for each in found))
+        for name in found[0]
+    }
 
 
 def _case(text: str) -> tuple[int, int, int, int]:
@@ -109,6 +135,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", type=int, help="number in the order of EGL, GPUs first")
     parser.add_argument("--seconds", type=float, default=2.0, help="for each row")
+    parser.add_argument("--processes", type=int, default=1, help="that render at the same time")
     parser.add_argument("--cases", type=_case, nargs="+", default=CASES)
     options = parser.parse_args()
     with GLRenderer([], device=options.device) as renderer:
@@ -116,7 +143,8 @@ def main() -> None:
     print(f"{'cameras':>7} {'pixels':>10} {'people':>6}  {'work':28} {'frames/s':>9} {'CPU':>5}")
     for case in options.cases:
         cameras, width, height, people = case
-        for name, (rate, cpu) in measure(case, options.seconds, options.device).items():
+        found = measure_together(options.processes, case, options.seconds, options.device)
+        for name, (rate, cpu) in found.items():
             print(f"{cameras:7} {f'{width}x{height}':>10} {people:6}  {name:28} {rate:9.1f} {cpu:5.0%}")
 
 

@@ -32,6 +32,7 @@ class OpenGLContext:
     Attributes:
         gl: The context of moderngl, to create objects with.
         device: Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``.
+        on_processor: Whether the device is Mesa's renderer for the CPU, whose memory is the processor's.
 
     Args:
         device: Number of the device in the order of EGL, GPUs first; the first one that works if None.
@@ -50,7 +51,8 @@ class OpenGLContext:
         # A new context is current. EGL frees a context, in any thread, if it is current in none.
         with self.gl:
             self.device = str(self.gl.info["GL_RENDERER"])
-        _process.add(self.device)
+        self.on_processor = self.device.startswith("llvmpipe")
+        _process.add(self)
 
     def close(self) -> None:
         """Free the context and all its objects. Raises RenderError in another thread."""
@@ -115,15 +117,17 @@ class _Process:
         elif os.getpid() != self._pid and not self._without_threads:
             raise RenderError(_FORKED)
 
-    def add(self, device: str) -> None:
-        """Take into account a device that has a context."""
-        self._without_threads &= device.startswith("llvmpipe")
+    def add(self, context: OpenGLContext) -> None:
+        """Take into account a context that works."""
+        self._without_threads &= context.on_processor
 
 
 _process = _Process()
 
 
 def _create(device: int | None) -> moderngl.Context:
+    if device is not None and device < 0:  # glcontext reads memory before its list, and some drivers take it
+        raise RenderError(f"there is no OpenGL device {device}: the first is 0")
     reasons: list[str] = []
     for number in itertools.count() if device is None else [device]:
         try:
@@ -132,7 +136,7 @@ def _create(device: int | None) -> moderngl.Context:
             reasons.append(str(reason).splitlines()[0])
             if "device index" in reasons[-1] or number >= _MAX_DEVICES:
                 break
-    if device is not None and (device < 0 or "device index" in reasons[0]):
+    if device is not None and "device index" in reasons[0]:
         raise RenderError(f"there is no OpenGL device {device}: {reasons[0]}")
     raise RenderError(
         f"no OpenGL through EGL ({reasons[0]}). "

@@ -91,7 +91,7 @@ class GLRenderer(Renderer):
         self._ctx = self._context.gl
         check_bodies(static_bodies)
         self._static_bodies = tuple(static_bodies)
-        self._targets = RenderTargets(self._ctx)
+        self._targets = RenderTargets(self._context)
         shadows = ["STATIC_SHADOWS", "MOVING_SHADOWS"] if light.shadow == "soft" else []
         skin = ["SKIN_AND_CLOTH"] if light.materials and light.mode == "lit" else []
         with self._context.current():
@@ -235,7 +235,7 @@ class GLRenderer(Renderer):
         touched = image_bounds(clouds, camera)
         rectangle = image_bounds([*clouds, *(ProjectedPoints(points, camera) for points in shaded)], camera)
         target = self._targets.of(camera.size)
-        target.start(rectangle, layer.depth_buffer, layer.rgba, touched)
+        target.start(rectangle, layer.depth_buffer, layer.rgba, touched, layer.kept)
         ids, outline = TriangleIds(), None
         if not rectangle.empty:
             self._contact_shadows.draw(shadows, camera)
@@ -251,8 +251,10 @@ class GLRenderer(Renderer):
                     for number, front in sorted(facing.items())
                 ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
-        triangle_ids, depth = (target.read(name, passes.lit) for name in ("triangle_id", "depth"))
-        rgba = target.read("rgba", True) if passes.lit else None
+        triangle_ids, depth, *colours = target.read_together(
+            ("triangle_id", "depth", "rgba")[: 2 + passes.lit], passes.lit
+        )
+        rgba = colours[0] if passes.lit else None
         alone = None
         if passes.alone:
             labelled = [pair for pair in zip(posed, projected, strict=True) if pair[0].body.instance]

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
+import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -88,6 +89,8 @@ class StaticLayer:
         self.labels: StaticLabels | None = None
         depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
+        #: both images on the device, where frames start from them
+        self.kept: moderngl.Framebuffer | None = None
         #: (H, W) metres, +inf where nothing is
         self.depth = np.where(depth > 0, depth, np.float32(np.inf))
 
@@ -103,6 +106,9 @@ class StaticLayer:
     def release(self) -> None:
         """Free the memory on the device."""
         self.labels = None  # it refers to this layer
+        if self.kept is not None:
+            for image in (*self.kept.color_attachments, self.kept.depth_attachment, self.kept):
+                image.release()
         if self.shadow_inputs is not None:
             self.shadow_inputs.release()
 

@@ -145,6 +145,7 @@ class StaticLayers:
         if layer is not None and (layer.rgba is not None or not lit):
             return layer
         made = self._render(camera, backdrop, False, lit)
+        made.kept = self._targets.of(camera.size).keep(made.depth_buffer, made.rgba)
         if layer is not None:
             layer.release()
         return self._layers.put(key, made)

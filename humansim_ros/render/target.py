@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.render.caches import LruCache
+from humansim_ros.render.context import OpenGLContext
 from humansim_ros.types import Float32Array, ImageSize
 
 #: Name -> location in the shaders, components to read, their type.
@@ -63,10 +64,12 @@ class Rectangle:
 class RenderTarget:
     """Framebuffers of one image size: colour, depth in metres, triangle id, and OpenGL's depth buffer.
 
-    Depth and triangle id are 0 where nothing is drawn.
+    Depth and triangle id are 0 where nothing is drawn. A processor that renders (``on_processor``) reads and
+    writes images in its own memory. A GPU waits for each of them. Hence what frames start from stays on a GPU
+    (see :meth:`keep`), and the images of a frame are read with one wait.
     """
 
-    def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
+    def __init__(self, ctx: moderngl.Context, size: tuple[int, int], on_processor: bool) -> None:
         self._ctx, self.size = ctx, size
         self._textures = [
             ctx.texture(size, 1, dtype="f4"),
@@ -79,6 +82,10 @@ class RenderTarget:
         }
         self._colour = ctx.framebuffer(self._textures[2:], self._depth_buffer)
         self._colour.depth_mask = False  # shadows change colours and hide nothing
+        #: pixels on their way to the processor, 4 bytes each
+        self._to_read = (
+            None if on_processor else ctx.buffer(reserve=4 * len(_ATTACHMENTS) * size[0] * size[1])
+        )
         #: pixels of colours, and of depth and triangle ids
         self._coloured = self._identified = Rectangle(0, 0, *size)
 
@@ -88,6 +95,7 @@ class RenderTarget:
         depth_buffer: Float32Array | None = None,
         rgba: NDArray[np.uint8] | None = None,
         bodies: Rectangle | None = None,
+        kept: moderngl.Framebuffer | None = None,
     ) -> None:
         """Limit drawing to a rectangle, and initialise it.
 
@@ -96,9 +104,23 @@ class RenderTarget:
             depth_buffer: (H, W) of the whole image behind; if None, nothing is behind.
             rgba: (H, W, 4) of the whole image behind; if None, the colour is undefined.
             bodies: Pixels whose depth and triangle ids will be read; all if None. Shadows have neither.
+            kept: Both images behind, from :meth:`keep`.
         """
         self._limit_to(rectangle)
         self._identified = rectangle if bodies is None else bodies
+        if kept is None:
+            self._write_all(rectangle, depth_buffer, rgba)
+        else:
+            cleared = self._framebuffers[False]
+            cleared.use()
+            cleared.clear(viewport=self._identified.xywh)
+            self._colour.use()  # its scissor limits the copy
+            self._ctx.copy_framebuffer(self._colour, kept)
+        self._colour.use()
+
+    def _write_all(
+        self, rectangle: Rectangle, depth_buffer: Float32Array | None, rgba: NDArray[np.uint8] | None
+    ) -> None:
         # writing: a clear costs Mesa more, and so does a copy, which with a scissor becomes a draw
         zeros = bytes(4 * self._identified.shape[0] * self._identified.shape[1])
         for texture in self._textures[:2]:
@@ -109,7 +131,18 @@ class RenderTarget:
             self._write(self._depth_buffer, depth_buffer[rectangle.slices].tobytes())
         if rgba is not None:
             self._write(self.colour, rgba[rectangle.slices].tobytes())
-        self._colour.use()
+
+    def keep(self, depth_buffer: Float32Array, rgba: NDArray[np.uint8] | None) -> moderngl.Framebuffer | None:
+        """Keep images that frames start from on the device; None where writing them is as fast.
+
+        Args:
+            depth_buffer: (H, W) of OpenGL.
+            rgba: (H, W, 4); undefined if None.
+        """
+        if self._to_read is None:
+            return None
+        colour = self._ctx.texture(self.size, 4, None if rgba is None else rgba.tobytes())
+        return self._ctx.framebuffer([colour], self._ctx.depth_texture(self.size, depth_buffer.tobytes()))
 
     def _write(self, image: moderngl.Texture, pixels: bytes) -> None:
         image.write(pixels, viewport=self._coloured.xywh, alignment=1)
@@ -169,12 +202,38 @@ class RenderTarget:
     def read(self, name: str, lit: bool) -> NDArray[Any]:
         """Read an attachment within its rectangle, (H, W) or (H, W, C)."""
         attachment, components, dtype = _ATTACHMENTS[name]
-        rectangle = self._coloured if name == "rgba" else self._identified
         pixels = self._framebuffers[lit].read(
-            rectangle.xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
+            self._read_of(name).xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
         )
+        return self._image(name, pixels)
+
+    def read_together(self, names: Sequence[str], lit: bool) -> list[NDArray[Any]]:
+        """Read several attachments: see :meth:`read`."""
+        if self._to_read is None:
+            return [self.read(name, lit) for name in names]
+        sizes = [4 * self._read_of(name).shape[0] * self._read_of(name).shape[1] for name in names]
+        starts = [sum(sizes[:number]) for number in range(len(names))]
+        for name, start in zip(names, starts, strict=True):
+            attachment, components, dtype = _ATTACHMENTS[name]
+            self._framebuffers[lit].read_into(
+                *(self._to_read, self._read_of(name).xywh, components, attachment, 1, dtype),
+                write_offset=start,
+            )
+        pixels = memoryview(self._to_read.read(sum(sizes)) if any(sizes) else b"")
+        return [
+            self._image(name, pixels[start : start + size])
+            for name, start, size in zip(names, starts, sizes, strict=True)
+        ]
+
+    def _read_of(self, name: str) -> Rectangle:
+        """Pixels of an attachment that are read."""
+        return self._coloured if name == "rgba" else self._identified
+
+    def _image(self, name: str, pixels: bytes | memoryview) -> NDArray[Any]:
+        """Image of the pixels of an attachment that were read."""
+        _, components, dtype = _ATTACHMENTS[name]
         image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
-        return image.reshape(*rectangle.shape, *(() if components == 1 else (components,)))
+        return image.reshape(*self._read_of(name).shape, *(() if components == 1 else (components,)))
 
     def release(self) -> None:
         """Free the memory on the device."""
@@ -183,6 +242,8 @@ class RenderTarget:
         for attachment in self._textures:
             attachment.release()
         self._depth_buffer.release()
+        if self._to_read is not None:
+            self._to_read.release()
 
 
 class SumOfImages:
@@ -240,10 +301,12 @@ _MAX_SIZES = 32
 class RenderTargets(LruCache[ImageSize, RenderTarget]):
     """Targets to draw into, one for each of the most recently used image sizes."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
+    def __init__(self, context: OpenGLContext) -> None:
         super().__init__(_MAX_SIZES, release=lambda target: target.release())
-        self._ctx = ctx
+        self._context = context
 
     def of(self, size: ImageSize) -> RenderTarget:
         """Return the target of an image size, with what was drawn last."""
-        return self.get_or_make(size, lambda: RenderTarget(self._ctx, size))
+        return self.get_or_make(
+            size, lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from render_scenes import EACH_RENDERER, EVEN, along_x, body, box, quad, rendere
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render import CHANNELS, Body, Lighting, Renderer, RendererName, View
+from humansim_ros.render import CHANNELS, Body, Lighting, Renderer, RendererName, View, static_layers
+from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.gl import make_renderer
 from humansim_ros.scene import Scene
 
@@ -291,6 +293,33 @@ def test_the_same_input_gives_the_same_bytes(scene: Scene, name: RendererName) -
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("shadows", ["contact", "soft"])
+def test_images_that_stay_on_a_gpu_give_the_same_bytes(
+    scene: Scene, shadows: Literal["contact", "soft"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a frame shows a shadow alone, no body, or the camera moves, and after many cameras."""
+    heights = np.linspace(0.5, 3, 3)
+    cameras = [Camera.look_at((3, 1, 1.5), (0, 0, height), (160, 120), 1.0) for height in heights]
+    cameras += [Camera.look_at((1.2, 0, 3.0), (1.2, 0.4, 0), (96, 64), 0.9), *cameras[:2]]
+    people = [walkers(scene, 1.0, places) for places in ([], [(0, 0)], [(0, 0), (0.8, 0.9)])]
+
+    def views() -> list[View]:
+        with renderer_or_skip(scene.static_meshes, Lighting(shadows=shadows)) as renderer:
+            return [
+                renderer.render(bodies, camera, CHANNELS, moving_camera=moving)
+                for camera in cameras
+                for moving in (False, True)
+                for bodies in people
+            ]
+
+    monkeypatch.setattr(static_layers, "_MAX_LAYERS", 2)  # what is kept is freed
+    plain = views()
+    on_gpu = property(lambda _: False, lambda *_: None)
+    monkeypatch.setattr(OpenGLContext, "on_processor", on_gpu, raising=False)
+    for one, other in zip(views(), plain, strict=True):
+        assert_same(one, other)
+
+
 def test_a_view_is_the_callers_own(room: Renderer, scene: Scene) -> None:
     camera, bodies = scene.cameras["camera_1"], walkers(scene, 0.0)
     view = room.render(bodies, camera)

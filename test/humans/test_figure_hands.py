@@ -89,7 +89,7 @@ def hand(human: Human, pose: str, side: str) -> tuple[Array, dict[str, Array]]:
     return human.pose(posed) - wrist, dict(zip(skeleton.joint_names, joints, strict=True))
 
 
-@pytest.mark.daily("fingers0", "fingers1")
+@pytest.mark.daily("fingers0")
 @pytest.mark.parametrize("fingers", [FINGERS, ("thumb", "index", "middle"), ("thumb", "index"), ("index",)])
 def test_fingers_of_a_figure_move_as_those_of_the_body_that_it_is(fingers: tuple[str, ...]) -> None:
     child, other = load_human("child"), figure(*fingers)

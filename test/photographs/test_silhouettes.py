@@ -98,6 +98,7 @@ def check_face(before: NDArray[np.float64], after: NDArray[np.float64]) -> None:
     assert after.mean() < before.mean() + 0.5 and (after < np.maximum(before, 2) + 1).all(), (before, after)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_face_points_do_not_move_away_from_the_truth(
     rough: PersonFit, fine: PersonFit, shelf: Studio
@@ -117,6 +118,7 @@ def test_the_face_of_someone_who_stoops_stays_where_its_points_are(human: str, t
     check_face(face_errors(rough, studio), face_errors(fit_silhouettes(rough, photos), studio))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_keypoints_still_agree(rough: PersonFit, fine: PersonFit) -> None:
     right = ~fine.outliers & np.isfinite(fine.residuals)
@@ -124,6 +126,7 @@ def test_keypoints_still_agree(rough: PersonFit, fine: PersonFit) -> None:
     np.testing.assert_array_equal(np.isfinite(fine.residuals), np.isfinite(rough.residuals))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_residuals_are_those_of_the_refined_body(fine: PersonFit, photos: PhotoSet) -> None:
     model = PoseModel(shaped_human(fine.human, fine.proportions), keypoint_set("coco17"))
@@ -133,6 +136,7 @@ def test_the_residuals_are_those_of_the_refined_body(fine: PersonFit, photos: Ph
     np.testing.assert_allclose(fine.residuals[0, 1], expected, rtol=1e-6)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_offsets_bring_the_surface_to_the_truth(fine: PersonFit, shelf: Studio, photos: PhotoSet) -> None:
     """Proportions of the man are not the shape of the woman: offsets of his surface say the rest."""
@@ -143,6 +147,7 @@ def test_offsets_bring_the_surface_to_the_truth(fine: PersonFit, shelf: Studio, 
     assert mean_iou(fine, photos) > max(mean_iou(plain, photos), 0.97)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_left_and_right_have_the_same_girths(fine: PersonFit) -> None:
     girths = fine.proportions.girths

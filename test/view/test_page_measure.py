@@ -53,9 +53,15 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any,
 
 
 def look_from(page: Any, center: Array) -> None:
-    """Wait until the 3D view is drawn from a place (3,) in ``map``."""
+    """Wait until the 3D view rests at a place (3,) in ``map``: a view that moves turns, too."""
     script = "() => { const p = window.humansim.camera.position; return [-p.z, -p.x, p.y] }"
-    until(lambda: np.allclose(page.evaluate(script), center, atol=1e-3))
+
+    def rests() -> bool:
+        before = page.evaluate(script)
+        page.wait_for_timeout(200)
+        return before == page.evaluate(script) and np.allclose(before, center, atol=1e-3)
+
+    until(rests)
 
 
 def pixel_of(frame: Any, point: Array) -> tuple[float, float]:

@@ -36,7 +36,15 @@ from humansim_ros.humans.description import (
     read_description,
 )
 from humansim_ros.humans.figure import to_body_space
-from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human, write_human
+from humansim_ros.humans.human import (
+    MAX_BONES,
+    Human,
+    Skinning,
+    as_written,
+    human_from_arrays,
+    read_human,
+    write_human,
+)
 from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data
 from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.humans.makehuman.population import Person, is_person, person_config, read_person
@@ -68,12 +76,13 @@ def content_key(parts: Iterable[bytes]) -> str:
 def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     """Read a human from the cache, or make it and write it there.
 
-    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and
-    a warning says so.
+    It has the rounded numbers of its file, also if nothing is cached: it is the same in all processes. A file
+    that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and a
+    warning says so.
     """
     folder = cache_folder()
     if folder is None:
-        return make()
+        return as_written(replace(make(), name=name))
     path = folder / f"{name[:40]}-{key}.npz"
     if path.is_file():
         try:
@@ -89,8 +98,6 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
         folder.mkdir(parents=True, exist_ok=True)
         write_human(path, human, level=_LEVEL)
         _delete_oldest(folder)
-        # read back, so that the first call gives the same rounded numbers as later calls
-        return replace(read_human(path), name=name)
     except (OSError, HumansimError) as reason:
         text = reason.strerror if isinstance(reason, OSError) else reason.message
         warnings.warn(
@@ -99,7 +106,7 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
             HumansimWarning,
             stacklevel=2,
         )
-        return human
+    return as_written(replace(human, name=name))
 
 
 def _delete_oldest(folder: Path) -> None:

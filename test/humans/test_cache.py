@@ -117,6 +117,33 @@ def test_humans_load_without_write_access_to_the_cache(
         assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
 
 
+def arrays_of(human: Human) -> list[Any]:
+    shapes = human.shapes
+    return [
+        *(human.mesh.vertices, human.skeleton.heads, human.weights.data, human.weights.indices),
+        *(() if shapes is None else (shapes.rows, shapes.offsets)),
+    ]
+
+
+@pytest.mark.parametrize("kind", ["figure", pytest.param("person", marks=pytest.mark.slow)])
+def test_humans_are_the_same_to_the_bit_without_a_cache(
+    kind: str, cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that has no cache plays the same person as the others."""
+    body = "person#7-1" if kind == "person" else str(figure)
+    made, read = load_human(body), load_human(body)
+    assert len(list(cache.glob("*.npz"))) == 1
+    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+    uncached = load_human(body)
+    monkeypatch.setenv("HUMANSIM_CACHE", str(figure / "cache"))
+    with pytest.warns(HumansimWarning, match="cannot be cached"):
+        unwritten = load_human(body)
+    for human in (read, uncached, unwritten):
+        assert human.name == made.name
+        for one, other in zip(arrays_of(human), arrays_of(made), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
 def test_the_cache_has_a_maximum_size(
     cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

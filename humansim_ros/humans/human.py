@@ -188,6 +188,16 @@ def read_human(path: str | os.PathLike[str]) -> Human:
 
 def write_human(path: str | os.PathLike[str], human: Human, level: int = BEST) -> None:
     """Write a human file atomically; equal humans give equal bytes. ``level``: of compression, 1 to 9."""
+    write_npz(path, _arrays(human), level)
+
+
+def as_written(human: Human) -> Human:
+    """The human with the rounded numbers of its file, as :func:`read_human` reads it."""
+    return human_from_arrays(_arrays(human), human.name)
+
+
+def _arrays(human: Human) -> dict[str, NDArray[Any]]:
+    """Arrays of the file of a human."""
     mesh, skeleton = human.mesh, human.skeleton
     counts = np.diff(human.weights.indptr)
     width = int(counts.max())
@@ -223,7 +233,7 @@ def write_human(path: str | os.PathLike[str], human: Human, level: int = BEST) -
         arrays |= shape_arrays(human.shapes)
     if human.skinning != "linear":
         arrays["skinning"] = np.array(human.skinning)
-    write_npz(path, arrays, level)
+    return arrays
 
 
 def _shading(arrays: dict[str, NDArray[Any]], mesh: Mesh) -> csr_matrix | None:

@@ -36,13 +36,21 @@ from humansim_ros.humans.description import (
     read_description,
 )
 from humansim_ros.humans.figure import to_body_space
-from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human, write_human
+from humansim_ros.humans.human import (
+    MAX_BONES,
+    Human,
+    Skinning,
+    as_written,
+    human_from_arrays,
+    read_human,
+    write_human,
+)
 from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data
 from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.humans.makehuman.population import Person, is_person, person_config, read_person
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset, resource_path
-from humansim_ros.io.files import cache_folder, missing_file, read_bytes, resolve_relative
+from humansim_ros.io.files import cache_folder, missing_file, only_one_process, read_bytes, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image, encode_image
 from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.mesh.load import read_mesh_or_figure
@@ -53,6 +61,8 @@ from humansim_ros.mesh.obj import material_files
 CACHE_VERSION = 7
 #: Level of compression in the cache: a tenth of the time of the best one, for files of 1.2 times the size.
 _LEVEL = 1
+#: Seconds that a process waits for another one that makes the same human.
+_LONGEST_WAIT = 60.0
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
 
@@ -68,38 +78,51 @@ def content_key(parts: Iterable[bytes]) -> str:
 def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     """Read a human from the cache, or make it and write it there.
 
-    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and
-    a warning says so.
+    It has the rounded numbers of its file, also if nothing is cached: it is the same in all processes. A file
+    that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and a
+    warning says so. Of processes that start together, one makes the human, and the others wait for it.
     """
     folder = cache_folder()
     if folder is None:
-        return make()
+        return as_written(replace(make(), name=name))
     path = folder / f"{name[:40]}-{key}.npz"
-    if path.is_file():
-        try:
-            human = read_human(path)
-            os.utime(path)
-        except (MeshError, OSError):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-        else:
-            return replace(human, name=name)
+    human = _read(path)
+    if human is None:
+        with only_one_process(path.with_suffix(".lock"), _LONGEST_WAIT):
+            human = _read(path) or _made_in(path, make)
+    return replace(human, name=name)
+
+
+def _read(path: Path) -> Human | None:
+    """Human of a file in the cache; None if there is none that can be read."""
+    if not path.is_file():
+        return None
+    try:
+        human = read_human(path)
+        os.utime(path)
+    except (MeshError, OSError):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+        return None
+    return human
+
+
+def _made_in(path: Path, make: Callable[[], Human]) -> Human:
+    """Make a human, and write it into the cache."""
     human = make()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_human(path, human, level=_LEVEL)
-        _delete_oldest(folder)
-        # read back, so that the first call gives the same rounded numbers as later calls
-        return replace(read_human(path), name=name)
+        _delete_oldest(path.parent)
     except (OSError, HumansimError) as reason:
         text = reason.strerror if isinstance(reason, OSError) else reason.message
         warnings.warn(
-            f"{folder}: humans cannot be cached here ({text}), and each start makes them anew; set "
+            f"{path.parent}: humans cannot be cached here ({text}), and each start makes them anew; set "
             "HUMANSIM_CACHE to another folder, or to off",
             HumansimWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-        return human
+    return as_written(human)
 
 
 def _delete_oldest(folder: Path) -> None:

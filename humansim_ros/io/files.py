@@ -459,6 +459,9 @@ def _remove_if_dead(folder: Path) -> None:
 
 # --- the cache
 
+#: Seconds between two tries to lock a file.
+_LOOK_EVERY = 0.05
+
 
 def cache_folder() -> Path | None:
     """Folder of the cache: ``$HUMANSIM_CACHE``, else ``humansim_ros/humans`` in the user's cache folder.
@@ -470,3 +473,49 @@ def cache_folder() -> Path | None:
         return None if own == "off" else expand_user(own)
     base = os.environ.get("XDG_CACHE_HOME") or expand_user("~/.cache")
     return Path(base) / "humansim_ros" / "humans"
+
+
+@contextmanager
+def only_one_process(path: Path, longest: float) -> Iterator[None]:
+    """Let processes that make the same file do so one after the other.
+
+    Who comes later finds the file made. A process that has waited ``longest`` seconds goes on: the other one
+    may have been stopped. Without write access nobody waits.
+
+    Args:
+        path: File that is locked meanwhile, and removed after it.
+        longest: Seconds.
+    """
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError:
+        yield
+        return
+    try:
+        has_lock = _locks(lock, time.monotonic() + longest)
+        try:
+            yield
+        finally:
+            if has_lock:
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
+                    fcntl.flock(lock, fcntl.LOCK_UN)  # a child process may have it open
+    finally:
+        os.close(lock)
+
+
+def _locks(lock: int, end: float) -> bool:
+    """Whether an open file could be locked before a time of ``time.monotonic``."""
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > end:
+                return False
+            time.sleep(_LOOK_EVERY)
+        except OSError:
+            return False
+        else:
+            return True

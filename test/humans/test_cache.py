@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
+import subprocess
+import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +119,74 @@ def test_humans_load_without_write_access_to_the_cache(
     monkeypatch.setenv("HUMANSIM_CACHE", str(tmp_path / "file"))
     with pytest.warns(HumansimWarning, match=r"file: humans cannot be cached here .*HUMANSIM_CACHE"):
         assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
+
+
+def arrays_of(human: Human) -> list[Any]:
+    shapes = human.shapes
+    return [
+        *(human.mesh.vertices, human.skeleton.heads, human.weights.data, human.weights.indices),
+        *(() if shapes is None else (shapes.rows, shapes.offsets)),
+    ]
+
+
+@pytest.mark.parametrize("kind", ["figure", pytest.param("person", marks=pytest.mark.slow)])
+def test_humans_are_the_same_to_the_bit_without_a_cache(
+    kind: str, cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that has no cache plays the same person as the others."""
+    body = "person#7-1" if kind == "person" else str(figure)
+    made, read = load_human(body), load_human(body)
+    assert len(list(cache.glob("*.npz"))) == 1
+    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+    uncached = load_human(body)
+    monkeypatch.setenv("HUMANSIM_CACHE", str(figure / "cache"))
+    with pytest.warns(HumansimWarning, match="cannot be cached"):
+        unwritten = load_human(body)
+    for human in (read, uncached, unwritten):
+        assert human.name == made.name
+        for one, other in zip(arrays_of(human), arrays_of(made), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_processes_that_start_together_make_a_human_once(cache: Path, tmp_path: Path) -> None:
+    """The others wait for it, and read it."""
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import sys, time\n"
+        "from humansim_ros.humans.loading import cached, load_human\n"
+        "def make():\n"
+        "    print('made', flush=True)\n"
+        "    time.sleep(2)\n"
+        "    return load_human('child')\n"
+        "print('ready', flush=True)\n"
+        "sys.stdin.readline()\n"
+        "print(len(cached('key', 'someone', make).mesh.vertices))\n"
+    )
+    command = [sys.executable, str(program)]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with ExitStack() as stack:
+        started: list[Any] = [stack.enter_context(subprocess.Popen(command, **pipes)) for _ in range(3)]
+        assert [each.stdout.readline() for each in started] == ["ready\n"] * 3
+        for each in started:
+            each.stdin.write("\n")
+            each.stdin.flush()
+        printed = [each.communicate()[0].split() for each in started]
+    assert sum(words.count("made") for words in printed) == 1
+    assert len({words[-1] for words in printed}) == 1
+    assert [path.name for path in cache.iterdir()] == ["someone-key.npz"]
+
+
+def test_nobody_waits_for_ever_for_a_process_that_was_stopped(
+    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load_human(figure)
+    (file,) = cache.glob("*.npz")
+    file.unlink()
+    monkeypatch.setattr("humansim_ros.humans.loading._LONGEST_WAIT", 0.2)
+    with file.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
+    assert file.is_file()
 
 
 def test_the_cache_has_a_maximum_size(

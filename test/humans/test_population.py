@@ -172,6 +172,8 @@ def test_people_are_drawn_within_ranges_and_again_from_their_names() -> None:
     assert np.mean([person.sex == "female" for person in drawn]) > 0.8  # most men are taller
     assert draw_people(5, 2, PeopleLimits()) == draw_person(5, 2) == read_person("person#5-2")
     assert person_name(5, 2, PeopleLimits()) == "person#5-2"
+    some = PeopleLimits(age=(20.0, 60.5), women=1.0, skin=(3, 10))
+    assert person_name(5, 2, some) == "person#5-2,age=20..60.5,women=1,skin=3..10"
     team = [draw_people(5, number, PeopleLimits(uniform=True)) for number in range(9)]
     assert len({(person.outfit.shirt, person.outfit.trousers, person.clothes.top) for person in team}) == 1
     assert len({person.outfit.skin for person in team}) > 3
@@ -185,6 +187,15 @@ def test_people_are_drawn_within_ranges_and_again_from_their_names() -> None:
         ("person#7-1,age=20", "is no drawn person"),
         ("person#7-1,hat=1..2", "if you like age, women, stature, bmi, skin, uniform"),
         ("person#7-1,age=1..20", "age: 1 is impossible: give 2 to 90 years"),
+        ("person#7-1,women=2", "women: 2 is impossible: give 0 to 1 as the share of women"),
+        ("person#7-1,women=nan", "women: nan is impossible"),
+        ("person#7-1,bmi=nan..20", "bmi: nan is impossible: give 12 to 42 kg/m²"),
+        ("person#7-1,bmi=30..20", "bmi: the first number, 30, is above the second, 20"),
+        ("person#7-1,stature=1.5..3", "stature: 3 is impossible: give 0.6 to 2.3 metres"),
+        ("person#7-1,skin=0..10", "skin: 0 is impossible: give 1 to 10 of the Monk scale"),
+        ("person#7-1,skin=7..3", "skin: the first number, 7, is above the second, 3"),
+        ("person#7-1,age=20..30,age=40..50", "age is there twice"),
+        ("person#7-1,uniform=0", "is no drawn person"),
         ("person#7-1,age=2..3,stature=1.8..2", "2 to 3 years nobody is 1.8 to 2 m tall"),
     ],
 )

@@ -378,6 +378,29 @@ def test_lockstep_shows_what_simulation_shows(
     assert_same(listener.hashes(), expected, FRAMES)
 
 
+PEOPLE = """
+rate: 5
+variety: {count: 2, seed: 7, alive: true, people: {age: [5, 80]}, motions: [wave]}
+cameras: {left: {size: [96, 72], position: [3.1, 2.8, 2.2], look_at: [0, 0, 0.8]}}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_nodes_draw_the_people_of_simulation_with_their_faces(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The nodes make them anew, without the cache; and the faces move."""
+    scene = write_scene(tmp_path, PEOPLE)
+    expected = simulated(scene)
+    assert len(set(expected["/humans/person_1/face"].values())) > 1
+    monkeypatch.setenv("HUMANSIM_CACHE", "off")
+    options = ("--lockstep", "--frames", str(FRAMES), "--jobs", "2")
+    with processes(scene, "people", *options) as listener:
+        assert listener.client.spin_until(lambda: listener.frames() >= FRAMES)
+    assert_same(listener.hashes(), expected, FRAMES)
+
+
 @pytest.mark.slow
 @pytest.mark.nightly
 @pytest.mark.parametrize("run", range(3))

@@ -229,6 +229,10 @@ _CLOTHES = (
     *("shirt", "shirt_fabric", "shirt_second", "trousers", "trousers_fabric", "trousers_second"),
     *("belt", "shoes", "soles"),
 )
+#: Ranges in names of people besides the age, which :func:`_drawn` checks: name, limits, unit.
+_RANGES = (
+    *(("stature", STATURES, "metres"), ("bmi", BMIS, "kg/m²"), ("skin", (1.0, 10.0), "of the Monk scale")),
+)
 #: Start of the name of a drawn person, and the separator of ranges in it.
 _PERSON, _TO = "person#", ".."
 
@@ -249,7 +253,8 @@ def person_name(seed: int, number: int, people: PeopleLimits) -> str:
 
 
 def _text(value: float | tuple[float, float]) -> str:
-    return _TO.join(repr(part) for part in value) if isinstance(value, tuple) else repr(value)
+    parts = value if isinstance(value, tuple) else (value,)
+    return _TO.join(repr(part).removesuffix(".0") for part in parts)
 
 
 def read_person(name: str) -> Person:
@@ -270,17 +275,31 @@ def read_person(name: str) -> Person:
         for part in parts:
             key, _, text = part.partition("=")
             kind = int if key == "skin" else float
+            if key in values:
+                raise MeshError(f"{key} is there twice", key=key)
             if isinstance(known[key], tuple):
                 low, high = (kind(word) for word in text.split(_TO))
                 values[key] = (low, high)
+            elif part == "uniform":
+                values[key] = True
+            elif key == "women":
+                values[key] = float(text)
             else:
-                values[key] = True if key == "uniform" and not text else float(text)
+                raise ValueError(part)
     except (ValueError, KeyError):
         raise MeshError(
             f"{name[:60]!r} is no drawn person: give a seed and a number, and if you like "
             f"{', '.join(each.name for each in fields(PeopleLimits))}, as in person#7-3,age=20..60,women=0.5"
         ) from None
-    return draw_people(seed, number, PeopleLimits(**values))
+    people = PeopleLimits(**values)
+    _check("women", people.women, (0, 1), "as the share of women")
+    for key, limits, unit in _RANGES:
+        low, high = getattr(people, key)
+        _check(key, low, limits, unit)
+        _check(key, high, limits, unit)
+        if low > high:
+            raise MeshError(f"the first number, {low:g}, is above the second, {high:g}", key=key)
+    return draw_people(seed, number, people)
 
 
 def model_of(person: Person) -> Person:

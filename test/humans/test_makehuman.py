@@ -136,6 +136,28 @@ def test_the_clothes_of_each_have_trackable_corners_at_a_distance(name: str) -> 
         renderer.close()
 
 
+@pytest.mark.parametrize("name", PEOPLE)
+def test_hair_and_trousers_of_the_first_outfit_are_darker_than_pale_walls(name: str) -> None:
+    """From behind, in even light: detectors lose small people who are as pale as a wall."""
+    human = person(name)
+    renderer = renderer_or_skip(lighting=EVEN)
+    vertices = human.pose(transform(WORLD_FROM_BODY, np.zeros(3)) @ human.skeleton.rest)
+    middle = (vertices.min(0) + vertices.max(0)) / 2
+    camera = Camera.look_at((-6.0, 0.0, float(middle[2])), tuple(middle), (400, 400), np.radians(20.0))
+    try:
+        body = Body(human.mesh, vertices, human.triangle_parts, 1)
+        view = renderer.render([body], camera, ("rgb", "instance"))
+    finally:
+        renderer.close()
+    rows = np.flatnonzero(view.instance.any(axis=1))
+    bright = view.rgb.mean(axis=2)
+    hair, trousers = (
+        bright[band][view.instance[band] > 0].mean()
+        for band in (rows[: len(rows) // 20], rows[len(rows) * 6 // 10 : len(rows) * 9 // 10])
+    )
+    assert hair < 140 and trousers < 90
+
+
 def skin_behind_the_face(human: Human, name: str) -> float:
     """Share of skin on the back of the head in a view from the left, from mouth to brows."""
     skeleton = human.skeleton

@@ -75,8 +75,8 @@ ADULTS: dict[Sex, dict[tuple[int, int], tuple[float, float, float, float]]] = {
 
 
 FACTS = [
-    (67.66, "female", 1.597, 85.9, 4, (142, 141, 147)),
-    (61.44, "female", 1.594, 74.5, 10, (100, 99, 112)),
+    (67.66, "female", 1.597, 85.9, 4, (84, 87, 74)),
+    (61.44, "female", 1.594, 74.5, 10, (74, 89, 113)),
     (41.77, "male", 1.59, 83.7, 3, (222, 236, 64)),
 ]
 
@@ -128,6 +128,30 @@ def test_ages_sexes_and_skin_tones_are_spread_evenly() -> None:
         assert not grey or person.age > 50
     old = [min(person.outfit.hair) for person in people if person.age > 85]
     assert min(old) > 150
+
+
+def test_clothes_are_mostly_dark_and_seldom_vivid_except_of_children() -> None:
+    """Chroma here is the largest minus the smallest part of a colour; grey has 0, and pure red 255."""
+    people = [draw_person(3, number) for number in range(4000)]
+    vivid, grey = {}, {}
+    for name, ages in (("children", (2, 13)), ("others", (13, 91))):
+        shirts = np.array(
+            [each.outfit.shirt for each in people
+             if ages[0] <= each.age < ages[1] and each.clothes.top != "hi_vis"]
+        )  # fmt: skip
+        chroma = np.ptp(shirts, axis=1)
+        vivid[name], grey[name] = np.mean(chroma > 90), np.mean(chroma < 25)
+        # hardly two people wear the same colour
+        assert len({tuple(shirt) for shirt in shirts}) > 0.9 * len(shirts)
+    assert 0.005 < vivid["others"] < 0.04 and grey["others"] > 0.6
+    assert 0.12 < vivid["children"] < 0.25 and grey["children"] < grey["others"] - 0.1
+    grown = np.array([each.outfit.shirt for each in people if each.age >= 13])
+    assert 0.55 < np.mean(grown.max(axis=1) < 120) < 0.75
+    assert 0.08 < np.mean(grown.min(axis=1) > 200) < 0.18
+    coats = [each.outfit.shirt for each in people if each.clothes.top in ("suit", "coat", "jacket")]
+    assert np.ptp(coats, axis=1).max() < 105 and np.min(coats, axis=1).max() < 190
+    things = [color for each in people for color in each.outfit.worn.values() if each.age >= 13]
+    assert np.mean(np.ptp(things, axis=1) > 90) < 0.05
 
 
 def test_a_person_depends_on_the_seed_and_its_number_only() -> None:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import colorsys
 import random
+from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import accumulate
 from statistics import NormalDist
 from typing import Any, Literal
 
@@ -118,6 +120,22 @@ _FABRICS: tuple[Fabric, ...] = ("plain", "knit", "twill", "stripes", "checks", "
 _TROUSERS: tuple[tuple[int, int, int], ...] = (
     *((52, 66, 96), (38, 42, 54), (96, 88, 78), (128, 110, 84), (64, 72, 60), (44, 40, 40), (150, 142, 130)),
 )
+#: Colours of cloth as one sees them in a street, without a source: shares in percent of grown-ups and of
+#: children, and ranges of hue, saturation and value (HSV, 0 to 1; a hue above 1 is that beyond red).
+_CLOTH = (
+    (24, 10, (0.55, 0.75), (0.00, 0.25), (0.10, 0.24)),  # black, charcoal
+    (17, 12, (0.00, 1.00), (0.00, 0.08), (0.30, 0.72)),  # grey
+    (17, 15, (0.57, 0.65), (0.28, 0.52), (0.18, 0.45)),  # navy, denim
+    (8, 5, (0.05, 0.12), (0.18, 0.48), (0.32, 0.82)),  # brown, beige
+    (5, 5, (0.15, 0.38), (0.14, 0.36), (0.22, 0.46)),  # olive, dark green
+    (13, 12, (0.05, 0.20), (0.00, 0.07), (0.84, 0.94)),  # white
+    (7, 9, (0.55, 0.63), (0.15, 0.40), (0.60, 0.85)),  # light blue
+    (4, 5, (0.94, 1.01), (0.45, 0.70), (0.30, 0.52)),  # wine red
+    (2, 9, (0.00, 1.00), (0.12, 0.32), (0.76, 0.94)),  # pastel
+    (3, 18, (0.00, 1.00), (0.55, 0.85), (0.45, 0.88)),  # vivid
+)
+#: Suits, coats and jackets have the first kinds of colours; age from which people wear those of grown-ups.
+_COATS, _GROWN = 5, 13
 _SHOES = ((58, 46, 40), (30, 30, 32), (164, 162, 158), (112, 74, 48), (52, 62, 92))
 #: Shape targets of the face that are drawn: names without their end, and their two ends.
 _FACE = (
@@ -404,7 +422,7 @@ def _drawn(
         race=race,
         face=face,
         clothes=worn,
-        outfit=_worn_colors(outfit, worn, others),
+        outfit=_worn_colors(outfit, worn, age, others),
     )
 
 
@@ -473,12 +491,6 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
     def one(options: Sequence[tuple[int, int, int]], count: int | None = None) -> tuple[int, int, int]:
         return options[int((count or len(options)) * uniform())]
 
-    def color(saturation: float, low: float, high: float) -> tuple[int, int, int]:
-        red, green, blue = colorsys.hsv_to_rgb(
-            uniform(), saturation * uniform(), low + (high - low) * uniform()
-        )
-        return round(255 * red), round(255 * green), round(255 * blue)
-
     few = _DARK if tone >= 5 else None
     hair, iris = one(_HAIR, few), one(_IRIS, few)
     grey = min(max((age - 35) / 45 + 0.5 * (uniform() - 0.5), 0.0), 1.0)
@@ -488,9 +500,9 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
         skin=skin_color(tone),
         hair=(red, green, blue),
         iris=iris,
-        shirt=color(0.8, 0.2, 0.95),
+        shirt=_cloth_color(age, uniform),
         shirt_fabric=_FABRICS[int(len(_FABRICS) * uniform())],
-        shirt_second=color(0.6, 0.3, 1.0),
+        shirt_second=_cloth_color(age, uniform),
         trousers=one(_TROUSERS),
         trousers_fabric=("denim", "twill", "plain")[int(3 * uniform())],
         shoes=one(_SHOES),
@@ -500,16 +512,26 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
     )
 
 
-def _worn_colors(outfit: Outfit, clothes: Attire, uniform: Callable[[], float]) -> Outfit:
+def _cloth_color(age: float, uniform: Callable[[], float], count: int | None = None) -> ByteColor:
+    """Colour of a garment, by three numbers; of the first ``count`` kinds of :data:`_CLOTH` if given."""
+    kinds = _CLOTH[:count]
+    shares = [children if age < _GROWN else grown for grown, children, *_ in kinds]
+    # the first number is the kind, and its place within the share of the kind is the hue
+    ends = list(accumulate(shares))
+    place = ends[-1] * uniform()
+    kind = bisect(ends, place)
+    parts = (1 - (ends[kind] - place) / shares[kind], uniform(), uniform())
+    hue, saturation, value = (
+        low + (high - low) * part for (low, high), part in zip(kinds[kind][2:], parts, strict=True)
+    )
+    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue % 1.0, saturation, value))
+    return red, green, blue
+
+
+def _worn_colors(outfit: Outfit, clothes: Attire, age: float, uniform: Callable[[], float]) -> Outfit:
     """Colours of garments that have colours of their own, and of things worn."""
-
-    def color(most: float, low: float, high: float) -> ByteColor:
-        rgb = colorsys.hsv_to_rgb(uniform(), most * uniform(), low + (high - low) * uniform())
-        red, green, blue = (round(255 * part) for part in rgb)
-        return red, green, blue
-
-    cloth, bright = color(0.4, 0.08, 0.45), uniform() < 0.7
-    worn = {name: color(0.8, 0.15, 0.9) for name in WORN if WORN[name].place in ("head", "back", "side")}
+    cloth, bright = _cloth_color(age, uniform, _COATS), uniform() < 0.7
+    worn = {name: _cloth_color(age, uniform) for name in WORN if WORN[name].place in ("head", "back", "side")}
     changes: dict[str, Any] = {
         "worn": {name: worn[name] for name in clothes.wears if name in worn and name != "hard_hat"}
     }

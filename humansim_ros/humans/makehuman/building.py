@@ -361,13 +361,15 @@ def build(
     }
 
 
-def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> dict[str, NDArray[Any]]:
+def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> tuple[dict[str, NDArray[Any]], int]:
     """Build the arrays of a human file without looks and shapes: surface, bones and weights.
 
-    The bare soles are at height 0, so that a part of the surface does not depend on the shoes.
+    The bare soles are at height 0, so that a part of the surface does not depend on the shoes. Returns also
+    the number of vertices of body and eyes with the clothes that are cut from them; what is worn comes after.
     """
     choice = Choice(Dress.of(config).cut, TEXTURE_SIZE)
-    return _Figure.of(source, config, choice).arrays(np.zeros(3))
+    figure = _Figure.of(source, config, choice, barefoot=True)
+    return figure.arrays(np.zeros(3)), len(figure.mesh.vertices)
 
 
 @dataclass(frozen=True)
@@ -399,8 +401,14 @@ class _Figure:
     solid: Mapping[str, NDArray[Any]]
 
     @classmethod
-    def of(cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice) -> _Figure:
-        """Dress a person."""
+    def of(
+        cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice, barefoot: bool = False
+    ) -> _Figure:
+        """Dress a person.
+
+        ``barefoot``: weights for the height without clothes and hair, so that they do not change the weights
+        of other parts.
+        """
         common = topology(source, choice)
         config, scale = with_stature(source, config)
         base = _scaled(read_base(source, target_strengths(source, config)), scale)
@@ -411,7 +419,8 @@ class _Figure:
         dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
         offsets = unskin_offsets(scale * mesh.shapes, mesh.weights, body.motion)
         dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
-        weights = _worn_weights(common, mesh, dressed, body.bones)
+        height = float(np.ptp((body.naked if barefoot else dressed)[:, 1]))
+        weights = _worn_weights(common, mesh, dressed, body.bones, height)
         wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
         parts = worn_parts(config, wearer)
         solid = add_parts(
@@ -475,9 +484,11 @@ def _painted(
     }
 
 
-def _worn_weights(common: PersonTopology, mesh: BodySurface, dressed: Array, bones: Bones) -> Array:
+def _worn_weights(
+    common: PersonTopology, mesh: BodySurface, dressed: Array, bones: Bones, height: float
+) -> Array:
     """Weights (V, B) of cloth, shoes and skin; ``dressed``: vertices (V, 3) with clothes."""
-    reach = _PARTING * float(np.ptp(dressed[:, 1]))
+    reach = _PARTING * height
     weights = smooth_weights(mesh.weights, dressed, common.edges, reach)
     in_shoes = mesh.garment == SHOES
     weights[in_shoes] = bend_in_shoes(weights[in_shoes], dressed[in_shoes], bones)

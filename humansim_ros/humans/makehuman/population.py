@@ -10,12 +10,15 @@ import colorsys
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
+from itertools import product
 from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
 
 from humansim_ros.errors import MeshError
+from humansim_ros.humans.makehuman.clothes import Cut, Dress
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData
 from humansim_ros.humans.makehuman.shape import (
     MakeHumanConfig,
@@ -25,7 +28,15 @@ from humansim_ros.humans.makehuman.shape import (
     target_strengths,
     with_stature,
 )
-from humansim_ros.humans.makehuman.wardrobe import WORN, Attire, Fabric, draw_clothes
+from humansim_ros.humans.makehuman.wardrobe import (
+    CHOICES,
+    HAIR,
+    WORN,
+    Attire,
+    Fabric,
+    check_clothes,
+    draw_clothes,
+)
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.types import Array
 
@@ -287,6 +298,27 @@ def model_of(person: Person) -> Person:
     """Person of average age whose mesh has the same faces: what holds for all of them is computed for it."""
     model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
     return replace(model, clothes=person.clothes)
+
+
+def cut_model_of(person: Person) -> Person:
+    """The same for all people whose body is cut alike: in the first clothes that cut it so."""
+    clothes = person.clothes
+    hair = next(name for name, style in HAIR.items() if style.base == HAIR[clothes.hair].base)
+    cut = _cut(replace(clothes, hair=hair))
+    for top, sleeves, bottom, shoes in product(*(CHOICES[key] for key in _CUTTING)):
+        plain = Attire(hair, "none", sleeves, top, bottom, shoes)
+        if check_clothes(plain) is None and _cut(plain) == cut:
+            return model_of(replace(person, clothes=plain))
+    return model_of(replace(person, clothes=replace(clothes, hair=hair, beard="none", wears=())))
+
+
+#: Clothes that cut the body, in the order in which they are tried.
+_CUTTING = ("top", "sleeves", "bottom", "shoes")
+
+
+@cache
+def _cut(clothes: Attire) -> Cut:
+    return Dress.of(MakeHumanConfig(**asdict(clothes))).cut
 
 
 def draw_person(

@@ -302,14 +302,15 @@ def model_of(person: Person) -> Person:
 
 def cut_model_of(person: Person) -> Person:
     """The same for all people whose body is cut alike: in the first clothes that cut it so."""
-    clothes = person.clothes
-    hair = next(name for name, style in HAIR.items() if style.base == HAIR[clothes.hair].base)
-    cut = _cut(replace(clothes, hair=hair))
-    for top, sleeves, bottom, shoes in product(*(CHOICES[key] for key in _CUTTING)):
-        plain = Attire(hair, "none", sleeves, top, bottom, shoes)
-        if check_clothes(plain) is None and _cut(plain) == cut:
+    base = HAIR[person.clothes.hair].base
+    hair = next(name for name, style in HAIR.items() if style.base == base)
+    own = replace(person.clothes, hair=hair, beard="none", wears=())
+    for names in product(*(CHOICES[key] for key in _CUTTING)):
+        values: dict[str, Any] = dict(zip(_CUTTING, names, strict=True))
+        plain = replace(own, **values)
+        if check_clothes(plain) is None and _cut(plain) == _cut(own):
             return model_of(replace(person, clothes=plain))
-    return model_of(replace(person, clothes=replace(clothes, hair=hair, beard="none", wears=())))
+    return model_of(replace(person, clothes=own))
 
 
 #: Clothes that cut the body, in the order in which they are tried.

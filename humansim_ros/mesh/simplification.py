@@ -109,9 +109,9 @@ def simplify_within(
     """Simplify a mesh, or a patch of one, as far as its quadric error allows.
 
     Args:
-        poses: As of :func:`simplify`, and so on.
+        poses: Vertices in P poses, (P, V, 3) metres; the first is at rest.
         triangles: (N, 3).
-        coordinates: (N, 3).
+        coordinates: Texture coordinates of the triangles, (N, 3).
         limits: Largest quadric error of the collapses of each level, metres; increasing. ``errors`` of the
             result are these: :func:`bounded_errors` measures true ones.
     """
@@ -152,6 +152,12 @@ def bounded_errors(
     """Levels with errors measured at some of the vertices; true ones are hardly ever larger.
 
     The triangle that is nearest at rest stands for the nearest one of each pose.
+
+    Args:
+        levels: Levels of a mesh.
+        poses: Its vertices in P poses, (P, V, 3) metres; the first is at rest.
+        triangles: (N, 3).
+        coordinates: Texture coordinates of the triangles, (N, 3).
     """
     step = max(1, len(levels.parents) // _SAMPLES)
     chosen = np.random.default_rng(0).permutation(len(levels.parents))[::step]

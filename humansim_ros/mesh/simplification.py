@@ -7,12 +7,13 @@ bends keeps the vertices that it bends at. A vertex of a texture seam moves alon
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from humansim_ros.types import Array, Indices
 
@@ -22,6 +23,11 @@ _TRIED = 0.35
 _LEAST_COSINE = 0.3
 #: Share of the vertices whose deviation the error of a level does not exceed.
 _WITHIN = 0.95
+#: Share of the triangles that a round removes at least, if a limit of the error is to be reached.
+_LEAST_REMOVED = 0.003
+#: Vertices at which :func:`bounded_errors` measures, and the share of them whose deviation the error does not
+#: exceed: two standard deviations above ``_WITHIN``.
+_SAMPLES, _WITHIN_SAMPLES = 2000, 0.96
 _UPPER = np.triu_indices(4)
 _TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
 
@@ -97,6 +103,83 @@ def simplify(
     return Simplification(work.parents, work.coordinate_parents, removed_at, np.array(errors))
 
 
+def simplify_within(
+    poses: Array, triangles: NDArray[np.integer], coordinates: NDArray[np.integer], limits: Sequence[float]
+) -> Simplification:
+    """Simplify a mesh, or a patch of one, as far as its quadric error allows.
+
+    Args:
+        poses: Vertices in P poses, (P, V, 3) metres; the first is at rest.
+        triangles: (N, 3).
+        coordinates: Texture coordinates of the triangles, (N, 3).
+        limits: Largest quadric error of the collapses of each level, metres; increasing. ``errors`` of the
+            result are these: :func:`bounded_errors` measures true ones.
+    """
+    work = _Collapsing(poses, triangles, coordinates)
+    removed_at = np.full(poses.shape[1], 255, np.uint8)
+    for number, limit in enumerate(limits, 1):
+        removed = len(work.triangles)
+        while removed > _LEAST_REMOVED * len(work.triangles):
+            before = len(work.triangles)
+            if not work.collapse(0, limit**2):
+                break
+            removed = before - len(work.triangles)
+        removed_at[(work.parents != np.arange(len(removed_at))) & (removed_at == 255)] = number
+    return Simplification(work.parents, work.coordinate_parents, removed_at, np.array([0.0, *limits]))
+
+
+def patches(triangles: NDArray[np.integer], coordinates: NDArray[np.integer]) -> Indices:
+    """Patch (N,) of each triangle, such that each can be simplified without the others.
+
+    Patches meet at edges of which both vertices never move: those with more than two texture coordinates, as
+    at the hems of clothes.
+    """
+    count, number = int(triangles.max()) + 1, int(coordinates.max()) + 1
+    distinct = np.unique(triangles.ravel().astype(np.int64) * number + coordinates.ravel()) // number
+    fixed = np.bincount(distinct, minlength=count) > 2
+    start, end = triangles.ravel().astype(np.int64), triangles[:, [1, 2, 0]].ravel()
+    key = np.where(fixed[start] & fixed[end], -1, np.minimum(start, end) * count + np.maximum(start, end))
+    order = np.argsort(key, kind="stable")
+    same = (np.diff(key[order]) == 0) & (key[order][1:] >= 0)
+    one, two = order[:-1][same] // 3, order[1:][same] // 3
+    graph = coo_matrix((np.ones(len(one)), (one, two)), shape=(len(triangles),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+
+
+def bounded_errors(
+    levels: Simplification, poses: Array, triangles: NDArray[np.integer], coordinates: NDArray[np.integer]
+) -> Simplification:
+    """Levels with errors measured at some of the vertices; true ones are hardly ever larger.
+
+    The triangle that is nearest at rest stands for the nearest one of each pose.
+
+    Args:
+        levels: Levels of a mesh.
+        poses: Its vertices in P poses, (P, V, 3) metres; the first is at rest.
+        triangles: (N, 3).
+        coordinates: Texture coordinates of the triangles, (N, 3).
+    """
+    step = max(1, len(levels.parents) // _SAMPLES)
+    chosen = np.random.default_rng(0).permutation(len(levels.parents))[::step]
+    errors = [0.0]
+    for number in range(1, len(levels.errors)):
+        surface, vertices = levels.level(number, triangles, coordinates)[0], levels.vertices_of(number)
+        removed = chosen[vertices[chosen] != chosen]
+        around = _incidence(surface, len(vertices))
+        which, near = _rows(
+            (around[vertices[removed]] @ (around.T @ around)).tocsr(), np.arange(len(removed))
+        )
+        distances = _distances(poses[0, removed[which]], poses[0, surface[near]])
+        order = np.lexsort((distances, which))
+        first = order[np.diff(which[order], prepend=-1) != 0]
+        found = np.zeros(len(chosen))
+        for pose in poses:
+            far = _distances(pose[removed], pose[surface[near[first]]])
+            found[: len(removed)] = np.maximum(found[: len(removed)], far)
+        errors.append(float(np.quantile(found, _WITHIN_SAMPLES)))
+    return replace(levels, errors=np.maximum.accumulate(errors))
+
+
 class _Collapsing:
     """A mesh whose edges collapse, many that are apart in each round."""
 
@@ -123,8 +206,11 @@ class _Collapsing:
         around = _incidence(self.triangles, self.poses.shape[1])
         return np.stack([around @ each for each in quadrics]), (around @ (areas.T / 3)).T
 
-    def collapse(self, goal: int) -> bool:
-        """Collapse edges, to no fewer triangles than a goal. Returns whether any could be."""
+    def collapse(self, goal: int, largest: float = np.inf) -> bool:
+        """Collapse edges, to no fewer triangles than a goal. Returns whether any could be.
+
+        ``largest``: squared error of a collapse.
+        """
         count = self.poses.shape[1]
         gone, kept, sides, neighbours = self._edges()
         if not len(gone):
@@ -135,7 +221,7 @@ class _Collapsing:
             np.maximum(cost, squares / np.maximum(areas[gone] + areas[kept], 1e-12), out=cost)
         order = np.lexsort((cost, gone))
         best = order[np.diff(gone[order], prepend=-1) != 0]
-        best = best[cost[best] <= np.quantile(cost[best], _TRIED)]
+        best = best[cost[best] <= min(np.quantile(cost[best], _TRIED), largest)]
         bad = self._is_bad(gone[best], kept[best], neighbours)
         self._refused = np.append(self._refused, gone[best[bad]] * count + kept[best[bad]])
         best = best[~bad]

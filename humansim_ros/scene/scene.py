@@ -320,13 +320,13 @@ class Scene(Pictured):
         for number, (name, human) in enumerate(config.humans.items(), 1):
             track = tracks.get(("humans", name))
             try:
-                actors[name] = Actor.load(name, number, human, source, track, paths.get(name))
+                actor = Actor.load(name, number, human, source, track, paths.get(name))
             except HumansimError as error:
                 if name not in paths:
                     raise
                 raise type(error)(error.message, key="crowd.motions") from error.__cause__
-        if len(actors) >= _MANY:
-            actors = {name: _with_levels(actor, source) for name, actor in actors.items()}
+            # at once, while what its shape is made of is kept in memory
+            actors[name] = _with_levels(actor, source) if len(config.humans) >= _MANY else actor
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
         environment = Environment.load(config, source)

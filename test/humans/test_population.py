@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any
@@ -16,6 +16,7 @@ from humansim_ros import load_human
 from humansim_ros.camera import Camera
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.building import Choice, PersonTopology, build
+from humansim_ros.humans.makehuman.clothes import Dress
 from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data, read_base
 from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.humans.makehuman.population import (
@@ -26,6 +27,7 @@ from humansim_ros.humans.makehuman.population import (
     PeopleLimits,
     Sex,
     bmi_of,
+    cut_model_of,
     draw_people,
     draw_person,
     model_of,
@@ -291,6 +293,16 @@ def test_people_of_one_choice_have_one_topology(
             np.testing.assert_array_equal(other[name], built[0][name])
         assert np.abs(other["vertices"] - built[0]["vertices"]).max() > 0.01
         assert not np.array_equal(other["texture_own"], built[0]["texture_own"])
+
+
+def test_people_who_are_cut_alike_share_a_model() -> None:
+    people = [draw_person(5, number) for number in range(40)]
+    models = [cut_model_of(person) for person in people]
+    for person, model in zip(people, models, strict=True):
+        mine, its = (Dress.of(MakeHumanConfig(**asdict(each.clothes))).cut for each in (person, model))
+        assert mine == its and cut_model_of(model) == model
+        assert model.clothes.beard == "none" and not model.clothes.wears
+    assert len({model.clothes for model in models}) < 0.6 * len({person.clothes for person in people})
 
 
 @pytest.mark.nightly

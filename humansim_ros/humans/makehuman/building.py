@@ -8,8 +8,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -69,6 +70,7 @@ from humansim_ros.humans.makehuman.skeleton import (
 from humansim_ros.humans.makehuman.surface import NONE, SHOES, BodySurface, compact, refine, sample
 from humansim_ros.humans.makehuman.worn import (
     Wearer,
+    WornPart,
     add_parts,
     strip_height,
     strip_image,
@@ -239,10 +241,9 @@ class PersonTopology:
         cut: The mesh cut along the borders of clothes, and the matrix from ``refined`` to it.
         ear_cover: (V',) above 0 at the ears, of ``cut``.
         uv: (T, 2) layout of the texture.
-        texels: Raster of the texture.
-        canvas: Geometry of the texels on the reference body.
-        skin: (S, S) share of skin in each texel of the texture.
         edges: (E, 2) of ``cut``.
+        source: MakeHuman's files.
+        raster: See :class:`Choice`.
     """
 
     bare: BodySurface
@@ -255,10 +256,9 @@ class PersonTopology:
     cut: tuple[BodySurface, csr_matrix]
     ear_cover: Array
     uv: Array
-    texels: Texels
-    canvas: Canvas
-    skin: NDArray[np.uint8]
     edges: VertexIndices
+    source: MakeHumanData
+    raster: int
 
     @classmethod
     def of_choice(cls, source: MakeHumanData, choice: Choice) -> PersonTopology:
@@ -273,10 +273,6 @@ class PersonTopology:
         on_scalp = (reference.hair(bare.canonical) > 0.01) & (is_ear < 0.01) & (bare.part == 0)
         refined = refine(bare, on_scalp[bare.faces].all(axis=1))
         mesh, carry = cut_clothes(refined[0], reference)
-        uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
-        texels = rasterise(mesh, uv, choice.raster)
-        body = texels.mixing @ mesh.canonical
-        canvas = Canvas(body, body, texels.uv, reference, reference, source)
         return cls(
             bare=bare,
             rows=rows,
@@ -287,12 +283,27 @@ class PersonTopology:
             refined=refined,
             cut=(mesh, carry),
             ear_cover=_at_vertices(mesh, source.mask("ears")),
-            uv=uv,
-            texels=texels,
-            canvas=canvas,
-            skin=as_image(texels, 255 * skin_share(mesh, texels, canvas)),
+            uv=relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0),
             edges=edges_of(mesh.faces),
+            source=source,
+            raster=choice.raster,
         )
+
+    @cached_property
+    def texels(self) -> Texels:
+        """Raster of the texture; takes a second."""
+        return rasterise(self.cut[0], self.uv, self.raster)
+
+    @cached_property
+    def canvas(self) -> Canvas:
+        """Geometry of the texels on the reference body."""
+        body = self.texels.mixing @ self.cut[0].canonical
+        return Canvas(body, body, self.texels.uv, self.reference, self.reference, self.source)
+
+    @cached_property
+    def skin(self) -> NDArray[np.uint8]:
+        """(S, S) share of skin in each texel of the texture."""
+        return as_image(self.texels, 255 * skin_share(self.cut[0], self.texels, self.canvas))
 
     def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:
         """The mesh on a body, with the body smoothed under clothes, before it is dressed."""
@@ -332,66 +343,122 @@ def build(
         outfits: Colours and fabrics by the name of the outfit.
         fine: Paint a raster of twice the size of the texture.
     """
-    worn = Dress.of(config)
-    choice = Choice(worn.cut, TEXTURE_SIZE * (2 if fine else 1))
-    common = topology(source, choice)
-    config, scale = with_stature(source, config)
-    base = _scaled(read_base(source, target_strengths(source, config)), scale)
-    body = _naked(base, common.rows, common.bare, common.fingers)
-    own = replace(body.regions(common.is_ear, common.bare.part, choice), dress=worn)
-    mesh = common.worn_by(body, own)
-    balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
-    dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
-    offsets = unskin_offsets(scale * mesh.shapes, mesh.weights, body.motion)
-    dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
-    looks = _painted(common, mesh, dressed, own, outfits)
-
-    weights = _worn_weights(common, mesh, dressed, body.bones)
-    wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
-    parts = worn_parts(config, wearer)
-    solid = add_parts(
-        {
-            "vertices": under_skirts(config, wearer),
-            "faces": mesh.faces,
-            "uv": common.uv,
-            "uv_faces": mesh.uv_faces,
-            "weights": weights,
-        },
-        parts,
-        TEXTURE_SIZE,
-    )
+    figure = _Figure.of(source, config, Choice(Dress.of(config).cut, TEXTURE_SIZE * (2 if fine else 1)))
+    common, parts = figure.common, figure.parts
     looks = {
-        name: np.concatenate([look, strip_image(parts, config, outfits[name])])
-        for name, look in looks.items()
+        name: np.concatenate([look, strip_image(parts, figure.config, outfits[name])])
+        for name, look in _painted(common, figure.mesh, figure.dressed, figure.own, outfits).items()
     }
-    skin = np.pad(common.skin, ((0, strip_height(parts)), (0, 0)))
-    sole = np.array([0, solid["vertices"][:, 1].min(), 0])
-    weights, faces = solid["weights"], solid["faces"]
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
-    values = np.take_along_axis(weights, order, axis=1)
-    triangle = faces[:, 3] == faces[:, 2]
-    arrays: dict[str, NDArray[Any]] = {
-        "vertices": (solid["vertices"] - sole).astype(np.float32),
-        "faces": faces.astype(np.int32),
-        "uv": solid["uv"].astype(np.float32),
-        "uv_faces": solid["uv_faces"].astype(np.int32),
-        "bone_names": np.array(body.bones.names),
-        "bone_parents": body.bones.parents.astype(np.int32),
-        "bone_heads": body.bones.heads - sole,
-        "bone_tails": body.bones.tails - sole,
-        "bone_rolls": body.bones.rolls,
-        "weight_bones": np.where(values > 0, order, 0).astype(np.int16),
-        "weight_values": values.astype(np.float32),
+    sole = np.array([0, figure.solid["vertices"][:, 1].min(), 0])
+    return {
+        **figure.arrays(sole),
         "outfits": np.array(list(looks)),
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
-        **shape_arrays(Shapes.of_offsets(ACTIONS, offsets), scale),
-        "skin": skin,
+        **shape_arrays(Shapes.of_offsets(ACTIONS, figure.offsets), figure.scale),
+        "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
         "license": np.array("CC0-1.0"),
         "source": np.array(SOURCE),
     }
-    arrays["faces"][triangle, 3] = -1
-    arrays["uv_faces"][triangle, 3] = -1
-    return arrays
+
+
+def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> tuple[dict[str, NDArray[Any]], int]:
+    """Build the arrays of a human file without looks and shapes: surface, bones and weights.
+
+    The bare soles are at height 0, so that a part of the surface does not depend on the shoes. Returns also
+    the number of vertices of body and eyes with the clothes that are cut from them; what is worn comes after.
+    """
+    choice = Choice(Dress.of(config).cut, TEXTURE_SIZE)
+    figure = _Figure.of(source, config, choice, barefoot=True)
+    return figure.arrays(np.zeros(3)), len(figure.mesh.vertices)
+
+
+@dataclass(frozen=True)
+class _Figure:
+    """A dressed person before it is painted.
+
+    Attributes:
+        common: Topology of the person.
+        config: Its sliders, with its stature.
+        scale: Size relative to the sliders.
+        mesh: Surface of body and clothes.
+        dressed: Its vertices (V, 3) in the T pose.
+        own: Its regions.
+        bones: Its bones.
+        offsets: Offsets of the face by the actions, in the T pose.
+        parts: Parts beside the skin.
+        solid: Arrays of surface and parts, see :func:`add_parts`.
+    """
+
+    common: PersonTopology
+    config: MakeHumanConfig
+    scale: float
+    mesh: BodySurface
+    dressed: Array
+    own: BodyRegions
+    bones: Bones
+    offsets: Array
+    parts: Sequence[WornPart]
+    solid: Mapping[str, NDArray[Any]]
+
+    @classmethod
+    def of(
+        cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice, barefoot: bool = False
+    ) -> _Figure:
+        """Dress a person.
+
+        ``barefoot``: weights for the height without clothes and hair, so that they do not change the weights
+        of other parts.
+        """
+        common = topology(source, choice)
+        config, scale = with_stature(source, config)
+        base = _scaled(read_base(source, target_strengths(source, config)), scale)
+        body = _naked(base, common.rows, common.bare, common.fingers)
+        own = replace(body.regions(common.is_ear, common.bare.part, choice), dress=Dress.of(config))
+        mesh = common.worn_by(body, own)
+        balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
+        dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
+        offsets = unskin_offsets(scale * mesh.shapes, mesh.weights, body.motion)
+        dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
+        height = float(np.ptp((body.naked if barefoot else dressed)[:, 1]))
+        weights = _worn_weights(common, mesh, dressed, body.bones, height)
+        wearer = Wearer(mesh, dressed, weights, common.ear_cover, common.reference, own)
+        parts = worn_parts(config, wearer)
+        solid = add_parts(
+            {
+                "vertices": under_skirts(config, wearer),
+                "faces": mesh.faces,
+                "uv": common.uv,
+                "uv_faces": mesh.uv_faces,
+                "weights": weights,
+            },
+            parts,
+            TEXTURE_SIZE,
+        )
+        return cls(common, config, scale, mesh, dressed, own, body.bones, offsets, parts, solid)
+
+    def arrays(self, sole: Array) -> dict[str, NDArray[Any]]:
+        """Arrays of surface, bones and weights. ``sole``: point (3,) that becomes the origin."""
+        solid, bones = self.solid, self.bones
+        weights, faces, uv_faces = solid["weights"], solid["faces"], solid["uv_faces"].astype(np.int32)
+        order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
+        values = np.take_along_axis(weights, order, axis=1)
+        triangle = faces[:, 3] == faces[:, 2]
+        faces = faces.astype(np.int32)
+        faces[triangle, 3] = -1
+        uv_faces[triangle, 3] = -1
+        return {
+            "vertices": (solid["vertices"] - sole).astype(np.float32),
+            "faces": faces,
+            "uv": solid["uv"].astype(np.float32),
+            "uv_faces": uv_faces,
+            "bone_names": np.array(bones.names),
+            "bone_parents": bones.parents.astype(np.int32),
+            "bone_heads": bones.heads - sole,
+            "bone_tails": bones.tails - sole,
+            "bone_rolls": bones.rolls,
+            "weight_bones": np.where(values > 0, order, 0).astype(np.int16),
+            "weight_values": values.astype(np.float32),
+        }
 
 
 def _painted(
@@ -417,9 +484,11 @@ def _painted(
     }
 
 
-def _worn_weights(common: PersonTopology, mesh: BodySurface, dressed: Array, bones: Bones) -> Array:
+def _worn_weights(
+    common: PersonTopology, mesh: BodySurface, dressed: Array, bones: Bones, height: float
+) -> Array:
     """Weights (V, B) of cloth, shoes and skin; ``dressed``: vertices (V, 3) with clothes."""
-    reach = _PARTING * float(np.ptp(dressed[:, 1]))
+    reach = _PARTING * height
     weights = smooth_weights(mesh.weights, dressed, common.edges, reach)
     in_shoes = mesh.garment == SHOES
     weights[in_shoes] = bend_in_shoes(weights[in_shoes], dressed[in_shoes], bones)

@@ -11,13 +11,15 @@ import random
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from itertools import accumulate
+from functools import cache
+from itertools import accumulate, product
 from statistics import NormalDist
 from typing import Any, Literal
 
 import numpy as np
 
 from humansim_ros.errors import MeshError
+from humansim_ros.humans.makehuman.clothes import Cut, Dress
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData
 from humansim_ros.humans.makehuman.shape import (
     MakeHumanConfig,
@@ -27,7 +29,15 @@ from humansim_ros.humans.makehuman.shape import (
     target_strengths,
     with_stature,
 )
-from humansim_ros.humans.makehuman.wardrobe import WORN, Attire, Fabric, draw_clothes
+from humansim_ros.humans.makehuman.wardrobe import (
+    CHOICES,
+    HAIR,
+    WORN,
+    Attire,
+    Fabric,
+    check_clothes,
+    draw_clothes,
+)
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.types import Array
 
@@ -324,6 +334,28 @@ def model_of(person: Person) -> Person:
     """Person of average age whose mesh has the same faces: what holds for all of them is computed for it."""
     model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
     return replace(model, clothes=person.clothes)
+
+
+def cut_model_of(person: Person) -> Person:
+    """The same for all people whose body is cut alike: in the first clothes that cut it so."""
+    base = HAIR[person.clothes.hair].base
+    hair = next(name for name, style in HAIR.items() if style.base == base)
+    own = replace(person.clothes, hair=hair, beard="none", wears=())
+    for names in product(*(CHOICES[key] for key in _CUTTING)):
+        values: dict[str, Any] = dict(zip(_CUTTING, names, strict=True))
+        plain = replace(own, **values)
+        if check_clothes(plain) is None and _cut(plain) == _cut(own):
+            return model_of(replace(person, clothes=plain))
+    return model_of(replace(person, clothes=own))
+
+
+#: Clothes that cut the body, in the order in which they are tried.
+_CUTTING = ("top", "sleeves", "bottom", "shoes")
+
+
+@cache
+def _cut(clothes: Attire) -> Cut:
+    return Dress.of(MakeHumanConfig(**asdict(clothes))).cut
 
 
 def draw_person(

@@ -93,9 +93,17 @@ def test_a_drag_moves_a_person_and_the_saved_scene_gives_the_picture_of_the_page
         until(lambda: editor._gizmo is not None)
         start = np.array(editor._gizmo.position)
         along = np.array([1.0, 0.0, 0.0])
+        ends: list[Array] = []
+
+        def rests() -> bool:  # the server hears of a turned view late
+            before = ends[:]
+            ends[:] = [on_screen(app, page, start + reach * along) for reach in (0.45, 0.95)]
+            page.wait_for_timeout(500)
+            return np.array_equal(before, ends)
+
         for _ in range(_ATTEMPTS):  # on a busy machine the gizmo is drawn late, and a drag turns the view
-            grip, goal = (on_screen(app, page, start + reach * along) for reach in (0.45, 0.95))
-            drag(page, grip, goal)
+            until(rests)
+            drag(page, *ends)
             if wait_until(lambda: editor.document.changed, 10):
                 break
         assert editor.document.changed

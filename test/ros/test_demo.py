@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -41,7 +42,7 @@ cameras:
 def test_a_short_recording_lasts_until_a_frame_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a slow machine the first frame with all cameras may arrive after the asked duration."""
     whole: list[int] = []
-    spins = iter(range(10_000))
+    spins = count()
 
     def spin(_: float) -> None:
         if next(spins) == 50:

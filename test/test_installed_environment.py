@@ -57,7 +57,7 @@ for topic, qos in (("/tf", 100), ("/tf_static", latched)):
             place = each.transform.translation
             seen[topic][each.child_frame_id] = [each.header.frame_id, place.x, place.y, place.z]
     node.create_subscription(TFMessage, topic, take, qos)
-command = [sys.executable, "-m", "humansim_ros", "run", "scene.yaml", "--lockstep", "--frames", "20"]
+command = [sys.executable, "-m", "humansim_ros", "run", "scene.yaml", "--lockstep", "--frames", "300"]
 with subprocess.Popen(command) as run:
     while run.poll() is None:
         rclpy.spin_once(node, timeout_sec=0.1)

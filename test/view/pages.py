@@ -194,6 +194,12 @@ def tracks_of(page: Any) -> Any:
     return page.evaluate("fetch('/humansim/tracks.json').then((answer) => answer.json())")
 
 
+def wait_for_tracks(page: Any) -> None:
+    """Wait until the timeline has its rows: they take room from the scene and the images."""
+    until(lambda: 0 < (table := tracks_of(page)).get("planned", 0) == len(table["sampled"]))
+    page.get_by_role("list", name="Tracks").get_by_role("listitem").first.wait_for()
+
+
 # --- controls of the panels
 
 

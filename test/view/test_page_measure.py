@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from pages import needs_browser, paused_page, place_of, scrub, until
+from pages import needs_browser, paused_page, place_of, scrub, until, wait_for_tracks
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
@@ -43,6 +43,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any,
     with Simulation(Scene.load(path), channels=("depth", "instance")) as simulation:
         frame = simulation.frame(SHOWN)
     with paused_page(path) as (page, app):
+        wait_for_tracks(page)
         scrub(page, SHOWN)
         through = app._through
         through._choice.value, through._kind.value = "eye", "3D from its position"

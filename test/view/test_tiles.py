@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("viser")
 
-from pages import needs_browser, pause, paused_page, scrub, tiles_of, tracks_of, until
+from pages import needs_browser, pause, paused_page, scrub, tiles_of, until, wait_for_tracks
 from waiting import wait_until
 
 from humansim_ros import Scene, Simulation
@@ -59,9 +59,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Any]
     path.write_text(SCENE)
     with paused_page(path) as (page, app):
         page.wait_for_function("document.querySelectorAll('[data-humansim=tiles] figure').length === 3")
-        # the timeline takes room from the images when it has its rows
-        until(lambda: 0 < (table := tracks_of(page)).get("planned", 0) == len(table["sampled"]))
-        page.get_by_role("list", name="Tracks").get_by_role("listitem").first.wait_for()
+        wait_for_tracks(page)
         yield page, app
 
 

@@ -22,6 +22,7 @@ from humansim_ros.humans.makehuman.population import draw_person, model_of, pers
 from humansim_ros.mesh.mesh import split_seams
 from humansim_ros.mesh.simplification import bounded_errors, compact, patches, simplify, simplify_within
 from humansim_ros.render.detail import LARGEST_ERROR, coarsest, pixels_per_metre
+from humansim_ros.types import Array, Indices
 
 CAMERA = {"eye": {"size": [160, 120], "position": [7, 4, 2.5], "look_at": [-4, -2, 0.8], "fov_deg": 60}}
 CHANNELS = ("depth", "instance", "part", "face", "normal")
@@ -133,12 +134,17 @@ def test_pixels_per_metre_are_those_of_the_nearest_corner() -> None:
     assert coarsest([None], far, camera) == (0,)
 
 
-def test_flat_surface_collapses_and_its_border_stays() -> None:
-    x, y = (each.ravel() for each in np.meshgrid(np.arange(12.0), np.arange(12.0)))
-    number = np.arange(144).reshape(12, 12)
+def square_grid(count: int) -> tuple[Array, Array, Indices]:
+    """Coordinates x and y (V,) of the vertices of a square grid, and its triangles (N, 3)."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(float(count)), np.arange(float(count))))
+    number = np.arange(count**2).reshape(count, count)
     parts = (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
     a, b, c, d = (each.ravel() for each in parts)
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return x, y, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def test_flat_surface_collapses_and_its_border_stays() -> None:
+    x, y, triangles = square_grid(12)
     vertices = np.stack([x, y, 0 * x], axis=1)
     found = simplify(vertices[None], triangles, triangles, (0.5, 0.3, 0.01))
     assert len(found.errors) == 3 and found.errors.max() < 1e-9  # the last cannot be reached
@@ -149,11 +155,7 @@ def test_flat_surface_collapses_and_its_border_stays() -> None:
 
 def test_patch_collapses_within_its_limit() -> None:
     """Waves of 1 mm are flat for a limit of 2 mm, and waves of 10 mm are not; the border stays."""
-    x, y = (each.ravel() for each in np.meshgrid(np.arange(24.0), np.arange(24.0)))
-    number = np.arange(576).reshape(24, 24)
-    parts = (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
-    a, b, c, d = (each.ravel() for each in parts)
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    x, y, triangles = square_grid(24)
     left = []
     for height in (0.001, 0.01):
         vertices = np.stack([x / 20, y / 20, height * np.sin(2 * x) * np.cos(2 * y)], axis=1)

@@ -28,7 +28,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.core import bare_draw_of  # noqa: E402
 from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.render import CHANNELS, Body, GLRenderer  # noqa: E402
+from humansim_ros.render import CHANNELS, Body, GLRenderer, RenderRequest  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 
 #: Cameras, width and height, people.
@@ -67,8 +67,10 @@ def works(
 
     def ours(number: int, *channels: str) -> None:
         bodies = [replace(body) for body in frames[number]]  # a new frame for the renderer, which caches them
-        for camera in cameras:
-            renderer.render(bodies, camera, channels)
+        requests = [RenderRequest(bodies, camera, channels) for camera in cameras]
+        renderer.prepare(requests)
+        for request in requests:
+            renderer.render_request(request)
 
     return {
         "rgb, depth, instance, part": lambda number: ours(number, *CHANNELS),

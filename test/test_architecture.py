@@ -65,7 +65,7 @@ PUBLIC = {
     "photographs": """PersonFit Photo PhotoSet Proportions TexturedPerson fit_motion fit_person read_fit
         read_views texture_person with_proportions write_fit""",
     "render": """ALL_CHANNELS AdjacentFrame Backdrop Body CHANNELS GLRenderer ImageBackdrop Lighting
-        Panorama PyrenderRenderer Renderer RendererName View make_renderer""",
+        Panorama PyrenderRenderer RenderRequest Renderer RendererName View make_renderer""",
     "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera
         SceneConfig SceneObject Simulation check_scene""",
     "sensor": "ChromaticAberration DepthSensor DepthSensorConfig Noise Sensor SensorConfig Vignetting",

@@ -12,3 +12,4 @@ from humansim_ros.render.renderer import AdjacentFrame as AdjacentFrame
 from humansim_ros.render.renderer import Backdrop as Backdrop
 from humansim_ros.render.renderer import Body as Body
 from humansim_ros.render.renderer import Renderer as Renderer
+from humansim_ros.render.renderer import RenderRequest as RenderRequest

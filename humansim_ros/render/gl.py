@@ -15,7 +15,7 @@ the number of draws follows from the number of surfaces behind a pixel.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -123,26 +123,54 @@ class GLRenderer(Renderer):
     def check_usable(self) -> None:
         self._context.check()
 
+    def prepare(self, requests: Sequence[RenderRequest]) -> None:
+        """Draw several requests before the first image is read, where the device is not the processor.
+
+        Each has a target of its own: in one large image, places on the device would round positions
+        differently. Images are read while others are drawn, and wait for :meth:`render` in the cache.
+        """
+        with self._context.current():
+            count = self._targets.together([request.camera.size for request in requests])
+            if count < 2:
+                return
+            self._bodies.release_unused()
+            waiting: list[Callable[[], RenderedFrame]] = []
+            for request in requests[:count]:
+                request.check(self)
+                bodies = self._moving(request.bodies)
+                for channels, levels in self._drawings(bodies, request):
+                    passes, target = Passes.of(channels), len(waiting) + 1
+                    waiting.append(self._start_frame(bodies, request.camera, passes, request, levels, target))
+            for wait in waiting:
+                wait()
+
     def render_request(self, request: RenderRequest) -> View:
         bodies = self._moving(request.bodies)
         with self._context.current():
             self._bodies.release_unused()
-            coloured = {name for name in request.channels if "lit" in CHANNEL_TABLE[name].passes}
-            levels = self._levels(bodies, request.camera) if coloured else ()
-            if not any(levels):
-                return self._view(bodies, request)
-            frame = self._frame(bodies, request.camera, Passes.of(coloured), request, levels)
-            colours = frame.view(bodies, coloured, {})
-            exact = set(request.channels) - coloured
-            if not exact:
-                return colours
-            view = self._view(bodies, replace(request, channels=exact))
-            return view.with_channels(**{name: getattr(colours, name) for name in coloured})
+            view, *others = (
+                self._view(bodies, replace(request, channels=channels), levels)
+                for channels, levels in self._drawings(bodies, request)
+            )
+            for other in others:
+                view = view.with_channels(**{name: getattr(other, name) for name in other.channels})
+            return view
 
-    def _view(self, bodies: Sequence[Body], request: RenderRequest) -> View:
-        """Channels of whole meshes."""
+    def _drawings(
+        self, bodies: Sequence[Body], request: RenderRequest
+    ) -> list[tuple[Collection[str], tuple[int, ...]]]:
+        """Channels that are drawn together, and the level of each body; none if all are whole."""
+        coloured = {name for name in request.channels if "lit" in CHANNEL_TABLE[name].passes}
+        levels = self._levels(bodies, request.camera) if coloured else ()
+        if not any(levels):
+            return [(request.channels, ())]
+        exact = set(request.channels) - coloured
+        return [*([(exact, ())] if exact else []), (coloured, levels)]
+
+    def _view(self, bodies: Sequence[Body], request: RenderRequest, levels: tuple[int, ...]) -> View:
+        """Channels of bodies at some levels."""
         passes = Passes.of(request.channels)
-        frame = self._frame(bodies, request.camera, passes, request)
+        frame = self._frame(bodies, request.camera, passes, request, levels)
         adjacent: AdjacentFrames = {}
         for name in ADJACENT_NAMES:
             channels, other = comparing_with(name, request.channels), request.adjacent(name)
@@ -200,16 +228,34 @@ class GLRenderer(Renderer):
         levels: tuple[int, ...] = (),
     ) -> RenderedFrame:
         """Cached rendering of a frame; renders on a miss. ``levels``: of each body; none if all are whole."""
+        return self._start_frame(bodies, camera, passes, request, levels)()
+
+    def _start_frame(
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        passes: Passes,
+        request: RenderRequest,
+        levels: tuple[int, ...],
+        number: int = 0,
+    ) -> Callable[[], RenderedFrame]:
+        """Draw a frame into a target with a number unless it is cached; the result waits for its images."""
         moving, backdrop = request.moving_camera, request.backdrop
         view = camera_key(camera), moving, id(backdrop), levels
-        frame = self._frames.get(bodies, view)
-        if frame is None or not frame.passes.covers(passes):
-            layer = self._static.layer(camera, moving, backdrop, passes.lit)
-            frame = self._render(bodies, camera, passes, layer, levels)
+        cached = self._frames.get(bodies, view)
+        if cached is not None and cached.passes.covers(passes):
+            return lambda: cached
+        layer = self._static.layer(camera, moving, backdrop, passes.lit)
+        target = self._targets.of(camera.size, number)
+        finish = self._render(bodies, camera, passes, layer, levels, target)
+
+        def wait() -> RenderedFrame:
+            frame = finish()
             if self._static_bodies:
                 frame.static_labels = self._static_labels(camera, passes, moving, layer)
-            self._frames.put(bodies, view, frame)
-        return frame
+            return self._frames.put(bodies, view, frame)
+
+        return wait
 
     def _render(
         self,
@@ -217,8 +263,10 @@ class GLRenderer(Renderer):
         camera: Camera,
         passes: Passes,
         layer: StaticLayer,
-        levels: tuple[int, ...] = (),
-    ) -> RenderedFrame:
+        levels: tuple[int, ...],
+        target: RenderTarget,
+    ) -> Callable[[], RenderedFrame]:
+        """Draw a frame; the result waits for its images."""
         posed = [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
@@ -234,7 +282,6 @@ class GLRenderer(Renderer):
         clouds = [points for points, draw in zip(projected, drawn, strict=True) if draw]
         touched = image_bounds(clouds, camera)
         rectangle = image_bounds([*clouds, *(ProjectedPoints(points, camera) for points in shaded)], camera)
-        target = self._targets.of(camera.size)
         target.start(rectangle, layer.depth_buffer, layer.rgba, touched, layer.kept)
         ids, outline = TriangleIds(), None
         if not rectangle.empty:
@@ -251,19 +298,22 @@ class GLRenderer(Renderer):
                     for number, front in sorted(facing.items())
                 ]
                 outline = edge_crossings([part for body in edges for part in body], camera.size)
-        triangle_ids, depth, *colours = target.read_together(
-            ("triangle_id", "depth", "rgba")[: 2 + passes.lit], passes.lit
-        )
-        rgba = colours[0] if passes.lit else None
+        wait = target.read_together(("triangle_id", "depth", "rgba")[: 2 + passes.lit], passes.lit)
         alone = None
         if passes.alone:
             labelled = [pair for pair in zip(posed, projected, strict=True) if pair[0].body.instance]
             alone = {body.body.instance: self._alone(body, points) for body, points in labelled}
-        instances = tuple(body.instance for body in bodies)
-        return RenderedFrame(
-            *(passes, instances, camera, layer, touched, rectangle),
-            *(ids, triangle_ids, depth, rgba, outline, alone),
-        )
+
+        def finish() -> RenderedFrame:
+            triangle_ids, depth, *colours = wait()
+            rgba = colours[0] if passes.lit else None
+            instances = tuple(body.instance for body in bodies)
+            return RenderedFrame(
+                *(passes, instances, camera, layer, touched, rectangle),
+                *(ids, triangle_ids, depth, rgba, outline, alone),
+            )
+
+        return finish
 
     def _static_labels(
         self, camera: Camera, passes: Passes, moving_camera: bool, layer: StaticLayer
@@ -273,7 +323,7 @@ class GLRenderer(Renderer):
         if layer.labels is None or not layer.labels.passes.covers(passes):
             target = self._targets.of(camera.size)
             self._static.draw_unlabelled(target, camera, moving_camera)
-            frame = self._render(self._static_bodies, camera, passes, StaticLayer(target, None))
+            frame = self._render(self._static_bodies, camera, passes, StaticLayer(target, None), (), target)()
             layer.labels = StaticLabels(replace(frame, layer=layer), self._static_bodies)
         return layer.labels
 

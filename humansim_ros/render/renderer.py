@@ -156,6 +156,14 @@ class Renderer(ABC):
         request.check(self)
         return self.render_request(request)
 
+    def prepare(self, requests: Sequence[RenderRequest]) -> None:
+        """Say which views :meth:`render` will be asked for next: a renderer may draw them together.
+
+        Raises:
+            RenderError: A request is not valid, or OpenGL failed.
+        """
+        return
+
     @abstractmethod
     def render_request(self, request: RenderRequest) -> View:
         """Render a checked request."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, cast
 
 import moderngl
@@ -205,35 +206,39 @@ class RenderTarget:
         pixels = self._framebuffers[lit].read(
             self._read_of(name).xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
         )
-        return self._image(name, pixels)
+        return _image(name, pixels, self._read_of(name))
 
-    def read_together(self, names: Sequence[str], lit: bool) -> list[NDArray[Any]]:
-        """Read several attachments: see :meth:`read`."""
+    def read_together(self, names: Sequence[str], lit: bool) -> Callable[[], list[NDArray[Any]]]:
+        """Start to read several attachments, see :meth:`read`.
+
+        Returns:
+            Waits for them. The target may be drawn into before, but not read.
+        """
         if self._to_read is None:
-            return [self.read(name, lit) for name in names]
-        sizes = [4 * self._read_of(name).shape[0] * self._read_of(name).shape[1] for name in names]
+            images = [self.read(name, lit) for name in names]
+            return lambda: images
+        areas = [self._read_of(name) for name in names]
+        sizes = [4 * area.shape[0] * area.shape[1] for area in areas]
         starts = [sum(sizes[:number]) for number in range(len(names))]
-        for name, start in zip(names, starts, strict=True):
+        for name, area, start in zip(names, areas, starts, strict=True):
             attachment, components, dtype = _ATTACHMENTS[name]
             self._framebuffers[lit].read_into(
-                *(self._to_read, self._read_of(name).xywh, components, attachment, 1, dtype),
-                write_offset=start,
+                *(self._to_read, area.xywh, components, attachment, 1, dtype), write_offset=start
             )
-        pixels = memoryview(self._to_read.read(sum(sizes)) if any(sizes) else b"")
-        return [
-            self._image(name, pixels[start : start + size])
-            for name, start, size in zip(names, starts, sizes, strict=True)
-        ]
+        buffer = self._to_read
+
+        def wait() -> list[NDArray[Any]]:
+            pixels = memoryview(buffer.read(sum(sizes)) if any(sizes) else b"")
+            return [
+                _image(name, pixels[start : start + size], area)
+                for name, area, start, size in zip(names, areas, starts, sizes, strict=True)
+            ]
+
+        return wait
 
     def _read_of(self, name: str) -> Rectangle:
         """Pixels of an attachment that are read."""
         return self._coloured if name == "rgba" else self._identified
-
-    def _image(self, name: str, pixels: bytes | memoryview) -> NDArray[Any]:
-        """Image of the pixels of an attachment that were read."""
-        _, components, dtype = _ATTACHMENTS[name]
-        image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
-        return image.reshape(*self._read_of(name).shape, *(() if components == 1 else (components,)))
 
     def release(self) -> None:
         """Free the memory on the device."""
@@ -244,6 +249,13 @@ class RenderTarget:
         self._depth_buffer.release()
         if self._to_read is not None:
             self._to_read.release()
+
+
+def _image(name: str, pixels: bytes | memoryview, area: Rectangle) -> NDArray[Any]:
+    """Image of the pixels of an attachment that were read."""
+    _, components, dtype = _ATTACHMENTS[name]
+    image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
+    return image.reshape(*area.shape, *(() if components == 1 else (components,)))
 
 
 class SumOfImages:
@@ -294,19 +306,34 @@ class SumOfImages:
             one.release()
 
 
-#: Image sizes whose render targets are cached.
-_MAX_SIZES = 32
+#: Targets that are cached; the largest number of images that are drawn together, and of their pixels.
+_MAX_TARGETS, _TOGETHER, _TOGETHER_PIXELS = 64, 16, 1 << 25
 
 
-class RenderTargets(LruCache[ImageSize, RenderTarget]):
-    """Targets to draw into, one for each of the most recently used image sizes."""
+class RenderTargets(LruCache[tuple[ImageSize, int], RenderTarget]):
+    """Targets to draw into, of the most recently used image sizes."""
 
     def __init__(self, context: OpenGLContext) -> None:
-        super().__init__(_MAX_SIZES, release=lambda target: target.release())
+        super().__init__(_MAX_TARGETS, release=lambda target: target.release())
         self._context = context
 
-    def of(self, size: ImageSize) -> RenderTarget:
-        """Return the target of an image size, with what was drawn last."""
+    def of(self, size: ImageSize, number: int = 0) -> RenderTarget:
+        """Return a target of an image size, with what was drawn last.
+
+        Args:
+            size: Width and height, pixels.
+            number: 0, or another one for each image that is read after others are drawn.
+        """
         return self.get_or_make(
-            size, lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
+            (size, number), lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
         )
+
+    def together(self, sizes: Sequence[ImageSize]) -> int:
+        """How many images, of some sizes in turn, to draw before the first is read.
+
+        A processor that renders reads each at once: its memory is in the cache then.
+        """
+        if self._context.on_processor:
+            return 1
+        pixels = accumulate(width * height for width, height in sizes[:_TOGETHER])
+        return sum(total <= _TOGETHER_PIXELS for total in pixels)

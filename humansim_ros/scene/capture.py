@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.face_actions import FaceState
 from humansim_ros.camera import Camera
-from humansim_ros.render import AdjacentFrame, Body, Renderer, View
+from humansim_ros.render import AdjacentFrame, Body, Renderer, RenderRequest, View
 from humansim_ros.render.pixel_geometry import pixel_rays
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
@@ -71,25 +71,17 @@ def capture(
         faults: Faults of the picture. Channels other than rgb have none.
         frozen: Colours of an earlier frame that the camera shows in place of its own.
     """
-    if frozen is not None:
-        others = [channel for channel in channels if channel != "rgb"]
-        return capture(renderer, camera, exposure, others, scene_time).with_channels(rgb=frozen)
-    times = camera.sensor.times() + faults.trigger_delay if "rgb" in channels else np.zeros(1)
-    single = not times.any()
-    rendered = [channel for channel in channels if single or channel != "rgb"]
+    request = request_at_stamp(camera, exposure, channels, faults, frozen)
     view = View()
-    if rendered:
-        view = renderer.render(
-            exposure.bodies_at(0.0),
-            camera.camera_at(exposure.pose_at(0.0)),
-            rendered,
-            exposure.moving,
-            exposure.next_frame,
-            exposure.previous_frame,
-            camera.backdrop,
-        )
+    if request is not None:
+        request.check(renderer)
+        view = renderer.render_request(request)
+    if frozen is not None:
+        return view.with_channels(rgb=frozen)
     if "rgb" not in channels:
         return view
+    times = _samples(camera, faults)
+    single = not times.any()
     light = None if faults is NO_FAULTS else camera.light(scene_time, faults)
     if single and not camera.sensor.active and light is None:
         return view
@@ -108,6 +100,34 @@ def capture(
             yield sample.rgb
 
     return view.with_channels(rgb=camera.sensor.expose(images(), scene_time, light))
+
+
+def request_at_stamp(
+    camera: SceneCamera,
+    exposure: Exposure,
+    channels: Collection[str],
+    faults: FrameFaults = NO_FAULTS,
+    frozen: Image | None = None,
+) -> RenderRequest | None:
+    """What :func:`capture` renders first: the bodies at the stamp; None if it renders only others."""
+    coloured = frozen is None and not _samples(camera, faults).any()
+    rendered = [channel for channel in channels if coloured or channel != "rgb"]
+    if not rendered:
+        return None
+    return RenderRequest(
+        exposure.bodies_at(0.0),
+        camera.camera_at(exposure.pose_at(0.0)),
+        rendered,
+        exposure.moving,
+        exposure.next_frame,
+        exposure.previous_frame,
+        camera.backdrop,
+    )
+
+
+def _samples(camera: SceneCamera, faults: FrameFaults) -> Array:
+    """Times (N,) of the images whose mean is rgb, seconds after the stamp."""
+    return camera.sensor.times() + faults.trigger_delay
 
 
 def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:

@@ -29,6 +29,7 @@ from humansim_ros.scene.capture import (
     capture,
     capture_depth,
     capture_rectified_depth,
+    request_at_stamp,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
@@ -263,9 +264,8 @@ class Simulation:
         }
         sweeps = {name: self._states.sweeps(name, index) for name in self._chosen_scanners(scanners)}
         poses, humans, state = self._states.at(index)
-        captured = {
-            name: state.camera_frame(
-                self.renderer,
+        views = {
+            name: (
                 camera,
                 _exposure(camera, state, adjacent[camera.timing.step]),
                 self.channels,
@@ -274,6 +274,9 @@ class Simulation:
             )
             for name, camera in chosen.items()
         }
+        requests = (request_at_stamp(*view) for view in views.values())
+        self.renderer.prepare([request for request in requests if request is not None])
+        captured = {name: state.camera_frame(self.renderer, *view) for name, view in views.items()}
         return Frame(
             index=index,
             stamp=state.stamp,

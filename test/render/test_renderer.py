@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from render_scenes import EACH_RENDERER, EVEN, along_x, body, box, quad, renderer_or_skip, walkers, wall
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render import CHANNELS, Body, Lighting, Renderer, RendererName, View, static_layers
+from humansim_ros.render import (
+    ALL_CHANNELS,
+    CHANNELS,
+    Body,
+    Lighting,
+    Renderer,
+    RendererName,
+    View,
+    static_layers,
+)
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.gl import make_renderer
-from humansim_ros.scene import Scene
+from humansim_ros.render.target import RenderTarget
+from humansim_ros.scene import Scene, Simulation
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +54,15 @@ def room(scene: Scene, name: RendererName) -> Iterator[Renderer]:
     renderer.close()
 
 
-def assert_same(a: View, b: View) -> None:
-    for channel in CHANNELS:
-        np.testing.assert_array_equal(getattr(a, channel), getattr(b, channel), err_msg=channel)
+def as_on_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let renderers use the device as they use one that is not the processor."""
+    on_gpu = property(lambda _: False, lambda *_: None)
+    monkeypatch.setattr(OpenGLContext, "on_processor", on_gpu, raising=False)
+
+
+def assert_same(a: View, b: View, channels: Sequence[str] = CHANNELS) -> None:
+    for channel in channels:
+        np.testing.assert_equal(getattr(a, channel), getattr(b, channel), err_msg=channel)
 
 
 # labels and depth
@@ -314,10 +332,47 @@ def test_images_that_stay_on_a_gpu_give_the_same_bytes(
 
     monkeypatch.setattr(static_layers, "_MAX_LAYERS", 2)  # what is kept is freed
     plain = views()
-    on_gpu = property(lambda _: False, lambda *_: None)
-    monkeypatch.setattr(OpenGLContext, "on_processor", on_gpu, raising=False)
+    as_on_gpu(monkeypatch)
     for one, other in zip(views(), plain, strict=True):
         assert_same(one, other)
+
+
+@pytest.mark.slow
+def test_cameras_that_are_drawn_together_give_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All channels, with a lens, an exposure, a camera that moves, and labelled objects that do not."""
+    path = tmp_path / "path.txt"
+    path.write_text("0 3 0.9 1.5 -0.5 0.5 0.5 -0.5\n1 3 0.2 1.5 -0.5 0.5 0.5 -0.5\n")
+    eyes: dict[str, dict[str, Any]] = {
+        f"camera_{number}": {"size": [96 + 32 * (number % 3), 96], "position": [3, 0.3 * number, 1.5]}
+        | {"look_at": [0, 0, 1], "fov_deg": 60}
+        for number in range(4)
+    }
+    eyes["camera_0"]["distortion"] = [-0.2, 0.05]
+    eyes["camera_1"]["sensor"] = {"exposure_time": 0.02}
+    eyes["camera_4"] = {"size": [96, 96], "fov_deg": 60, "trajectory": {"file": str(path)}}
+    people = {"anna": {"motion": {"file": "walk"}}, "ben": {"motion": {"file": "talk", "position": [1, 1]}}}
+    objects = {"crate": {"mesh": "box", "label": True, "position": [1, -0.5, 0.3]}}
+    scene = Scene.from_dict({"humans": people, "objects": objects, "cameras": eyes})
+
+    def views() -> list[View]:
+        with Simulation(scene, ALL_CHANNELS) as simulation:
+            return [view for frame in simulation.frames(2) for view in frame.views.values()]
+
+    plain, steps = views(), list[str]()
+    as_on_gpu(monkeypatch)
+    draw = RenderTarget.read_together
+
+    def recorded(target: RenderTarget, names: Sequence[str], lit: bool) -> Callable[[], list[NDArray[Any]]]:
+        wait = draw(target, names, lit)
+        steps.append("drawn")
+        return lambda: steps.append("read") or wait()
+
+    monkeypatch.setattr(RenderTarget, "read_together", recorded)
+    for one, other in zip(views(), plain, strict=True):
+        assert_same(one, other, ALL_CHANNELS)
+    assert steps[:6] == [*["drawn"] * 5, "read"]
 
 
 def test_a_view_is_the_callers_own(room: Renderer, scene: Scene) -> None:

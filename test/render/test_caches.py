@@ -155,10 +155,10 @@ def test_frames_of_bodies_that_are_gone_are_not_cached() -> None:
 
 def test_render_targets_of_many_image_sizes_are_bounded() -> None:
     renderer = renderer_or_skip()
-    for step in range(40):
+    for step in range(70):
         camera = along_x((32 + step, 24), focal=30)
         assert renderer.render([body(wall(3, 0, 1, 0.4))], camera).instance.any()
-    assert len(renderer._targets) == 32
+    assert len(renderer._targets) == 64
     renderer.close()
 
 

@@ -193,14 +193,14 @@ def run(
             path, jobs, namespace, frame_prefix, ",".join(only or ()), options_of_time, recorded, evaluated
         )
         transport = prepare_transport(len(node_processes) + 1, network)
-        with Supervisor(node_processes, starter=starter) as nodes:
+        names = [name for process in node_processes for name in process.visible_nodes]
+        cameras = [name for name in loaded.cameras if name in names]
+        first = FirstImages(cameras, list(loaded.actors), start, namespace)
+        helpers = [("humansim_ros.apps.first_images", first.to_argument())] if cameras else []
+        with Supervisor(node_processes, starter=starter, helpers=helpers) as nodes:
             try:
-                names = [name for process in node_processes for name in process.visible_nodes]
                 print_text(f"starting {', '.join(names)}; Ctrl-C stops")
                 print_text(transport.reach)
-                if cameras := [name for name in loaded.cameras if name in names]:
-                    first = FirstImages(cameras, list(loaded.actors), start, namespace)
-                    nodes.start_helper("humansim_ros.apps.first_images", first.to_argument())
                 until = None if seconds is None else time.monotonic() + seconds
                 dead = nodes.wait(
                     until, respawn, lambda _: _is_complete(options_of_time), _restart_note(options_of_time)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.interpolate
+import scipy
 import scipy.ndimage
 import scipy.spatial
 from numpy.typing import ArrayLike

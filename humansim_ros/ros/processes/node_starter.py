@@ -27,7 +27,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from humansim_ros.errors import RosError
+from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.ros.processes.node_processes import NodeProcess
 from humansim_ros.ros.processes.stop_signals import PARENT_PID, end_process_on_stop, end_with_parent
 
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 _MAX_PACKET = 1 << 18
 #: Modules besides the scene that nodes need, and that need no ROS.
 _MODULES = ("messages.topics", "scene.capture", "scene.live", "scene.playback", "render.gl")
+#: Nodes that see nothing of the static scene.
+_NOT_SEEING = ("motion_player", "skinner", "skinner_rig", "recorder", "evaluator")
 #: Seconds between two looks for the end of a process.
 _LOOK_EVERY = 0.02
 
@@ -179,6 +181,9 @@ def main(scene_path: str, number: int) -> int:
         signal.signal(signal.SIGCHLD, report_ends)
         while packet := requests.recv(_MAX_PACKET):
             name, executable, environment, *arguments = json.loads(packet)
+            if scene is not None and executable not in _NOT_SEEING:
+                with suppress(HumansimError):  # which the node will report
+                    _ = scene.static_meshes  # while the nodes before it start
             # a copy must not report its own children
             signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
             pid = os.fork()
@@ -215,15 +220,14 @@ def _ended() -> list[tuple[int, int]]:
 
 
 def _load(path: str) -> Scene | None:
-    """The scene with all that takes long to compute; None if it is wrong, which the nodes will report."""
-    from humansim_ros.errors import HumansimError
+    """The scene with what all nodes need of it; None if it is wrong, which the nodes will report."""
     from humansim_ros.scene import Scene
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             scene = Scene.load(path or None)
-            _ = scene.static_meshes, scene.joint_surfaces
+            _ = scene.joint_surfaces
         except HumansimError:
             return None
     return scene

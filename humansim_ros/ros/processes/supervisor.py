@@ -54,6 +54,8 @@ class Supervisor:
         environment: More environment variables of the nodes.
         starter: Process that starts nodes and may be loading the scene already; a new one if None, or if it
             has ended or loads another scene. It is ended with the nodes.
+        helpers: Modules and their arguments, of processes that start before the nodes and may end at any
+            time.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Supervisor:
         processes: Sequence[NodeProcess],
         environment: Mapping[str, str] | None = None,
         starter: NodeStarter | None = None,
+        helpers: Sequence[Sequence[str]] = (),
     ) -> None:
         self._processes = {process.node_name: process for process in processes}
         threads = render_threads(processes)
@@ -68,12 +71,18 @@ class Supervisor:
         self._environment = {**os.environ, **threads, **own, **(environment or {})}
         self._running: dict[str, StartedNode] = {}
         self._started: dict[str, float] = {}
+        self._commands = [[sys.executable, "-m", *helper] for helper in helpers]
         self._helpers: list[subprocess.Popen[bytes]] = []
         self._starter = starter
         self._shared_memory = SharedMemoryFiles()
 
     def __enter__(self) -> Supervisor:
         try:
+            # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
+            self._helpers = [
+                subprocess.Popen(command, env=self._environment, start_new_session=True)
+                for command in self._commands
+            ]
             for name in self._processes:
                 self._start_node(name)
         except BaseException:
@@ -94,17 +103,6 @@ class Supervisor:
     @property
     def _all(self) -> list[StartedNode | subprocess.Popen[bytes]]:
         return [*self._helpers, *self._running.values()]
-
-    def start_helper(self, module: str, *arguments: str) -> None:
-        """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
-        self._helpers.append(
-            subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
-                env=self._environment,
-                # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
-                start_new_session=True,
-            )
-        )
 
     def dead(self) -> EndedProcess | None:
         """A process that has ended unexpectedly; None while all run."""

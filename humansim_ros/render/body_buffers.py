@@ -17,7 +17,7 @@ from humansim_ros.mesh.simplification import Simplification, compact
 from humansim_ros.render.caches import LruCache, WeakCache
 from humansim_ros.render.contact_shadow import REACH, ShadowCaster
 from humansim_ros.render.edge_antialiasing import ImageEdges
-from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
+from humansim_ros.render.lens_tessellation import NEAR, TOLERANCE, VISIBLE, LensView, TessellatedMesh
 from humansim_ros.render.mesh_buffers import (
     ExpandedMesh,
     MaterialBuffers,
@@ -241,24 +241,34 @@ class PosedBody:
         self._buffers.upload_positions(self.posed)
         self._buffers.draw_depths(program)
 
-    def tessellated(self, camera: Camera, angle: float) -> TessellatedMesh | None:
-        """Return the body tessellated for a lens; None if the lens bends no edge visibly.
+    def bent(self, camera: Camera, angle: float) -> NDArray[np.bool_] | None:
+        """(N,) whether a lens bends an edge of each triangle; None if it bends no edge visibly.
 
         ``angle``: radians below which edges are visibly straight.
         """
         offsets = self.posed.points - camera.center.astype(np.float32)[:, None]
         closest = float(np.sqrt(np.einsum("ij,ij->j", offsets, offsets).min()))
-        vertices = self.posed.vertices
-        # objects may have any size
-        edges = self.topology.edges
-        if self.body.kind == "human":
-            edges = self.topology.edges_longer(angle * closest)
-        starts, ends = vertices[edges.T]
-        wide = wider_than(angle, starts, ends, camera)
-        view, expanded = LensView(camera), self._buffers.mesh.expanded
-        if not view.bent(starts[wide], ends[wide]).any():
-            return None
-        return view.tessellate(expanded.attributes(self.posed), expanded.corners)
+        for tolerance in (VISIBLE, TOLERANCE):
+            smallest = angle * (tolerance / VISIBLE) ** 0.5
+            # objects may have any size
+            human = self.body.kind == "human"
+            edges = self.topology.longer(smallest * closest) if human else np.arange(len(self.topology.edges))
+            starts, ends = self.posed.vertices[self.topology.edges[edges].T]
+            wide = wider_than(smallest, starts, ends, camera)
+            edges = edges[wide][LensView(camera).bent(starts[wide], ends[wide], tolerance)]
+            if not len(edges):
+                return None
+        found = np.zeros(len(self.topology.corners[0]), bool)
+        for side in self.topology.sides:
+            found[side[edges]] = True
+        return found
+
+    def tessellated(self, camera: Camera, triangles: Indices) -> TessellatedMesh:
+        """Some triangles (M,), tessellated for a lens."""
+        expanded = self._buffers.mesh.expanded
+        corners, used = expanded.corners.take(triangles, axis=0), expanded.attributes(self.posed)
+        mesh = LensView(camera).tessellate(used, corners)
+        return replace(mesh, parents=triangles[mesh.parents])
 
     @property
     def whole(self) -> TessellatedMesh:

@@ -207,10 +207,11 @@ class GLRenderer(Renderer):
             self._bodies.release_unused()
             posed = self._bodies.pose(body)
             rectangle = image_bounds([ProjectedPoints(posed.posed.points, camera)], camera)
-            tessellated = None
+            mesh = posed.whole
             if camera.distorted and not rectangle.empty:
-                tessellated = posed.tessellated(camera, straight_angle(camera, rectangle))
-            return self._coverage.count(posed, tessellated or posed.whole, camera, rectangle)
+                bends = posed.bent(camera, straight_angle(camera, rectangle)) is not None
+                mesh = posed.tessellated(camera, mesh.parents) if bends else mesh
+            return self._coverage.count(posed, mesh, camera, rectangle)
 
     def _moving(self, bodies: Sequence[Body]) -> Sequence[Body]:
         """Bodies that are not part of the static scene."""
@@ -386,13 +387,15 @@ class GLRenderer(Renderer):
             front = facing[number] = body.posed.facing(camera.center)
             set_uniform(program, "first_id", ids.count)
             set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
-            tessellated = body.tessellated(camera, straight) if camera.distorted else None
-            if tessellated is not None:
-                body.draw_tessellated(program, tessellated)
-                ids.add(number, body.body, tessellated.parents)
-                continue
             # from outside a closed surface its back faces never show; a near camera may be inside
             visible = np.flatnonzero(front) if body.closed and not points.near else np.arange(len(front))
+            bent = body.bent(camera, straight) if camera.distorted else None
+            if bent is not None:
+                pieces = body.tessellated(camera, visible[bent[visible]])
+                body.draw_tessellated(program, pieces)
+                ids.add(number, body.body, pieces.parents)
+                set_uniform(program, "first_id", ids.count)
+                visible = visible[~bent[visible]]
             if not points.near:
                 corners = body.topology.corners
                 visible = visible[points.covering([c.take(visible) for c in corners])]

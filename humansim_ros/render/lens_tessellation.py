@@ -115,13 +115,13 @@ class LensView:
         pixels = self.camera.lens.distort(n) @ k[:2, :2].T + k[:2, 2]
         return pixels.min(axis=0) - 1, pixels.max(axis=0) + 1
 
-    def bent(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
-        """(E,) whether edges bend visibly, or are so long that they may.
+    def bent(self, starts: Array, ends: Array, tolerance: float) -> NDArray[np.bool_]:
+        """(E,) whether edges bend by more than a tolerance in pixels, or are so long that they may.
 
         ``starts``, ``ends``: (E, 3) metres in ``map``.
         """
         a, b = self._projected(starts), self._projected(ends)
-        return (self._cuts(a, b) > 1) | (self._pieces(a, b, VISIBLE) > 1)
+        return (self._cuts(a, b) > 1) | (self._pieces(a, b, tolerance) > 1)
 
     def _projected(self, positions: NDArray[np.floating]) -> _Projected:
         points = self.camera.to_optical(positions)

@@ -358,12 +358,12 @@ class Topology:
         starts, ends = self._rest_vertices[self.edges].transpose(1, 0, 2)
         length = np.linalg.norm(ends - starts, axis=1)
         order = np.argsort(length)
-        return np.asarray(length[order], dtype=np.float32), self.edges[order]
+        return np.asarray(length[order], dtype=np.float32), order
 
-    def edges_longer(self, length: float) -> NDArray[np.intp]:
-        """(E, 2) edges that are longer than ``length`` metres in some pose."""
-        lengths, edges = self._by_length
-        return edges[int(np.searchsorted(lengths, length / _STRETCH)) :]
+    def longer(self, length: float) -> Indices:
+        """(M,) edges that are longer than ``length`` metres in some pose."""
+        lengths, order = self._by_length
+        return order[int(np.searchsorted(lengths, length / _STRETCH)) :]
 
     @cached_property
     def vertex_triangles(self) -> Any:

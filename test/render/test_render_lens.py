@@ -26,6 +26,7 @@ from render_scenes import (
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body
+from humansim_ros.render.body_buffers import PosedBody
 from humansim_ros.scene import Scene
 
 #: Real calibrations of each model, one that bends much, and one that folds inside the image.
@@ -123,6 +124,32 @@ def test_a_moving_thing_of_two_triangles_is_bent_too(name: str, size: float) -> 
     within = inner(view.instance) & (first == 0)
     assert np.abs(view.depth[within] - depth[within]).max() < 1e-3
     renderer.close()
+
+
+def test_only_triangles_that_a_lens_bends_are_tessellated(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The image is that of a body which is tessellated as a whole."""
+    camera = with_lens(LENSES["barrel"], (0.8, 0.5, 1.3))
+    bodies, bent = walkers(scene, 0.6), PosedBody.bent
+    found = []
+
+    def all_of_it(body: PosedBody, camera: Camera, angle: float) -> NDArray[np.bool_] | None:
+        found.append(bent(body, camera, angle))
+        return np.ones(len(body.topology.corners[0]), bool)
+
+    views = []
+    for patch in (bent, all_of_it):
+        monkeypatch.setattr(PosedBody, "bent", patch)
+        with renderer_or_skip(lighting=EVEN) as renderer:
+            views.append(renderer.render(bodies, camera, ("rgb", "part", "face", "depth")))
+    (some,) = found
+    assert some is not None and 0 < np.count_nonzero(some) < len(some) / 2
+    for channel in ("part", "face"):
+        np.testing.assert_array_equal(getattr(views[0], channel), getattr(views[1], channel))
+    np.testing.assert_allclose(views[0].rgb, views[1].rgb.astype(int), atol=2)
+    np.testing.assert_allclose(views[0].depth, views[1].depth, rtol=1e-5)
+    assert np.count_nonzero(views[0].part) > 20_000
 
 
 def blending_error(camera: Camera, factor: int = 8) -> float:

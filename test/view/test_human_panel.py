@@ -159,7 +159,7 @@ class Panel:
 
         def ended() -> bool:
             self.app._run_posted()
-            return not self.human._works
+            return not self.human._background.works
 
         assert wait_until(ended)
 
@@ -197,7 +197,7 @@ def drag(panel: Panel, joint: str, by: list[float]) -> None:
 def test_a_mesh_becomes_a_person_of_the_scene_with_a_joint_that_was_dragged(panel: Panel) -> None:
     human = panel.human
     human.mesh.take("person.obj")
-    assert not human._works or panel.human._bar.visible
+    assert not human._background.works or panel.human._bar.visible
     panel.wait()
     assert human.draft is not None and "drag the yellow joints" in human._state.content
     before = human.draft.joints["l_knee"]
@@ -231,3 +231,60 @@ def test_a_file_that_is_no_person_is_told_and_the_tab_goes_on(panel: Panel) -> N
         with pytest.raises(HumansimError, match="choose a mesh first"):
             action()
     assert threading.active_count() < 60
+
+
+# --- a person by seed
+
+
+def test_sliders_make_the_person_of_the_command_and_replace_it(panel: Panel) -> None:
+    drawn, folder = panel.human.drawn, panel.document.folder
+    text = drawn._state.content
+    drawn.set("age", 70.0)
+    drawn.set("sex", "female")
+    drawn.set("height", 1.58)
+    drawn.set("hair", "bun")
+    drawn.set("wears", "glasses, bag")
+    assert drawn._state.content != text and "female, 70 years, 1.58 m" in drawn._state.content
+    person = drawn.person()
+    assert drawn.sliders["weight"].value == pytest.approx(person.weight, abs=0.25)  # as drawn
+    drawn._name.value = "grandma"
+    drawn.show()
+    command = (
+        "humansim human make --seed 1 --age 70 --sex female --height 1.58 --hair bun --wears glasses,bag "
+        "-o grandma.npz"
+    )
+    assert drawn.command() == command and command in drawn._same.content
+    drawn.add()
+    panel.wait()
+    assert panel.document.value("humans.grandma.body") == "grandma.npz"
+    assert np.ptp(load_human(folder / "grandma.npz").mesh.vertices[:, 1]) == pytest.approx(1.6, abs=0.05)
+    made = (folder / "grandma.npz").read_bytes()
+    drawn.set("height", 1.5)
+    drawn.add()
+    panel.wait()
+    assert (folder / "grandma.npz").read_bytes() != made
+    shown = panel.app.source.people["grandma"]
+    assert np.ptp(shown.mesh.vertices[:, 1]) == pytest.approx(1.52, abs=0.05)
+    drawn.reset()
+    assert drawn._state.content == text
+
+
+def test_a_person_whom_nobody_is_and_the_file_of_another_are_refused(panel: Panel) -> None:
+    drawn, folder = panel.human.drawn, panel.document.folder
+    drawn.set("age", 30.0)
+    drawn.set("height", 0.8)
+    assert "⚠" in drawn._state.content and "metres at 30 years" in drawn._state.content
+    with pytest.raises(HumansimError, match=r"height: .*1\.\d+ to "):
+        drawn.add()
+    assert drawn._add.disabled
+    drawn.set("height", 1.8)
+    assert not drawn._add.disabled
+    drawn.set("wears", "wings")
+    assert "wings" in drawn._state.content
+    drawn.set("wears", "")
+    (folder / "taken.npz").write_bytes(b"of another")
+    for name, message in (("taken", "exists already"), ("../up", "name")):
+        drawn._name.value = name
+        with pytest.raises(HumansimError, match=message):
+            drawn.add()
+    assert (folder / "taken.npz").read_bytes() == b"of another"

@@ -14,8 +14,9 @@ from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.inputs import EmptySource
+from humansim_ros.view.panels.drawn_person import DrawnPersonPanel
 from humansim_ros.view.panels.files import FileChoice
-from humansim_ros.view.panels.page import Page, by_user, plain_markdown
+from humansim_ros.view.panels.page import Background, Page, by_user, plain_markdown
 from humansim_ros.view.person_draft import PersonDraft
 
 _DETECTED = "detected"
@@ -47,8 +48,7 @@ class HumanPanel:
     def __init__(self, app: Page, document: SceneDocument, back: Callable[[], None]) -> None:
         self.draft: PersonDraft | None = None
         self._app, self._document, self._back = app, document, back
-        self._works = False
-        self._closed = False
+        self._background = Background(app, self._tell)
         self._source: EmptySource | None = None
         self._nodes: list[Any] = []
         self._lines: Any = None
@@ -103,6 +103,7 @@ class HumanPanel:
                 self._add = gui.add_button("Add to the scene", color="green")
                 self._leave = gui.add_button("Back to the scene")
             self._same = gui.add_markdown("")
+            self.drawn = DrawnPersonPanel(app, document, self._background, self.leave)
         for button, action in (
             (again, self.read),
             (self._undo, lambda: self._take(self._need().undone())),
@@ -179,7 +180,7 @@ class HumanPanel:
 
     def close(self) -> None:
         """No step is shown any more."""
-        self._closed = True
+        self._background.closed = True
 
     # --- steps that take seconds
 
@@ -187,38 +188,25 @@ class HumanPanel:
         self, what: str, step: Callable[[], PersonDraft], then: Callable[[], None] | None = None
     ) -> None:
         """Do a step in a thread, so that the page lives meanwhile."""
-        if self._works:
-            raise HumansimError("wait until the step before has ended")
-        self._works = True
-        self._bar.visible = True
-        self._state.content = f"{plain_markdown(what)} …"
 
-        def work() -> None:
-            try:
-                draft = step()
-            except Exception as error:  # shown by the page, as all errors of what it is asked to do
-                failure = error
-                self._app.post(lambda: self._end(None, None, failure))
-            else:
-                self._app.post(lambda: self._end(draft, then))
-
-        threading.Thread(target=work, daemon=True).start()
-
-    def _end(
-        self, draft: PersonDraft | None, then: Callable[[], None] | None, failure: Exception | None = None
-    ) -> None:
-        self._works, self._bar.visible = False, False
-        if self._closed:
-            return
-        if failure is not None:
-            reason = failure.message if isinstance(failure, HumansimError) else "this file cannot be used"
-            self._show()
-            self._state.content = f"⚠ {plain_markdown(reason)}"
-            raise failure
-        if draft is not None:
+        def done(draft: PersonDraft) -> None:
             self._take(draft)
-        if then is not None:
-            then()
+            if then is not None:
+                then()
+
+        self._background.run(what, step, done, self._failed)
+
+    def _tell(self, what: str) -> None:
+        """Show that a step is done; an empty text ends it."""
+        self._bar.visible = bool(what)
+        if what:
+            self._state.content = f"{plain_markdown(what)} …"
+        else:
+            self._show()
+
+    def _failed(self, failure: Exception) -> None:
+        reason = failure.message if isinstance(failure, HumansimError) else "this file cannot be used"
+        self._state.content = f"⚠ {plain_markdown(reason)}"
 
     # --- what is shown
 
@@ -307,7 +295,7 @@ class HumanPanel:
         self._nodes.append(sphere)
 
     def _dragged(self, joint: str, goal: Array, keep: bool) -> None:
-        if self.draft is None or self._works:
+        if self.draft is None or self._background.works:
             return
         if self._joint.value != joint:
             self._joint.value = joint
@@ -351,7 +339,7 @@ class HumanPanel:
 
     def _look(self, views: Mapping[int, Array], times: int) -> None:
         """Look at the person from browsers that look from where they did, ``views`` (3,) by browser."""
-        if self._closed or self._source is None or self._app.source is not self._source:
+        if self._background.closed or self._source is None or self._app.source is not self._source:
             return
         for number, client in self._clients():
             if np.allclose(client.camera.position, views.get(number, client.camera.position), atol=1e-3):

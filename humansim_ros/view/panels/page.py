@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
+from humansim_ros.errors import HumansimError
 from humansim_ros.view.server import PageServer
 from humansim_ros.view.source import ViewSource
 from humansim_ros.view.stage import Options
 
+_Result = TypeVar("_Result")
 #: Speeds that the page offers.
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
@@ -144,6 +147,56 @@ class Page(Protocol):
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
         """Show the numbers of a pixel, given as shares of the width and height of an image."""
+
+
+class Background:
+    """Steps that take seconds: one at a time, in a thread, so that the page lives meanwhile.
+
+    Args:
+        app: The page; all methods run in its thread.
+        tell: Shows what is done, and an empty text at its end.
+    """
+
+    def __init__(self, app: Page, tell: Callable[[str], None]) -> None:
+        self._app, self._tell = app, tell
+        self.works = self.closed = False
+
+    def run(
+        self,
+        what: str,
+        step: Callable[[], _Result],
+        done: Callable[[_Result], None],
+        failed: Callable[[Exception], None] = lambda error: None,
+    ) -> None:
+        """Do a step in the thread, then ``done`` or ``failed`` in the thread of the page.
+
+        Raises:
+            HumansimError: The step before has not ended.
+        """
+        if self.works:
+            raise HumansimError("wait until the step before has ended")
+        self.works = True
+        self._tell(what)
+
+        def work() -> None:
+            try:
+                result = step()
+            except Exception as error:  # shown by the page, as all errors of what it is asked to do
+                failure = error
+                self._app.post(lambda: self._end(lambda: failed(failure), failure))
+            else:
+                self._app.post(lambda: self._end(lambda: done(result)))
+
+        threading.Thread(target=work, daemon=True).start()
+
+    def _end(self, then: Callable[[], None], failure: Exception | None = None) -> None:
+        self.works = False
+        if self.closed:
+            return
+        self._tell("")
+        then()
+        if failure is not None:
+            raise failure
 
 
 def by_user(post: Callable[[Callable[[], None]], None], action: Callable[[], Any]) -> Callable[[Any], None]:

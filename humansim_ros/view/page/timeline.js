@@ -70,7 +70,7 @@
     play.innerHTML =
       '<svg width="16" height="10" viewBox="0 0 16 10" fill="currentColor" aria-hidden="true">' +
       '<path d="M0 0 8 5 0 10ZM10 0h2v10h-2ZM14 0h2v10h-2Z"/></svg>';
-    play.addEventListener("click", () => ask("key?action=play"));
+    play.addEventListener("click", start);
     const time = element("span", "time", {}, head);
     const select = (label) => {
       const list = element("select", "", { "aria-label": label, title: label }, head);
@@ -141,14 +141,21 @@
 
   let busy = false;
   let next = null;
+  let goal = null; // frame that was asked for last, and until when keys count from it
   function ask(what) {
     return fetch(`/humansim/${what}`).catch(() => {});
+  }
+
+  function start() {
+    goal = null;
+    ask("key?action=play");
   }
 
   // One request at a time, and then the latest: a drag does not queue up.
   async function seek(frame, drag) {
     if (table.live) return; // a graph has no time but now
-    next = `seek?frame=${Math.min(Math.max(frame, 0), last())}${drag ? "&drag=1" : ""}`;
+    goal = { frame: Math.min(Math.max(frame, 0), last()), until: performance.now() + 1000 };
+    next = `seek?frame=${goal.frame}${drag ? "&drag=1" : ""}`;
     if (busy) return;
     busy = true;
     while (next) {
@@ -162,10 +169,11 @@
   function key(event) {
     const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10 };
     if (event.altKey || event.metaKey || event.ctrlKey) return;
-    if (event.key in steps) seek((shown.frame || 0) + steps[event.key], false);
+    const from = goal && performance.now() < goal.until ? goal.frame : shown.frame || 0;
+    if (event.key in steps) seek(from + steps[event.key], false);
     else if (event.key === "Home") seek(0, false);
     else if (event.key === "End") seek(last(), false);
-    else if (event.key === " ") ask("key?action=play");
+    else if (event.key === " ") start();
     else return;
     event.preventDefault();
   }

@@ -18,6 +18,7 @@ BENCHMARKS = {
     "bvh_reading": (),
     "close_detector": ("--help",),  # the detector has an environment of its own
     "core": ("--rounds", "2"),
+    "distinct": ("--count", "2"),
     "fit": ("--seeds", "1", "--frames", "4"),
     "gpu": ("--seconds", "0.1", "--cases", "1x320x240x1"),
     "lenses": ("--rounds", "2"),

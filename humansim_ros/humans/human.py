@@ -22,6 +22,7 @@ from humansim_ros.body.skinning import SkinningFunction, make_skinner
 from humansim_ros.errors import MeshError, did_you_mean
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import BEST, read_npz, write_npz
+from humansim_ros.mesh.materials import MATERIALS
 from humansim_ros.mesh.mesh import Mesh, normalise_weights
 from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array
@@ -225,6 +226,10 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
         arrays["colors"] = mesh.colors
     if mesh.skin is not None:
         arrays["skin"] = mesh.skin
+    if mesh.materials is not None:
+        arrays["materials"] = mesh.materials
+    if mesh.hair is not None:
+        arrays["hair"] = mesh.hair
     if mesh.shading is not None:
         parts = (mesh.shading.data, mesh.shading.indices, mesh.shading.indptr)
         arrays |= dict(zip(_SHADING, parts, strict=True))
@@ -260,7 +265,9 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         uv=_numbers(arrays, "uv") if has_uv else None,
         uv_faces=_indices(arrays, "uv_faces").astype(np.int32) if has_uv else None,
         colors=arrays.get("colors"),
-        skin=_skin(arrays),
+        skin=_texels(arrays, "skin"),
+        materials=_materials(arrays),
+        hair=_texels(arrays, "hair"),
     )
     mesh = replace(mesh, shading=_shading(arrays, mesh))
     skeleton = Skeleton(
@@ -316,12 +323,24 @@ def _indices(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.integer]:
     return array
 
 
-def _skin(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
-    """Share of skin in each texel."""
-    skin = arrays.get("skin")
-    if skin is not None and (skin.dtype != np.uint8 or skin.ndim != 2):
-        raise MeshError(f"must be (H, W) uint8, not {skin.shape} {skin.dtype}", key="skin")
-    return skin
+def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | None:
+    """Share of skin or hair in each texel."""
+    share = arrays.get(key)
+    if share is not None and (share.dtype != np.uint8 or share.ndim != 2 or not share.size):
+        raise MeshError(f"must be (H, W) uint8, not {share.shape} {share.dtype}", key=key)
+    return share
+
+
+def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
+    """Label of each face."""
+    labels = arrays.get("materials")
+    if labels is None:
+        return None
+    if labels.dtype != np.uint8 or labels.shape != (len(arrays["faces"]),):
+        raise MeshError(f"must be (F,) uint8, not {labels.shape} {labels.dtype}", key="materials")
+    if len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
+        raise MeshError(f"labels are 1 to {len(MATERIALS)}", key="materials")
+    return labels
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:

@@ -61,6 +61,7 @@ from humansim_ros.messages.legends import instance_legend as instance_legend
 from humansim_ros.messages.legends import joints_legend as joints_legend
 from humansim_ros.messages.legends import keypoints_legend as keypoints_legend
 from humansim_ros.messages.legends import live_legend as live_legend
+from humansim_ros.messages.legends import material_legend as material_legend
 from humansim_ros.messages.legends import motion_legend as motion_legend
 from humansim_ros.messages.legends import part_legend as part_legend
 from humansim_ros.messages.legends import read_legend as read_legend

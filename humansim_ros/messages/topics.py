@@ -89,6 +89,8 @@ DepthContent = tuple[DepthCapture, View]
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
+#: Legends that a recording has only if they are asked for.
+_OPTIONAL_LEGENDS = ("keypoints", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
 
 
@@ -612,12 +614,16 @@ class CameraTopics:
         )
         exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
         legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
+        if actors:
+            legends["material"] = messages.material_legend
 
         if (faults := self._camera.faults) is not None:
             legends["faults"] = lambda: messages.faults_legend(faults)
         name = self._name
         return [
-            _sent_once(f"{name}/{kind}/legend", String, build, camera=name, optional=kind == "keypoints")
+            _sent_once(
+                f"{name}/{kind}/legend", String, build, camera=name, optional=kind in _OPTIONAL_LEGENDS
+            )
             for kind, build in legends.items()
         ]
 

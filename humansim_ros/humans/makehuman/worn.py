@@ -31,6 +31,7 @@ from humansim_ros.humans.makehuman.wardrobe import (
     Worn,
     WornName,
 )
+from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Array
 
 #: Rows and columns of directions around the head.
@@ -114,6 +115,12 @@ class WornPart:
         if _volume(self.vertices, faces) < 0:
             faces, uv_faces = _reversed(faces), _reversed(uv_faces)
         return faces, uv, uv_faces
+
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """(F,) material of its faces."""
+        name = "shoes" if self.material == "soles" else self.material
+        return np.full(len(self.mesh[0]), MATERIAL_LABELS[name], np.uint8)
 
     def texels(self) -> Array:
         """(H, W, 3) positions at the texels of the tile."""

@@ -44,7 +44,9 @@ from humansim_ros.messages.humans import motion_message as motion_message
 from humansim_ros.messages.humans import read_face as read_face
 from humansim_ros.messages.humans import read_joints as read_joints
 from humansim_ros.messages.humans import read_mesh as read_mesh
+from humansim_ros.messages.humans import read_swing as read_swing
 from humansim_ros.messages.humans import read_vertices as read_vertices
+from humansim_ros.messages.humans import swing_message as swing_message
 from humansim_ros.messages.humans import vertices_message as vertices_message
 from humansim_ros.messages.images import DepthCompression as DepthCompression
 from humansim_ros.messages.images import ImageCompression as ImageCompression

@@ -204,6 +204,7 @@ class HumanTopics:
         mesh: Surface at rest.
         keypoints: Keypoints in ``map`` by set.
         face: Weights of the actions of the face; None for a human whose face does not move.
+        swing: Swing of loose cloth and hair; None for a human without.
     """
 
     def __init__(self, actor: Actor, live: bool = False) -> None:
@@ -262,6 +263,16 @@ class HumanTopics:
                 state,
                 shown=True,
             )
+        self.swing: Topic[HumanState] | None = None
+        if actor.human.loose is not None:
+            count = len(actor.human.loose.kinds)
+            self.swing = Topic(
+                f"{root}/swing",
+                JointState,
+                lambda body, stamp: messages.swing_message(body.swing, count, stamp),
+                state,
+                shown=True,
+            )
         self.keypoints: dict[str, Topic[HumanState]] = {
             keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
         }
@@ -286,8 +297,8 @@ class HumanTopics:
     def __iter__(self) -> Iterator[Topic[Any]]:
         driven = (self.frame,) if self.live else (self.motion,)
         body = (self.joints, self.vertices, self.markers, self.mesh)
-        face = () if self.face is None else (self.face,)
-        return iter((*driven, self.legend, *body, *face, *self.keypoints.values()))
+        parts = (topic for topic in (self.face, self.swing) if topic is not None)
+        return iter((*driven, self.legend, *body, *parts, *self.keypoints.values()))
 
 
 class ObjectTopics:

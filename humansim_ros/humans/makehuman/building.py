@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.joint_names import FINGERS
+from humansim_ros.body.loose import loose_arrays
 from humansim_ros.body.shapes import Shapes, shape_arrays
 from humansim_ros.body.skinning import skin
 from humansim_ros.humans.makehuman.clothes import (
@@ -74,6 +75,7 @@ from humansim_ros.humans.makehuman.worn import (
     Wearer,
     WornPart,
     add_parts,
+    loose_parts,
     strip_height,
     strip_image,
     under_skirts,
@@ -361,6 +363,7 @@ def build(
         "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
         "materials": figure.materials,
         **figure.hair,
+        **figure.loose,
         "license": np.array("CC0-1.0"),
         "source": np.array(SOURCE),
     }
@@ -458,6 +461,12 @@ class _Figure:
         canvas = replace(self.common.canvas, own=self.own)
         share = as_image(texels, 255 * hair_share(self.mesh, texels, canvas))
         return {"hair": np.pad(share, ((0, strip_height(self.parts)), (0, 0)))}
+
+    @property
+    def loose(self) -> dict[str, NDArray[Any]]:
+        """Arrays of cloth and hair that swing."""
+        parts = loose_parts(self.parts, len(self.mesh.vertices))
+        return {} if parts is None else loose_arrays(parts)
 
     def arrays(self, sole: Array) -> dict[str, NDArray[Any]]:
         """Arrays of surface, bones and weights. ``sole``: point (3,) that becomes the origin."""

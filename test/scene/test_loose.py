@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from loose_figures import loose_child
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from humansim_ros import Human, Scene, Simulation, load_human, messages
-from humansim_ros.body.loose import CLOTH, HAIR, LooseParts
+from humansim_ros.body.loose import CLOTH, HAIR
 from humansim_ros.errors import MeshError, MotionError, RosError
 from humansim_ros.humans.human import human_from_arrays, write_human
 from humansim_ros.humans.makehuman.building import build
@@ -27,36 +27,6 @@ from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.live import JointSource, LiveRetargeter
 from humansim_ros.types import Array
-
-CHILD = ROOT / "assets" / "humans" / "child.npz"
-
-
-@cache
-def loose_child() -> Human:
-    """The child with a strip of its trousers, and of its hair, that swing."""
-    child = load_human(CHILD)
-    points, rows = child.mesh.vertices, []
-    for low, high, side in ((0.30, 0.60, 1), (1.12, 1.26, -1)):
-        strip = (points[:, 1] > low) & (points[:, 1] < high) & (side * points[:, 2] > 0.03)
-        rows.append(np.flatnonzero(strip & (np.abs(points[:, 0]) < 0.12)))
-    ends = np.array([(part[points[part, 1].argmax()], part[points[part, 1].argmin()]) for part in rows])
-    both = np.concatenate(rows)
-    nodes = np.repeat([0, 1], [len(part) for part in rows])
-    down = np.concatenate(
-        [np.ptp(points[part, 1]) - points[part, 1] + points[part, 1].min() for part in rows]
-    )
-    shares = np.stack([down / down.max(), 0 * down], axis=1).astype(np.float32)
-    gather = np.zeros((len(both), 3), np.float32)
-    gather[nodes == 0, 2] = -0.02
-    loose = LooseParts(
-        np.array([CLOTH, HAIR], np.uint8),
-        ends.astype(np.int32),
-        np.array([(0, 0, 1), (0, 0, -1)], np.float32),
-        both.astype(np.int32),
-        np.stack([nodes, nodes], axis=1).astype(np.int32),
-        *(shares, gather, (points[both, 0] > 0).astype(np.float32)),
-    )
-    return replace(child, loose=loose)
 
 
 def scene(folder: Path, motion: Any = "run", camera: Any = None) -> Scene:

@@ -651,7 +651,9 @@ def _hanging_cloth(wearer: Wearer, points: Array, out: Array, room: float) -> Ha
         out[at],
         np.tile(nodes, (len(points), 1)),
         shares,
-        _gathered(wearer, flat, room * wearer.size - layer),
+        _gathered(
+            wearer, flat, wearer.size * (room + 0.014 * np.repeat(down, columns)) - layer
+        ),  # over the knees
         ramp(flat[:, 0], -0.5 * wearer.own.leg_x(flat), 0.5 * wearer.own.leg_x(flat)),
     )
 
@@ -663,7 +665,7 @@ def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
     radius = np.hypot(across, legs[:, 2] - own.leg_z(legs))
     heights = np.linspace(float(legs[:, 1].min()) + 0.1, own.hip_y - 0.04, 40)
     near = np.abs(legs[:, 1] - heights[:, None]) < 0.02
-    thick = np.array([np.quantile(radius[row], 0.9) for row in near])
+    thick = np.array([np.quantile(radius[row], 0.97) for row in near])
     thick = np.interp(points[:, 1], heights, gaussian_filter(thick, 1.5, mode="nearest")) + room
     # the hull of two circles, seen from the middle between them
     x, z = points[:, 0], points[:, 2] - own.leg_z(points)

@@ -663,9 +663,9 @@ def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
     own, legs = wearer.own, wearer.points[wearer.trunk & (wearer.points[:, 1] < wearer.own.hip_y)]
     across = np.abs(legs[:, 0]) - own.leg_x(legs)
     radius = np.hypot(across, legs[:, 2] - own.leg_z(legs))
-    heights = np.linspace(float(legs[:, 1].min()) + 0.1, own.hip_y - 0.04, 40)
-    near = np.abs(legs[:, 1] - heights[:, None]) < 0.02
-    thick = np.array([np.quantile(radius[row], 0.97) for row in near])
+    heights = np.linspace(0.2 * own.hip_y, 0.95 * own.hip_y, 40)
+    near = np.argpartition(np.abs(legs[:, 1] - heights[:, None]), 100, axis=1)[:, :100]
+    thick = np.quantile(radius[near], 0.97, axis=1)
     thick = np.interp(points[:, 1], heights, gaussian_filter(thick, 1.5, mode="nearest")) + room
     # the hull of two circles, seen from the middle between them
     x, z = points[:, 0], points[:, 2] - own.leg_z(points)

@@ -22,6 +22,7 @@ from humansim_ros.export.images import (
     ImageWriter,
     KittiFlowWriter,
     LabelWriter,
+    MaterialWriter,
     VideoWriter,
 )
 from humansim_ros.export.kitti import KittiWriter
@@ -85,6 +86,9 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ExportFormat("depth-exr", "depth, OpenEXR in metres", DepthExrWriter, _DEPTH, needs=("OpenEXR",)),
         ExportFormat("depth-npy", "depth, NumPy arrays in metres", DepthNpyWriter, _DEPTH),
         ExportFormat("labels", "instances and body parts, PNG", LabelWriter, frozenset({"instance", "part"})),
+        ExportFormat(
+            "materials", "skin, hair, garments and worn things, PNG", MaterialWriter, frozenset({"material"})
+        ),
         ExportFormat("flow-flo", "optical flow, .flo of Middlebury", FloWriter, frozenset({"flow"})),
         ExportFormat(
             "flow-kitti",

@@ -16,6 +16,7 @@ from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import ExportError
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.io.files import ANY_SIZE, read_bytes
+from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Float32Array, Image
 
 #: 16 bit depth: millimetres, 0 is no depth.
@@ -90,6 +91,18 @@ class LabelWriter(FormatWriter):
         }
         instances = {"0": "background"} | {str(label): name for name, label in scene.labels.items()}
         legend = {"instance": instances, "part": parts}
+        folder.write("labels.json", json.dumps(legend, indent=1) + "\n")
+
+
+class MaterialWriter(FormatWriter):
+    """Skin, hair, garments and worn things as 8 bit PNG, and their legend in ``labels.json``."""
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        for camera, view in frame.frame.views.items():
+            folder.write(f"{camera}/{frame.name}.png", encoded_png(view.material))
+
+    def finish(self, _: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        legend = {"0": "background"} | {str(label): name for name, label in MATERIAL_LABELS.items()}
         folder.write("labels.json", json.dumps(legend, indent=1) + "\n")
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.body.face_actions import ACTIONS, face_weights
+from humansim_ros.body.loose import LooseParts, loose_arrays, read_loose
 from humansim_ros.body.rigging import triangle_parts, without_details
 from humansim_ros.body.shapes import Shapes, read_shapes, shape_arrays
 from humansim_ros.body.skeleton import Skeleton
@@ -22,6 +23,7 @@ from humansim_ros.body.skinning import SkinningFunction, make_skinner
 from humansim_ros.errors import MeshError, did_you_mean
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import BEST, read_npz, write_npz
+from humansim_ros.mesh.materials import MATERIALS
 from humansim_ros.mesh.mesh import Mesh, normalise_weights
 from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array
@@ -41,7 +43,8 @@ class Human(Pictured):
 
     ``weights``: (V, B), rows sum to one. ``looks``: outfits by name, each a PNG or JPEG texture as (N,) bytes
     or vertex colours (V, 3) uint8 sRGB. ``outfit``: name of the outfit of ``mesh``. ``notes``: ``license``
-    and ``source``. ``shapes``: actions of the face (docs/faces.md); None for a stiff face.
+    and ``source``. ``shapes``: actions of the face (docs/faces.md); None for a stiff face. ``loose``: cloth
+    and hair that swing; None without.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Human(Pictured):
     skinning: Skinning = "linear"
     notes: Mapping[str, str] = field(default_factory=dict)
     shapes: Shapes | None = None
+    loose: LooseParts | None = None
 
     def __repr__(self) -> str:
         counts = f"{len(self.mesh.vertices)} vertices, {len(self.skeleton)} bones"
@@ -115,6 +119,32 @@ class Human(Pictured):
         moved = self.shapes.moved
         return make_skinner(self.skinning, self.mesh.vertices[moved], self.weights[moved])
 
+    @cached_property
+    def _loose_skinner(self) -> SkinningFunction:
+        """Skinning function of the vertices of loose parts."""
+        assert self.loose is not None
+        rows = self.loose.rows
+        return make_skinner(self.skinning, self.mesh.vertices[rows], self.weights[rows])
+
+    @cached_property
+    def _end_skinner(self) -> SkinningFunction:
+        """Skinning function of the ends of loose parts: all upper ones, then all lower ones."""
+        assert self.loose is not None
+        rows = self.loose.ends.T.ravel()
+        return make_skinner(self.skinning, self.mesh.vertices[rows], self.weights[rows], np.float64)
+
+    def loose_ends(self, posed: Array) -> tuple[Array, Array, Array]:
+        """Upper ends, lower ends and directions outwards (N, K, 3) of loose parts that do not swing.
+
+        ``posed``: bone frames (N, B, 4, 4). The human must have loose parts.
+        """
+        assert self.loose is not None
+        transforms, count = posed @ self.skeleton.rest_inverse, len(self.loose.kinds)
+        ends = np.asarray(self._end_skinner(transforms), dtype=float)
+        outwards = np.tile(self.loose.outwards, (2, 1))
+        turned = np.asarray(self._end_skinner.directions(transforms, outwards), dtype=float)
+        return ends[:, :count], ends[:, count:], turned[:, count:]
+
     def face_weights(self, face: Mapping[str, float]) -> Array:
         """Weights (S,) of the shapes from weights by name; others are 0. Raises MotionError for a wrong one.
 
@@ -135,11 +165,14 @@ class Human(Pictured):
         """Weights (S,) of the shapes from weights (52,) of the actions of ARKit, in their order."""
         return np.append(weights, 0.0)[self._action_shapes]
 
-    def pose(self, posed: Array, face: Mapping[str, float] | Array | None = None) -> NDArray[np.float32]:
+    def pose(
+        self, posed: Array, face: Mapping[str, float] | Array | None = None, swing: Array | None = None
+    ) -> NDArray[np.float32]:
         """Pose the human: vertices (V, 3) float32, in the space of the posed bone frames (B, 4, 4).
 
         ``face``: weights of actions of the face, by name or (S,) in the order of ``shapes``; they move the
-        skin at rest before the bones do. Eyeballs turn with their bones only.
+        skin at rest before the bones do. Eyeballs turn with their bones only. ``swing``: (K, 3) offsets of
+        the lower ends of loose parts, in the space of the frames. Cloth is gathered below raised thighs.
 
         Raises MotionError for an unknown action, or a weight that is not from 0 to 1.
 
@@ -155,6 +188,8 @@ class Human(Pictured):
         """
         transforms = posed @ self.skeleton.rest_inverse
         vertices = np.asarray(self.skinner(transforms), dtype=np.float32)
+        if self.loose is not None:
+            self._move_loose(vertices, transforms, swing)
         if face is None or self.shapes is None:
             return vertices
         weights = self.face_weights(face) if isinstance(face, Mapping) else face
@@ -162,6 +197,17 @@ class Human(Pictured):
             offsets = self._face_skinner.offsets(transforms, self.shapes.at(weights))
             vertices[..., self.shapes.moved, :] += offsets
         return vertices
+
+    def _move_loose(self, vertices: NDArray[np.float32], transforms: Array, swing: Array | None) -> None:
+        """Move the loose parts of posed vertices (..., V, 3) in place."""
+        assert self.loose is not None
+        rows, flat = self.loose.rows, vertices.reshape(-1, *vertices.shape[-2:])
+        for one, bones in zip(flat, transforms.reshape(-1, *transforms.shape[-3:]), strict=True):
+            gathered = self.loose.gathered(self.skeleton, bones)
+            if gathered is not None:
+                one[rows] += self._loose_skinner.offsets(bones, gathered)
+            if swing is not None:
+                one[rows] = self.loose.swung(one[rows], swing, self.skeleton, bones)
 
 
 #: Part labels have 8 bits, and 0 is the background.
@@ -225,12 +271,18 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
         arrays["colors"] = mesh.colors
     if mesh.skin is not None:
         arrays["skin"] = mesh.skin
+    if mesh.materials is not None:
+        arrays["materials"] = mesh.materials
+    if mesh.hair is not None:
+        arrays["hair"] = mesh.hair
     if mesh.shading is not None:
         parts = (mesh.shading.data, mesh.shading.indices, mesh.shading.indptr)
         arrays |= dict(zip(_SHADING, parts, strict=True))
     arrays |= {key: np.array(text) for key, text in {"name": human.name, **human.notes}.items()}
     if human.shapes is not None:
         arrays |= shape_arrays(human.shapes)
+    if human.loose is not None:
+        arrays |= loose_arrays(human.loose)
     if human.skinning != "linear":
         arrays["skinning"] = np.array(human.skinning)
     return arrays
@@ -260,7 +312,9 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         uv=_numbers(arrays, "uv") if has_uv else None,
         uv_faces=_indices(arrays, "uv_faces").astype(np.int32) if has_uv else None,
         colors=arrays.get("colors"),
-        skin=_skin(arrays),
+        skin=_texels(arrays, "skin"),
+        materials=_materials(arrays),
+        hair=_texels(arrays, "hair"),
     )
     mesh = replace(mesh, shading=_shading(arrays, mesh))
     skeleton = Skeleton(
@@ -295,7 +349,10 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     method: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
     shapes = read_shapes(arrays, len(vertices))
     weights = normalise_weights(weights)
-    human = Human(name, mesh, skeleton, weights, looks, skinning=method, notes=notes, shapes=shapes)
+    loose = read_loose(arrays, len(vertices))
+    human = Human(
+        *(name, mesh, skeleton, weights, looks), skinning=method, notes=notes, shapes=shapes, loose=loose
+    )
     return human.wearing(human.outfits[0]) if looks else human
 
 
@@ -316,12 +373,24 @@ def _indices(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.integer]:
     return array
 
 
-def _skin(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
-    """Share of skin in each texel."""
-    skin = arrays.get("skin")
-    if skin is not None and (skin.dtype != np.uint8 or skin.ndim != 2):
-        raise MeshError(f"must be (H, W) uint8, not {skin.shape} {skin.dtype}", key="skin")
-    return skin
+def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | None:
+    """Share of skin or hair in each texel."""
+    share = arrays.get(key)
+    if share is not None and (share.dtype != np.uint8 or share.ndim != 2 or not share.size):
+        raise MeshError(f"must be (H, W) uint8, not {share.shape} {share.dtype}", key=key)
+    return share
+
+
+def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
+    """Label of each face."""
+    labels = arrays.get("materials")
+    if labels is None:
+        return None
+    if labels.dtype != np.uint8 or labels.shape != (len(arrays["faces"]),):
+        raise MeshError(f"must be (F,) uint8, not {labels.shape} {labels.dtype}", key="materials")
+    if len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
+        raise MeshError(f"labels are 1 to {len(MATERIALS)}", key="materials")
+    return labels
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:

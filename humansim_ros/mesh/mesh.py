@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.converters import converted_fbx, is_fbx
 from humansim_ros.io.files import read_bytes
+from humansim_ros.mesh.materials import UNKNOWN
 from humansim_ros.types import Array, Image
 
 
@@ -93,7 +94,10 @@ class Mesh:
     ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
     ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8, share of skin in
-    each texel (the rest is cloth and hair), or None. ``material``: reflection of static meshes; matt if None.
+    each texel (the rest is cloth and hair), or None. ``materials``: (F,) uint8, label of each face of a
+    human (:data:`humansim_ros.mesh.materials.MATERIALS`), or None; ``hair``: (H, W) uint8, share of hair in
+    each texel of skin, or None for the rest of ``skin``. ``material``: reflection of static meshes; matt if
+    None.
     ``shading``: (V, N) weights of the area vectors of the N triangles in the vertex normals, or None for 1
     (:func:`humansim_ros.mesh.normals.shading_weights`).
 
@@ -114,6 +118,8 @@ class Mesh:
     colors: NDArray[np.uint8] | None = None
     texture: NDArray[np.uint8] | None = None
     skin: NDArray[np.uint8] | None = None
+    materials: NDArray[np.uint8] | None = None
+    hair: NDArray[np.uint8] | None = None
     material: Material | None = None
     shading: csr_matrix | None = None
 
@@ -135,6 +141,8 @@ class Mesh:
                 raise MeshError("a face uses a texture coordinate that does not exist")
         if self.texture is not None and self.skin is not None and self.skin.shape != self.texture.shape[:2]:
             raise MeshError(f"skin of {self.skin.shape} does not fit a texture of {self.texture.shape[:2]}")
+        if self.materials is not None and self.materials.shape != (len(self.faces),):
+            raise MeshError(f"materials of {self.materials.shape} do not fit {len(self.faces)} faces")
 
     def __repr__(self) -> str:
         appearance = ""
@@ -160,6 +168,20 @@ class Mesh:
         """(N,) index of the face that each triangle belongs to."""
         quads = self.faces[:, 3] >= 0
         return np.repeat(np.arange(len(self.faces), dtype=np.int32), 1 + quads)
+
+    @cached_property
+    def triangle_materials(self) -> NDArray[np.uint8]:
+        """(N,) label of each triangle of a human."""
+        if self.materials is None:
+            return np.full(len(self.triangles), UNKNOWN, np.uint8)
+        return self.materials[self.triangle_faces]
+
+    @cached_property
+    def hair_texels(self) -> NDArray[np.uint8] | None:
+        """(H, W) share of hair in each texel of skin, 255 is all of it; None without labels or texture."""
+        if self.materials is None or self.hair is not None:
+            return self.hair
+        return None if self.skin is None else 255 - self.skin
 
     @cached_property
     def closed(self) -> bool:

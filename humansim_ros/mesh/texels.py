@@ -145,6 +145,7 @@ def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
         uv_faces=None if uv_triangles is None else padded(uv_triangles),
         colors=None,
         shading=None,
+        materials=None,
     )
     return Subdivision(finer, owner, tuple(edges))
 

@@ -44,7 +44,9 @@ from humansim_ros.messages.humans import motion_message as motion_message
 from humansim_ros.messages.humans import read_face as read_face
 from humansim_ros.messages.humans import read_joints as read_joints
 from humansim_ros.messages.humans import read_mesh as read_mesh
+from humansim_ros.messages.humans import read_swing as read_swing
 from humansim_ros.messages.humans import read_vertices as read_vertices
+from humansim_ros.messages.humans import swing_message as swing_message
 from humansim_ros.messages.humans import vertices_message as vertices_message
 from humansim_ros.messages.images import DepthCompression as DepthCompression
 from humansim_ros.messages.images import ImageCompression as ImageCompression
@@ -61,6 +63,7 @@ from humansim_ros.messages.legends import instance_legend as instance_legend
 from humansim_ros.messages.legends import joints_legend as joints_legend
 from humansim_ros.messages.legends import keypoints_legend as keypoints_legend
 from humansim_ros.messages.legends import live_legend as live_legend
+from humansim_ros.messages.legends import material_legend as material_legend
 from humansim_ros.messages.legends import motion_legend as motion_legend
 from humansim_ros.messages.legends import part_legend as part_legend
 from humansim_ros.messages.legends import read_legend as read_legend

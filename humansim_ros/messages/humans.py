@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from humansim_ros.body.face_actions import ACTIONS, FaceState
+from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
@@ -122,12 +123,43 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     return JointPoses(names, positions[None], unit_quaternions(rotations)[None], linear, angular)
 
 
-def joint_motion(poses: JointPoses, face: FaceState | None = None) -> JointMotion:
-    """Joints of a human from the poses (N = 1) of a ``joints`` message, with its face."""
+def joint_motion(
+    poses: JointPoses, face: FaceState | None = None, swing: SwingState | None = None
+) -> JointMotion:
+    """Joints of a human from the poses (N = 1) of a ``joints`` message, with its face and loose parts."""
     joints = transform(quaternion_to_matrix(poses.rotations[0]), poses.positions[0])
     if poses.linear is None or poses.angular is None:
-        return JointMotion(joints, None, None, face)
-    return JointMotion(joints, poses.linear[0], poses.angular[0], face)
+        return JointMotion(joints, None, None, face, swing)
+    return JointMotion(joints, poses.linear[0], poses.angular[0], face, swing)
+
+
+def swing_message(swing: SwingState | None, count: int, stamp: int) -> JointState:
+    """Build ``humans/<id>/swing``: offset and rate of each loose end along x, y and z; all 0 without swing.
+
+    ``count``: number of loose ends.
+    """
+    if swing is None:
+        swing = SwingState(np.zeros((count, 3)), np.zeros((count, 3)))
+    names = [f"{number}/{axis}" for number in range(count) for axis in "xyz"]
+    message = JointState(header=header(stamp, WORLD_FRAME), name=names)
+    message.position, message.velocity = swing.offsets.ravel().tolist(), swing.rates.ravel().tolist()
+    return message
+
+
+def read_swing(message: JointState, count: int) -> SwingState:
+    """Read a ``swing`` message of a human with some loose ends.
+
+    Raises:
+        RosError: It has another number of ends, or a number is not finite.
+    """
+    if not len(message.position) == len(message.velocity) == len(message.name) == 3 * count:
+        raise RosError(f"{len(message.name)} names; {count} loose ends have x, y and z each")
+    offsets, rates = (
+        np.array(values, dtype=float).reshape(count, 3) for values in (message.position, message.velocity)
+    )
+    if not (within_bounds(offsets) and within_bounds(rates)):
+        raise RosError("an offset of loose cloth or hair is not finite")
+    return SwingState(offsets, rates)
 
 
 def face_message(face: FaceState | None, stamp: int) -> JointState:

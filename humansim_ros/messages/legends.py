@@ -11,6 +11,7 @@ from humansim_ros.body import Skeleton
 from humansim_ros.errors import RosError
 from humansim_ros.io.files import parse_json
 from humansim_ros.keypoints import KEYPOINT_SETS
+from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.messages.types import String
 from humansim_ros.scene.faults import FaultSchedule
 from humansim_ros.scene.live import JointSource
@@ -43,6 +44,11 @@ def instance_legend(labels: Mapping[str, int]) -> String:
 def part_legend(skeleton: Skeleton) -> String:
     """Build ``<camera>/part/legend``: bone of each pixel value."""
     return _legend({"0": "background"} | {str(i): name for i, name in enumerate(skeleton.names, 1)})
+
+
+def material_legend() -> String:
+    """Build ``<camera>/material/legend``: skin, hair, garment or worn thing of each pixel value."""
+    return _legend({"0": "background"} | _by_label(MATERIAL_LABELS))
 
 
 def joints_legend(

@@ -89,6 +89,8 @@ DepthContent = tuple[DepthCapture, View]
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
+#: Legends that a recording has only if they are asked for.
+_OPTIONAL_LEGENDS = ("keypoints", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
 
 
@@ -202,6 +204,7 @@ class HumanTopics:
         mesh: Surface at rest.
         keypoints: Keypoints in ``map`` by set.
         face: Weights of the actions of the face; None for a human whose face does not move.
+        swing: Swing of loose cloth and hair; None for a human without.
     """
 
     def __init__(self, actor: Actor, live: bool = False) -> None:
@@ -260,6 +263,16 @@ class HumanTopics:
                 state,
                 shown=True,
             )
+        self.swing: Topic[HumanState] | None = None
+        if actor.human.loose is not None:
+            count = len(actor.human.loose.kinds)
+            self.swing = Topic(
+                f"{root}/swing",
+                JointState,
+                lambda body, stamp: messages.swing_message(body.swing, count, stamp),
+                state,
+                shown=True,
+            )
         self.keypoints: dict[str, Topic[HumanState]] = {
             keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
         }
@@ -284,8 +297,8 @@ class HumanTopics:
     def __iter__(self) -> Iterator[Topic[Any]]:
         driven = (self.frame,) if self.live else (self.motion,)
         body = (self.joints, self.vertices, self.markers, self.mesh)
-        face = () if self.face is None else (self.face,)
-        return iter((*driven, self.legend, *body, *face, *self.keypoints.values()))
+        parts = (topic for topic in (self.face, self.swing) if topic is not None)
+        return iter((*driven, self.legend, *body, *parts, *self.keypoints.values()))
 
 
 class ObjectTopics:
@@ -612,12 +625,16 @@ class CameraTopics:
         )
         exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
         legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
+        if actors:
+            legends["material"] = messages.material_legend
 
         if (faults := self._camera.faults) is not None:
             legends["faults"] = lambda: messages.faults_legend(faults)
         name = self._name
         return [
-            _sent_once(f"{name}/{kind}/legend", String, build, camera=name, optional=kind == "keypoints")
+            _sent_once(
+                f"{name}/{kind}/legend", String, build, camera=name, optional=kind in _OPTIONAL_LEGENDS
+            )
             for kind, build in legends.items()
         ]
 

@@ -445,5 +445,6 @@ def _dressed(human: Human, image: Image, outfit: str) -> Human:
     skin = human.mesh.skin
     if skin is not None:
         skin = np.asarray(cv2.resize(skin, image.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
-    mesh = replace(human.mesh, texture=image, colors=None, skin=skin)
+    # the person in the photographs wears something else
+    mesh = replace(human.mesh, texture=image, colors=None, skin=skin, materials=None, hair=None)
     return replace(human, mesh=mesh, looks=looks, outfit=outfit)

@@ -93,6 +93,7 @@ class _MeshBuffers:
                 uv_faces=None if uv is None else padded(coordinates),
                 colors=None if mesh.colors is None else mesh.colors[kept],
                 shading=None,
+                materials=None,
             )
             self._levels[number] = kept, _MeshBuffers(self.ctx, shown, self.programs, self.material)
         return self._levels[number]

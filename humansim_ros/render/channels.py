@@ -82,6 +82,7 @@ CHANNEL_TABLE: dict[str, Channel] = {
         Channel("depth", np.float32, "depth/image", "32FC1", empty=np.inf, **_RECTIFIED_DEPTH),
         Channel("instance", np.uint16, "instance/image", "mono16", default=True, **_LABELS),
         Channel("part", np.uint8, "part/image", "mono8", default=True, **_LABELS),
+        Channel("material", np.uint8, "material/image", "mono8", **_LABELS),
         Channel("face", np.int32, "face/image", "32SC1", **_LABELS),
         Channel("normal", np.float32, "normal/image", "32FC3", (3,), **_LABELS),
         Channel("uv", np.float32, "uv/image", "32FC2", (2,), empty=np.nan, **_LABELS),
@@ -124,6 +125,8 @@ class View(Pictured):
             sampled at pixel centers, never blended.
         instance: (H, W) uint16 label of the human or labelled object; 0 where none is.
         part: (H, W) uint8 label of the body part; 0 where no labelled body is.
+        material: (H, W) uint8 label of skin, eyes, hair, a garment or a worn thing
+            (:data:`humansim_ros.mesh.materials.MATERIALS`); 0 where no human is.
         face: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
         normal: (H, W, 3) float32, outward unit normal of that triangle in the optical frame, 0 where no body
             is.
@@ -143,6 +146,7 @@ class View(Pictured):
     depth: NDArray[np.float32]
     instance: NDArray[np.uint16]
     part: NDArray[np.uint8]
+    material: NDArray[np.uint8]
     face: NDArray[np.int32]
     normal: NDArray[np.float32]
     uv: NDArray[np.float32]

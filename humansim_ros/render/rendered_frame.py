@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.mesh.materials import SKIN, with_hair
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.channels import CHANNEL_TABLE, AdjacentName, View
 from humansim_ros.render.edge_antialiasing import EdgeCrossings, blend
 from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
@@ -44,29 +46,47 @@ class Passes(NamedTuple):
         return all(has or not needs for has, needs in zip(self, other, strict=True))
 
 
+class _Drawn(NamedTuple):
+    """Drawn triangles (M,) of a body with a number in the frame; ``mesh``: of a human, else None."""
+
+    number: int
+    instance: int
+    parts: NDArray[np.uint8]
+    mesh: Mesh | None
+    triangles: Indices
+
+    def materials(self) -> NDArray[np.uint8]:
+        """(M,) label of what each triangle is made of; 0 of objects."""
+        if self.mesh is None or not self.instance:
+            return np.zeros(len(self.triangles), np.uint8)
+        return self.mesh.triangle_materials[self.triangles]
+
+
 class TriangleIds:
     """Triangles of the bodies of one image: id 0 is no body, id n is the n-th triangle that was drawn."""
 
     def __init__(self) -> None:
         self.count = 1
-        self._bodies: list[tuple[int, int, NDArray[np.uint8], Indices]] = []
+        self._bodies: list[_Drawn] = []
 
     def add(self, number: int, body: Body, triangles: Indices) -> None:
         """Append drawn triangles (M,) of a body with a number in the frame."""
         self.count += len(triangles)
-        self._bodies.append((number, body.instance, body.parts, triangles))
+        mesh = body.mesh if body.kind == "human" else None
+        self._bodies.append(_Drawn(number, body.instance, body.parts, mesh, triangles))
 
     def table(self, name: str) -> NDArray[Any]:
         """Value of each id in a channel; or its ``owner``, index of the body, or its ``triangle``."""
-        make: dict[str, Callable[[int, int, NDArray[np.uint8], Indices], NDArray[Any]]] = {
-            "instance": lambda _, instance, __, triangles: np.full(len(triangles), instance, np.uint16),
-            "part": lambda _, __, parts, triangles: parts[triangles],
-            "owner": lambda owner, _, __, triangles: np.full(len(triangles), owner, np.intp),
-            "triangle": lambda _, __, ___, triangles: triangles,
-            "face": lambda _, instance, __, triangles: ((triangles + 1) * (instance > 0)).astype(np.int32),
+        make: dict[str, Callable[[_Drawn], NDArray[Any]]] = {
+            "instance": lambda drawn: np.full(len(drawn.triangles), drawn.instance, np.uint16),
+            "part": lambda drawn: drawn.parts[drawn.triangles],
+            "material": _Drawn.materials,
+            "owner": lambda drawn: np.full(len(drawn.triangles), drawn.number, np.intp),
+            "triangle": lambda drawn: drawn.triangles,
+            "face": lambda drawn: ((drawn.triangles + 1) * (drawn.instance > 0)).astype(np.int32),
         }
         kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else np.intp
-        values = (make[name](*body) for body in self._bodies)
+        values = (make[name](drawn) for drawn in self._bodies)
         return np.concatenate([np.zeros(1, kind), *values])
 
 
@@ -273,6 +293,20 @@ def _fill_normal(frame: RenderedFrame, name: str, images: dict[str, Any], bodies
     images[name].reshape(-1, 3)[geometry.visible.pixels] = geometry.normals()
 
 
+def _fill_material(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    _fill_from_ids(frame, name, images, bodies)
+    geometry = frame.geometry(bodies)
+    labels, visible = images[name].reshape(-1), geometry.visible
+    if not (labels[visible.pixels] == SKIN).any():
+        return
+    uv = geometry.texture_coordinates()
+    for number, body in enumerate(bodies):
+        if body.kind == "human" and body.mesh.hair_texels is not None:
+            own = np.flatnonzero(visible.owner == number)
+            pixels = visible.pixels[own]
+            labels[pixels] = with_hair(labels[pixels], uv[own], body.mesh.hair_texels)
+
+
 def _fill_uv(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
     geometry = frame.geometry(bodies)
     images[name].reshape(-1, 2)[geometry.visible.pixels] = geometry.texture_coordinates()
@@ -289,6 +323,7 @@ _FILL: dict[str, _Fill] = {
     "depth": _fill_depth,
     "instance": _fill_from_ids,
     "part": _fill_from_ids,
+    "material": _fill_material,
     "face": _fill_from_ids,
     "rgb": _fill_rgb,
     "shadow": _fill_shadow,

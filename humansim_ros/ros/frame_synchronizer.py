@@ -16,6 +16,7 @@ from visualization_msgs.msg import Marker
 
 from humansim_ros import messages
 from humansim_ros.body.face_actions import FaceState
+from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import GivenUpFrame, PacedFrames
@@ -95,6 +96,9 @@ class FrameSynchronizer:
             )
             if self._scene.actors[human].face is not None:
                 self._subscribe(JointState, f"humans/{human}/face", messages.read_face)
+            if (loose := self._scene.actors[human].human.loose) is not None:
+                read = partial(messages.read_swing, count=len(loose.kinds))
+                self._subscribe(JointState, f"humans/{human}/swing", read)
         for name in objects:
             self._subscribe(Marker, f"objects/{name}/marker", messages.read_object)
         for name in moving_cameras:
@@ -174,12 +178,14 @@ class FrameSynchronizer:
             raise RosError(f"{len(vertices)} vertices, but the body has {count}")
         return vertices
 
-    def _read_joints(self, human: str, data: bytes, face: FaceState | None) -> JointMotion:
-        """Joints of a serialised message, with the face. Raises RosError unless the body has these joints."""
+    def _read_joints(
+        self, human: str, data: bytes, face: FaceState | None, swing: SwingState | None
+    ) -> JointMotion:
+        """Joints of a serialised message, with face and swing. Raises RosError unless the body has these."""
         poses = messages.read_joints(deserialised(data, MultiDOFJointState))
         if poses.names != self._scene.actors[human].human.skeleton.joint_names:
             raise RosError(f"{human}: {len(poses.names)} joints that are not the joints of its body")
-        return messages.joint_motion(poses, face)
+        return messages.joint_motion(poses, face, swing)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the others of its stamp."""
@@ -251,7 +257,10 @@ class FrameSynchronizer:
                 vertices={human: content[f"humans/{human}/vertices"] for human in self._scene.actors},
                 joints_of=cache(
                     lambda human: self._read_joints(
-                        human, content[f"humans/{human}/joints"], content.get(f"humans/{human}/face")
+                        human,
+                        content[f"humans/{human}/joints"],
+                        content.get(f"humans/{human}/face"),
+                        content.get(f"humans/{human}/swing"),
                     )
                 ),
                 objects=objects,

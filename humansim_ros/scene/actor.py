@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
 from humansim_ros.body.face_actions import FaceState
+from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
@@ -23,6 +24,7 @@ from humansim_ros.motion.hand_poses import HandKeys, without_hands
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
@@ -55,6 +57,7 @@ class HumanState:
         rotations: (J, 4) quaternions xyzw that the rotations of ``joints`` are computed from, as messages
             carry them.
         face: Weights of the actions of the face; None for a stiff face.
+        swing: Swing of loose cloth and hair; None without.
     """
 
     joint_names: tuple[str, ...]
@@ -65,6 +68,7 @@ class HumanState:
     size: float = 1.0
     rotations: Array = field(kw_only=True)
     face: FaceState | None = field(default=None, kw_only=True)
+    swing: SwingState | None = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
         return f"HumanState({len(self.joint_names)} joints, {len(self.vertices)} vertices)"
@@ -257,8 +261,22 @@ class Actor:
         return self.with_face(poses, seconds)
 
     def with_face(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Joint poses of the motion at a scene time, with the joints that carry the face."""
-        return poses if self.face is None else self.face.add(poses, seconds)
+        """Joint poses of the motion at a scene time, with the joints that carry the face and loose parts."""
+        poses = poses if self.face is None else self.face.add(poses, seconds)
+        return poses if self._swing is None else self._swing.add(poses, seconds)
+
+    @cached_property
+    def _swing(self) -> LooseSwing | None:
+        """Swing of its loose parts over scene time."""
+        loose = self.human.loose
+        return None if loose is None else LooseSwing(loose.kinds.tolist(), self._loose_ends)
+
+    def _loose_ends(self, times: Array) -> tuple[Array, Array, Array]:
+        """Ends of its loose parts at scene times; see :meth:`Human.loose_ends`."""
+        joints, sizes = self._sized_joints_at(times)
+        bones = joints[:, : len(self.human.skeleton)].copy()
+        bones[..., :3, :3] *= sizes[:, None, None, None]
+        return self.human.loose_ends(bones)
 
     def state(self, poses: JointPoses) -> HumanState:
         """State of the body from joint poses with N = 1, as the skinner publishes it.
@@ -266,13 +284,15 @@ class Actor:
         It has the same bits for poses that were sent as a message and for those that were not.
         """
         skeleton, poses = self.human.skeleton, poses.contiguous()
-        face = linear = angular = None
+        face = linear = angular = swing = None
         if poses.linear is None:
-            (joints,), (size,), weights = self._posed(poses)
+            (joints,), (size,), weights, offsets = self._posed(poses)
+            if offsets is not None:
+                swing = SwingState(offsets[0], np.zeros_like(offsets[0]))
             if weights is not None:
                 face = FaceState(weights[0], np.zeros_like(weights[0]))
         else:
-            (before, joints, after), (_, size, _), weights = self._posed(
+            (before, joints, after), (_, size, _), weights, offsets = self._posed(
                 poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
             linear, angular = central_difference(
@@ -284,6 +304,8 @@ class Actor:
             )
             if weights is not None:
                 face = FaceState(weights[1], (weights[2] - weights[0]) / (2 * VELOCITY_STEP))
+            if offsets is not None:
+                swing = SwingState(offsets[1], (offsets[2] - offsets[0]) / (2 * VELOCITY_STEP))
         bones = joints[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
@@ -293,15 +315,18 @@ class Actor:
             transform(quaternion_to_matrix(rotations), joints[:, :3, 3]),
             linear,
             angular,
-            self._skin(bones, None if face is None else face.weights),
+            self._skin(
+                bones, None if face is None else face.weights, None if swing is None else swing.offsets
+            ),
             float(size),
             rotations=rotations,
             face=face,
+            swing=swing,
         )
 
-    def _skin(self, bones: Array, weights: Array | None) -> NDArray[np.float32]:
-        """Vertices (V, 3) of bone frames (B, 4, 4) and weights (52,) of the face, if it moves."""
-        return self.human.pose(bones, None if weights is None else self.human.of_actions(weights))
+    def _skin(self, bones: Array, weights: Array | None, swing: Array | None) -> NDArray[np.float32]:
+        """Vertices (V, 3) of bone frames (B, 4, 4), weights (52,) of the face and the swing (K, 3)."""
+        return self.human.pose(bones, None if weights is None else self.human.of_actions(weights), swing)
 
     def at(self, seconds: float) -> HumanState:
         """State of the body at a scene time in seconds."""
@@ -313,12 +338,16 @@ class Actor:
 
     def _joints_at(self, times: Array) -> Array:
         """Frames (N, J, 4, 4) of the joints at scene times (N,), without hands and face."""
-        joints = self.joints_of(self.motion.sample(times + self.offset, self.ahead))[0]
+        return self._sized_joints_at(times)[0]
+
+    def _sized_joints_at(self, times: Array) -> tuple[Array, Array]:
+        """:meth:`_joints_at`, and the scale of the body (N,)."""
+        joints, sizes = self.joints_of(self.motion.sample(times + self.offset, self.ahead))
         if self.keyframes is None:
-            return joints
+            return joints, sizes
         key = self.keyframes.at(times)
         space = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
-        return space.to_map(joints)
+        return space.to_map(joints), space.size
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,).
@@ -350,7 +379,13 @@ class Actor:
         return Eyes.of(self.human.skeleton)
 
     def moved(
-        self, joints: Array, linear: Array, angular: Array, seconds: float, face: FaceState | None = None
+        self,
+        joints: Array,
+        linear: Array,
+        angular: Array,
+        seconds: float,
+        face: FaceState | None = None,
+        swing: SwingState | None = None,
     ) -> NDArray[np.float32]:
         """Vertices (V, 3) some time after a state, with all joints at constant velocity.
 
@@ -360,6 +395,7 @@ class Actor:
             angular: (J, 3) angular velocities, rad/s.
             seconds: Time after the state; negative for before.
             face: The face at the state.
+            swing: The swing at the state.
         """
         skeleton = self.human.skeleton
         count = len(skeleton)
@@ -372,26 +408,33 @@ class Actor:
             bones[details, :3, 3] = bones[above, :3, 3] + rotate(turn, offset)
         size = skeleton.size_of(joints[:count, :3, 3])
         bones = bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones
-        return self._skin(bones, None if face is None else face.after(seconds))
+        return self._skin(
+            bones,
+            None if face is None else face.after(seconds),
+            None if swing is None else swing.after(seconds),
+        )
 
     def body(self, vertices: NDArray[np.float32]) -> Body:
         """Body for renderers from the vertices (V, 3) of a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance, levels=self.levels)
 
-    def _posed(self, poses: JointPoses) -> tuple[Array, Array, Array | None]:
-        """Poses (N, J, 4, 4) of the joints, scale of the body (N,), and weights (N, 52) of its face."""
+    def _posed(self, poses: JointPoses) -> tuple[Array, Array, Array | None, Array | None]:
+        """Poses (N, J, 4, 4) of the joints, scale of the body (N,), weights (N, 52) of its face, and swing
+        (N, K, 3) of loose parts.
+        """
+        poses, swing = without_swing(poses)
         poses, face = without_face(poses)
         joints, sizes = self.joints_of(poses)
         if face is None:
-            return joints, sizes, None
+            return joints, sizes, None, swing
         if self._eyes is None:
-            return joints, sizes, face.weights
+            return joints, sizes, face.weights, swing
         angles = looked_angles(face.weights)
         if face.shares.any():
             angles += face.shares[:, None, None] * self._eyes.angles_to(joints, face.points)
         angles = within_limits(angles)
         self._eyes.turn(joints, angles)
-        return joints, sizes, with_looks(face.weights, angles)
+        return joints, sizes, with_looks(face.weights, angles), swing
 
     def joints_of(self, poses: JointPoses) -> tuple[Array, Array]:
         """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.face_actions import FaceState
+from humansim_ros.body.loose import SwingState
 from humansim_ros.camera import Camera
 from humansim_ros.render import AdjacentFrame, Body, Renderer, RenderRequest, View
 from humansim_ros.render.pixel_geometry import pixel_rays
@@ -206,13 +207,14 @@ def capture_depth(
 class JointMotion:
     """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s or None.
 
-    ``face``: its face, if it moves.
+    ``face``: its face, if it moves. ``swing``: swing of its loose cloth and hair, if it has any.
     """
 
     joints: Array
     linear: Array | None
     angular: Array | None
     face: FaceState | None = None
+    swing: SwingState | None = None
 
     @property
     def positions(self) -> Array:
@@ -328,7 +330,9 @@ class SceneState:
         motion = self.joints_of(name)
         if motion.linear is None or motion.angular is None:
             return self.vertices[name]
-        return self.actors[name].moved(motion.joints, motion.linear, motion.angular, seconds, motion.face)
+        return self.actors[name].moved(
+            *(motion.joints, motion.linear, motion.angular, seconds, motion.face, motion.swing)
+        )
 
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
         pose = self.calibrated_pose(camera).moved(seconds)

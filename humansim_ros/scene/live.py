@@ -19,6 +19,7 @@ from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_names
 from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
 from humansim_ros.motion.kinematics import JointPoses
+from humansim_ros.motion.loose_swing import LOOSE_JOINT, check_swing, swing_joints
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.actor import Actor, HumanState
@@ -188,12 +189,18 @@ class LiveRetargeter:
             if self._actor.face is None:
                 raise MotionError(f"the scene gives {self._actor.name} no face: add the key face: {{}}")
             check_face(poses)
-        added = {*space, *hands, *face}
+        loose = tuple(name for name in poses.names if name.startswith(LOOSE_JOINT))
+        if loose:
+            parts = self._actor.human.loose
+            count = 0 if parts is None else len(parts.kinds)
+            check_swing(poses, loose, count)
+            loose = swing_joints(count)
+        added = {*space, *hands, *face, *loose}
         own = tuple(name for name in poses.names if name not in added)
         moved, _ = undo_keyframes(_in_order(poses, (*own, *space)))
         self._source = self._source_of(moved, stamp)
         actor = replace(self._actor, retargeter=self._source.retargeter)
-        return actor.state(_in_order(poses, (*self._source.names, *space, *hands, *face)))
+        return actor.state(_in_order(poses, (*self._source.names, *space, *hands, *face, *loose)))
 
     def _source_of(self, poses: JointPoses, stamp: int | None) -> JointSource:
         """Source of a pose: a known one, or a new one."""

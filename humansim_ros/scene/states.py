@@ -61,7 +61,7 @@ class SceneStates:
 
         def joints_of(name: str) -> JointMotion:
             human = humans[name]
-            return JointMotion(human.joints, human.linear, human.angular, human.face)
+            return JointMotion(human.joints, human.linear, human.angular, human.face, human.swing)
 
         state = SceneState(
             stamp=self._start + elapsed,

@@ -16,8 +16,8 @@ from export_support import SCENE, exported, small_scene
 from humansim_ros import Frame, Scene, Simulation
 from humansim_ros.export.images import kitti_flow, millimetres
 
-FORMATS = "images,depth-png,depth-exr,depth-npy,labels,flow-flo,flow-kitti"
-CHANNELS = ("rgb", "depth", "instance", "part", "flow", "flow_hidden")
+FORMATS = "images,depth-png,depth-exr,depth-npy,labels,materials,flow-flo,flow-kitti"
+CHANNELS = ("rgb", "depth", "instance", "part", "material", "flow", "flow_hidden")
 CAMERAS = ("noisy", "bent")
 
 
@@ -99,6 +99,15 @@ def test_labels_have_a_legend(root: Path, frame: Frame, camera: str) -> None:
     assert legend["instance"] == {"0": "background", "1": "anna", "2": "bert", "3": "crate"}
     assert set(map(str, np.unique(part[instance == 1]))) <= legend["part"]["anna"].keys()
     assert legend["part"]["anna"]["1"] == "HumanoidRoot"
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_materials_have_a_legend(root: Path, frame: Frame, camera: str) -> None:
+    material = read(root / f"materials/{camera}/000004.png")
+    np.testing.assert_array_equal(material, frame.views[camera].material)
+    legend = json.loads((root / "materials/labels.json").read_text())
+    names = {legend[str(label)] for label in np.unique(material)}
+    assert {"background", "skin", "top", "bottom"} <= names
 
 
 @pytest.mark.parametrize("camera", CAMERAS)

@@ -132,6 +132,25 @@ def test_ages_sexes_and_skin_tones_are_spread_evenly() -> None:
     assert min(old) > 150
 
 
+def test_fabrics_are_those_that_people_of_a_sex_and_age_wear() -> None:
+    people = [draw_person(12, number) for number in range(3000)]
+    plain_tops = ("shirt", "vest", "jumper", "hoodie", "dress")  # others have fabrics of their own
+    groups: dict[tuple[Sex, bool], list[str]] = {}
+    for person in people:
+        if person.clothes.top in plain_tops:
+            groups.setdefault((person.sex, person.age < 13), []).append(person.outfit.shirt_fabric)
+    names = sorted({fabric for fabrics in groups.values() for fabric in fabrics})
+    assert names == ["checks", "dots", "flowers", "knit", "plain", "stripes", "twill"]
+    share = {
+        key: {name: fabrics.count(name) / len(fabrics) for name in names} for key, fabrics in groups.items()
+    }
+    for child in (False, True):
+        men, women = share["male", child], share["female", child]
+        assert men["flowers"] + men["dots"] < 0.06 < 0.15 < women["flowers"] + women["dots"]
+        assert men["stripes"] + men["checks"] > women["stripes"] + women["checks"]
+        assert max(men, key=men.__getitem__) == max(women, key=women.__getitem__) == "plain" or child
+
+
 def test_clothes_are_mostly_dark_and_seldom_vivid_except_of_children() -> None:
     """Chroma here is the largest minus the smallest part of a colour; grey has 0, and pure red 255."""
     people = [draw_person(3, number) for number in range(4000)]

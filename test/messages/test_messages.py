@@ -278,6 +278,8 @@ def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
     assert parts["0"] == "background"
     assert [parts[str(i + 1)] for i in range(57)] == list(skeleton.names)
     assert json.loads(messages.instance_legend({"walker": 1}).data) == {"0": "background", "1": "walker"}
+    material = json.loads(messages.material_legend().data)
+    assert [material[str(n)] for n in (0, 1, 2, 4, 5)] == ["background", "unknown", "skin", "hair", "top"]
     joints = json.loads(messages.joints_legend({"walker": (1, skeleton.joint_names)}).data)
     assert joints["human"] == {"1": "walker"}
     assert joints["joint"]["walker"] == list(skeleton.joint_names)

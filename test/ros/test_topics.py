@@ -106,6 +106,8 @@ def test_the_table_has_every_kind_of_topic_once(scene: Scene) -> None:
         "fixed/joints",
         "fixed/joints/legend",
         "fixed/keypoints/legend",
+        "fixed/material/image",
+        "fixed/material/legend",
         "fixed/keypoints/coco17",
         "humans/anna/keypoints/plug_in_gait",
         "fixed/extrinsics",

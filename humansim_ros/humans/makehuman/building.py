@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.joint_names import FINGERS
+from humansim_ros.body.loose import loose_arrays
 from humansim_ros.body.shapes import Shapes, shape_arrays
 from humansim_ros.body.skinning import skin
 from humansim_ros.humans.makehuman.clothes import (
@@ -46,6 +47,7 @@ from humansim_ros.humans.makehuman.paint import (
     Canvas,
     Texels,
     as_image,
+    hair_share,
     openness,
     paint,
     rasterise,
@@ -68,15 +70,18 @@ from humansim_ros.humans.makehuman.skeleton import (
     unskin,
 )
 from humansim_ros.humans.makehuman.surface import NONE, SHOES, BodySurface, compact, refine, sample
+from humansim_ros.humans.makehuman.wardrobe import BEARDS
 from humansim_ros.humans.makehuman.worn import (
     Wearer,
     WornPart,
     add_parts,
+    loose_parts,
     strip_height,
     strip_image,
     under_skirts,
     worn_parts,
 )
+from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Array
 
 #: Flexion of the three joints of each finger, degrees: thumb to little finger of a hand at rest.
@@ -356,6 +361,9 @@ def build(
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
         **shape_arrays(Shapes.of_offsets(ACTIONS, figure.offsets), figure.scale),
         "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
+        "materials": figure.materials,
+        **figure.hair,
+        **figure.loose,
         "license": np.array("CC0-1.0"),
         "source": np.array(SOURCE),
     }
@@ -435,6 +443,30 @@ class _Figure:
             TEXTURE_SIZE,
         )
         return cls(common, config, scale, mesh, dressed, own, body.bones, offsets, parts, solid)
+
+    @property
+    def materials(self) -> NDArray[np.uint8]:
+        """(F,) label of each face."""
+        garments = np.array([MATERIAL_LABELS[name] for name in ("skin", "shoes", "bottom", "top")], np.uint8)
+        labels = garments[self.mesh.face_garment]
+        labels[self.mesh.part[self.mesh.faces[:, 0]] > 0] = MATERIAL_LABELS["eyes"]
+        return np.concatenate([labels, *(part.labels for part in self.parts)])
+
+    @property
+    def hair(self) -> dict[str, NDArray[np.uint8]]:
+        """Share of hair in each texel, if it is not the rest of ``skin``: of people with a beard."""
+        if self.own.dress.beard == BEARDS["none"]:
+            return {}
+        texels = self.common.texels
+        canvas = replace(self.common.canvas, own=self.own)
+        share = as_image(texels, 255 * hair_share(self.mesh, texels, canvas))
+        return {"hair": np.pad(share, ((0, strip_height(self.parts)), (0, 0)))}
+
+    @property
+    def loose(self) -> dict[str, NDArray[Any]]:
+        """Arrays of cloth and hair that swing."""
+        parts = loose_parts(self.parts, len(self.mesh.vertices))
+        return {} if parts is None else loose_arrays(parts)
 
     def arrays(self, sole: Array) -> dict[str, NDArray[Any]]:
         """Arrays of surface, bones and weights. ``sole``: point (3,) that becomes the origin."""

@@ -618,6 +618,18 @@ def paint(
     return np.asarray(colour * light[:, None])
 
 
+def hair_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
+    """Share (N,) of hair and beard in each texel of the skin; 0 on cloth, leather and eyes."""
+    rows = np.flatnonzero((mesh.face_garment[texels.face] == NONE) & (mesh.part[texels.vertex] == 0))
+    head = canvas.part("skin", rows)
+    share = beard_on(head)
+    hair, amount = hair_on(head)
+    share[hair] = np.maximum(share[hair], amount)
+    whole = np.zeros(len(texels.face))
+    whole[rows] = share
+    return whole
+
+
 def skin_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
     """Share (N,) of skin and eyes in each texel, without cloth, leather and hair."""
     naked = mesh.face_garment[texels.face] == NONE

@@ -34,9 +34,9 @@ from humansim_ros.humans.makehuman.wardrobe import (
     HAIR,
     WORN,
     Attire,
-    Fabric,
     check_clothes,
     draw_clothes,
+    draw_fabric,
 )
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.types import Array
@@ -126,7 +126,6 @@ _HAIR = (
 _IRIS = ((58, 40, 30), (78, 56, 40), (98, 82, 50), (92, 110, 84), (96, 124, 146), (110, 130, 140))
 _DARK = 2
 _GREY = (206, 204, 200)
-_FABRICS: tuple[Fabric, ...] = ("plain", "knit", "twill", "stripes", "checks", "dots", "flowers")
 _TROUSERS: tuple[tuple[int, int, int], ...] = (
     *((52, 66, 96), (38, 42, 54), (96, 88, 78), (128, 110, 84), (64, 72, 60), (44, 40, 40), (150, 142, 130)),
 )
@@ -533,7 +532,7 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
         hair=(red, green, blue),
         iris=iris,
         shirt=_cloth_color(age, uniform),
-        shirt_fabric=_FABRICS[int(len(_FABRICS) * uniform())],
+        shirt_fabric=draw_fabric(uniform(), age, sex == "female"),
         shirt_second=_cloth_color(age, uniform),
         trousers=one(_TROUSERS),
         trousers_fabric=("denim", "twill", "plain")[int(3 * uniform())],

@@ -360,6 +360,12 @@ _SHOE_SHARES: Mapping[str, _Shares] = {
     "female": {"shoes": 6, "boots": 1.5, "sandals": 1.2, "bare": 0.1},
     "male": {"shoes": 7, "boots": 1, "sandals": 0.6, "bare": 0.1},
 }
+_FABRIC_SHARES: Mapping[str, _Shares] = {
+    "woman": {"plain": 4, "knit": 3, "twill": 1.5, "stripes": 2, "checks": 1.5, "dots": 1, "flowers": 2},
+    "man": {"plain": 5, "knit": 3, "twill": 2, "stripes": 2.5, "checks": 2.5, "dots": 0.2, "flowers": 0.2},
+    "girl": {"plain": 3, "knit": 2, "twill": 0.5, "stripes": 2, "checks": 1, "dots": 2, "flowers": 2.5},
+    "boy": {"plain": 4, "knit": 2, "twill": 0.5, "stripes": 3, "checks": 2, "dots": 0.3, "flowers": 0.1},
+}
 _BEARD_SHARES: _Shares = {"none": 6, "full": 2, "goatee": 0.8, "moustache": 0.7}
 
 
@@ -389,8 +395,7 @@ def draw_clothes(
                 raise MeshError(
                     f"unknown {name!r}{did_you_mean(name, CHOICES[key])}; there are {known}", key=key
                 )
-    sex, young = "female" if female else "male", age < 13
-    group = ("girl" if female else "boy") if young else ("woman" if female else "man")
+    sex, group = "female" if female else "male", _group(age, female)
     styles = _HAIR_SHARES[f"old {group}" if age >= 68 else group]
     hair, top, bottom, shoes, beard = (uniform() for _ in range(5))
     tops, bottoms = _TOP_SHARES[group], _BOTTOM_SHARES[sex]
@@ -416,6 +421,18 @@ def draw_clothes(
     if wrong is not None:
         raise MeshError(wrong[1], key=wrong[0])
     return clothes
+
+
+def draw_fabric(value: float, age: float, female: bool) -> Fabric:
+    """Fabric of a garment of the upper body, by a number from 0 to 1."""
+    fabric: Fabric = _pick(_FABRIC_SHARES[_group(age, female)], value)
+    return fabric
+
+
+def _group(age: float, female: bool) -> Literal["woman", "man", "girl", "boy"]:
+    if age < 13:
+        return "girl" if female else "boy"
+    return "woman" if female else "man"
 
 
 def _things(uniform: Callable[[], float], age: float, female: bool, top: TopName) -> tuple[WornName, ...]:

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing
 from scipy.spatial import cKDTree
 
+from humansim_ros.body.loose import CLOTH, LooseParts
+from humansim_ros.body.loose import HAIR as HAIR_ENDS
 from humansim_ros.humans.makehuman.clothes import BodyRegions, Outline
 from humansim_ros.humans.makehuman.data import VertexIndices
 from humansim_ros.humans.makehuman.paint import line, weave
@@ -31,6 +33,7 @@ from humansim_ros.humans.makehuman.wardrobe import (
     Worn,
     WornName,
 )
+from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Array
 
 #: Rows and columns of directions around the head.
@@ -48,6 +51,23 @@ PartMaterial = Literal["hair", "top", "bottom", "shoes", "soles"] | WornName
 
 
 @dataclass(frozen=True)
+class Hanging:
+    """How a part of V vertices hangs: see :class:`~humansim_ros.body.loose.LooseParts`.
+
+    ``kind``; ``ends`` (K, 2) and ``outwards`` (K, 3); ``nodes`` (V, 2), ``shares`` (V, 2), ``gather`` (V, 3)
+    and ``left`` (V,) of all its vertices.
+    """
+
+    kind: int
+    ends: VertexIndices
+    outwards: Array
+    nodes: VertexIndices
+    shares: Array
+    gather: Array
+    left: Array
+
+
+@dataclass(frozen=True)
 class WornPart:
     """A closed surface over a grid.
 
@@ -56,12 +76,14 @@ class WornPart:
         weights: (R, C, B) weights of bones.
         material: What it is made of, which sets its colours.
         ring: Whether the last row is joined to the first one; else both are closed by points.
+        hanging: How it swings; None if it follows the bones alone.
     """
 
     points: Array
     weights: Array
     material: PartMaterial
     ring: bool = False
+    hanging: Hanging | None = None
 
     @property
     def vertices(self) -> Array:
@@ -114,6 +136,12 @@ class WornPart:
         if _volume(self.vertices, faces) < 0:
             faces, uv_faces = _reversed(faces), _reversed(uv_faces)
         return faces, uv, uv_faces
+
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """(F,) material of its faces."""
+        name = "shoes" if self.material == "soles" else self.material
+        return np.full(len(self.mesh[0]), MATERIAL_LABELS[name], np.uint8)
 
     def texels(self) -> Array:
         """(H, W, 3) positions at the texels of the tile."""
@@ -414,7 +442,20 @@ def _strand(
     low = own.shoulder_y + 0.02
     head = ramp(points[..., 1], low - 0.10 * size, own.ear[1] - 0.04 * size)[..., None]
     chest, skull = (wearer.rigid(points.shape[:2], **{name: 1.0}) for name in ("vl5", "vt3"))
-    return WornPart(points, head * skull + (1 - head) * chest, "hair")
+    return WornPart(points, head * skull + (1 - head) * chest, "hair", hanging=_hanging_hair(points, out))
+
+
+def _hanging_hair(points: Array, out: Array) -> Hanging:
+    """Hair (R, C, 3) whose lower end swings. ``out``: direction (3,) away from the head."""
+    rows, columns = points.shape[:2]
+    count = rows * columns + 2  # the points that close both ends come last
+    share = (np.linspace(0, 1, rows) / 0.85 - 0.15 / 0.85).clip(0) ** 1.3
+    shares = np.zeros((count, 2))
+    shares[:, 0] = [*np.repeat(share, columns), 0.0, 1.0]
+    outwards = out / np.linalg.norm(out)
+    nothing = np.zeros((count, 3))
+    ends = np.array([[count - 2, count - 1]])
+    return Hanging(HAIR_ENDS, ends, outwards[None], np.zeros((count, 2), int), shares, nothing, nothing[:, 0])
 
 
 def sweep(
@@ -574,7 +615,98 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         outer = outer + (depth * np.sin(9 * turn + 2 * np.sin(2 * turn)))[..., None] * out
         inner = outer - 0.005 * size * out
         points = np.concatenate([outer, inner[::-1]])
-        yield WornPart(points, _leg_weights(wearer, points, top), material, ring=True)
+        room = 0.010 if material == "bottom" else 0.020
+        hanging = _hanging_cloth(wearer, points, out[-1], room)
+        yield WornPart(points, _leg_weights(wearer, points, top), material, ring=True, hanging=hanging)
+
+
+#: Ends of a skirt that swing, around it.
+_ENDS = 8
+
+
+def _hanging_cloth(wearer: Wearer, points: Array, out: Array, room: float) -> Hanging:
+    """Cloth around both legs whose hem swings, and which lies on the thighs of a wearer who sits.
+
+    Args:
+        wearer: The wearer.
+        points: (2 R, C, 3) outer rows from the waist to the hem, then inner rows from the hem to the waist.
+        out: Directions (C, 3) away from the body at the hem.
+        room: Metres between leg and outer surface of gathered cloth.
+    """
+    count, columns = len(points) // 2, points.shape[1]
+    step = columns // _ENDS
+    around, share = np.divmod(np.arange(columns), step)
+    share = ramp(share / step, 0.0, 1.0)
+    down = (np.linspace(0, 1, count) / 0.85 - 0.15 / 0.85).clip(0) ** 1.5
+    down = np.concatenate([down, down[::-1]])[:, None]
+    nodes = np.stack([around, (around + 1) % _ENDS], axis=1)
+    shares = np.stack([down * (1 - share), down * share], axis=2).reshape(-1, 2)
+    at = step * np.arange(_ENDS)
+    ends = np.stack([at, (count - 1) * columns + at], axis=1)
+    layer = np.repeat([0.0, 0.005 * wearer.size], count * columns)
+    flat = points.reshape(-1, 3)
+    return Hanging(
+        CLOTH,
+        ends,
+        out[at],
+        np.tile(nodes, (len(points), 1)),
+        shares,
+        _gathered(
+            wearer, flat, wearer.size * (room + 0.014 * np.repeat(down, columns)) - layer
+        ),  # over the knees
+        ramp(flat[:, 0], -0.5 * wearer.own.leg_x(flat), 0.5 * wearer.own.leg_x(flat)),
+    )
+
+
+def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
+    """Offsets (N, 3) of cloth around both legs that put it at a distance ``room`` (N,) from them."""
+    own, legs = wearer.own, wearer.points[wearer.trunk & (wearer.points[:, 1] < wearer.own.hip_y)]
+    across = np.abs(legs[:, 0]) - own.leg_x(legs)
+    radius = np.hypot(across, legs[:, 2] - own.leg_z(legs))
+    heights = np.linspace(0.2 * own.hip_y, 0.95 * own.hip_y, 40)
+    near = np.argpartition(np.abs(legs[:, 1] - heights[:, None]), 100, axis=1)[:, :100]
+    thick = np.quantile(radius[near], 0.97, axis=1)
+    thick = np.interp(points[:, 1], heights, gaussian_filter(thick, 1.5, mode="nearest")) + room
+    # the hull of two circles, seen from the middle between them
+    x, z = points[:, 0], points[:, 2] - own.leg_z(points)
+    reach = np.maximum(np.hypot(x, z), 1e-6)
+    sine, cosine = np.abs(x) / reach, np.abs(z) / reach
+    apart = own.leg_x(points)
+    flat = thick / np.maximum(cosine, 1e-6)
+    bend = apart * sine + np.sqrt(np.maximum(thick**2 - (apart * cosine) ** 2, 0.0))
+    hull = np.where(flat * sine <= apart, flat, bend)
+    low = ramp(points[:, 1], own.hip_y, own.hip_y - 0.3 * (own.hip_y - own.knee_y))
+    inwards = low * np.minimum(hull / reach - 1, 0.0)
+    return np.stack([inwards * x, 0 * x, inwards * z], axis=1)
+
+
+def loose_parts(parts: Sequence[WornPart], first: int) -> LooseParts | None:
+    """Loose ones of the parts of a person; None without. ``first``: number of the first of their vertices."""
+    found: list[tuple[NDArray[Any], ...]] = []
+    count = 0
+    for part in parts:
+        if (hanging := part.hanging) is not None:
+            moved = np.flatnonzero((hanging.shares > 0).any(axis=1) | hanging.gather.any(axis=1))
+            found.append(
+                (
+                    np.full(len(hanging.ends), hanging.kind),
+                    hanging.ends + first,
+                    hanging.outwards,
+                    moved + first,
+                    hanging.nodes[moved] + count,
+                    *(values[moved] for values in (hanging.shares, hanging.gather, hanging.left)),
+                )
+            )
+            count += len(hanging.ends)
+        first += len(part.vertices)
+    if not found:
+        return None
+    kinds, ends, outwards, rows, nodes, *rest = (np.concatenate(each) for each in zip(*found, strict=True))
+    return LooseParts(
+        kinds.astype(np.uint8),
+        *(ends.astype(np.int32), outwards.astype(np.float32), rows.astype(np.int32), nodes.astype(np.int32)),
+        *(values.astype(np.float32) for values in rest),
+    )
 
 
 def under_skirts(config: MakeHumanConfig, wearer: Wearer) -> Array:

@@ -140,6 +140,7 @@ class SkinnerNode(SceneNode):
             self.topic_publisher, (topics.joints, topics.vertices, topics.markers)
         )
         self._face = None if topics.face is None else self.topic_publisher(topics.face)
+        self._swing = None if topics.swing is None else self.topic_publisher(topics.swing)
         self._keypoints = [(topic, self.topic_publisher(topic)) for topic in topics.keypoints.values()]
         _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
@@ -205,6 +206,8 @@ class SkinnerNode(SceneNode):
         self._joints.publish(joints)
         if self._face is not None and self._topics.face is not None:
             self._face.publish(self._topics.face.build(state, stamp))
+        if self._swing is not None and self._topics.swing is not None:
+            self._swing.publish(self._topics.swing.build(state, stamp))
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices)
         for topic, publisher in self._keypoints:
@@ -243,7 +246,8 @@ def _at_standstill(state: HumanState) -> HumanState:
     """State with velocities of zero."""
     nothing = np.zeros((len(state.joints), 3))
     face = None if state.face is None else replace(state.face, rates=np.zeros_like(state.face.rates))
-    return replace(state, linear=nothing, angular=nothing, face=face)
+    swing = None if state.swing is None else replace(state.swing, rates=np.zeros_like(state.swing.rates))
+    return replace(state, linear=nothing, angular=nothing, face=face, swing=swing)
 
 
 def main(scene: Scene | None = None) -> int:

@@ -1,0 +1,50 @@
+"""Labels of what the surface of a human is made of: skin, eyes, hair, garments and things that are worn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Names of the labels from 1; 0 is no human. New names come last, so that labels keep their meaning.
+MATERIALS = (
+    "unknown",
+    "skin",
+    "eyes",
+    "hair",
+    "top",
+    "bottom",
+    "shoes",
+    "glasses",
+    "sunglasses",
+    "mask",
+    "cap",
+    "beanie",
+    "hard_hat",
+    "sun_hat",
+    "turban",
+    "hijab",
+    "backpack",
+    "bag",
+)
+#: Label by name.
+MATERIAL_LABELS = {name: label for label, name in enumerate(MATERIALS, 1)}
+#: Label of the surface of a human without labels.
+UNKNOWN = MATERIAL_LABELS["unknown"]
+#: Labels of skin and of hair, between which the texels decide.
+SKIN, HAIR = MATERIAL_LABELS["skin"], MATERIAL_LABELS["hair"]
+
+
+def with_hair(
+    labels: NDArray[np.uint8], uv: NDArray[np.floating], hair: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Labels (N,) of points of a surface, of which those on a texel of hair are no longer skin.
+
+    Args:
+        labels: Labels (N,) of the triangles at the points.
+        uv: (N, 2) texture coordinates of the points, v up.
+        hair: (H, W) share of hair in each texel of the skin, 255 is all of it.
+    """
+    height, width = hair.shape
+    column = np.clip((uv[:, 0] * width).astype(np.intp), 0, width - 1)
+    row = np.clip(((1 - uv[:, 1]) * height).astype(np.intp), 0, height - 1)
+    return np.where((labels == SKIN) & (hair[row, column] >= 128), np.uint8(HAIR), labels)

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from humansim_ros.body.eyes import LOOKS, with_looks
-from humansim_ros.body.face_actions import ACTIONS, expression, face_weights
+from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
@@ -52,8 +52,7 @@ _FIXED = 0.1
 _SYLLABLE = (0.15, 0.3)
 #: Syllables between two pauses, and seconds of a pause.
 _PHRASE, _PAUSE = (4, 13), (0.25, 0.6)
-_PAIRS = "mouthLowerDown", "mouthUpperUp", "mouthSmile", "mouthStretch", "mouthPress"
-#: Mouths of consonants and of vowels: weights by action, of both sides.
+#: Mouths of consonants: weights by action, of both sides.
 _CONSONANTS: tuple[dict[str, float], ...] = (
     {"mouthPress": 0.35, "mouthRollLower": 0.2, "mouthRollUpper": 0.2},  # m, b, p
     {"jawOpen": 0.05, "mouthRollLower": 0.4, "mouthUpperUp": 0.12},  # f, v
@@ -61,17 +60,23 @@ _CONSONANTS: tuple[dict[str, float], ...] = (
     {"jawOpen": 0.08, "mouthFunnel": 0.35, "mouthPucker": 0.15},  # ch, sh
     {"jawOpen": 0.14, "mouthLowerDown": 0.1},  # g, k, l
 )
-_VOWELS: tuple[dict[str, float], ...] = (
-    {"jawOpen": 0.45, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},  # a
-    {"jawOpen": 0.28, "mouthStretch": 0.15, "mouthUpperUp": 0.1},  # e
-    {"jawOpen": 0.14, "mouthSmile": 0.25, "mouthStretch": 0.2},  # i
-    {"jawOpen": 0.3, "mouthFunnel": 0.4},  # o
-    {"jawOpen": 0.1, "mouthFunnel": 0.2, "mouthPucker": 0.5},  # u
-)
+#: Mouths of vowels, by the names of VRM.
+VOWELS: dict[str, dict[str, float]] = {
+    "aa": {"jawOpen": 0.45, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},
+    "ee": {"jawOpen": 0.28, "mouthStretch": 0.15, "mouthUpperUp": 0.1},
+    "ih": {"jawOpen": 0.14, "mouthSmile": 0.25, "mouthStretch": 0.2},
+    "oh": {"jawOpen": 0.3, "mouthFunnel": 0.4},
+    "ou": {"jawOpen": 0.1, "mouthFunnel": 0.2, "mouthPucker": 0.5},
+}
 
 
 def _smooth(share: Array) -> Array:
     return share * share * (3 - 2 * share)
+
+
+def linear(share: Array) -> Array:
+    """Share of a change that is even, as between the frames of recordings."""
+    return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +190,7 @@ def speech(start: float, seconds: float, uniform: Uniform) -> WeightTrack:
                 points.append((time, silence))
             left = int(_between(_PHRASE, uniform))
         length, strength = _between(_SYLLABLE, uniform), _between((0.7, 1.1), uniform)
-        consonant, vowel = (_mouth(each, uniform) for each in (_CONSONANTS, _VOWELS))
+        consonant, vowel = (_mouth(each, uniform) for each in (_CONSONANTS, tuple(VOWELS.values())))
         if time + length > start + seconds:
             return WeightTrack.of_points([*points, (max(start + seconds, time + 0.1), silence)])
         points += [(time + 0.3 * length, consonant), (time + 0.7 * length, strength * vowel)]
@@ -199,11 +204,7 @@ def _between(limits: tuple[float, float], uniform: Uniform) -> float:
 def _mouth(mouths: Sequence[dict[str, float]], uniform: Uniform) -> Array:
     """Weights (52,) of one of some mouths."""
     chosen = mouths[min(int(len(mouths) * uniform()), len(mouths) - 1)]
-    weights = {}
-    for action, weight in chosen.items():
-        for each in (action + "Left", action + "Right") if action in _PAIRS else (action,):
-            weights[each] = weight
-    return face_weights(weights)
+    return face_weights(both_sides(chosen))
 
 
 @dataclass(frozen=True, eq=False)

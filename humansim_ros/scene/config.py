@@ -139,7 +139,9 @@ class FaceConfig(ShortSection):
         default=(), max_length=1000, description="expressions, actions, gaze and speech over time"
     )
     file: FileName | None = Field(
-        default=None, description="recording of a face: the CSV file of Live Link Face, from time 0 on"
+        default=None,
+        description="recording of a face, from time 0 on: the CSV file of Live Link Face, or the animated "
+        "face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
     )
 
     @field_validator("keys", mode="before")

@@ -10,6 +10,7 @@ import numpy as np
 
 from humansim_ros.body.eyes import EYE_BONES
 from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.io.motion_formats import split_motion_name
 from humansim_ros.motion.face_files import read_face_file
 from humansim_ros.motion.face_keys import AHEAD
 from humansim_ros.motion.faces import Face, Gaze, PointAt, blinks, glances, key_tracks
@@ -38,8 +39,9 @@ def face_of(name: str, config: FaceConfig, source: SceneSource) -> Face:
 
     tracks = key_tracks([key.key for key in config.keys], numbers)
     if config.file is not None:
+        file, animation = split_motion_name(config.file)
         with in_section("file"):
-            tracks = (*tracks, read_face_file(source.find(config.file)))
+            tracks = (*tracks, read_face_file(source.find(file), animation))
     if not config.alive:
         return Face(tracks)
     return Face((*tracks, blinks(numbers("blinks"))), glances(numbers("glances")))

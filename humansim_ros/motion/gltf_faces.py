@@ -23,7 +23,7 @@ from humansim_ros.types import Array
 _ROUNDING = 1e-3
 #: Number of an action by its name in lower case.
 _NUMBERS = {action.lower(): number for number, action in enumerate(ACTIONS)}
-#: Actions of the presets that VRM 1.0 names [VRMC_vrm, expressions.md]. It names emotions and sounds, and no
+#: Actions of the presets that VRM 1.0 names [VRM 0.x, 1.0]. It names emotions and sounds, and no
 #: weights: those here are the ones of the same emotions [Friesen 1983], and of the vowels of speech.
 #: ``relaxed`` was ``fun`` in VRM 0: a faint happiness.
 _PRESETS: Mapping[str, Array] = {

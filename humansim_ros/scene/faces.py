@@ -43,8 +43,8 @@ def face_of(name: str, config: FaceConfig, source: SceneSource) -> Face:
         with in_section("file"):
             tracks = (*tracks, read_face_file(source.find(file), animation))
     if not config.alive:
-        return Face(tracks)
-    return Face((*tracks, blinks(numbers("blinks"))), glances(numbers("glances")))
+        return Face(tracks, head=config.head)
+    return Face((*tracks, blinks(numbers("blinks"))), glances(numbers("glances")), head=config.head)
 
 
 def with_faces(
@@ -118,13 +118,29 @@ def with_gazes(
     cameras: Mapping[str, SceneCamera],
 ) -> dict[str, Actor]:
     """Humans that look at others and at cameras where these are with their present motions."""
+    still = {name: replace(actor, face=None) for name, actor in actors.items()}
+    looking = _looking(actors, configs, cameras, still, still)
+    if not any(actor.face is not None and actor.face.turns_head for actor in looking.values()):
+        return looking
+    # heads turn to where the eyes of others were without turns; eyes look where these are
+    return _looking(actors, configs, cameras, looking, still)
 
-    def point(gaze: str | tuple[float, float, float]) -> PointAt | None:
+
+def _looking(
+    actors: Mapping[str, Actor],
+    configs: Mapping[str, FaceConfig | None],
+    cameras: Mapping[str, SceneCamera],
+    seen: Mapping[str, Actor],
+    still: Mapping[str, Actor],
+) -> dict[str, Actor]:
+    """Humans with their gazes, at humans as they are ``seen``; heads turn to those who are ``still``."""
+
+    def point(gaze: str | tuple[float, float, float], others: Mapping[str, Actor]) -> PointAt | None:
         if not isinstance(gaze, str):
             return partial(_fixed, np.array(gaze))
         if gaze == AHEAD:
             return None
-        return actors[gaze].eyes_at if gaze in actors else partial(_camera_at, cameras[gaze])
+        return others[gaze].eyes_at if gaze in others else partial(_camera_at, cameras[gaze])
 
     out = dict(actors)
     for name, config in configs.items():
@@ -132,8 +148,12 @@ def with_gazes(
         keys = [] if config is None else [key for key in config.keys if key.gaze is not None]
         if face is not None and keys:
             keys.sort(key=lambda key: key.time)
-            gazes = tuple(Gaze(key.time, point(key.gaze)) for key in keys if key.gaze is not None)
-            out[name] = replace(actors[name], face=face.looking(gazes, actors[name].eye_rays))
+            gazes = tuple(
+                Gaze(key.time, point(key.gaze, seen), point(key.gaze, still))
+                for key in keys
+                if key.gaze is not None
+            )
+            out[name] = replace(actors[name], face=face.looking(gazes, still[name].eye_rays))
     return out
 
 

@@ -119,7 +119,7 @@ class SceneViewSource(ViewSource):
         joints: dict[str, Array] = {}
         sizes: dict[str, float] = {}
         for name, actor in self._playback.actors.items():
-            (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
+            (joints[name],), (size,), _ = actor.posed(poses.poses[name].contiguous())
             sizes[name] = float(size)
         self._shown = index
         images = self._images(index, wanted)

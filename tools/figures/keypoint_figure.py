@@ -38,7 +38,7 @@ _A_POSE = 2.0
 _CAMERAS = {"front": (7.6, 2.6, 1.2), "back": (-7.6, 2.6, 1.2)}
 #: Sets of the whole body, drawn from afar, and those of its parts, drawn close.
 _PARTS = {"face68": 0.27, "left_hand21": 0.24, "right_hand21": 0.24}
-_WHOLE = [name for name in KEYPOINT_SETS if name not in (*_PARTS, "face70")]
+_WHOLE = [name for name in KEYPOINT_SETS if name not in (*_PARTS, "face70", "face468")]
 _CHANNELS = ("rgb", "depth", "instance", "part")
 
 

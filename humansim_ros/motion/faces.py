@@ -33,6 +33,8 @@ FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOIN
 PointAt = Callable[[Array], Array]
 #: Returns the middle of the eyes (N, 3) and the direction ahead (N, 3) at scene times (N,).
 RaysAt = Callable[[Array], tuple[Array, Array]]
+#: Returns seconds (N,) of the file of a motion that are played at scene times (N,).
+Clock = Callable[[Array], Array]
 #: Returns the next random number, uniformly distributed from 0 to 1.
 Uniform = Callable[[], float]
 #: Seconds after which blinks and glances repeat.
@@ -238,6 +240,9 @@ class Face:
 
     Attributes:
         tracks: Weights of actions, which are added and limited to 1.
+        takes: Such weights over the time of a file that also moves the body, while ``clock`` is given.
+        body_file: Path of that file.
+        clock: Time of that file.
         glances: Movements of the eyes while they look at nothing, if it has any.
         gazes: Changes of the gaze, in the order of time.
         rays: Where the human's own eyes are, of which the length of saccades depends.
@@ -245,6 +250,9 @@ class Face:
     """
 
     tracks: tuple[WeightTrack, ...] = ()
+    takes: tuple[WeightTrack, ...] = ()
+    body_file: str = ""
+    clock: Clock | None = field(default=None, repr=False)
     glances: WeightTrack | None = None
     gazes: tuple[Gaze, ...] = ()
     rays: RaysAt | None = field(default=None, repr=False)
@@ -257,7 +265,8 @@ class Face:
     @cached_property
     def _actions(self) -> tuple[int, ...]:
         """Numbers of the actions that ever move, in order."""
-        tracks = self.tracks if self.glances is None else (*self.tracks, self.glances)
+        glances = () if self.glances is None else (self.glances,)
+        tracks = (*self.tracks, *self.takes, *glances)
         return tuple(sorted({action for track in tracks for action in track.actions}))
 
     @cached_property
@@ -302,6 +311,12 @@ class Face:
         weights = np.zeros((len(times), len(ACTIONS)))
         for track in self.tracks:
             weights[:, track.actions] += track.at(times)
+        if self.clock is not None:
+            played = self.clock(times)
+            if (np.diff(played) < 0).any():  # a new cycle began
+                played[:] = played[len(played) // 2]
+            for take in self.takes:
+                weights[:, take.actions] += take.at(played)
         if self.gazes:
             weights[:, LOOKS] *= 1 - shares[:, None, None, None]
         if self.glances is not None:

@@ -346,6 +346,10 @@ class Actor:
             self.human.skeleton.bone("vt3")
         ] * along, along
 
+    def played(self, times: Array) -> Array:
+        """Seconds (N,) of the file of the motion that are played at scene times (N,)."""
+        return self.motion.phases(times + self.offset, self.ahead)
+
     def eyes_at(self, times: Array) -> Array:
         """Point (N, 3) of the face that others look at, at scene times (N,)."""
         return self._rays(self._with_head(self._joints_at(times), times))[0]

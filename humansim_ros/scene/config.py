@@ -146,7 +146,7 @@ class FaceConfig(ShortSection):
     )
     file: FileName | None = Field(
         default=None,
-        description="recording of a face, from time 0 on: the CSV file of Live Link Face, or the animated "
+        description="recording of a face, from time 0 on, or with the motion of the same file: the CSV file of Live Link Face, or the animated "
         "face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
     )
 

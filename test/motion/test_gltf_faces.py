@@ -18,6 +18,9 @@ from humansim_ros.errors import HumansimError, MotionError
 from humansim_ros.motion.face_files import read_face_file
 from humansim_ros.motion.faces import WeightTrack
 from humansim_ros.motion.files import read_motion
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.live import LiveRetargeter
+from humansim_ros.scene.playback import Playback
 from humansim_ros.types import Array
 
 CAMERAS = {"front": {"position": [3, 0, 1.6], "look_at": [0, 0, 1.5]}}
@@ -234,6 +237,44 @@ def test_the_face_of_a_file_is_in_time_with_its_body(tmp_path: Path) -> None:
     )
     track = read_face_file(path)
     assert weights(track, "jawOpen", [0.5, 0.75, 1.0]).tolist() == pytest.approx([0.0, 0.5, 1.0])
+
+
+def test_a_face_of_the_file_of_the_body_plays_with_the_body(tmp_path: Path) -> None:
+    path = with_expressions(tmp_path / "take.vrma", {"MouthPucker": [0, 0.25, 0.5, 0.75, 1]}, "custom")
+    pucker, cycle = ACTIONS.index("mouthPucker"), 4 / 30
+
+    def actor(face: str | Path, **motion: object) -> Actor:
+        human = {"motion": {"file": str(path), **motion}, "face": {"file": str(face)}}
+        return Scene.from_dict({"room": None, "cameras": CAMERAS, "humans": {"anna": human}}).actors["anna"]
+
+    def weight(person: Actor, time: float) -> float:
+        face = person.at(time).face
+        assert face is not None and np.abs(face.rates).max() < 30  # also where a cycle begins
+        return float(face.weights[pucker])
+
+    looping = actor(path)
+    times = [0.0, 0.4 * cycle, 0.9 * cycle, 1.4 * cycle, 7.25 * cycle]
+    assert [weight(looping, time) for time in times] == pytest.approx([0, 0.4, 0.9, 0.4, 0.25], abs=1e-4)
+    assert weight(looping, cycle) in (pytest.approx(0, abs=1e-3), pytest.approx(1, abs=1e-3))
+    slow = actor(path, speed=0.5, offset=0.2 * cycle, loop="none")
+    assert [weight(slow, 0.4 * cycle), weight(slow, 9)] == pytest.approx([0.3, 1], abs=1e-4)
+    sent = LiveRetargeter(looping).retarget(looping.joint_poses(1.4 * cycle))
+    assert np.array_equal(sent.vertices, looping.at(1.4 * cycle).vertices)
+    other = tmp_path / "face.vrma"
+    other.write_bytes(path.read_bytes())
+    assert weight(actor(other), 7.25 * cycle) == pytest.approx(1, abs=1e-4)  # once
+
+
+def test_the_face_of_a_file_waits_while_another_motion_plays(tmp_path: Path) -> None:
+    path = with_expressions(tmp_path / "take.vrma", {"MouthPucker": [1, 1, 1, 1, 1]}, "custom")
+    human = {"motion": {"file": str(path)}, "face": {"file": str(path)}}
+    playback = Playback(Scene.from_dict({"room": None, "cameras": CAMERAS, "humans": {"anna": human}}))
+    playback.elapsed = 0
+    for motion, expected in (("stand", 0.0), (str(path), 1.0)):
+        playback.change("anna", file=motion)
+        face = playback.actors["anna"].at(0.5).face
+        weight = 0.0 if face is None else face.weights[ACTIONS.index("mouthPucker")]
+        assert weight == pytest.approx(expected)
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {

@@ -146,8 +146,8 @@ class FaceConfig(ShortSection):
     )
     file: FileName | None = Field(
         default=None,
-        description="recording of a face, from time 0 on, or with the motion of the same file: the CSV file of "
-        "Live Link Face, or the animated face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
+        description="recording of a face, from time 0 on, or with the motion of the same file: the CSV file "
+        "of Live Link Face, or the animated face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
     )
 
     @field_validator("keys", mode="before")

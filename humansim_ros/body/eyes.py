@@ -8,17 +8,26 @@ the eyes look, and move the skin around them: lids follow the eyes up and down [
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import unit_vectors
+from humansim_ros.rotations import rotate, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: The eyes, left first.
 EYE_BONES = ("l_eyeball_joint", "r_eyeball_joint")
-_HEAD = "vt3"
+_HEAD, _TRUNK = "vt3", "vl5"
+#: Below this angle the eyes turn alone, degrees, and share of the angle beyond it by which the head turns
+#: [Stahl 1999]; half of the width of the bend between both.
+_EYES_ALONE, _HEAD_SHARE, _BEND = 18.0, 0.77, 10.0
+#: Yaw at which the head begins to turn back, since nobody looks behind, and at which it is ahead again;
+#: pitch at which it begins to turn no more to the side, and does not; degrees.
+_TURNS_BACK, _STEEP = (150.0, 180.0), (45.0, 75.0)
+#: Limits of the neck to the sides, downwards and upwards, radians: ``vt3`` of joint_limits/normal.yaml.
+NECK_LIMITS: Array = np.radians([[-80.0, -50.0], [80.0, 60.0]])
 #: (2, 2, 2) numbers of the actions of the left and of the right eye: yaw to the left and to the right, pitch
 #: up and down.
 LOOKS: Indices = np.array(
@@ -56,18 +65,41 @@ def within_limits(angles: Array) -> Array:
     return np.clip(angles, -LIMITS[..., 1], LIMITS[..., 0])
 
 
+def head_turn(angles: Array) -> Array:
+    """Yaw and pitch (N, 2) by which the head turns with eyes that look to angles (N, 2), all radians.
+
+    Eyes turn alone to near points. Beyond, people turn the head by a share of the rest [Stahl 1999], as
+    monkeys do [Freedman 1997]; the bend between both is smooth.
+    """
+    away = np.degrees(np.linalg.norm(angles, axis=-1))
+    beyond = away - _EYES_ALONE
+    bent = np.where(beyond > _BEND, beyond, np.clip(beyond + _BEND, 0.0, None) ** 2 / (4 * _BEND))
+    yaw, pitch = np.moveaxis(np.degrees(np.abs(angles)), -1, 0)
+    back, steep = _smooth(yaw, _TURNS_BACK), _smooth(pitch, _STEEP)
+    kept = np.stack([(1 - back) * (1 - steep), 1 - back * (1 - steep)], axis=-1)
+    return np.asarray(kept * angles * (_HEAD_SHARE * bent / np.maximum(away, 1e-9))[..., None])
+
+
+def _smooth(values: Array, ends: tuple[float, float]) -> Array:
+    """Smooth step of values from 0 at the first end to 1 at the second."""
+    share = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
+    return np.asarray(share * share * (3 - 2 * share))
+
+
 @dataclass(frozen=True)
 class Eyes:
-    """The eyeballs of a skeleton.
+    """The eyeballs of a skeleton, and the head that turns with them.
 
     Attributes:
-        head: Number of the bone of the head.
+        skeleton: The skeleton.
+        head: Number of the bone of head and neck.
         bones: (2,) numbers of the bones, left first.
         ends: (2,) numbers of the joints at the pupils.
         head_rest: Rotation (3, 3) of the head at rest.
         rest: Rotations (2, 3, 3) of the eyes at rest.
     """
 
+    skeleton: Skeleton
     head: int
     bones: Indices
     ends: Indices
@@ -77,13 +109,13 @@ class Eyes:
     @classmethod
     def of(cls, skeleton: Skeleton) -> Eyes | None:
         """Eyes of a skeleton; None without bones for them."""
-        if not {_HEAD, *EYE_BONES} <= set(skeleton.names):
+        if not {_HEAD, _TRUNK, *EYE_BONES} <= set(skeleton.names):
             return None
         head, bones = skeleton.bone(_HEAD), np.array([skeleton.bone(name) for name in EYE_BONES])
         names = skeleton.joint_names
         ends = np.array([names.index(f"{name}_end") for name in EYE_BONES])
         rest = skeleton.rest[:, :3, :3]
-        return cls(head, bones, ends, rest[head], rest[bones])
+        return cls(skeleton, head, bones, ends, rest[head], rest[bones])
 
     def rays(self, joints: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3), and the direction (N, 3) of eyes at rest, of joints (N, J, 4, 4)."""
@@ -96,6 +128,36 @@ class Eyes:
         head = joints[:, self.head, :3, :3] @ self.head_rest.T
         lines = points[:, None] - _positions(joints)[:, self.bones]
         return _angles((head.swapaxes(-1, -2)[:, None] @ lines[..., None])[..., 0]) - self._rest_angles
+
+    def turn_head(self, joints: Array, points: Array, shares: Array) -> None:
+        """Turn the head of joints (N, J, 4, 4), with all it carries, by shares (N,) to points (N, 3).
+
+        It turns to the side first, then up or down, within the limits of the neck: it keeps what a motion
+        has beyond them.
+        """
+        head = joints[:, self.head, :3, :3] @ self.head_rest.T
+        line = points - _positions(joints)[:, self.bones].mean(axis=1)
+        angles = _angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
+        turn = shares[:, None] * head_turn(angles)
+        trunk = self.skeleton.bone(_TRUNK)
+        trunk_turn = joints[:, trunk, :3, :3] @ self.skeleton.rest[trunk, :3, :3].T
+        neck = _angles((trunk_turn.swapaxes(-1, -2) @ head)[..., 2])
+        lowest, highest = np.minimum(NECK_LIMITS[0], neck), np.maximum(NECK_LIMITS[1], neck)
+        turn = np.clip(neck + turn, lowest, highest) - neck
+        about = head @ _turns(turn) @ head.swapaxes(-1, -2)
+        places, carried = _positions(joints), self._carried
+        pivot = places[:, [self.head]]
+        places[:, carried] = pivot + rotate(about[:, None], places[:, carried] - pivot)
+        joints[:, carried, :3, :3] = about[:, None] @ joints[:, carried, :3, :3]
+
+    @cached_property
+    def _carried(self) -> Indices:
+        """Numbers of the joints that the head carries, and its own."""
+        bones = {self.head}
+        for bone, parent in enumerate(self.skeleton.parents.tolist()):
+            if parent in bones:
+                bones.add(bone)
+        return np.flatnonzero(np.isin(self.skeleton.joint_bones, list(bones)))
 
     def turn(self, joints: Array, angles: Array) -> None:
         """Set the eyes and pupils of joints (N, J, 4, 4) to angles (N, 2, 2) from rest."""

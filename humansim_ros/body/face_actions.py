@@ -34,6 +34,20 @@ ACTIONS: tuple[str, ...] = tuple(
 _NUMBERS = {name: number for number, name in enumerate(ACTIONS)}
 
 
+def both_sides(weights: Mapping[str, float]) -> dict[str, float]:
+    """Weights by action, of weights whose names may lack their side.
+
+    Example:
+        >>> both_sides({"mouthSmile": 0.5, "jawOpen": 0.2})
+        {'mouthSmileLeft': 0.5, 'mouthSmileRight': 0.5, 'jawOpen': 0.2}
+    """
+    return {
+        each: weight
+        for name, weight in weights.items()
+        for each in ((name,) if name in _NUMBERS else _both(name))
+    }
+
+
 def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -> Array:
     """Weights (S,) in the order of ``names`` from weights by name; others are 0.
 
@@ -103,12 +117,7 @@ def expression(name: str) -> Mapping[str, float]:
     if name not in EXPRESSIONS:
         hint = did_you_mean(name, EXPRESSIONS)
         raise MotionError(f"no expression {name[:40]!r}{hint}; they are {', '.join(EXPRESSIONS)}")
-    weights = {}
-    for unit, weight in EXPRESSIONS[name].items():
-        action = _UNITS[unit]
-        for each in (action,) if action in _NUMBERS else (f"{action}Left", f"{action}Right"):
-            weights[each] = weight
-    return weights
+    return both_sides({_UNITS[unit]: weight for unit, weight in EXPRESSIONS[name].items()})
 
 
 @dataclass(frozen=True, eq=False)

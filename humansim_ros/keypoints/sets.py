@@ -14,6 +14,8 @@ from humansim_ros.errors import KeypointError, did_you_mean
 _Value = TypeVar("_Value")
 #: Set of all keypoints of OpenPose.
 _OPENPOSE = "openpose137"
+#: Names of the points of Face Mesh begin with this.
+_MESH = "mesh-"
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,7 +59,7 @@ class KeypointSet:
         return tuple(map(self._mirrored, range(len(self))))
 
     def _mirrored(self, number: int) -> int:
-        name, point = self.names[number], self.points[number]
+        name, opposite = self.names[number], _other_side(self.points[number])
         partner = _other_side(name)
         if partner != name or "-" not in name:
             return self.names.index(partner) if partner in self.names else number
@@ -66,7 +68,7 @@ class KeypointSet:
             next(
                 other
                 for other, place in zip(self.names, self.points, strict=True)
-                if place == _other_side(point) and other.partition("-")[0] == name.partition("-")[0]
+                if place == opposite and other.partition("-")[0] == name.partition("-")[0]
             )
         )
 
@@ -109,7 +111,8 @@ class KeypointSet:
     @property
     def has_body(self) -> bool:
         """Whether it has more than a hand or a face."""
-        return len(self) - sum(map(len, self.parts.values())) > 2  # face70 has pupils
+        own = sum(not name.startswith(_MESH) for name in self.names)
+        return own - sum(map(len, self.parts.values())) > 2  # face70 has pupils
 
     def index(self, name: str) -> int:
         """Number of a keypoint. Raises KeypointError for an unknown name."""
@@ -504,6 +507,77 @@ _FACE70 = _make(
     "Z. Cao et al.: OpenPose: realtime multi-person 2D pose estimation using part affinity fields, "
     "TPAMI 2019. https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html",
 )
+#: Landmarks of Face Mesh on the right side of the person, each with its mirror image on the left.
+_MESH_PAIRS = (
+    "3 248, 7 249, 20 250, 21 251, 22 252, 23 253, 24 254, 25 255, 26 256, 27 257, 28 258, 29 259, "
+    "30 260, 31 261, 32 262, 33 263, 34 264, 35 265, 36 266, 37 267, 38 268, 39 269, 40 270, 41 271, "
+    "42 272, 43 273, 44 274, 45 275, 46 276, 47 277, 48 278, 49 279, 50 280, 51 281, 52 282, 53 283, "
+    "54 284, 55 285, 56 286, 57 287, 58 288, 59 289, 60 290, 61 291, 62 292, 63 293, 64 294, 65 295, "
+    "66 296, 67 297, 68 298, 69 299, 70 300, 71 301, 72 302, 73 303, 74 304, 75 305, 76 306, 77 307, "
+    "78 308, 79 309, 80 310, 81 311, 82 312, 83 313, 84 314, 85 315, 86 316, 87 317, 88 318, 89 319, "
+    "90 320, 91 321, 92 322, 93 323, 95 324, 96 325, 97 326, 98 327, 99 328, 100 329, 101 330, "
+    "102 331, 103 332, 104 333, 105 334, 106 335, 107 336, 108 337, 109 338, 110 339, 111 340, "
+    "112 341, 113 342, 114 343, 115 344, 116 345, 117 346, 118 347, 119 348, 120 349, 121 350, "
+    "122 351, 123 352, 124 353, 125 354, 126 355, 127 356, 128 357, 129 358, 130 359, 131 360, "
+    "132 361, 133 362, 134 363, 135 364, 136 365, 137 366, 138 367, 139 368, 140 369, 141 370, "
+    "142 371, 143 372, 144 373, 145 374, 146 375, 147 376, 148 377, 149 378, 150 379, 153 380, "
+    "154 381, 155 382, 156 383, 157 384, 158 385, 159 386, 160 387, 161 388, 162 389, 163 390, "
+    "165 391, 166 392, 167 393, 169 394, 170 395, 171 396, 172 397, 173 398, 174 399, 176 400, "
+    "177 401, 178 402, 179 403, 180 404, 181 405, 182 406, 183 407, 184 408, 185 409, 186 410, "
+    "187 411, 188 412, 189 413, 190 414, 191 415, 192 416, 193 417, 194 418, 196 419, 198 420, "
+    "201 421, 202 422, 203 423, 204 424, 205 425, 206 426, 207 427, 208 428, 209 429, 210 430, "
+    "211 431, 212 432, 213 433, 214 434, 215 435, 216 436, 217 437, 218 438, 219 439, 220 440, "
+    "221 441, 222 442, 223 443, 224 444, 225 445, 226 446, 227 447, 228 448, 229 449, 230 450, "
+    "231 451, 232 452, 233 453, 234 454, 235 455, 236 456, 237 457, 238 458, 239 459, 240 460, "
+    "241 461, 242 462, 243 463, 244 464, 245 465, 246 466, 247 467"
+)
+#: Landmarks of Face Mesh that are points of 300-W: on the right side, and in the middle.
+_MESH_RIGHT = _rows(
+    "33 eye_outer, 160 upper_lid_outer, 158 upper_lid_inner, 133 eye_inner, 153 lower_lid_inner, "
+    "144 lower_lid_outer, 61 mouth, 78 mouth_inner, 81 upper_lip_inner, 178 lower_lip_inner"
+)
+_MESH_MIDDLE = _rows("0 upper_lip, 13 upper_lip_inner, 14 lower_lip_inner, 17 lower_lip, 2 nose_base")
+
+
+def _mesh_points() -> dict[str, str]:
+    """Points of Face Mesh in their order."""
+    points = {
+        number: f"{side}_{_MESH_RIGHT.get(right, f'face_mesh_{right}')}"
+        for right, left in _rows(_MESH_PAIRS).items()
+        for number, side in ((right, "right"), (left, "left"))
+    }
+    return {
+        f"{_MESH}{number}": points.get(number) or _MESH_MIDDLE.get(number, f"face_mesh_{number}")
+        for number in map(str, range(468))
+    }
+
+
+def _mesh_line(text: str) -> str:
+    return " ".join(f"{_MESH}{number}" for number in text.split())
+
+
+_FACE468 = _make(
+    "face468",
+    "MediaPipe Face Mesh, 468 points of the face",
+    _mesh_points(),
+    (
+        _mesh_line(
+            "10 338 297 332 284 251 389 356 454 323 361 288 397 365 379 378 400 377 152 148 176 149 150 136 "
+            "172 58 132 93 234 127 162 21 54 103 67 109 10"
+        ),
+        _mesh_line("61 185 40 39 37 0 267 269 270 409 291 375 321 405 314 17 84 181 91 146 61"),
+        _mesh_line("78 191 80 81 82 13 312 311 310 415 308 324 318 402 317 14 87 178 88 95 78"),
+        _mesh_line("33 246 161 160 159 158 157 173 133 155 154 153 145 144 163 7 33"),
+        _mesh_line("263 466 388 387 386 385 384 398 362 382 381 380 374 373 390 249 263"),
+        *map(
+            _mesh_line, ("46 53 52 65 55", "70 63 105 66 107", "276 283 282 295 285", "300 293 334 296 336")
+        ),
+        _mesh_line("168 6 197 195 5 4"),
+    ),
+    "Y. Kartynnik, A. Ablavatski, I. Grishchenko, M. Grundmann: Real-time facial surface geometry from "
+    "monocular video on mobile GPUs, 2019. "
+    "https://ai.google.dev/edge/mediapipe/solutions/vision/face_landmarker",
+)
 _LEFT_HAND21, _RIGHT_HAND21 = (
     _make(
         f"{side}_hand21",
@@ -585,7 +659,7 @@ KEYPOINT_SETS: Mapping[str, KeypointSet] = {
     keypoints.name: keypoints
     for keypoints in (
         *(_COCO17, _HALPE26, _BODY25, _H36M17, _PANOPTIC19, _SMPL24, _MEDIAPIPE33, _PLUG_IN_GAIT),
-        *(_LEFT_HAND21, _RIGHT_HAND21, _FACE68, _FACE70, _WHOLEBODY133, _HALPE136),
+        *(_LEFT_HAND21, _RIGHT_HAND21, _FACE68, _FACE70, _FACE468, _WHOLEBODY133, _HALPE136),
         _OPENPOSE137,
     )
 }

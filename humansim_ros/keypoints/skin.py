@@ -2,7 +2,8 @@
 
 Points that are no joints of the skeleton are in ``config/body_landmarks.json``, which
 ``tools/assets/find_landmarks.py`` writes: texture coordinates on the bodies that we make, and a triangle of
-MakeHuman's base mesh for each.
+MakeHuman's base mesh for each. Those of MediaPipe's Face Mesh are in ``config/face_mesh_points.json``;
+docs/keypoints.md says how they were found.
 """
 
 from __future__ import annotations
@@ -89,10 +90,10 @@ class SkinPoint:
 @functools.cache
 def skin_points() -> Mapping[str, SkinPoint]:
     """All points of the skin by name."""
-    rows = json.loads(resource_path("config/body_landmarks.json").read_text("utf-8"))
     return {
         name: SkinPoint(tuple(row["uv"]), tuple(row["vertices"]), tuple(row["weights"]))
-        for name, row in rows.items()
+        for file in ("body_landmarks", "face_mesh_points")
+        for name, row in json.loads(resource_path(f"config/{file}.json").read_text("utf-8")).items()
     }
 
 

@@ -338,16 +338,25 @@ class Gltf:
             raise self._error("an inverse bind matrix has no inverse", key)
         return np.asarray(np.linalg.inv(inverse))
 
-    def keys(self, animation: Animation, channel: int) -> tuple[Array, Array, str]:
-        """Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation."""
+    def keys(self, animation: Animation, channel: int, targets: int = 0) -> tuple[Array, Array, str]:
+        """Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation.
+
+        ``targets``: number of morph targets, of a channel with their weights, which is the width.
+        """
         sampler = self._item(animation.samplers, animation.channels[channel].sampler, "animations.samplers")
         times = self.accessor(sampler.input, ["SCALAR"], "times").astype(float)
-        values = self.accessor(sampler.output, ["SCALAR", "VEC3", "VEC4"], "animated values").astype(float)
+        kinds = ["SCALAR"] if targets else ["SCALAR", "VEC3", "VEC4"]
+        values = self.accessor(sampler.output, kinds, "animated values").astype(float)
         if (np.diff(times) <= 0).any() or times[0] < 0:
             raise self._error("key times must increase and not be negative", f"accessors.{sampler.input}")
         per_key = 3 if sampler.interpolation == "CUBICSPLINE" else 1
-        if len(values) != per_key * len(times):
-            raise self._error(f"{len(values)} values for {len(times)} keys", f"accessors.{sampler.output}")
+        if len(values) != per_key * len(times) * max(targets, 1):
+            of = f" of {targets} weights" if targets else ""
+            raise self._error(
+                f"{len(values)} values for {len(times)} keys{of}", f"accessors.{sampler.output}"
+            )
+        if targets:
+            values = values.reshape(-1, targets)
         if per_key == 3:
             values = values.reshape(len(times), 3, -1)
         return times, values, sampler.interpolation

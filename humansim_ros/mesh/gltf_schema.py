@@ -79,14 +79,17 @@ class Primitive(Part):
     indices: Index | None = None
     material: Index | None = None
     mode: Annotated[int, Field(ge=0, le=6)] = 4
+    targets: tuple[dict[str, Any], ...] = ()
     extensions: dict[str, Any] = Field(default_factory=dict)
+    extras: Any = None
 
 
 class GltfMesh(Part):
-    """Primitives of a mesh."""
+    """Primitives of a mesh; ``extras`` may have the names of its morph targets."""
 
     name: str = ""
     primitives: tuple[Primitive, ...]
+    extras: Any = None
 
 
 class Skin(Part):

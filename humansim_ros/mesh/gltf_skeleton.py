@@ -160,15 +160,15 @@ def _human_bones(gltf: Gltf) -> dict[int, str]:
     """
     extensions = gltf.document.extensions
     maps = [
-        _member(extensions, name, "humanoid", "humanBones")
+        member(extensions, name, "humanoid", "humanBones")
         for name in ("VRMC_vrm_animation", "VRMC_vrm", "VRM")
     ]
     bones = next((found for found in maps if isinstance(found, (dict, list))), None)
     pairs: list[tuple[Any, Any]] = []
     if isinstance(bones, dict):
-        pairs = [(bone, _member(place, "node")) for bone, place in bones.items()]
+        pairs = [(bone, member(place, "node")) for bone, place in bones.items()]
     elif isinstance(bones, list):
-        pairs = [(_member(entry, "bone"), _member(entry, "node")) for entry in bones]
+        pairs = [(member(entry, "bone"), member(entry, "node")) for entry in bones]
     named: dict[Any, Any] = {}
     bones_named: set[object] = set()
     for bone, node in pairs:
@@ -179,7 +179,7 @@ def _human_bones(gltf: Gltf) -> dict[int, str]:
     return named
 
 
-def _member(value: Any, *keys: str) -> Any:
+def member(value: Any, *keys: str) -> Any:
     """Member of nested objects of a JSON document; None if there is none."""
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None

@@ -1,4 +1,4 @@
-"""Recordings of faces: CSV files of Live Link Face, with the 52 actions of ARKit in each frame."""
+"""Recordings of faces: CSV files of Live Link Face, and animations of glTF and VRM files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import read_bytes
-from humansim_ros.motion.faces import WeightTrack
+from humansim_ros.io.motion_formats import motion_format
+from humansim_ros.motion.faces import WeightTrack, linear
 from humansim_ros.types import Array
 
 #: Largest file that is read, bytes, and most frames.
@@ -27,8 +28,26 @@ _NUMBERS = {action.lower(): number for number, action in enumerate(ACTIONS)}
 _OTHER = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
 
 
-def read_face_file(path: str | os.PathLike[str]) -> WeightTrack:
-    """Read the weights of a face over time from a CSV file of Live Link Face.
+def read_face_file(path: str | os.PathLike[str], animation: str | None = None) -> WeightTrack:
+    """Read the weights of a face over time: a CSV file of Live Link Face, a glTF file or a VRM animation.
+
+    Args:
+        path: File.
+        animation: Name of the animation of a glTF file; the first that moves a face if None.
+
+    Raises:
+        MotionError: The file is no recording of a face; with file, line and column, or key.
+    """
+    known = motion_format(path)
+    if known is not None and known.name in ("gltf", "vrma"):
+        from humansim_ros.motion.gltf_faces import read_gltf_face  # most faces are CSV files
+
+        return read_gltf_face(path, animation)
+    return _read_live_link(path)
+
+
+def _read_live_link(path: str | os.PathLike[str]) -> WeightTrack:
+    """Read a CSV file of Live Link Face.
 
     A time code counts the frames of a second: the rate is the smallest usual one that has them all, and 60
     for less than a second. The first frame is at time 0. Between frames, weights change linearly. Rows
@@ -55,11 +74,7 @@ def read_face_file(path: str | os.PathLike[str]) -> WeightTrack:
     if len(order) < len(times) and (np.diff(times) < 0).any():
         line = frames[int(np.argmax(np.diff(times) < 0)) + 1][0]
         raise MotionError("the time code goes back", path=path, line=line)
-    return WeightTrack(tuple(_NUMBERS[name] for name in names), times[order], weights[order], ease=_linear)
-
-
-def _linear(share: Array) -> Array:
-    return share
+    return WeightTrack(tuple(_NUMBERS[name] for name in names), times[order], weights[order], ease=linear)
 
 
 def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
@@ -77,7 +92,7 @@ def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
     if "timecode" not in columns or len(columns) < 2:
         raise MotionError(
             "not a recording of Live Link Face: its first line has Timecode, BlendShapeCount and the names "
-            "of the actions",
+            "of the actions (other recordings are .glb, .gltf, .vrm and .vrma files)",
             path=path,
             line=1,
         )

@@ -3,6 +3,7 @@
 All of it is a function of the scene time and of a seed. A face travels with a motion as joints at its end:
 the angle in radians of ``face/<action>`` about x is the weight of the action, and ``face/gaze`` is at the
 point that the eyes see. Its angle is the share of the gaze: 0 where eyes are as their actions say, or 1.
+``face/head`` is at the point that the head turns to, more slowly; its angle is the share of that turn.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from humansim_ros.body.eyes import LOOKS, with_looks
-from humansim_ros.body.face_actions import ACTIONS, expression, face_weights
+from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
@@ -26,11 +27,14 @@ from humansim_ros.types import Array
 #: Joints that carry a face in a motion begin with this.
 FACE_JOINT = "face/"
 GAZE_JOINT = FACE_JOINT + "gaze"
-FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT))
+HEAD_JOINT = FACE_JOINT + "head"
+FACE_JOINTS = frozenset((*(FACE_JOINT + action for action in ACTIONS), GAZE_JOINT, HEAD_JOINT))
 #: Returns points (N, 3) in ``map`` at scene times (N,).
 PointAt = Callable[[Array], Array]
 #: Returns the middle of the eyes (N, 3) and the direction ahead (N, 3) at scene times (N,).
 RaysAt = Callable[[Array], tuple[Array, Array]]
+#: Returns seconds (N,) of the file of a motion that are played at scene times (N,).
+Clock = Callable[[Array], Array]
 #: Returns the next random number, uniformly distributed from 0 to 1.
 Uniform = Callable[[], float]
 #: Seconds after which blinks and glances repeat.
@@ -42,6 +46,8 @@ _BLINKS, _SPREAD, _SHORTEST = 17.0, 0.7, 0.6
 _BLINK = ((0.0, 0.0), (0.1, 1.0), (0.12, 1.0), (0.35, 0.0))
 #: Saccades take 21 ms, and 2.2 ms for each degree [Carpenter 1988].
 _SACCADE, _SACCADE_DEGREE = 0.021, 0.0022
+#: Turns of the head take longer: seconds, and seconds for each degree of the gaze.
+_TURN, _TURN_DEGREE = 0.25, 0.004
 #: Mean size of glances, whose sizes are distributed exponentially [Lee 2002], and the largest; degrees.
 _GLANCE, _LARGEST_GLANCE = 6.9, 12.0
 #: Shortest and longest rest of the eyes between two glances, seconds.
@@ -52,8 +58,7 @@ _FIXED = 0.1
 _SYLLABLE = (0.15, 0.3)
 #: Syllables between two pauses, and seconds of a pause.
 _PHRASE, _PAUSE = (4, 13), (0.25, 0.6)
-_PAIRS = "mouthLowerDown", "mouthUpperUp", "mouthSmile", "mouthStretch", "mouthPress"
-#: Mouths of consonants and of vowels: weights by action, of both sides.
+#: Mouths of consonants: weights by action, of both sides.
 _CONSONANTS: tuple[dict[str, float], ...] = (
     {"mouthPress": 0.35, "mouthRollLower": 0.2, "mouthRollUpper": 0.2},  # m, b, p
     {"jawOpen": 0.05, "mouthRollLower": 0.4, "mouthUpperUp": 0.12},  # f, v
@@ -61,17 +66,23 @@ _CONSONANTS: tuple[dict[str, float], ...] = (
     {"jawOpen": 0.08, "mouthFunnel": 0.35, "mouthPucker": 0.15},  # ch, sh
     {"jawOpen": 0.14, "mouthLowerDown": 0.1},  # g, k, l
 )
-_VOWELS: tuple[dict[str, float], ...] = (
-    {"jawOpen": 0.45, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},  # a
-    {"jawOpen": 0.28, "mouthStretch": 0.15, "mouthUpperUp": 0.1},  # e
-    {"jawOpen": 0.14, "mouthSmile": 0.25, "mouthStretch": 0.2},  # i
-    {"jawOpen": 0.3, "mouthFunnel": 0.4},  # o
-    {"jawOpen": 0.1, "mouthFunnel": 0.2, "mouthPucker": 0.5},  # u
-)
+#: Mouths of vowels, by the names of VRM.
+VOWELS: dict[str, dict[str, float]] = {
+    "aa": {"jawOpen": 0.45, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},
+    "ee": {"jawOpen": 0.28, "mouthStretch": 0.15, "mouthUpperUp": 0.1},
+    "ih": {"jawOpen": 0.14, "mouthSmile": 0.25, "mouthStretch": 0.2},
+    "oh": {"jawOpen": 0.3, "mouthFunnel": 0.4},
+    "ou": {"jawOpen": 0.1, "mouthFunnel": 0.2, "mouthPucker": 0.5},
+}
 
 
 def _smooth(share: Array) -> Array:
     return share * share * (3 - 2 * share)
+
+
+def linear(share: Array) -> Array:
+    """Share of a change that is even, as between the frames of recordings."""
+    return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +161,11 @@ def saccade_seconds(degrees: float) -> float:
     return _SACCADE + _SACCADE_DEGREE * degrees
 
 
+def turn_seconds(degrees: float) -> float:
+    """Seconds in which the head follows a gaze that turns by an angle at once."""
+    return _TURN + _TURN_DEGREE * degrees
+
+
 def glances(uniform: Uniform) -> WeightTrack:
     """Small movements of the eyes around where they look, for :data:`LIFE_SECONDS`."""
     points: list[tuple[float, Array]] = [(0.0, np.zeros(len(ACTIONS)))]
@@ -185,7 +201,7 @@ def speech(start: float, seconds: float, uniform: Uniform) -> WeightTrack:
                 points.append((time, silence))
             left = int(_between(_PHRASE, uniform))
         length, strength = _between(_SYLLABLE, uniform), _between((0.7, 1.1), uniform)
-        consonant, vowel = (_mouth(each, uniform) for each in (_CONSONANTS, _VOWELS))
+        consonant, vowel = (_mouth(each, uniform) for each in (_CONSONANTS, tuple(VOWELS.values())))
         if time + length > start + seconds:
             return WeightTrack.of_points([*points, (max(start + seconds, time + 0.1), silence)])
         points += [(time + 0.3 * length, consonant), (time + 0.7 * length, strength * vowel)]
@@ -199,19 +215,23 @@ def _between(limits: tuple[float, float], uniform: Uniform) -> float:
 def _mouth(mouths: Sequence[dict[str, float]], uniform: Uniform) -> Array:
     """Weights (52,) of one of some mouths."""
     chosen = mouths[min(int(len(mouths) * uniform()), len(mouths) - 1)]
-    weights = {}
-    for action, weight in chosen.items():
-        for each in (action + "Left", action + "Right") if action in _PAIRS else (action,):
-            weights[each] = weight
-    return face_weights(weights)
+    return face_weights(both_sides(chosen))
 
 
 @dataclass(frozen=True, eq=False)
 class Gaze:
-    """Eyes turn to a point at a time; ``point``: None for ahead."""
+    """Eyes turn to a point at a time, and the head does.
+
+    Attributes:
+        time: Seconds of the scene.
+        point: Point that the eyes look at; None for ahead.
+        towards: Point that the head turns to, if it is another one: where the eyes of somebody else were if
+            their head did not turn, so that two heads can turn to each other.
+    """
 
     time: float
     point: PointAt | None
+    towards: PointAt | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,15 +240,23 @@ class Face:
 
     Attributes:
         tracks: Weights of actions, which are added and limited to 1.
+        takes: Such weights over the time of a file that also moves the body, while ``clock`` is given.
+        body_file: Path of that file.
+        clock: Time of that file.
         glances: Movements of the eyes while they look at nothing, if it has any.
         gazes: Changes of the gaze, in the order of time.
         rays: Where the human's own eyes are, of which the length of saccades depends.
+        head: Share by which the head turns with the gaze: 0 not at all, 1 as people turn it.
     """
 
     tracks: tuple[WeightTrack, ...] = ()
+    takes: tuple[WeightTrack, ...] = ()
+    body_file: str = ""
+    clock: Clock | None = field(default=None, repr=False)
     glances: WeightTrack | None = None
     gazes: tuple[Gaze, ...] = ()
     rays: RaysAt | None = field(default=None, repr=False)
+    head: float = 0.0
 
     def looking(self, gazes: tuple[Gaze, ...], rays: RaysAt) -> Face:
         """The same face with gazes at points."""
@@ -237,24 +265,35 @@ class Face:
     @cached_property
     def _actions(self) -> tuple[int, ...]:
         """Numbers of the actions that ever move, in order."""
-        tracks = self.tracks if self.glances is None else (*self.tracks, self.glances)
+        glances = () if self.glances is None else (self.glances,)
+        tracks = (*self.tracks, *self.takes, *glances)
         return tuple(sorted({action for track in tracks for action in track.actions}))
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that carry it."""
         names = tuple(FACE_JOINT + ACTIONS[action] for action in self._actions)
-        return (*names, GAZE_JOINT) if self.gazes else names
+        return (
+            *names,
+            *((GAZE_JOINT, HEAD_JOINT) if self.turns_head else (GAZE_JOINT,) if self.gazes else ()),
+        )
+
+    @property
+    def turns_head(self) -> bool:
+        """Whether the head ever turns with the gaze."""
+        return bool(self.gazes) and self.head > 0
 
     def add(self, poses: JointPoses, seconds: float) -> JointPoses:
         """Poses (N = 1) of a motion at a scene time, with the joints that carry the face."""
         if not self.joints:
             return poses
         times = seconds + np.array([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
-        shares, points = self._gaze(times)
-        weights = self._weights(times, shares)[:, list(self._actions)]
+        attended = [self._gaze(times)]
+        weights = self._weights(times, attended[0][0])[:, list(self._actions)]
+        if self.turns_head:
+            attended.append(self._head(times))
         count, step = len(self.joints), 2 * VELOCITY_STEP
-        angles = np.concatenate([weights, shares[:, None]], axis=1)[:, :count]
+        angles = np.column_stack([weights, *(shares for shares, _ in attended)])[:, :count]
         rotations, angular = np.zeros((count, 4)), np.zeros((count, 3))
         rotations[:, 0], rotations[:, 3] = np.sin(angles[1] / 2), np.cos(angles[1] / 2)
         angular[:, 0] = (angles[2] - angles[0]) / step
@@ -263,7 +302,8 @@ class Face:
             np.zeros((count, 3)) if poses.linear is None else np.repeat(poses.linear[0, :1], count, axis=0)
         )
         if self.gazes:
-            positions[-1], linear[-1] = points[1], (points[2] - points[0]) / step
+            for number, (_, points) in enumerate(attended, count - len(attended)):
+                positions[number], linear[number] = points[1], (points[2] - points[0]) / step
         return poses.with_joints(self.joints, rotations, angular, positions, linear)
 
     def _weights(self, times: Array, shares: Array) -> Array:
@@ -271,6 +311,12 @@ class Face:
         weights = np.zeros((len(times), len(ACTIONS)))
         for track in self.tracks:
             weights[:, track.actions] += track.at(times)
+        if self.clock is not None:
+            played = self.clock(times)
+            if (np.diff(played) < 0).any():  # a new cycle began
+                played[:] = played[len(played) // 2]
+            for take in self.takes:
+                weights[:, take.actions] += take.at(played)
         if self.gazes:
             weights[:, LOOKS] *= 1 - shares[:, None, None, None]
         if self.glances is not None:
@@ -278,27 +324,56 @@ class Face:
             weights[:, self.glances.actions] += left[:, None] * self.glances.at(times)
         return np.clip(weights, 0.0, 1.0)
 
+    def head_at(self, times: Array) -> tuple[Array, Array]:
+        """Shares (N,) of the turn of the head, and points (N, 3) that it turns to, at times (N,)."""
+        shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
+        begun = np.searchsorted([gaze.time for gaze in self.gazes], times, side="right")
+        for number in np.unique(begun):
+            now = begun == number
+            shares[now], points[now] = self._head(times[now])
+        return shares, points
+
+    def _head(self, times: Array) -> tuple[Array, Array]:
+        """As :meth:`_gaze`, of the head."""
+        shares, points = self._attended(
+            [gaze.towards or gaze.point for gaze in self.gazes], turn_seconds, times
+        )
+        return self.head * shares, points
+
     def _gaze(self, times: Array) -> tuple[Array, Array]:
         """Shares (N,) of the gaze, and its points (N, 3), at times (N,) around a frame."""
+        return self._attended([gaze.point for gaze in self.gazes], saccade_seconds, times)
+
+    def _attended(
+        self, gazed: Sequence[PointAt | None], seconds: Callable[[float], float], times: Array
+    ) -> tuple[Array, Array]:
+        """Shares (N,) and points (N, 3) of a gaze at times (N,) around a frame.
+
+        Args:
+            gazed: Point of each gaze.
+            seconds: Duration of a change by degrees.
+            times: Times, between the same two gazes.
+        """
         number = sum(gaze.time <= times[len(times) // 2] for gaze in self.gazes) - 1
         shares, points = np.zeros(len(times)), np.zeros((len(times), 3))
         if number < 0:
             return shares, points
-        gaze = self.gazes[number]
-        before = self.gazes[number - 1].point if number else None
+        time, after = self.gazes[number].time, gazed[number]
+        before = gazed[number - 1] if number else None
         done = np.ones(len(times))
         # a gaze from the start is there at once
-        if gaze.time > 0 and times[0] < gaze.time + saccade_seconds(180):
-            done = _smooth(np.clip((times - gaze.time) / self._saccade(number), 0.0, 1.0))
-        if gaze.point is None or before is None:
-            point = gaze.point or before
+        if time > 0 and times.min() < time + seconds(180):
+            lasts = seconds(self._change(time, before, after))
+            done = _smooth(np.clip((times - time) / lasts, 0.0, 1.0))
+        if after is None or before is None:
+            point = after or before
             if point is not None:
-                shares, points = done if gaze.point is not None else 1 - done, point(times)
+                shares, points = done if after is not None else 1 - done, point(times)
             return shares, points
         if done.min() == 1:
-            return np.ones(len(times)), gaze.point(times)
+            return np.ones(len(times)), after(times)
         eyes = self._rays(times)[0]
-        start, end = before(times) - eyes, gaze.point(times) - eyes
+        start, end = before(times) - eyes, after(times) - eyes
         near, far = (np.linalg.norm(line, axis=-1) for line in (start, end))
         return np.ones(len(times)), eyes + (near + done * (far - near))[:, None] * _turned(start, end, done)
 
@@ -306,16 +381,14 @@ class Face:
         assert self.rays is not None
         return self.rays(times)
 
-    def _saccade(self, number: int) -> float:
-        """Seconds of the saccade to a gaze."""
-        time = np.array([self.gazes[number].time])
-        eyes, ahead = self._rays(time)
-        before = self.gazes[number - 1].point if number else None
+    def _change(self, time: float, before: PointAt | None, after: PointAt | None) -> float:
+        """Degrees by which a gaze changes at a time."""
+        times = np.array([time])
+        eyes, ahead = self._rays(times)
         start, end = (
-            ahead if point is None else unit_vectors(point(time) - eyes)
-            for point in (before, self.gazes[number].point)
+            ahead if point is None else unit_vectors(point(times) - eyes) for point in (before, after)
         )
-        return saccade_seconds(float(np.degrees(angle_between(start, end))[0]))
+        return float(np.degrees(angle_between(start, end))[0])
 
 
 def _turned(start: Array, end: Array, share: Array) -> Array:
@@ -347,11 +420,13 @@ def key_tracks(keys: Sequence[FaceKey], numbers: Callable[[str], Uniform]) -> tu
 
 @dataclass(frozen=True, eq=False)
 class FacePoses:
-    """A face at N times: weights (N, 52), and points (N, 3) of the gaze with their shares (N,)."""
+    """A face at N times: weights (N, 52), and points (N, 3) of gaze and head with their shares (N,)."""
 
     weights: Array
     points: Array
     shares: Array
+    head_points: Array
+    head_shares: Array
 
 
 def without_face(poses: JointPoses) -> tuple[JointPoses, FacePoses | None]:
@@ -364,13 +439,15 @@ def without_face(poses: JointPoses) -> tuple[JointPoses, FacePoses | None]:
     turns = poses.rotations[:, own:]
     angles = 2 * np.arctan(turns[..., 0] / turns[..., 3])  # q and -q are one rotation
     weights = np.zeros((len(angles), len(ACTIONS)))
-    shares, points = np.zeros(len(angles)), np.zeros((len(angles), 3))
+    nowhere = np.zeros((len(angles), 3)), np.zeros(len(angles))
+    attended = {GAZE_JOINT: nowhere, HEAD_JOINT: nowhere}
     for number, name in enumerate(poses.names[own:]):
-        if name == GAZE_JOINT:
-            shares, points = angles[:, number], poses.positions[:, own + number]
+        if name in attended:
+            attended[name] = poses.positions[:, own + number], np.clip(angles[:, number], 0.0, 1.0)
         else:
             weights[:, ACTIONS.index(name.removeprefix(FACE_JOINT))] = angles[:, number]
-    return poses.first(own), FacePoses(np.clip(weights, 0.0, 1.0), points, np.clip(shares, 0.0, 1.0))
+    face = FacePoses(np.clip(weights, 0.0, 1.0), *attended[GAZE_JOINT], *attended[HEAD_JOINT])
+    return poses.first(own), face
 
 
 def check_face(poses: JointPoses) -> None:

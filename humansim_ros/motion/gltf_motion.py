@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Collection
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -22,6 +24,8 @@ _RATE = 60.0
 _MAX_FRAMES, _BATCH = 100_000, 256
 #: Most joint poses of an animation, over all frames: some hundred megabytes.
 _MAX_POSES = 1_000_000
+#: Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation.
+Track: TypeAlias = tuple[Array, Array, str]
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 #: A joint that moves by more than this share of the skeleton's size gets position channels.
 _MIN_TRANSLATION = 1e-6
@@ -39,20 +43,24 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
     """
     with located(MotionError, path):
         gltf = Gltf.read(path)
-        chosen = _find_animation(gltf, animation)
+        chosen = find_animation(gltf, animation, _turns)  # not a face alone
         skeleton = GltfSkeleton.of_animation(gltf, chosen)
         if skeleton is None:
             raise MotionError("the file has no skeleton, and the animation turns nothing")
         return _motion(gltf, skeleton, chosen)
 
 
-def _find_animation(gltf: Gltf, name: str | None) -> Animation:
+def find_animation(gltf: Gltf, name: str | None, wanted: Callable[[Animation], bool]) -> Animation:
+    """Animation of a name; without one, the first that is ``wanted``, or else the first.
+
+    Raises:
+        MotionError: The file has no animation, or none of this name.
+    """
     known = gltf.document.animations
     if not known:
         raise MotionError("the file has no animation", path=gltf.path)
-    if name is None:  # the first that turns something: not a face alone
-        turning = (a for a in known if any(c.target.path == "rotation" for c in a.channels))
-        return next(turning, known[0])
+    if name is None:
+        return next(filter(wanted, known), known[0])
     animation = next((a for a in known if a.name == name), None)
     if animation is None:
         names = ", ".join(repr(a.name) for a in known)
@@ -60,8 +68,18 @@ def _find_animation(gltf: Gltf, name: str | None) -> Animation:
     return animation
 
 
-def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
-    tracks: dict[tuple[int, str], tuple[Array, Array, str]] = {}
+def _turns(animation: Animation) -> bool:
+    return any(channel.target.path == "rotation" for channel in animation.channels)
+
+
+def node_tracks(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track]:
+    """Tracks of the nodes that an animation moves, by node and property, such as ``rotation``.
+
+    Raises:
+        MotionError: A node does not exist, or its values are of the wrong width.
+        MeshError: The data are wrong.
+    """
+    tracks: dict[tuple[int, str], Track] = {}
     for number, channel in enumerate(animation.channels):
         node, path = channel.target.node, channel.target.path
         if node is None or path not in _WIDTHS:
@@ -72,9 +90,14 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
         if values.shape[-1:] != (_WIDTHS[path],):
             raise MotionError(f"{path} of the wrong width", path=gltf.path, key="animations.channels")
         tracks[node, path] = (times, values, interpolation)
+    return tracks
+
+
+def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
+    tracks = node_tracks(gltf, animation)
     if not tracks:
         raise MotionError("the animation moves nothing", path=gltf.path)
-    times, frame_time = _frame_times(gltf, tracks)
+    times, frame_time = frame_times(gltf, tracks.values())
     if len(times) * len(skeleton.names) > _MAX_POSES:
         raise MotionError(f"{len(times)} frames of {len(skeleton.names)} joints are too many", path=gltf.path)
     rotations, positions = [], []
@@ -82,7 +105,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
     unbind = np.linalg.inv(skeleton.bind)
     for start in range(0, len(times), _BATCH):
         batch = times[start : start + _BATCH]
-        properties = {key: _sample(gltf, key, track, batch) for key, track in tracks.items()}
+        properties = {key: sample_track(gltf, key, track, batch) for key, track in tracks.items()}
         frames = into @ gltf.world(gltf.local(properties))[:, skeleton.nodes]
         u, size, vt = np.linalg.svd((frames @ unbind)[..., :3, :3])
         if np.abs(size - 1).max() > 0.01 and start == 0:
@@ -123,13 +146,13 @@ def _to_motion(
     )
 
 
-def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, str]]) -> tuple[Array, float]:
-    """Times (F,) of evenly spaced frames, and the step between them."""
-    start = min(float(track[0][0]) for track in tracks.values())
-    end = max(float(track[0][-1]) for track in tracks.values())
-    longest = max((track[0] for track in tracks.values()), key=len)
+def frame_times(gltf: Gltf, tracks: Collection[Track]) -> tuple[Array, float]:
+    """Times (F,) of evenly spaced frames that have all keys, and the step between them."""
+    start = min(float(track[0][0]) for track in tracks)
+    end = max(float(track[0][-1]) for track in tracks)
+    longest = max((track[0] for track in tracks), key=len)
     step = float(np.median(np.diff(longest))) if len(longest) > 1 else 1 / _RATE
-    keys = np.concatenate([track[0] for track in tracks.values()])
+    keys = np.concatenate([track[0] for track in tracks])
     off = (keys - start) / step
     if step < 1e-3 or np.abs(off - np.rint(off)).max() > 0.02:
         step = 1 / _RATE
@@ -142,10 +165,17 @@ def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, s
     return np.asarray(start + step * np.arange(count), dtype=float), step
 
 
-def _sample(gltf: Gltf, key: tuple[int, str], track: tuple[Array, Array, str], times: Array) -> Array:
+def sample_track(gltf: Gltf, key: tuple[int, str], track: Track, times: Array) -> Array:
     """Values (F, width) of a track at times (F,), seconds; constant before the first key and after the last.
 
-    ``key``: its node and path, such as ``rotation``. ``track``: times (K,), values, and the interpolation.
+    Args:
+        gltf: The file.
+        key: Node and path of the track, such as ``rotation``.
+        track: The track.
+        times: Times, seconds.
+
+    Raises:
+        MotionError: A rotation is no unit quaternion.
     """
     keys, values, interpolation = track
     times = np.clip(times, keys[0], keys[-1])

@@ -286,13 +286,13 @@ class Actor:
         skeleton, poses = self.human.skeleton, poses.contiguous()
         face = linear = angular = swing = None
         if poses.linear is None:
-            (joints,), (size,), weights, offsets = self._posed(poses)
+            (joints,), (size,), weights, offsets = self.posed(poses)
             if offsets is not None:
                 swing = SwingState(offsets[0], np.zeros_like(offsets[0]))
             if weights is not None:
                 face = FaceState(weights[0], np.zeros_like(weights[0]))
         else:
-            (before, joints, after), (_, size, _), weights, offsets = self._posed(
+            (before, joints, after), (_, size, _), weights, offsets = self.posed(
                 poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
             linear, angular = central_difference(
@@ -333,8 +333,18 @@ class Actor:
         return self.state(self.joint_poses(seconds))
 
     def joint_paths(self, times: Array) -> Array:
-        """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints."""
-        return self._joints_at(times)[..., :3, 3]
+        """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints.
+
+        Hands and eyes rest.
+        """
+        return self._with_head(self._joints_at(times), times)[..., :3, 3]
+
+    def _with_head(self, joints: Array, times: Array) -> Array:
+        """The same frames (N, J, 4, 4) of the joints with the head turned to the gaze at times (N,)."""
+        if self.face is not None and self.face.turns_head and self._eyes is not None:
+            shares, points = self.face.head_at(times)
+            self._eyes.turn_head(joints, points, shares)
+        return joints
 
     def _joints_at(self, times: Array) -> Array:
         """Frames (N, J, 4, 4) of the joints at scene times (N,), without hands and face."""
@@ -350,11 +360,13 @@ class Actor:
         return space.to_map(joints), space.size
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
-        """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,).
+        """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,), before the head turns.
 
         Of a body without eyes, the middle of the head, and the direction of its top.
         """
-        joints = self._joints_at(times)
+        return self._rays(self._joints_at(times))
+
+    def _rays(self, joints: Array) -> tuple[Array, Array]:
         if self._eyes is not None:
             return self._eyes.rays(joints)
         head = joints[:, self.human.skeleton.bone("vt3")]
@@ -363,15 +375,19 @@ class Actor:
             self.human.skeleton.bone("vt3")
         ] * along, along
 
+    def played(self, times: Array) -> Array:
+        """Seconds (N,) of the file of the motion that are played at scene times (N,)."""
+        return self.motion.phases(times + self.offset, self.ahead)
+
     def eyes_at(self, times: Array) -> Array:
         """Point (N, 3) of the face that others look at, at scene times (N,)."""
-        return self.eye_rays(times)[0]
+        return self._rays(self._with_head(self._joints_at(times), times))[0]
 
     def sees(self, point: PointAt, times: Array) -> NDArray[np.bool_]:
-        """Whether the eyes can turn to a point at scene times (N,); always without eyes."""
+        """Whether eyes and head can turn to a point at scene times (N,); always without eyes."""
         if self._eyes is None:
             return np.ones(len(times), dtype=bool)
-        angles = self._eyes.angles_to(self._joints_at(times), point(times))
+        angles = self._eyes.angles_to(self._with_head(self._joints_at(times), times), point(times))
         return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
 
     @cached_property
@@ -418,7 +434,7 @@ class Actor:
         """Body for renderers from the vertices (V, 3) of a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance, levels=self.levels)
 
-    def _posed(self, poses: JointPoses) -> tuple[Array, Array, Array | None, Array | None]:
+    def posed(self, poses: JointPoses) -> tuple[Array, Array, Array | None, Array | None]:
         """Poses (N, J, 4, 4) of the joints, scale of the body (N,), weights (N, 52) of its face, and swing
         (N, K, 3) of loose parts.
         """
@@ -429,6 +445,8 @@ class Actor:
             return joints, sizes, None, swing
         if self._eyes is None:
             return joints, sizes, face.weights, swing
+        if face.head_shares.any():
+            self._eyes.turn_head(joints, face.head_points, face.head_shares)
         angles = looked_angles(face.weights)
         if face.shares.any():
             angles += face.shares[:, None, None] * self._eyes.angles_to(joints, face.points)

@@ -247,9 +247,14 @@ def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
             share = float(actor.sees(gaze.point, times).mean())
             if share < _SEEN:
                 shown = target if isinstance(target, str) else numbers(target)
+                head = (
+                    "even with the head: "
+                    if config.head
+                    else f"and the head does not turn with them: let it turn (humans.{name}.face.head: 1), "
+                )
                 text = (
-                    f"the eyes of {name} reach {shown} in {share:.0%} of the time, and the head does not "
-                    "turn with them: turn the human (motion.yaw_deg), or let it look at what is before it"
+                    f"the eyes of {name} reach {shown} in {share:.0%} of the time, {head}"
+                    "turn the human (motion.yaw_deg), or let it look at what is before it"
                 )
                 yield Finding("warning", f"humans.{name}.face.keys.{number}.gaze", text)
 

@@ -135,11 +135,19 @@ class FaceConfig(ShortSection):
 
     alive: bool = Field(default=False, description="blink, and let the eyes glance around")
     seed: int = Field(default=1, ge=0, description="the same seed gives a human the same life and speech")
+    head: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="how far the head turns with a gaze: 0 not at all, 1 as people turn it",
+    )
     keys: tuple[FaceKeyConfig, ...] = Field(
         default=(), max_length=1000, description="expressions, actions, gaze and speech over time"
     )
     file: FileName | None = Field(
-        default=None, description="recording of a face: the CSV file of Live Link Face, from time 0 on"
+        default=None,
+        description="recording of a face, from time 0 on, or with the motion of the same file: the CSV file "
+        "of Live Link Face, or the animated face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
     )
 
     @field_validator("keys", mode="before")

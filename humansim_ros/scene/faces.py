@@ -10,6 +10,7 @@ import numpy as np
 
 from humansim_ros.body.eyes import EYE_BONES
 from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.io.motion_formats import split_motion_name
 from humansim_ros.motion.face_files import read_face_file
 from humansim_ros.motion.face_keys import AHEAD
 from humansim_ros.motion.faces import Face, Gaze, PointAt, blinks, glances, key_tracks
@@ -21,28 +22,35 @@ from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 
-def face_of(name: str, config: FaceConfig, source: SceneSource) -> Face:
-    """Face of a human without its gazes.
+def face_of(name: str, config: HumanConfig, source: SceneSource) -> Face:
+    """Face of a human without its gazes, and without the clock of its motion.
 
     Args:
         name: Name of the human: people with one seed differ.
-        config: Section ``face``.
+        config: Section of the human.
         source: Finds its file.
 
     Raises:
-        HumansimError: The file is no recording of a face; ``key`` is relative to the section.
+        HumansimError: The file is no recording of a face; ``key`` is relative to the section ``face``.
     """
+    settings = config.face or FaceConfig()
 
     def numbers(purpose: str) -> RandomNumbers:
-        return random_numbers(config.seed, f"face {name} {purpose}")
+        return random_numbers(settings.seed, f"face {name} {purpose}")
 
-    tracks = key_tracks([key.key for key in config.keys], numbers)
-    if config.file is not None:
+    tracks = key_tracks([key.key for key in settings.keys], numbers)
+    face = Face(tracks, head=settings.head)
+    if settings.file is not None:
+        file, animation = split_motion_name(settings.file)
         with in_section("file"):
-            tracks = (*tracks, read_face_file(source.find(config.file)))
-    if not config.alive:
-        return Face(tracks)
-    return Face((*tracks, blinks(numbers("blinks"))), glances(numbers("glances")))
+            take = read_face_file(source.find(file), animation)
+        of_body = file == split_motion_name(config.motion.file)[0]
+        face = replace(face, takes=(take,)) if of_body else replace(face, tracks=(*tracks, take))
+    if not settings.alive:
+        return face
+    return replace(
+        face, tracks=(*face.tracks, blinks(numbers("blinks"))), glances=glances(numbers("glances"))
+    )
 
 
 def with_faces(
@@ -73,7 +81,8 @@ def with_faces(
             for number, key in enumerate(config.keys):
                 with in_section(f"keys.{number}.gaze"):
                     _check_gaze(name, key.gaze, configs, cameras)
-            out[name] = replace(actors[name], face=face_of(name, config, source))
+            face = face_of(name, configs[name], source)
+            out[name] = replace(actors[name], face=replace(face, body_file=actors[name].motion.motion.path))
             if configs[name].motion.file == LIVE and config != FaceConfig():
                 source.warn(
                     f"humans.{name}.face", "another node moves this human, and its face: nothing else does"
@@ -115,23 +124,50 @@ def with_gazes(
     configs: Mapping[str, FaceConfig | None],
     cameras: Mapping[str, SceneCamera],
 ) -> dict[str, Actor]:
-    """Humans that look at others and at cameras where these are with their present motions."""
+    """Humans that look at others and at cameras where these are with their present motions.
 
-    def point(gaze: str | tuple[float, float, float]) -> PointAt | None:
+    Takes of faces get the clock of the present motion, if it is of their file.
+    """
+    still = {name: replace(actor, face=None) for name, actor in actors.items()}
+    looking = _looking(actors, configs, cameras, still, still)
+    if not any(actor.face is not None and actor.face.turns_head for actor in looking.values()):
+        return looking
+    # heads turn to where the eyes of others were without turns; eyes look where these are
+    return _looking(actors, configs, cameras, looking, still)
+
+
+def _looking(
+    actors: Mapping[str, Actor],
+    configs: Mapping[str, FaceConfig | None],
+    cameras: Mapping[str, SceneCamera],
+    seen: Mapping[str, Actor],
+    still: Mapping[str, Actor],
+) -> dict[str, Actor]:
+    """Humans with their gazes, at humans as they are ``seen``; heads turn to those who are ``still``."""
+
+    def point(gaze: str | tuple[float, float, float], others: Mapping[str, Actor]) -> PointAt | None:
         if not isinstance(gaze, str):
             return partial(_fixed, np.array(gaze))
         if gaze == AHEAD:
             return None
-        return actors[gaze].eyes_at if gaze in actors else partial(_camera_at, cameras[gaze])
+        return others[gaze].eyes_at if gaze in others else partial(_camera_at, cameras[gaze])
 
     out = dict(actors)
     for name, config in configs.items():
         face = actors[name].face
         keys = [] if config is None else [key for key in config.keys if key.gaze is not None]
+        if face is not None and face.takes:
+            plays = still[name].motion.motion.path == face.body_file
+            face = replace(face, clock=still[name].played if plays else None)
+            out[name] = replace(actors[name], face=face)
         if face is not None and keys:
             keys.sort(key=lambda key: key.time)
-            gazes = tuple(Gaze(key.time, point(key.gaze)) for key in keys if key.gaze is not None)
-            out[name] = replace(actors[name], face=face.looking(gazes, actors[name].eye_rays))
+            gazes = tuple(
+                Gaze(key.time, point(key.gaze, seen), point(key.gaze, still))
+                for key in keys
+                if key.gaze is not None
+            )
+            out[name] = replace(actors[name], face=face.looking(gazes, still[name].eye_rays))
     return out
 
 

@@ -118,9 +118,12 @@ class SceneViewSource(ViewSource):
         poses = self._playback.show(elapsed)
         joints: dict[str, Array] = {}
         sizes: dict[str, float] = {}
+        faces: dict[str, Array] = {}
         for name, actor in self._playback.actors.items():
-            (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
+            (joints[name],), (size,), weights, _ = actor.posed(poses.poses[name].contiguous())
             sizes[name] = float(size)
+            if weights is not None:
+                faces[name] = actor.human.of_actions(weights[0])
         self._shown = index
         images = self._images(index, wanted)
         estimate, errors = self._estimate(elapsed)
@@ -130,6 +133,7 @@ class SceneViewSource(ViewSource):
             scene_time=elapsed,
             joints=joints,
             sizes=sizes,
+            faces=faces,
             objects={name: pose.matrix for name, pose in poses.objects.items()},
             cameras={
                 name: camera.camera_at(poses.cameras[name]) if name in poses.cameras else camera.camera

@@ -37,6 +37,7 @@ class ViewFrame:
         joints: Poses (J, 4, 4) in ``map`` by human, in the order of ``skeleton.joint_names``: the B bones
             first, then the end points.
         sizes: Scale of the body by human; 1 if absent.
+        faces: Weights (S,) of the shapes of a human whose face moves, by human.
         objects: Poses (4, 4) in ``map`` of moving objects, with their scale.
         cameras: Cameras at their poses.
         images: RGB images (H, W, 3) for people to look at, by camera and channel.
@@ -53,6 +54,7 @@ class ViewFrame:
     scene_time: int
     joints: Mapping[str, Array] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
+    faces: Mapping[str, Array] = field(default_factory=dict)
     objects: Mapping[str, Array] = field(default_factory=dict)
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     images: Mapping[str, Mapping[str, Image]] = field(default_factory=dict)

@@ -197,6 +197,9 @@ class Stage:
             key = "{:02x}{:02x}{:02x}".format(*keyed_color(body.color, number))
             person = f"{stage}-{number}"
             files[f"{person}.surface"] = "application/octet-stream", body.surface
+            shapes = body.shapes
+            if shapes is not None:
+                files[f"{person}.shapes"] = "application/octet-stream", shapes
             texture = body.texture
             if texture is not None:
                 files[f"{person}.jpg"] = "image/jpeg", texture
@@ -205,6 +208,7 @@ class Stage:
                 "joints": body.human.skeleton.joint_names,
                 "vertices": len(body.vertices),
                 "surface": f"{PREFIX}{_PEOPLE}{person}.surface",
+                "shapes": None if shapes is None else f"{PREFIX}{_PEOPLE}{person}.shapes",
                 "texture": None if texture is None else f"{PREFIX}{_PEOPLE}{person}.jpg",
             }
         self._server.replace_files(_PEOPLE, files)
@@ -220,7 +224,8 @@ class Stage:
             if joints is not None:
                 count = len(body.human.skeleton)
                 color = keyed_color(body.color, self._numbers[name])
-                people.append((color, joints[:count], joints[count:, :3, 3]))
+                face = frame.faces.get(name, np.zeros(0)) * frame.sizes.get(name, 1.0)
+                people.append((color, joints[:count], joints[count:, :3, 3], face))
         cameras = {
             name: camera.center
             for name, camera in frame.cameras.items()
@@ -431,22 +436,23 @@ class Stage:
 
 
 def pose_message(
-    index: int, people: Sequence[tuple[Color, Array, Array]], cameras: Mapping[str, Array]
+    index: int, people: Sequence[tuple[Color, Array, Array, Array]], cameras: Mapping[str, Array]
 ) -> bytes:
     """Message of a frame for the page's script (page/page.js), all in ``map``, metres.
 
     Args:
         index: Number of the frame.
-        people: Colour, bones (B, 4, 4) and end points (E, 3) of each person.
+        people: Colour, bones (B, 4, 4), end points (E, 3) and weights (S,) of the face of each person; none
+            of a stiff face. Those of a scaled body are scaled.
         cameras: Centers (3,) of the cameras that are drawn, by name.
     """
     parts = [np.array([index, len(people)], np.uint32).tobytes()]
-    for (red, green, blue), bones, ends in people:
+    for (red, green, blue), bones, ends, face in people:
         key = red << 16 | green << 8 | blue
-        parts.append(np.array([key, len(bones), len(ends)], np.uint32).tobytes())
+        parts.append(np.array([key, len(bones), len(ends), len(face)], np.uint32).tobytes())
         quaternions = matrix_to_quaternion(np.ascontiguousarray(bones[:, :3, :3]))
         parts.append(np.concatenate([quaternions, bones[:, :3, 3]], axis=1).astype(np.float32).tobytes())
-        parts.append(np.asarray(ends, np.float32).tobytes())
+        parts += [np.asarray(values, np.float32).tobytes() for values in (ends, face)]
     centers = {name: np.round(center, 6).tolist() for name, center in cameras.items()}
     return b"".join([*parts, json.dumps(centers).encode()])
 
@@ -549,6 +555,24 @@ class PageBody:
                 np.asarray(flipped, dtype=np.float32).tobytes(),
             ]
         )
+
+    @property
+    def shapes(self) -> bytes | None:
+        """Shapes of the face: the numbers S of them and K of their offsets, where each starts (S + 1), the
+        vertices (K,), all uint32, and offsets (K, 3) of a body of size 1, float32; None without shapes.
+        """
+        shapes = self.human.shapes
+        if shapes is None:
+            return None
+        original = self._split[0]
+        order = np.argsort(original, kind="stable")
+        first, last = (np.searchsorted(original[order], shapes.rows, side) for side in ("left", "right"))
+        copies = last - first
+        which = np.repeat(np.arange(len(shapes.rows)), copies)
+        within = np.arange(len(which)) - np.repeat(np.cumsum(copies) - copies, copies)
+        starts = np.concatenate([[0], np.cumsum(copies)])[shapes.starts]
+        numbers = np.concatenate([[len(shapes.names), len(which)], starts, order[first[which] + within]])
+        return numbers.astype(np.uint32).tobytes() + shapes.offsets[which].astype(np.float32).tobytes()
 
     @property
     def texture(self) -> bytes | None:

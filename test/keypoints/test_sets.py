@@ -36,6 +36,7 @@ PUBLISHED = {
     "right_hand21": (21, {0: "right_hand_root", 9: "right_middle_finger1", 13: "right_ring_finger1"}),
     "face68": (68, {0: "face-0", 67: "face-67"}),
     "face70": (70, {68: "face-68", 69: "face-69"}),
+    "face468": (468, {0: "mesh-0", 467: "mesh-467"}),
     "wholebody133": (
         133,
         {17: "left_big_toe", 22: "right_heel", 23: "face-0", 91: "left_hand_root", 112: "right_hand_root"},
@@ -124,6 +125,27 @@ def test_points_of_the_face_have_the_numbers_of_300_w(name: str) -> None:
     assert keypoints.parts["face"] == tuple(range(start, start + 68))
 
 
+def test_points_of_the_face_mesh_have_the_numbers_of_mediapipe() -> None:
+    keypoints = keypoint_set("face468")
+    points = {33: "right_eye_outer", 263: "left_eye_outer", 133: "right_eye_inner", 61: "right_mouth"}
+    points |= {291: "left_mouth", 13: "upper_lip_inner", 14: "lower_lip_inner", 4: "face_mesh_4"}
+    assert {number: keypoints.points[number] for number in points} == points
+    # known pairs of mirror images, and points in the middle
+    for right, left in (
+        (33, 263),
+        (127, 356),
+        (70, 300),
+        (58, 288),
+        (93, 323),
+        (98, 327),
+        (4, 4),
+        (152, 152),
+    ):
+        assert keypoints.mirrored[right] == left
+    assert sum(partner == number for number, partner in enumerate(keypoints.mirrored)) == 28
+    assert not keypoints.has_body and not keypoint_set("face70").has_body and keypoint_set("coco17").has_body
+
+
 def test_fingers_are_joints_and_tips_of_both_hands() -> None:
     for name in ("left_hand21", "right_hand21"):
         side, keypoints = name[0], keypoint_set(name)
@@ -151,9 +173,10 @@ def test_every_keypoint_is_a_known_point_of_its_side_and_connected(name: str) ->
     pupils = {keypoints.index(each) for each in ("face-68", "face-69") if each in keypoints.names}
     twice |= {"left_eye", "right_eye"} if twice and pupils else set()
     assert len(set(keypoints.points)) == len(keypoints) - len(twice)
-    # markers of a back alone have no line to draw
+    # of a mesh of the face only the contours are drawn
     drawn = {number for edge in keypoints.edges for number in edge}
-    assert drawn == set(range(len(keypoints))) - pupils
+    alone = len(keypoints) - 134 if name == "face468" else len(pupils)
+    assert len(drawn) == len(keypoints) - alone and not drawn & pupils
     assert all(first != second for first, second in keypoints.edges)
     assert "http" in keypoints.source
 
@@ -183,7 +206,7 @@ def test_the_mirror_image_of_a_keypoint_is_that_of_the_other_side(keypoints: Key
     np.testing.assert_array_equal(order[order], np.arange(len(keypoints)))
     for number, name in enumerate(keypoints.names):
         point = keypoints.points[number]
-        if order[number] != number and name.startswith("face-"):
+        if order[number] != number and name.startswith(("face-", "mesh-")):
             assert keypoints.points[order[number]] == re.sub(
                 "left|right", lambda side: {"left": "right", "right": "left"}[side.group()], point
             )

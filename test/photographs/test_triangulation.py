@@ -174,7 +174,7 @@ def test_two_wrong_points_that_agree_by_chance_do_not_make_a_long_arm() -> None:
 
 
 #: Sets of a hand or a face, whose sides do not tell how a person stands.
-PARTS = {"left_hand21", "right_hand21", "face68", "face70"}
+PARTS = {"left_hand21", "right_hand21", "face68", "face70", "face468"}
 
 
 @pytest.mark.daily("views2-body25", "views0-body25")

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
-from humansim_ros.body.eyes import LIMITS, LOOKS
+from humansim_ros.body.eyes import LIMITS, LOOKS, NECK_LIMITS
 from humansim_ros.body.face_actions import ACTIONS, FaceState, expression
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion.face_files import read_face_file
@@ -334,3 +335,141 @@ def test_a_damaged_recording_names_line_and_column(
 ) -> None:
     with pytest.raises(MotionError, match=message):
         read_face_file(take(tmp_path, *rows, head=head))
+
+
+def around(degrees: float, height: float = 1.55) -> list[float]:
+    """Point two metres from anna, to her left by an angle."""
+    angle = np.radians(degrees)
+    return [2 * float(np.cos(angle)), 2 * float(np.sin(angle)), height]
+
+
+def bone(state: HumanState, name: str = "vt3") -> Array:
+    return state.joints[state.joint_names.index(name)]
+
+
+def test_the_head_turns_by_a_share_of_a_gaze_and_eyes_reach_what_they_did_not() -> None:
+    for degrees, height in ((60, 1.6), (100, 1.55), (-120, 1.7), (40, 0.3), (-30, 3.0)):
+        point = around(degrees, height)
+        stiff, turned = (anna({"head": head, "keys": [{"gaze": point}]}).at(0.0) for head in (0, 1))
+        assert off_target(turned, np.array(point)) < 1e-3
+        assert off_target(stiff, np.array(point)) > (0.5 if degrees != 40 else -1)
+        turn = bone(turned)[:3, :3] @ bone(stiff)[:3, :3].T
+        angle = np.degrees(np.arccos((np.trace(turn) - 1) / 2))
+        eyes, ahead = anna({}).eye_rays(np.zeros(1))
+        line = np.array(point) - eyes[0]
+        away = np.degrees(np.arccos(ahead[0] @ line / np.linalg.norm(line)))
+        assert angle == pytest.approx(0.77 * (away - 18), abs=4)  # [Stahl 1999]
+        np.testing.assert_array_equal(bone(turned)[:3, 3], bone(stiff)[:3, 3])
+        still = np.array([part == turned.joint_names.index("l_hip") for part in range(len(turned.joints))])
+        np.testing.assert_array_equal(turned.joints[still], stiff.joints[still])
+    near = {"head": 1, "keys": [{"gaze": around(5)}]}
+    np.testing.assert_allclose(bone(anna(near).at(0.0)), bone(anna({}).at(0.0)), atol=1e-12)  # eyes alone
+
+
+def test_a_head_that_does_not_turn_leaves_all_as_it_was() -> None:
+    keys = [{"gaze": around(50)}, {"time": 1, "gaze": "front"}]
+    one, other = anna({"keys": keys}), anna({"keys": keys, "head": 0})
+    assert one.joint_poses(1.01).names == other.joint_poses(1.01).names
+    assert "face/head" not in one.joint_poses(1.01).names
+    np.testing.assert_array_equal(one.at(1.01).vertices, other.at(1.01).vertices)
+
+
+TURN = {
+    "head": 0.8,
+    "keys": [{"gaze": around(70)}, {"time": 0.5, "gaze": around(-50, 1.0)}, {"time": 2, "gaze": "ahead"}],
+}
+
+
+@pytest.mark.parametrize("time", [0.3, 0.6, 0.71, 2.1])
+def test_a_turning_head_has_its_velocities_and_travels_in_messages(time: float) -> None:
+    actor = anna(TURN)
+    state, step = actor.at(time), 1e-3
+    before, after = actor.at(time - step), actor.at(time + step)
+    assert state.linear is not None and state.angular is not None
+    measured = (after.positions - before.positions) / (2 * step)
+    moving = np.linalg.norm(measured - state.linear, axis=1)
+    assert moving.max() < 0.02, state.joint_names[int(moving.argmax())]
+    crown = state.joint_names.index("vt3_end")
+    assert (np.linalg.norm(state.linear[crown]) > 0.03) == (time > 0.5)
+    got = LiveRetargeter(actor).retarget(actor.joint_poses(time))
+    assert np.array_equal(got.vertices, state.vertices) and np.array_equal(got.joints, state.joints)
+    body = [name.startswith(("vt3", "vl5", "l_hip")) for name in state.joint_names]
+    paths = actor.joint_paths(np.array([2.5, time]))  # of the evaluation
+    np.testing.assert_allclose(paths[1, body], state.positions[body], atol=1e-9)
+
+
+def test_a_turn_begins_with_the_gaze_and_takes_longer() -> None:
+    actor = anna(TURN)
+    angles = []
+    for time in np.arange(0.5, 1.6, 0.05):
+        turn = bone(actor.at(time))[:3, :3] @ bone(actor.at(0.4))[:3, :3].T
+        angles.append(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+    change = 70 + 50 + 10  # about, in degrees
+    lasts = 0.25 + 0.004 * change
+    half = int(lasts / 2 / 0.05)
+    assert angles[0] < 1.5 and 0.25 < angles[half] / angles[-1] < 0.75
+    assert np.ptp(angles[int(lasts / 0.05) + 2 :]) < 3  # the arms of the motion move the trunk a little
+
+
+def test_two_heads_turn_to_each_other_and_eyes_meet() -> None:
+    ben = {
+        "body": "child",
+        "motion": {"file": "stand", "position": [0.6, 1.2]},
+        "face": {"head": 1, "keys": [{"gaze": "anna"}]},
+    }
+    both = scene({"head": 1, "keys": [{"gaze": "ben"}]}, ben=ben)
+    states = {name: actor.at(0.4) for name, actor in both.actors.items()}
+    middles = {
+        name: np.mean([bone(state, f"{side}_eyeball_joint")[:3, 3] for side in "lr"], axis=0)
+        for name, state in states.items()
+    }
+    assert off_target(states["anna"], middles["ben"]) < 1e-3
+    alone = scene({}, ben={**ben, "face": {}}).actors
+    turned = np.linalg.norm(middles["ben"] - alone["ben"].eyes_at(np.array([0.4]))[0])
+    assert turned > 0.02
+    assert off_target(states["ben"], middles["anna"]) < 1e-3
+
+
+def test_the_neck_stays_within_its_limits_and_never_jumps() -> None:
+    actor = anna({"head": 1, "keys": [{"gaze": [1, 0, 1]}]})
+    assert actor.face is not None and actor._eyes is not None
+    skeleton, eyes = actor.human.skeleton, actor._eyes
+    limits = load_limits(skeleton=skeleton)
+    joints = actor._joints_at(np.zeros(1))
+    middle = eyes.rays(joints)[0][0]
+    grid = np.meshgrid(np.radians(np.arange(0, 361, 2)), np.radians([-80, -40, 0, 30, 70, 85]))
+    yaw, pitch = (each.ravel() for each in grid)
+    directions = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)
+    turned = np.repeat(joints, len(yaw), axis=0)
+    eyes.turn_head(turned, middle + 3 * directions, np.ones(len(yaw)))
+    bones = turned[:, : len(skeleton), :3, :3]
+    parents = skeleton.parents
+    local = skeleton.rest_in_parent[:, :3, :3]
+    in_bone = local.swapaxes(-1, -2) @ bones[:, parents].swapaxes(-1, -2) @ bones
+    rotations = Rotation.from_matrix(in_bone.reshape(-1, 3, 3)).as_quat().reshape(*in_bone.shape[:2], 4)
+    angles = {name: each for name, each in limits.angles(rotations).items() if name.startswith("vt3.")}
+    assert np.ptp(angles["vt3.rotation left"]) > 120
+    assert not [each for each in limits.report(rotations) if each.bone == "vt3"]
+    ring = bones[:, eyes.head].reshape(6, -1, 3, 3)
+    steps = np.linalg.norm(np.diff(ring, axis=1), axis=(2, 3)) / np.sqrt(2)
+    assert np.degrees(steps.max()) < 12  # for two degrees of the point, where it passes behind
+    text = (
+        Path(load_limits.__globals__["__file__"]).parents[2] / "config/joint_limits/normal.yaml"
+    ).read_text()
+    block = text.partition("- bone: vt3\n")[2].partition("- bone:")[0].split("degrees: ")[1:]
+    flexion, extension, _, _, left, right = (float(each.partition(",")[0]) for each in block)
+    np.testing.assert_allclose(np.degrees(NECK_LIMITS), [[-right, -flexion], [left, extension]])
+
+
+def test_check_knows_how_far_the_head_turns() -> None:
+    keys = [{"gaze": around(80)}, {"time": 5, "gaze": [-2, 0, 1.5]}]
+    for head, wrong, text in ((0, [0, 1], "head: 1"), (1, [1], "even with the head")):
+        found = [
+            each
+            for each in check_scene(scene({"head": head, "keys": keys}), quick=True)
+            if "gaze" in each.key
+        ]
+        assert [each.key for each in found] == [f"humans.anna.face.keys.{number}.gaze" for number in wrong]
+        assert text in found[-1].text
+    with pytest.raises(HumansimError, match=r"humans\.anna\.face\.head"):
+        scene({"head": 1.5})

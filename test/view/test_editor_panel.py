@@ -213,15 +213,15 @@ def test_files_of_people_do_not_grow_over_edits(page: Page) -> None:
         files = page.app.server.files
         people = sorted(path for path in files if path.startswith("/humansim/people/"))
         named = json.loads(files["/humansim/people.json"][1]).values()
-        assert people == sorted(entry[key] for entry in named for key in ("surface", "texture"))
+        assert people == sorted(entry[key] for entry in named for key in ("surface", "texture", "shapes"))
         return people
 
     at_first = served()
-    assert [path.rsplit(".", 1)[1] for path in at_first] == ["jpg", "surface"]
+    assert [path.rsplit(".", 1)[1] for path in at_first] == ["jpg", "shapes", "surface"]
     page.editor.select("person walker")
     for x in (1.0, 2.0):
         page.editor.move(np.array([x, 0.5, 0.0]), np.array([0, 0, 0, 1.0]))
-        assert len(served()) == 2 and served() != at_first
+        assert len(served()) == 3 and served() != at_first
     frame, before = page.app.source.frame(0), dict(page.app.server.files)
     for size in (1.1, 0.9):
         page.app._stage.show(replace(frame, sizes={"walker": size}))

@@ -114,6 +114,35 @@ def test_three_js_poses_the_skin_as_we_do(page: Any, scene_file: Path) -> None:
         assert np.linalg.norm(found - expected[numbers], axis=1).max() < 5e-3
 
 
+def test_a_face_moves_in_three_js_and_rests_again(chromium: Any, tmp_path: Path) -> None:
+    path = tmp_path / "face.yaml"
+    path.write_text(
+        "room: null\nrate: 10\n"
+        "humans: {anna: {body: adult_woman, motion: stand, face: {keys: ["
+        "{actions: {jawOpen: 0.8, cheekPuff: 1}}, {time: 1, actions: {}, blend: 0}]}}}\n"
+        "cameras: {front: {position: [3, 0, 1.6], look_at: [0, 0, 1.5], size: [320, 240]}}\n"
+    )
+    scene = Scene.load(path)
+    actor = scene.actors["anna"]
+    vertices = {frame: actor.at(scene.frame_time(frame) * 1e-9).vertices for frame in (3, 15)}
+    change = np.linalg.norm(np.subtract(*vertices.values()), axis=1)
+    numbers = np.argsort(-change)[:400:20].tolist()
+    assert change[numbers].min() > 0.005
+    with served(str(path), "--port", "0") as (address, _):
+        page = opened_page(chromium, address)
+        pause(page)
+        for frame, expected in vertices.items():
+            scrub(page, frame)
+            key = body_key(page, PageBody(actor.human))
+
+            def off(key: str = key, expected: Any = expected) -> float:
+                found = three_vertices(page, key, numbers)
+                return float(np.linalg.norm(found - expected[numbers], axis=1).max())
+
+            until(lambda: off() < 2e-3)
+        page.close()
+
+
 def test_two_tabs_show_the_same_frame(page: Any, chromium: Any, url: str) -> None:
     other = opened_page(chromium, url, people=2)
     try:

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 pytest.importorskip("viser")
 
-from humansim_ros import Scene
+from humansim_ros import Scene, load_human
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import FrameRequest
 from humansim_ros.view.stage import PageBody, pose_message
@@ -35,14 +35,49 @@ def test_a_message_has_bones_and_end_points_of_each_person_and_the_cameras() -> 
     bones = np.tile(np.eye(4), (2, 1, 1))
     bones[:, :3, 3] = [[1, 2, 3], [4, 5, 6]]
     ends, centers = np.array([[7, 8, 9]]), {"left": np.array([0.5, -2.0, 1.25])}
-    data = pose_message(7, [((1, 2, 3), bones, ends)], centers)
-    assert np.frombuffer(data[:20], np.uint32).tolist() == [7, 1, 0x010203, 2, 1]
-    assert np.frombuffer(data[76:88], np.float32).tolist() == [7, 8, 9]
-    assert json.loads(data[88:]) == {"left": [0.5, -2.0, 1.25]}
-    assert np.frombuffer(data[20:76], np.float32).reshape(2, 7).tolist() == [
+    data = pose_message(7, [((1, 2, 3), bones, ends, np.array([0.5, 0.25]))], centers)
+    assert np.frombuffer(data[:24], np.uint32).tolist() == [7, 1, 0x010203, 2, 1, 2]
+    assert np.frombuffer(data[80:92], np.float32).tolist() == [7, 8, 9]
+    assert np.frombuffer(data[92:100], np.float32).tolist() == [0.5, 0.25]
+    assert json.loads(data[100:]) == {"left": [0.5, -2.0, 1.25]}
+    assert np.frombuffer(data[24:80], np.float32).reshape(2, 7).tolist() == [
         [0, 0, 0, 1, 1, 2, 3],
         [0, 0, 0, 1, 4, 5, 6],
     ]
+
+
+def test_a_face_moves_the_vertices_of_the_page_and_hands_and_eyes_turn() -> None:
+    face = {"keys": [{"expression": "happiness", "actions": {"jawOpen": 0.5}}, {"gaze": "front"}]}
+    scene = Scene.from_dict(
+        {
+            "room": None,
+            "humans": {
+                "anna": {"body": "adult_woman", "motion": {"file": "stand", "hands": "fist"}, "face": face}
+            },
+            "cameras": {"front": {"position": [3, 1, 1.6], "look_at": [0, 0, 1.5]}},
+        }
+    )
+    actor, frame = scene.actors["anna"], SceneViewSource(scene).frame(0)
+    state, body = actor.at(0.0), PageBody(scene.actors["anna"].human)
+    np.testing.assert_allclose(frame.joints["anna"], state.joints, atol=1e-12)  # with hands and eyes
+    data = body.shapes
+    assert data is not None
+    count, rows = np.frombuffer(data, np.uint32, 2).tolist()
+    starts = np.frombuffer(data, np.uint32, count + 1, 8)
+    vertices = np.frombuffer(data, np.uint32, rows, 12 + 4 * count)
+    offsets = np.frombuffer(data, np.float32, 3 * rows, 12 + 4 * (count + rows)).reshape(-1, 3)
+    moved = body.vertices.copy()
+    np.add.at(moved, vertices, np.repeat(frame.faces["anna"], np.diff(starts))[:, None] * offsets)
+    human = actor.human
+    expected = human.pose(human.skeleton.rest, frame.faces["anna"])
+    np.testing.assert_allclose(moved[: len(expected)], expected, atol=1e-5)
+    assert np.abs(moved[: len(expected)] - human.mesh.vertices).max() > 0.01
+    copies = {tuple(each) for each in moved.round(5).tolist()}  # at seams of the texture
+    assert copies <= {tuple(each) for each in moved[: len(expected)].round(5).tolist()}
+    assert (
+        PageBody(load_human("adult_man")).shapes is not None
+        and not SceneViewSource(Scene.load()).frame(0).faces
+    )
 
 
 def test_scans_lie_on_the_people_and_things_of_their_frame(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,7 @@ SCENE = {
             "motion": {"file": "stand", "position": [0.0, 0.3]},
             "face": {
                 "alive": True,
+                "head": 1,
                 "keys": [
                     {"gaze": "close"},
                     {"time": 1.0, "expression": "happiness", "strength": 0.8},
@@ -40,6 +41,7 @@ SCENE = {
             "motion": {"file": "stand", "position": [0.0, -0.3], "offset": 9.0},
             "face": {
                 "alive": True,
+                "head": 1,
                 "keys": [
                     {"gaze": "anna"},
                     {"time": 2.0, "gaze": "close", "speak": 2.5},

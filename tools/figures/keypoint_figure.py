@@ -1,7 +1,10 @@
 """Draw every keypoint set on a built-in human (docs/images/keypoints.jpg), or close views of all of them.
 
+Also the points of Face Mesh on some of them.
+
 python tools/figures/keypoint_figure.py docs/images/keypoints.jpg
 python tools/figures/keypoint_figure.py --close docs/images/keypoints_close.jpg
+python tools/figures/keypoint_figure.py --mesh docs/images/face_mesh.jpg
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ _A_POSE = 2.0
 _CAMERAS = {"front": (7.6, 2.6, 1.2), "back": (-7.6, 2.6, 1.2)}
 #: Sets of the whole body, drawn from afar, and those of its parts, drawn close.
 _PARTS = {"face68": 0.27, "left_hand21": 0.24, "right_hand21": 0.24}
-_WHOLE = [name for name in KEYPOINT_SETS if name not in (*_PARTS, "face70")]
+_WHOLE = [name for name in KEYPOINT_SETS if name not in (*_PARTS, "face70", "face468")]
 _CHANNELS = ("rgb", "depth", "instance", "part")
 
 
@@ -57,8 +60,8 @@ def simulate(body: str, cameras: dict[str, dict[str, object]], seconds: float) -
         return simulation.frame(round(seconds * scene.config.rate))
 
 
-def close_up(body: str) -> list[Image]:
-    """Face from the front and from the side, and the left hand of a built-in human, close."""
+def close_up(body: str, sets: dict[str, str]) -> list[Image]:
+    """Close views of a built-in human with keypoint sets: face from the front and the side, left hand."""
     human = load_human(body)
     joints = human.skeleton.joint_transforms(human.skeleton.rest)[:, :3, 3]
     cameras = {}
@@ -79,7 +82,6 @@ def close_up(body: str) -> list[Image]:
             "fov_deg": float(fov),
         }
     frame = simulate(body, cameras, 0.0)
-    sets = {"face": "face68", "half_face": "face68", "hand": "left_hand21"}
     return [draw(frame, KEYPOINT_SETS[name], camera, 1) for camera, name in sets.items()]
 
 
@@ -90,6 +92,7 @@ def side(point: str) -> int:
 
 def draw(frame: Frame, keypoints: KeypointSet, camera: str, size: int = 2) -> Image:
     """One panel: visible keypoints are discs, others are rings. ``size``: width of the lines, pixels."""
+    dot = size + 3 if len(keypoints) < 200 else size + 1
     rgb = frame.views[camera].rgb
     image = np.asarray(255 - (255 - rgb) * 0.5, dtype=np.uint8)
     view = frame.keypoints[keypoints.name][camera]["man"]
@@ -98,18 +101,23 @@ def draw(frame: Frame, keypoints: KeypointSet, camera: str, size: int = 2) -> Im
         color = SIDE_COLORS[sides[first] if sides[first] == sides[second] else 0]
         draw_line(image, [view.pixels[first], view.pixels[second]], color, size)
     for pixel, state, which in zip(view.pixels, view.visible, sides, strict=True):
-        draw_disc(image, pixel, size + 3, SIDE_COLORS[which])
+        draw_disc(image, pixel, dot, SIDE_COLORS[which])
         if state != VISIBLE:
-            draw_disc(image, pixel, size + 1, PAPER)
+            draw_disc(image, pixel, dot - 2, PAPER)
     title = keypoints.name + (" (from behind)" if camera == "back" else "")
     draw_text(image, title, (14, 26), 0.6, INK)
     return image
 
 
-def main(path: str, close: bool) -> None:
+def main(path: str, mode: str) -> None:
     """Write the sheet."""
-    if close:
-        pictures = [np.concatenate(close_up(body), axis=1) for body in built_in_names("humans")]
+    if mode == "--mesh":
+        faces = {"face": "face468", "half_face": "face468"}
+        shown = [panel for body in ("adult_man", "child") for panel in close_up(body, faces)]
+        rows = [cv2.resize(np.concatenate(shown, axis=1), None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)]
+    elif mode == "--close":
+        sets = {"face": "face68", "half_face": "face68", "hand": "left_hand21"}
+        pictures = [np.concatenate(close_up(body, sets), axis=1) for body in built_in_names("humans")]
         rows = [
             np.asarray(cv2.resize(row, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA))
             for row in pictures
@@ -129,6 +137,7 @@ def main(path: str, close: bool) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in (2, 3) or (len(sys.argv) == 3 and sys.argv[1] != "--close"):
+    modes = sys.argv[1:-1]
+    if len(sys.argv) < 2 or modes not in ([], ["--close"], ["--mesh"]):
         sys.exit(__doc__)
-    main(sys.argv[-1], len(sys.argv) == 3)
+    main(sys.argv[-1], *(modes or [""]))

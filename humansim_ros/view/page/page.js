@@ -35,6 +35,7 @@
   let version = "";
   const surfaces = new Map();
   const textures = new Map();
+  const shapes = new Map();
   const state = Object.assign(new EventTarget(), { textured: 0, people: 0, frame: null, page: null, cameras: {}, scenes });
   window.humansim = state;
   state.addEventListener("shown", begin); // all images (tiles.js)
@@ -51,6 +52,7 @@
       people = JSON.parse(text);
       surfaces.clear();
       textures.clear();
+      shapes.clear();
       state.textured = 0;
     } catch (_) {
       // the server has ended; viser says so
@@ -65,6 +67,18 @@
     return {
       normals: new Float32Array(data, 4, 3 * count),
       uv: new Float32Array(data, 4 + 12 * count, 2 * count),
+    };
+  }
+
+  async function shapesOf(url) {
+    const answer = await fetch(url);
+    if (!answer.ok) throw new Error(url); // of an earlier stage
+    const data = await answer.arrayBuffer();
+    const [count, rows] = new Uint32Array(data, 0, 2);
+    return {
+      starts: new Uint32Array(data, 8, count + 1),
+      rows: new Uint32Array(data, 12 + 4 * count, rows),
+      offsets: new Float32Array(data, 12 + 4 * (count + rows), 3 * rows),
     };
   }
 
@@ -153,9 +167,9 @@
   loadPeople();
 
   // --- poses -----------------------------------------------------------------------------------------------
-  // One message per frame: index, number of people; per person: key, numbers of bones and of end points, then for
-  // each bone the quaternion x y z w and the position, and the positions of the end points; then the centers of the
-  // cameras by name, as JSON. It replaces two messages of viser for each bone.
+  // One message per frame: index, number of people; per person: key, numbers of bones, end points and weights, then for
+  // each bone the quaternion x y z w and the position, the positions of the end points, and weights of the face; then
+  // the centers of the cameras by name, as JSON. It replaces two messages of viser for each bone.
   let meshes = new Map();
   let poses = new Map();
 
@@ -165,10 +179,12 @@
     let at = 8;
     for (let person = view.getUint32(4, true); person > 0; person -= 1) {
       const key = view.getUint32(at, true).toString(16).padStart(6, "0");
-      const [bones, ends] = [view.getUint32(at + 4, true), view.getUint32(at + 8, true)];
-      const values = new Float32Array(data, at + 12, 7 * bones);
-      read.set(key, { values, ends: new Float32Array(data, at + 12 + 28 * bones, 3 * ends), reach: reachOf(values) });
-      at += 12 + 28 * bones + 12 * ends;
+      const [bones, ends, count] = new Uint32Array(data, at + 4, 3);
+      const values = new Float32Array(data, at + 16, 7 * bones);
+      const points = new Float32Array(data, at + 16 + 28 * bones, 3 * ends);
+      const face = new Float32Array(data, at + 16 + 28 * bones + 12 * ends, count);
+      read.set(key, { values, ends: points, face, reach: reachOf(values) });
+      at += 16 + 28 * bones + 12 * ends + 4 * count;
     }
     poses = read;
     state.cameras = JSON.parse(new TextDecoder().decode(new Uint8Array(data, at)));
@@ -197,9 +213,30 @@
     return [...from.subarray(at, at + 3)];
   };
 
+  // Move the vertices of a face at rest by its weights; normals stay.
+  const moved = new WeakMap();
+  function move(vertices, key, weights) {
+    if (!weights.length && !moved.has(vertices)) return;
+    const own = moved.get(vertices) || { rest: vertices.array.slice(), weights: new Float32Array(0) };
+    const same = weights.length === own.weights.length && weights.every((weight, i) => weight === own.weights[i]);
+    const url = people[key] && people[key].shapes;
+    const found = same || !url ? null : onceFor(shapes, url, shapesOf);
+    if (!found) return;
+    vertices.array.set(own.rest);
+    weights.forEach((weight, shape) => {
+      if (weight === 0) return;
+      for (let row = found.starts[shape]; row < found.starts[shape + 1]; row += 1)
+        for (let axis = 0; axis < 3; axis += 1)
+          vertices.array[3 * found.rows[row] + axis] += weight * found.offsets[3 * row + axis];
+    });
+    vertices.needsUpdate = true;
+    moved.set(vertices, { rest: own.rest, weights });
+  }
+
   function pose() {
-    for (const [key, { values, reach }] of poses)
+    for (const [key, { values, face, reach }] of poses)
       for (const mesh of meshes.get(key) || []) {
+        move(mesh.geometry.attributes.position, key, face);
         // always, as viser puts the bones of a new mesh at rest at a time of its own
         if (mesh.skeleton.bones.length !== values.length / 7) continue;
         // three.js tries a ray on a skinned mesh only in this sphere, and keeps the first it finds

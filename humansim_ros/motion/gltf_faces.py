@@ -1,0 +1,220 @@
+"""Faces of glTF files and VRM animations: animated morph targets and expressions, as actions of the face."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
+from humansim_ros.errors import MotionError, located, printable, some_of
+from humansim_ros.mesh.gltf_document import Gltf
+from humansim_ros.mesh.gltf_schema import Animation
+from humansim_ros.mesh.gltf_skeleton import member
+from humansim_ros.motion.faces import VOWELS, WeightTrack, linear
+from humansim_ros.motion.gltf_motion import Track, find_animation, frame_times, node_tracks, sample_track
+from humansim_ros.types import Array
+
+#: How far rounding may put a weight out of 0 to 1.
+_ROUNDING = 1e-3
+#: Number of an action by its name in lower case.
+_NUMBERS = {action.lower(): number for number, action in enumerate(ACTIONS)}
+#: Actions of the presets that VRM 1.0 names [VRM 0.x, 1.0]. It names emotions and sounds, and no
+#: weights: those here are the ones of the same emotions [Friesen 1983], and of the vowels of speech.
+#: ``relaxed`` was ``fun`` in VRM 0: a faint happiness.
+_PRESETS: Mapping[str, Array] = {
+    preset.lower(): face_weights(both_sides(weights))
+    for preset, weights in {
+        "neutral": {},
+        "happy": expression("happiness"),
+        "angry": expression("anger"),
+        "sad": expression("sadness"),
+        "relaxed": {action: weight / 2 for action, weight in expression("happiness").items()},
+        "surprised": expression("surprise"),
+        **VOWELS,
+        "blink": {"eyeBlink": 1.0},
+        "blinkLeft": {"eyeBlinkLeft": 1.0},
+        "blinkRight": {"eyeBlinkRight": 1.0},
+        "lookUp": {"eyeLookUp": 1.0},
+        "lookDown": {"eyeLookDown": 1.0},
+        "lookLeft": {"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0},
+        "lookRight": {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0},
+    }.items()
+}
+
+
+def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -> WeightTrack:
+    """Read the weights of a face over time from an animation of a .gltf, .glb, .vrm or .vrma file.
+
+    Morph targets count by their names: the actions of ARKit, in any case, and with ``_L`` and ``_R`` for
+    ``Left`` and ``Right``; and the presets of VRM 1.0. So do targets that a preset of a VRM avatar moves, and
+    the expressions of a VRM animation. Weights of presets are added; of several weights of one action, such
+    as of the meshes of face and teeth, the largest counts. Time 0 is the first key of a node that the
+    animation moves, as in :func:`~humansim_ros.motion.gltf_motion.read_gltf_motion`, or else of the face.
+
+    Args:
+        path: File.
+        animation: Name of the animation; the first that moves a face if None.
+
+    Raises:
+        MotionError: The file is not valid, has no such animation, or its animation moves no face.
+    """
+    with located(MotionError, path):
+        gltf = Gltf.read(path)
+        chosen = find_animation(gltf, animation, lambda each: any(_known(gltf, each)))
+        moved = list(_known(gltf, chosen))
+        if not moved:
+            raise MotionError(_nothing_moves(gltf, chosen))
+        times, _ = frame_times(gltf, [each.track for each in moved])
+        weights, presets = np.zeros((2, len(times), len(ACTIONS)))
+        for each in moved:
+            sampled = each.at(gltf, times)[:, None]
+            if each.action is None:
+                presets += sampled * _PRESETS[each.name]
+            else:
+                column = weights[:, [each.action]]
+                weights[:, [each.action]] = np.maximum(column, sampled)
+        weights = np.maximum(weights, np.clip(presets, 0.0, 1.0))
+        nodes = node_tracks(gltf, chosen)
+        start = min((float(track[0][0]) for track in nodes.values()), default=float(times[0]))
+        actions = np.flatnonzero(weights.any(axis=0))
+        return WeightTrack(tuple(actions.tolist()), times - start, weights[:, actions], ease=linear)
+
+
+@dataclass(frozen=True, eq=False)
+class _Weight:
+    """An animated weight: of an action by its number, or of a preset by its name in lower case.
+
+    ``unit``: value of the track that is the weight 1.
+    """
+
+    name: str
+    action: int | None
+    track: Track
+    unit: float = 1.0
+
+    def at(self, gltf: Gltf, times: Array) -> Array:
+        """Weights (F,) at times (F,). Raises MotionError if a key has none from 0 to 1."""
+        keys, values, interpolation = self.track
+        given = (values[:, 1] if interpolation == "CUBICSPLINE" else values)[:, 0]
+        wrong = np.flatnonzero((given < -_ROUNDING) | (given > 1 + _ROUNDING))
+        if len(wrong):
+            raise MotionError(
+                f"the weight of {self.name} must be from 0 to 1, not {given[wrong[0]]:.4g} at "
+                f"{keys[wrong[0]]:.4g} s",
+                key="animations",
+            )
+        return np.clip(sample_track(gltf, (0, "weights"), self.track, times)[:, 0] / self.unit, 0.0, 1.0)
+
+
+def _known(gltf: Gltf, animation: Animation) -> Iterator[_Weight]:
+    """Weights of actions and presets that an animation moves."""
+    targets: dict[tuple[int, int], Track] = {}
+    for node, names, (keys, values, interpolation) in _morphs(gltf, animation):
+        for number in range(values.shape[-1]):
+            track = keys, values[..., [number]], interpolation
+            targets[node, number] = track
+            yield from _named(names.get(number, ""), track)
+    yield from _bound(gltf, targets)
+    expressions = [
+        member(gltf.document.extensions, "VRMC_vrm_animation", "expressions", kind)
+        for kind in ("preset", "custom")
+    ]
+    nodes: dict[object, Any] = {}
+    if any(expressions):
+        nodes = {
+            node: track
+            for (node, path), track in node_tracks(gltf, animation).items()
+            if path == "translation"
+        }
+    for name, place in ((name, place) for group in expressions for name, place in _items(group)):
+        if isinstance(node := member(place, "node"), int) and node in nodes:
+            keys, values, interpolation = nodes[node]
+            yield from _named(name, (keys, values[..., :1], interpolation))
+
+
+def _named(name: str, track: Track) -> Iterator[_Weight]:
+    """Weight of an action or a preset of this name, if there is one."""
+    plain = name.lower()
+    if plain in _PRESETS:
+        yield _Weight(plain, None, track)
+    elif (action := _action(name)) is not None:
+        yield _Weight(ACTIONS[action], action, track)
+
+
+def _action(name: str) -> int | None:
+    """Number of an action of a name such as ``eyeBlinkLeft``, ``EyeBlink_L`` or ``face.eye_blink.L``."""
+    bare = re.sub(r"^.*[.:|](?=\w\w)", "", name).lower()
+    bare = re.sub(r"[ _.-]r$", "right", re.sub(r"[ _.-]l$", "left", bare))
+    return _NUMBERS.get(re.sub(r"[ _.-]", "", bare))
+
+
+def _morphs(gltf: Gltf, animation: Animation) -> Iterator[tuple[int, Mapping[int, str], Track]]:
+    """Nodes whose morph targets an animation moves, with the names of the targets and their track."""
+    for number, channel in enumerate(animation.channels):
+        node = channel.target.node
+        if channel.target.path != "weights" or node is None:
+            continue
+        if node >= len(gltf.nodes):
+            raise MotionError(f"node {node} does not exist", key="animations.channels")
+        mesh = gltf.nodes[node].mesh
+        targets = 0 if mesh is None else _target_count(gltf, mesh)
+        if mesh is None or not targets:
+            raise MotionError(f"node {node} has no morph targets to move", key="animations.channels")
+        yield node, _target_names(gltf, mesh), gltf.keys(animation, number, targets)
+
+
+def _target_count(gltf: Gltf, mesh: int) -> int:
+    return max((len(part.targets) for part in gltf.mesh(mesh).primitives), default=0)
+
+
+def _target_names(gltf: Gltf, mesh: int) -> Mapping[int, str]:
+    """Names of the morph targets of a mesh by number: of the mesh, or of a primitive, as exporters write."""
+    content = gltf.mesh(mesh)
+    for extras in (content.extras, *(part.extras for part in content.primitives)):
+        names = member(extras, "targetNames")
+        if isinstance(names, list):
+            return {number: name for number, name in enumerate(names) if isinstance(name, str)}
+    return {}
+
+
+def _bound(gltf: Gltf, targets: Mapping[tuple[int, int], Track]) -> Iterator[_Weight]:
+    """Presets of a VRM 1.0 avatar whose morph targets are moved and have no names of actions or presets."""
+    meshes = {node: gltf.nodes[node].mesh for node, _ in targets}
+    names = {node: {} if mesh is None else _target_names(gltf, mesh) for node, mesh in meshes.items()}
+    for name, content in _items(member(gltf.document.extensions, "VRMC_vrm", "expressions", "preset")):
+        binds = member(content, "morphTargetBinds")
+        for bind in binds if isinstance(binds, list) else []:
+            node, index, unit = (member(bind, key) for key in ("node", "index", "weight"))
+            place = node, index
+            if not (isinstance(node, int) and isinstance(index, int) and isinstance(unit, (int, float))):
+                continue
+            if name.lower() not in _PRESETS or place not in targets:
+                continue
+            own = names[node].get(index, "")
+            if not any(_named(own, targets[place])) and 0 < unit <= 1:
+                yield _Weight(name.lower(), None, targets[place], float(unit))
+                break  # the others move with it
+
+
+def _items(value: Any) -> Iterator[tuple[str, Any]]:
+    """Members of an object of a JSON document."""
+    if isinstance(value, dict):
+        yield from value.items()
+
+
+def _nothing_moves(gltf: Gltf, animation: Animation) -> str:
+    """Message of an animation that moves no known weight, with the names that it has."""
+    names = [printable(name, 40) for _, names, _ in _morphs(gltf, animation) for name in names.values()]
+    for kind in ("preset", "custom"):
+        found = member(gltf.document.extensions, "VRMC_vrm_animation", "expressions", kind)
+        names += [printable(name, 40) for name, _ in _items(found)]
+    have = f"it has {some_of(map(repr, dict.fromkeys(names)))}" if names else "it moves no morph targets"
+    return (
+        f"the animation {animation.name[:40]!r} moves no face: no morph target has a name of ARKit, such as "
+        f"jawOpen, and no expression is a preset of VRM; {have}"
+    )

@@ -36,6 +36,8 @@ _FOLDED = 0.25
 def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array, Array]:
     """Rotations (N, 3, 3) of thigh and shin that bring the ankle to a goal, or as near as the leg reaches.
 
+    An arm is a leg here: its shoulder, elbow and wrist are hip, knee and ankle.
+
     The plane in which the leg bends takes the shortest rotation of the line from hip to ankle.
 
     Args:
@@ -179,7 +181,10 @@ class FootContacts:
 
 @dataclass(frozen=True)
 class Leg:
-    """Joints of a leg of a motion: the three main ones, and those that move with thigh, shin and foot."""
+    """Joints of a leg of a motion: the three main ones, and those that move with thigh, shin and foot.
+
+    Of an arm these are shoulder, elbow and wrist, and those that move with upper arm, forearm and hand.
+    """
 
     hip: int
     knee: int
@@ -193,7 +198,18 @@ class Leg:
         """The leg on a side, ``Left`` or ``Right``. Raises MotionError if its ankle is unknown."""
         if (ankle := roles.get(f"{side}Ankle")) is None:
             raise MotionError("feet cannot be pinned: the joint table knows no ankles", path=motion.path)
-        main = (roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
+        return cls._of(motion, roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
+
+    @classmethod
+    def arm(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> Leg:
+        """The arm on a side, ``Left`` or ``Right``. Raises MotionError if a joint of it is unknown."""
+        shoulder, elbow, wrist = (roles.get(f"{side}{part}") for part in ("Shoulder", "Elbow", "Wrist"))
+        if shoulder is None or elbow is None or wrist is None:
+            raise MotionError("hands cannot reach: the joint table knows no wrists", path=motion.path)
+        return cls._of(motion, shoulder, elbow, wrist)
+
+    @classmethod
+    def _of(cls, motion: Motion, *main: int) -> Leg:
         part = {joint: number for number, joint in enumerate(main)}
         for joint, parent in enumerate(motion.parents):  # parents come first
             if joint not in part and int(parent) in part:

@@ -24,6 +24,7 @@ from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
 from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
+from humansim_ros.motion.reaches import Palm, Reaches
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
@@ -91,6 +92,7 @@ class Actor:
         hands: Keys of the hands over the motion; None without.
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
         face: Its face over scene time; None for a stiff face.
+        reaches: What its hands reach for over scene time; None for nothing.
     """
 
     name: str
@@ -104,6 +106,7 @@ class Actor:
     levels: Simplification | None = None
     hands: HandKeys | None = None
     face: Face | None = None
+    reaches: Reaches | None = None
 
     @classmethod
     def build(
@@ -252,6 +255,8 @@ class Actor:
     def joint_poses(self, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
+        if self.reaches is not None:
+            poses = self.reaches.apply_at(poses, seconds, None if self.keyframes is None else self._space)
         poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
         poses = poses if self.hands is None else self.hands.add(poses, seconds + self.offset, self.ahead)
         return self.with_face(poses, seconds)
@@ -309,23 +314,37 @@ class Actor:
 
     def joint_paths(self, times: Array) -> Array:
         """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints."""
-        return self._joints_at(times)[..., :3, 3]
+        return self.joints_at(times)[..., :3, 3]
 
-    def _joints_at(self, times: Array) -> Array:
-        """Frames (N, J, 4, 4) of the joints at scene times (N,), without hands and face."""
-        joints = self.joints_of(self.motion.sample(times + self.offset, self.ahead))[0]
-        if self.keyframes is None:
-            return joints
+    def joints_at(self, times: Array, reaching: bool = True) -> Array:
+        """Frames (N, J, 4, 4) of the joints at scene times (N,), without hand poses and face.
+
+        ``reaching``: false for the arms as the motion has them.
+        """
+        poses = self.motion.sample(times + self.offset, self.ahead)
+        space = None if self.keyframes is None else self._space(times)
+        if self.reaches is not None and reaching:
+            poses = self.reaches.apply(poses, times, space)
+        joints = self.joints_of(poses)[0]
+        return joints if space is None else space.to_map(joints)
+
+    def palms_at(self, side: str, times: Array) -> Array:
+        """Points (N, 3) of the skin of the ``left`` or ``right`` palm at scene times (N,)."""
+        size = 1.0 if self.keyframes is None else self.keyframes.at(times).size[:, :1]
+        return Palm.of(self.human.skeleton, side).points(self.joints_at(times), size)
+
+    def _space(self, times: Array) -> KeyframeSpace:
+        """Space of the motion, as keyframes move it, at scene times (N,)."""
+        assert self.keyframes is not None
         key = self.keyframes.at(times)
-        space = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
-        return space.to_map(joints)
+        return KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,).
 
         Of a body without eyes, the middle of the head, and the direction of its top.
         """
-        joints = self._joints_at(times)
+        joints = self.joints_at(times, reaching=False)
         if self._eyes is not None:
             return self._eyes.rays(joints)
         head = joints[:, self.human.skeleton.bone("vt3")]
@@ -342,7 +361,7 @@ class Actor:
         """Whether the eyes can turn to a point at scene times (N,); always without eyes."""
         if self._eyes is None:
             return np.ones(len(times), dtype=bool)
-        angles = self._eyes.angles_to(self._joints_at(times), point(times))
+        angles = self._eyes.angles_to(self.joints_at(times, reaching=False), point(times))
         return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
 
     @cached_property

@@ -209,13 +209,13 @@ class Leg:
         return cls._of(motion, shoulder, elbow, wrist)
 
     @classmethod
-    def _of(cls, motion: Motion, *main: int) -> Leg:
-        part = {joint: number for number, joint in enumerate(main)}
+    def _of(cls, motion: Motion, hip: int, knee: int, ankle: int) -> Leg:
+        part = {joint: number for number, joint in enumerate((hip, knee, ankle))}
         for joint, parent in enumerate(motion.parents):  # parents come first
             if joint not in part and int(parent) in part:
                 part[joint] = part[int(parent)]
         thigh, shin, foot = ([j for j, number in part.items() if number == k] for k in range(3))
-        return cls(*main, thigh, shin, foot)
+        return cls(hip, knee, ankle, thigh, shin, foot)
 
     def stretch(self, positions: Array, thigh: Array, shin: Array) -> None:
         """Give thigh and shin of joints (N, J, 3) lengths (N,) in metres, in place."""

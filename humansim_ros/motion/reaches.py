@@ -26,8 +26,9 @@ from humansim_ros.rotations import (
 )
 from humansim_ros.types import Array
 
-#: Place of the palm between wrist and finger tips, and half the thickness of a hand, as shares of its length.
-PALM, _THICK = 0.45, 0.095
+#: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as
+#: shares of the length of a hand: between hollow (0.02) and balls (0.12) of the palms of built-in humans.
+PALM, _THICK = 0.45, 0.05
 #: How far the fingers of a hand with a given direction of the palm turn up; 0 along the forearm.
 _FINGERS_UP = 0.3
 #: Share of the turn of the hand about the forearm that the forearm takes, as pronation does.
@@ -147,7 +148,7 @@ class Palm:
 
 
 @dataclass(frozen=True)
-class Arm:
+class ReachingArm:
     """An arm of a human: joints of the motion that move it, and its palm."""
 
     joints: Leg
@@ -223,11 +224,11 @@ class Reaches:
         assert self.arms  # an arm without wrist is an error now, not while the motion plays
 
     @cached_property
-    def arms(self) -> dict[str, Arm]:
+    def arms(self) -> dict[str, ReachingArm]:
         """Arms that reach, by side. Raises MotionError if the motion has no joints of an arm."""
         roles, skeleton = self.retargeter.match.roles, self.retargeter.skeleton
         return {
-            side: Arm(Leg.arm(side.capitalize(), self.motion, roles), Palm.of(skeleton, side))
+            side: ReachingArm(Leg.arm(side.capitalize(), self.motion, roles), Palm.of(skeleton, side))
             for side in sorted({reach.side for reach in self.reaches})
         }
 

@@ -34,6 +34,7 @@ from humansim_ros.rotations import (
     quaternion_to_matrix,
     rotate,
     transform,
+    unit_vectors,
 )
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
@@ -327,6 +328,18 @@ class Actor:
             poses = self.reaches.apply(poses, times, space)
         joints = self.joints_of(poses)[0]
         return joints if space is None else space.to_map(joints)
+
+    def hips_at(self, times: Array) -> tuple[Array, Array]:
+        """Middle of the hips (N, 3), and the direction to their left (N, 3), at scene times (N,)."""
+        poses, roles = self.motion.sample(times + self.offset, self.ahead), self.motion.match.roles
+        middle, left = self.retargeter.hips(poses), poses.positions[:, roles["LeftHip"]]
+        left = unit_vectors(left - poses.positions[:, roles["RightHip"]])
+        if self.keyframes is None:
+            return middle, left
+        space = self._space(times)
+        return space.position + space.size[:, None] * rotate(space.rotation, middle), rotate(
+            space.rotation, left
+        )
 
     def palms_at(self, side: str, times: Array) -> Array:
         """Points (N, 3) of the skin of the ``left`` or ``right`` palm at scene times (N,)."""

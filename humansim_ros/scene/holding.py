@@ -19,6 +19,8 @@ from humansim_ros.types import Array
 
 #: Half the thickness of a hand, metres.
 _THICK = 0.018
+#: Most poses that are kept.
+_KNOWN = 10_000
 #: Seconds around a time over which a path is smoothed, which two strides fill, and times there.
 _SMOOTHED = np.linspace(-1.0, 1.0, 25)
 
@@ -47,6 +49,18 @@ class Hold:
 
     def at(self, seconds: float) -> ObjectPose:
         """Pose and velocity at a scene time in seconds."""
+        if seconds not in self._known:
+            if len(self._known) >= _KNOWN:
+                self._known.clear()
+            self._known[seconds] = self._at(seconds)
+        return self._known[seconds]
+
+    @cached_property
+    def _known(self) -> dict[float, ObjectPose]:
+        """Poses by scene time: humans that reach for the object, and checks, ask for them again."""
+        return {}
+
+    def _at(self, seconds: float) -> ObjectPose:
         times = seconds + VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
         positions, rotations = self.frames(times)
         turn = quaternion_to_matrix(self.own.rotation)
@@ -69,14 +83,14 @@ class Hold:
         return (left + right) / 2, np.stack([np.cross(y, z), y, z], axis=-1)
 
     def _path(self, times: Array) -> tuple[Array, Array]:
-        names, weights = self.actor.human.skeleton.joint_names, _smoothing()
+        weights = _smoothing()
         around = self._held(np.add.outer(times, _SMOOTHED).ravel())
-        joints = self.actor.joints_at(around, reaching=False)[..., :3, 3]
-        hips = joints[:, [names.index(f"{side}_hip") for side in "lr"]]
-        left, right = np.einsum("w,nwsd->snd", weights, hips.reshape(len(times), len(weights), 2, 3))
-        floor = np.array([1.0, 1.0, 0.0])
-        y, z = unit_vectors((left - right) * floor), np.broadcast_to([0.0, 0.0, 1.0], left.shape)
-        return (left + right) / 2 * floor, np.stack([np.cross(y, z), y, z], axis=-1)
+        middle, left = (
+            np.einsum("w,nwd->nd", weights, each.reshape(len(times), len(weights), 3)) * (1.0, 1.0, 0.0)
+            for each in self.actor.hips_at(around)
+        )
+        y, z = unit_vectors(left), np.broadcast_to([0.0, 0.0, 1.0], left.shape)
+        return middle, np.stack([np.cross(y, z), y, z], axis=-1)
 
     def palms(self, times: Array) -> tuple[Array, Array]:
         """Left and right palm (N, 3) at scene times (N,)."""

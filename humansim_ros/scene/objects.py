@@ -395,10 +395,10 @@ def _doorway() -> list[_Part]:
     return [*frame, _Part((0, 0, height + jamb / 2), (depth, width, jamb), white)]
 
 
-def _door_leaf(middle: float = 0.447) -> list[_Part]:
-    """Leaf of a door, whose middle is some metres beside its origin."""
+def _door_leaf(middle: float = 0.445, gap: float = 0.0) -> list[_Part]:
+    """Leaf of a door, whose middle is some metres beside its origin, over a gap."""
     width, height = 0.9, 2.0
-    leaf = _Part((0, middle, height / 2 + 0.003), (0.04, width - 0.006, height - 0.006))
+    leaf = _Part((0, middle, (height + gap) / 2), (0.04, width - 0.006, height - gap))
     panels = [
         _Part((i * 0.021, middle, z), (0.008, 0.6, 0.72), (176, 146, 108))
         for i in (-1, 1)
@@ -410,7 +410,7 @@ def _door_leaf(middle: float = 0.447) -> list[_Part]:
 
 
 def _door() -> list[_Part]:
-    return [*_doorway(), *_door_leaf(0.0)]
+    return [*_doorway(), *_door_leaf(0.0, 0.006)]
 
 
 def _cart() -> list[_Part]:

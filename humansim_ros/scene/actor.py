@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from humansim_ros.body.face_actions import FaceState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
-from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.contacts import ON_SKIN, FootContacts, SkinContact, skin_on_floor
 from humansim_ros.motion.faces import Face, PointAt, without_face
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
@@ -166,6 +166,15 @@ class Actor:
         retargeter = cls._fit(world, human, config, source)
         if config.pin_feet:
             world = replace(world, correction=FootContacts.detect(world, retargeter))
+        if config.floor == "skin" or (config.floor is None and config.file in ON_SKIN):
+            placed = world
+
+            def settle() -> SkinContact:
+                return SkinContact.of(placed, retargeter, _lowest_skin(human))
+
+            shared = config.model_dump_json(exclude={"position", "yaw_deg", "offset", "speed", "hands"})
+            settled = source.once(settle, "floor", id(human.mesh.vertices), shared)
+            world = replace(world, correction=replace(settled, before=placed.correction))
         with in_section("hands"):
             hands = HandKeys.of(_hand_keys(config), human.skeleton, world, retargeter.match)
         if config.hands and hands is None:
@@ -231,7 +240,7 @@ class Actor:
             origin = replace(world, placement=Placement())  # wherever the first of these humans is
             return Retargeter.fit(origin, human.skeleton, config.retarget, config.root_scale, config.clamp)
 
-        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet", "hands"}
+        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet", "floor", "hands"}
         fitted = source.once(fit, "fit", id(human.skeleton), config.model_dump_json(exclude=placed))
         x, y = world.placement.position
         return replace(fitted, origin=(float(x), float(y)))
@@ -431,6 +440,17 @@ class Actor:
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own, hands))
         return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
+
+
+def _lowest_skin(human: Human) -> Callable[[Array], Array]:
+    """Function from posed bones (N, B, 4, 4) to the heights (N,) of the lowest skin, metres."""
+    vertices = np.asarray(human.mesh.vertices, dtype=float)
+    skin = np.flatnonzero(skin_on_floor(human.skeleton, vertices, human.weights))
+
+    def lowest(posed: Array) -> Array:
+        return np.array([float(human.pose(bones)[skin, 2].min()) for bones in posed])
+
+    return lowest
 
 
 def _hand_keys(config: MotionConfig) -> Sequence[HandKey]:

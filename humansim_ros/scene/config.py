@@ -304,6 +304,11 @@ class MotionConfig(ShortSection):
     )
     clamp: bool = Field(default=False, description="clamp bones to the limits of their joints")
     pin_feet: bool = Field(default=False, description="keep standing feet from sliding")
+    floor: Literal["soles", "skin"] | None = Field(
+        default=None,
+        description="what is on the floor: soles, or at each time the lowest skin, of somebody who lies or "
+        "crawls; if absent, skin for lie, fall and crawl",
+    )
     hands: tuple[HandKeyConfig, ...] | None = Field(
         default=None,
         max_length=1000,

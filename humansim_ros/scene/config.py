@@ -528,6 +528,11 @@ class VarietyConfig(Section):
     spacing: float = Field(
         default=0.9, ge=0, le=100, description="least distance between the middles of two paths, metres"
     )
+    seats: Literal["own", "scene"] = Field(
+        default="own",
+        description="own: a chair is put below each who sits; scene: they take free chairs of the scene and "
+        "the sofa of the room first",
+    )
     alive: bool = Field(default=False, description="give them faces that blink and glance around")
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
         default=(0.9, 1.1), description="least and greatest factor of the motion's speed"

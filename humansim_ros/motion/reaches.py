@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -37,6 +37,8 @@ _PRONATION = 0.75
 _SWIVEL = 0.4
 #: Steps in which a hand that follows its forearm is found: each leaves less than a third of the error.
 _STEPS = 12
+#: Passes for bodies whose limbs do not turn exactly as those of the motion: clamped ones, and swing only.
+_REFINED = 5
 
 
 @dataclass(frozen=True)
@@ -159,16 +161,14 @@ class ReachingArm:
 
         Args:
             posed: Bone frames (N, B, 4, 4) without the reach.
-            goal: The goal.
-            shares: How far the hand has gone, (N,).
+            goal: The goal, whose place is on the way to what is touched.
+            shares: Share of its turn that the hand takes, (N,).
         """
         shoulder, elbow, wrist = (posed[:, bone, :3, 3] for bone in self.palm.bones)
         before = posed[:, self.palm.bones[2], :3, :3]
-        start = self.palm.points(posed)
-        place = start + shares[:, None] * (goal.place - start)
         hand = before
         for _ in range(_STEPS):
-            upper, fore = two_bone(shoulder, elbow, wrist, place - rotate(hand, self.palm.point))
+            upper, fore = two_bone(shoulder, elbow, wrist, goal.place - rotate(hand, self.palm.point))
             follows = fore @ before
             if goal.palm is None and goal.fingers is None:
                 hand = follows
@@ -246,15 +246,27 @@ class Reaches:
             return poses
         posed = self.retargeter.pose(poses)
         positions, rotations = np.array(poses.positions), quaternion_to_matrix(poses.rotations)
+        solved = []
         for reach, shares in active:
             rows = np.flatnonzero(shares)
             arm, goal = self.arms[reach.side], reach.goal(times[rows])
             if space is not None:
                 part = KeyframeSpace(space.position[rows], space.rotation[rows], space.size[rows])
                 goal = goal.in_space(part)
-            moved, turned = positions[rows], rotations[rows]
-            arm.joints.turn(moved, turned, *arm.solve(posed[rows], goal, shares[rows]))
-            positions[rows], rotations[rows] = moved, turned
+            start = arm.palm.points(posed[rows])
+            place = start + shares[rows, None] * (goal.place - start)
+            solved.append((arm, rows, replace(goal, place=place), shares[rows]))
+        for number in range(_REFINED if self.retargeter.clamp or self.retargeter.mode == "thesis" else 1):
+            if number:  # the body did not turn its hand, or its limbs, as the motion does
+                now = JointPoses(poses.names, positions, matrix_to_quaternion(rotations))
+                posed = self.retargeter.pose(now)
+                solved = [
+                    (arm, rows, HandGoal(goal.place), np.ones(len(rows))) for arm, rows, goal, _ in solved
+                ]
+            for arm, rows, goal, shares in solved:
+                moved, turned = positions[rows], rotations[rows]
+                arm.joints.turn(moved, turned, *arm.solve(posed[rows], goal, shares))
+                positions[rows], rotations[rows] = moved, turned
         return JointPoses(poses.names, positions, matrix_to_quaternion(rotations))
 
     def apply_at(

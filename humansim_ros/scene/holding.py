@@ -21,13 +21,13 @@ from humansim_ros.types import Array
 _THICK = 0.018
 #: Most poses that are kept.
 _KNOWN = 10_000
-#: Seconds around a time over which a path is smoothed, which two strides fill, and times there.
-_SMOOTHED = np.linspace(-1.0, 1.0, 25)
+#: Seconds around a time over which a path is smoothed, which three strides fill.
+_SMOOTHED = np.linspace(-1.5, 1.5, 31)
 
 
 def _smoothing() -> Array:
-    """Weights (25,): they keep a path of constant acceleration, and little of strides of a second."""
-    bell = 1 + np.cos(np.pi * _SMOOTHED)
+    """Weights (31,): they keep a path of constant acceleration, and little of strides of a second."""
+    bell = 1 + np.cos(np.pi * _SMOOTHED / _SMOOTHED[-1])
     moments = [(bell * _SMOOTHED**power).sum() for power in (0, 2, 4)]
     a, b = np.linalg.solve([moments[:2], moments[1:]], [1.0, 0.0])
     return np.asarray(bell * (a + b * _SMOOTHED**2))
@@ -113,7 +113,7 @@ class Hold:
         end = motion.cycle_length if self.config.end is None else self.config.end
         played = motion.file_times(times + self.actor.offset, self.actor.ahead)
         length = motion.cycle_length
-        phase = played % length if motion.loop != "none" and length > 0 else np.clip(played, 0.0, length)
+        phase = played % length if motion.loop != "none" and length > 0 else played
         return np.asarray(times + (np.clip(phase, self.config.start, end) - phase) / max(motion.speed, 1e-6))
 
 

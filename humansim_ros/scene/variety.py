@@ -181,7 +181,17 @@ class Floor:
         return np.asarray(((shifts + low >= -self._half) & (shifts + high <= self._half)).all(axis=1))
 
     def clear(self, path: Path, shifts: Array, humans: bool, things: bool = True) -> NDArray[np.bool_]:
-        """Whether a path moved by each of the shifts (N, 2) is away from ``things`` and from ``humans``."""
+        """Whether a path is away from all else.
+
+        Args:
+            path: The path.
+            shifts: Moves of the path, (N, 2) metres.
+            humans: Keep away from the paths of humans.
+            things: Keep away from furniture and objects.
+
+        Returns:
+            (N,) for each of the moves.
+        """
         trees = [(self._things, _FROM_THINGS)] if things else []
         if humans:
             recent = scipy.spatial.cKDTree(np.concatenate(self._recent)) if self._recent else None

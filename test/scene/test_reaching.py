@@ -134,6 +134,20 @@ def test_a_hand_touches_a_point_with_the_palm_that_is_asked_for(body: str, side:
     assert (fingers[:, 0] > 0.9).all() and (inwards[:, 2] < -0.8).all()
 
 
+@pytest.mark.parametrize("keys", [{"retarget": "thesis"}, {"clamp": True}, {"mirror": True}])
+@pytest.mark.parametrize("motion", ["dance", "talk"])
+def test_a_hand_touches_however_the_motion_is_retargeted(motion: str, keys: Any) -> None:
+    reach = {"to": [0.42, -0.2, 1.15], "palm": [0, 0, -1], "fingers": [1, 0, 0], "blend": 0.1}
+    actor = scene([reach], motion={"file": motion, **keys}).actors["anna"]
+    times = np.linspace(0.1, 1.0, 4)
+    assert np.linalg.norm(actor.palms_at("right", times) - reach["to"], axis=1).max() < CONTACT
+    if "clamp" in keys:
+        assert actor.reaches is not None
+        poses = actor.reaches.apply(actor.motion.sample(times), times)
+        rotations, _ = actor.retargeter.apply(poses)
+        assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
+
+
 def test_a_hand_without_direction_follows_its_forearm() -> None:
     actor = scene([{"to": [0.45, -0.2, 1.15], "blend": 0.5}]).actors["anna"]
     times = np.array([0.0, 2.0])

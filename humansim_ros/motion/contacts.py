@@ -1,22 +1,24 @@
-"""Foot contacts: corrections that keep standing feet at their place on the floor."""
+"""Contacts with the floor: corrections that keep standing feet at their place, and put skin on the floor."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
-from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.motion.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.rotations import (
     matrix_to_quaternion,
     perpendicular,
@@ -35,6 +37,8 @@ _FOLDED = 0.25
 
 def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array, Array]:
     """Rotations (N, 3, 3) of thigh and shin that bring the ankle to a goal, or as near as the leg reaches.
+
+    An arm is a leg here: its shoulder, elbow and wrist are hip, knee and ankle.
 
     The plane in which the leg bends takes the shortest rotation of the line from hip to ankle.
 
@@ -179,7 +183,10 @@ class FootContacts:
 
 @dataclass(frozen=True)
 class Leg:
-    """Joints of a leg of a motion: the three main ones, and those that move with thigh, shin and foot."""
+    """Joints of a leg of a motion: the three main ones, and those that move with thigh, shin and foot.
+
+    Of an arm these are shoulder, elbow and wrist, and those that move with upper arm, forearm and hand.
+    """
 
     hip: int
     knee: int
@@ -193,13 +200,24 @@ class Leg:
         """The leg on a side, ``Left`` or ``Right``. Raises MotionError if its ankle is unknown."""
         if (ankle := roles.get(f"{side}Ankle")) is None:
             raise MotionError("feet cannot be pinned: the joint table knows no ankles", path=motion.path)
-        main = (roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
-        part = {joint: number for number, joint in enumerate(main)}
+        return cls._of(motion, roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
+
+    @classmethod
+    def arm(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> Leg:
+        """The arm on a side, ``Left`` or ``Right``. Raises MotionError if a joint of it is unknown."""
+        shoulder, elbow, wrist = (roles.get(f"{side}{part}") for part in ("Shoulder", "Elbow", "Wrist"))
+        if shoulder is None or elbow is None or wrist is None:
+            raise MotionError("hands cannot reach: the joint table knows no wrists", path=motion.path)
+        return cls._of(motion, shoulder, elbow, wrist)
+
+    @classmethod
+    def _of(cls, motion: Motion, hip: int, knee: int, ankle: int) -> Leg:
+        part = {joint: number for number, joint in enumerate((hip, knee, ankle))}
         for joint, parent in enumerate(motion.parents):  # parents come first
             if joint not in part and int(parent) in part:
                 part[joint] = part[int(parent)]
         thigh, shin, foot = ([j for j, number in part.items() if number == k] for k in range(3))
-        return cls(*main, thigh, shin, foot)
+        return cls(hip, knee, ankle, thigh, shin, foot)
 
     def stretch(self, positions: Array, thigh: Array, shin: Array) -> None:
         """Give thigh and shin of joints (N, J, 3) lengths (N,) in metres, in place."""
@@ -234,6 +252,83 @@ class Leg:
             offsets = positions[:, joints] - before[:, None]
             positions[:, joints] = after[:, None] + offsets @ np.swapaxes(rotation, -1, -2)
             rotations[:, joints] = rotation[:, None] @ rotations[:, joints]
+
+
+#: Built-in motions in which more than the soles is on the floor.
+ON_SKIN = frozenset({"lie", "fall", "crawl"})
+#: Seconds between heights of a body on its skin, and seconds over which they are smoothed.
+_SKIN_STEP, _SETTLED = 1 / 30, 0.1
+#: Largest distance of skin from the bones of thighs and shins, as shares of their lengths, and metres below
+#: the hips from which nothing follows both legs: hems of skirts and coats hang, and are not on the floor.
+_SKIN = (("hip", 0.3), ("knee", 0.2))
+_CROTCH = 0.1
+
+
+@dataclass(frozen=True)
+class SkinContact:
+    """Heights that put the lowest skin of a body on the floor; a pure function of time.
+
+    Attributes:
+        phases: (M,) seconds of the file since the start of a cycle.
+        rises: (M,) metres by which the motion is raised.
+        before: Correction that is applied before, if any.
+    """
+
+    phases: Array
+    rises: Array
+    before: PoseCorrection | None = None
+
+    @classmethod
+    def of(cls, world: WorldMotion, retargeter: Retargeter, lowest: Callable[[Array], Array]) -> SkinContact:
+        """Heights for a cycle of a motion.
+
+        Args:
+            world: The motion.
+            retargeter: Retargeting onto the body.
+            lowest: Returns the heights (N,) of the lowest skin of posed bones (N, B, 4, 4), metres.
+        """
+        plain = replace(world, speed=1.0)
+        length = plain.cycle_length
+        count = max(2, round(length / max(world.motion.frame_time, _SKIN_STEP)) + 1)
+        phases = np.asarray(np.linspace(0.0, length, count), dtype=float)
+        heights = lowest(retargeter.pose(plain.sample(np.minimum(phases, length * (1 - 1e-9)))))
+        around: Literal["wrap", "nearest"] = "nearest" if world.loop == "none" else "wrap"
+        width = 2 * round(_SETTLED / max(phases[1], 1e-6) / 2) + 1
+        if width < count:
+            heights[:-1] = scipy.ndimage.uniform_filter1d(heights[:-1], width, mode=around)
+            heights[-1] = heights[0] if around == "wrap" else heights[-1]
+        return cls(phases, -heights / retargeter.scale, world.correction)
+
+    def apply(self, poses: JointPoses, phases: Array, cycle_rotations: Array) -> JointPoses:
+        """Corrected poses; see :class:`~humansim_ros.motion.world_motion.PoseCorrection`."""
+        if self.before is not None:
+            poses = self.before.apply(poses, phases, cycle_rotations)
+        rises = np.interp(phases, self.phases, self.rises)[:, None, None] * np.array([0.0, 0.0, 1.0])
+        return replace(poses, positions=poses.positions + rises)
+
+
+def skin_on_floor(skeleton: Skeleton, vertices: Array, weights: csr_matrix) -> NDArray[np.bool_]:
+    """Vertices (V,) that lie on a floor: all but wide hems of skirts and coats.
+
+    Args:
+        skeleton: The skeleton.
+        vertices: Skin and clothes at rest in body space, (V, 3) metres.
+        weights: Weights of the bones, (V, B).
+    """
+    main, kept = np.asarray(weights.argmax(axis=1)).ravel(), np.ones(len(vertices), dtype=bool)
+    both = np.ones(len(vertices), dtype=bool)
+    for side in "lr":
+        bones = [skeleton.bone(f"{side}_{part}") for part, _ in _SKIN]
+        both &= np.asarray(weights[:, bones].sum(axis=1)).ravel() > 0.05
+        for bone, (_, share) in zip(bones, _SKIN, strict=True):
+            own = np.flatnonzero(main == bone)
+            along = unit_vectors(skeleton.tails[bone] - skeleton.heads[bone])
+            offsets = vertices[own] - skeleton.heads[bone]
+            places = np.clip(offsets @ along, 0.0, skeleton.lengths[bone])
+            distances = np.linalg.norm(offsets - places[:, None] * along, axis=1)
+            kept[own] = distances <= share * skeleton.lengths[bone]
+    low = vertices[:, 1] < skeleton.heads[skeleton.bone("l_hip"), 1] - _CROTCH
+    return kept & ~(both & low)
 
 
 def _posed_legs(

@@ -501,7 +501,7 @@ class Retargeter:
         if self._free_fingers is not None:
             self._free_fingers.move(rotations, heads, hands)
         hips = [self.skeleton.bone("l_hip"), self.skeleton.bone("r_hip")]
-        return rotations, heads, self._hips(poses) - heads[:, hips].mean(1)
+        return rotations, heads, self.hips(poses) - heads[:, hips].mean(1)
 
     def _heads(self, rotations: Array) -> Array:
         """Heads (N, B, 3) of bones with rotations (N, B, 3, 3), in a body that is not placed."""
@@ -544,7 +544,7 @@ class Retargeter:
         """Bones from the chest to the collars."""
         return [self.skeleton.bone(f"vl5_to_{side}_sternoclavicular") for side in "lr"]
 
-    def _hips(self, poses: JointPoses) -> Array:
+    def hips(self, poses: JointPoses) -> Array:
         """Middle of the hips (N, 3) of the posed skeleton."""
         roles = self.match.roles
         source = (poses.positions[:, roles["LeftHip"]] + poses.positions[:, roles["RightHip"]]) / 2

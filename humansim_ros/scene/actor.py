@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
-from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.contacts import ON_SKIN, FootContacts, SkinContact, skin_on_floor
 from humansim_ros.motion.faces import Face, PointAt, without_face
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
@@ -26,6 +26,7 @@ from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_key
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
 from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
+from humansim_ros.motion.reaches import Palm, Reaches
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
@@ -35,6 +36,7 @@ from humansim_ros.rotations import (
     quaternion_to_matrix,
     rotate,
     transform,
+    unit_vectors,
 )
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
@@ -95,6 +97,7 @@ class Actor:
         hands: Keys of the hands over the motion; None without.
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
         face: Its face over scene time; None for a stiff face.
+        reaches: What its hands reach for over scene time; None for nothing.
     """
 
     name: str
@@ -108,6 +111,7 @@ class Actor:
     levels: Simplification | None = None
     hands: HandKeys | None = None
     face: Face | None = None
+    reaches: Reaches | None = None
 
     @classmethod
     def build(
@@ -166,6 +170,15 @@ class Actor:
         retargeter = cls._fit(world, human, config, source)
         if config.pin_feet:
             world = replace(world, correction=FootContacts.detect(world, retargeter))
+        if config.floor == "skin" or (config.floor is None and config.file in ON_SKIN):
+            placed = world
+
+            def settle() -> SkinContact:
+                return SkinContact.of(placed, retargeter, _lowest_skin(human))
+
+            shared = config.model_dump_json(exclude={"position", "yaw_deg", "offset", "speed", "hands"})
+            settled = source.once(settle, "floor", id(human.mesh.vertices), shared)
+            world = replace(world, correction=replace(settled, before=placed.correction))
         with in_section("hands"):
             hands = HandKeys.of(_hand_keys(config), human.skeleton, world, retargeter.match)
         if config.hands and hands is None:
@@ -231,7 +244,7 @@ class Actor:
             origin = replace(world, placement=Placement())  # wherever the first of these humans is
             return Retargeter.fit(origin, human.skeleton, config.retarget, config.root_scale, config.clamp)
 
-        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet", "hands"}
+        placed = {"position", "yaw_deg", "offset", "speed", "pin_feet", "floor", "hands"}
         fitted = source.once(fit, "fit", id(human.skeleton), config.model_dump_json(exclude=placed))
         x, y = world.placement.position
         return replace(fitted, origin=(float(x), float(y)))
@@ -256,6 +269,8 @@ class Actor:
     def joint_poses(self, seconds: float) -> JointPoses:
         """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
+        if self.reaches is not None:
+            poses = self.reaches.apply_at(poses, seconds, None if self.keyframes is None else self._space)
         poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
         poses = poses if self.hands is None else self.hands.add(poses, seconds + self.offset, self.ahead)
         return self.with_face(poses, seconds)
@@ -273,7 +288,7 @@ class Actor:
 
     def _loose_ends(self, times: Array) -> tuple[Array, Array, Array]:
         """Ends of its loose parts at scene times; see :meth:`Human.loose_ends`."""
-        joints, sizes = self._sized_joints_at(times)
+        joints, sizes = self._sized_joints_at(times, reaching=False)
         bones = joints[:, : len(self.human.skeleton)].copy()
         bones[..., :3, :3] *= sizes[:, None, None, None]
         return self.human.loose_ends(bones)
@@ -335,9 +350,9 @@ class Actor:
     def joint_paths(self, times: Array) -> Array:
         """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints.
 
-        Hands and eyes rest.
+        Hand poses and eyes rest.
         """
-        return self._with_head(self._joints_at(times), times)[..., :3, 3]
+        return self._with_head(self.joints_at(times), times)[..., :3, 3]
 
     def _with_head(self, joints: Array, times: Array) -> Array:
         """The same frames (N, J, 4, 4) of the joints with the head turned to the gaze at times (N,)."""
@@ -346,25 +361,51 @@ class Actor:
             self._eyes.turn_head(joints, points, shares)
         return joints
 
-    def _joints_at(self, times: Array) -> Array:
-        """Frames (N, J, 4, 4) of the joints at scene times (N,), without hands and face."""
-        return self._sized_joints_at(times)[0]
+    def joints_at(self, times: Array, reaching: bool = True) -> Array:
+        """Frames (N, J, 4, 4) of the joints at scene times (N,), without hand poses and face.
 
-    def _sized_joints_at(self, times: Array) -> tuple[Array, Array]:
-        """:meth:`_joints_at`, and the scale of the body (N,)."""
-        joints, sizes = self.joints_of(self.motion.sample(times + self.offset, self.ahead))
+        ``reaching``: false for the arms as the motion has them.
+        """
+        return self._sized_joints_at(times, reaching)[0]
+
+    def _sized_joints_at(self, times: Array, reaching: bool) -> tuple[Array, Array]:
+        """:meth:`joints_at`, and the scale of the body (N,)."""
+        poses = self.motion.sample(times + self.offset, self.ahead)
+        space = None if self.keyframes is None else self._space(times)
+        if self.reaches is not None and reaching:
+            poses = self.reaches.apply(poses, times, space)
+        joints, sizes = self.joints_of(poses)
+        return (joints, sizes) if space is None else (space.to_map(joints), space.size)
+
+    def hips_at(self, times: Array) -> tuple[Array, Array]:
+        """Middle of the hips (N, 3), and the direction to their left (N, 3), at scene times (N,)."""
+        poses, roles = self.motion.sample(times + self.offset, self.ahead), self.motion.match.roles
+        middle, left = self.retargeter.hips(poses), poses.positions[:, roles["LeftHip"]]
+        left = unit_vectors(left - poses.positions[:, roles["RightHip"]])
         if self.keyframes is None:
-            return joints, sizes
+            return middle, left
+        space = self._space(times)
+        return space.position + space.size[:, None] * rotate(space.rotation, middle), rotate(
+            space.rotation, left
+        )
+
+    def palms_at(self, side: str, times: Array) -> Array:
+        """Points (N, 3) of the skin of the ``left`` or ``right`` palm at scene times (N,)."""
+        size = 1.0 if self.keyframes is None else self.keyframes.at(times).size[:, :1]
+        return Palm.of(self.human.skeleton, side).points(self.joints_at(times), size)
+
+    def _space(self, times: Array) -> KeyframeSpace:
+        """Space of the motion, as keyframes move it, at scene times (N,)."""
+        assert self.keyframes is not None
         key = self.keyframes.at(times)
-        space = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
-        return space.to_map(joints), space.size
+        return KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0])
 
     def eye_rays(self, times: Array) -> tuple[Array, Array]:
         """Middle of the eyes (N, 3) and direction ahead (N, 3) at scene times (N,), before the head turns.
 
         Of a body without eyes, the middle of the head, and the direction of its top.
         """
-        return self._rays(self._joints_at(times))
+        return self._rays(self.joints_at(times, reaching=False))
 
     def _rays(self, joints: Array) -> tuple[Array, Array]:
         if self._eyes is not None:
@@ -381,13 +422,15 @@ class Actor:
 
     def eyes_at(self, times: Array) -> Array:
         """Point (N, 3) of the face that others look at, at scene times (N,)."""
-        return self._rays(self._with_head(self._joints_at(times), times))[0]
+        return self._rays(self._with_head(self.joints_at(times, reaching=False), times))[0]
 
     def sees(self, point: PointAt, times: Array) -> NDArray[np.bool_]:
         """Whether eyes and head can turn to a point at scene times (N,); always without eyes."""
         if self._eyes is None:
             return np.ones(len(times), dtype=bool)
-        angles = self._eyes.angles_to(self._with_head(self._joints_at(times), times), point(times))
+        angles = self._eyes.angles_to(
+            self._with_head(self.joints_at(times, reaching=False), times), point(times)
+        )
         return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
 
     @cached_property
@@ -460,6 +503,17 @@ class Actor:
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own, hands))
         return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
+
+
+def _lowest_skin(human: Human) -> Callable[[Array], Array]:
+    """Function from posed bones (N, B, 4, 4) to the heights (N,) of the lowest skin, metres."""
+    vertices = np.asarray(human.mesh.vertices, dtype=float)
+    skin = np.flatnonzero(skin_on_floor(human.skeleton, vertices, human.weights))
+
+    def lowest(posed: Array) -> Array:
+        return np.array([float(human.pose(bones)[skin, 2].min()) for bones in posed])
+
+    return lowest
 
 
 def _hand_keys(config: MotionConfig) -> Sequence[HandKey]:

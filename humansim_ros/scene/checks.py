@@ -205,6 +205,7 @@ def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterat
         yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
     yield from _in_the_air(samples)
     yield from _out_of_sight(samples)
+    yield from _out_of_reach(samples)
     yield from _in_each_other(samples)
 
 
@@ -257,6 +258,32 @@ def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
                     "turn the human (motion.yaw_deg), or let it look at what is before it"
                 )
                 yield Finding("warning", f"humans.{name}.face.keys.{number}.gaze", text)
+
+
+#: Metres to which a palm must come, times at which it is measured, and the longest contact that is measured.
+_TOUCHES, _MEASURED, _LONGEST = 0.005, 40, 60.0
+
+
+def _out_of_reach(samples: SceneSamples) -> Iterator[Finding]:
+    """Findings about hands that do not come to what they reach for."""
+    for name in samples.joints:
+        actor, configs = samples.scene.actors[name], samples.scene.config.humans[name].reach
+        if actor.reaches is None:
+            continue
+        for number, (reach, config) in enumerate(zip(actor.reaches.reaches, configs, strict=True)):
+            first = reach.start + reach.blend
+            times = np.linspace(first, min(reach.end - reach.blend, first + _LONGEST), _MEASURED)
+            lacks = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times).place, axis=-1)
+            if lacks.max() < _TOUCHES:
+                continue
+            worst, never = int(np.argmax(lacks)), bool(lacks.min() >= _TOUCHES)
+            target = config.to if isinstance(config.to, str) else numbers(config.to)
+            text = (
+                f"the {reach.side} hand of {name} does not reach {target}"
+                f"{' at any time' if never else ''}: it lacks {lacks[worst]:.2g} m at {times[worst]:.1f} s; "
+                "move the human nearer (motion.position), or the place that it touches (at)"
+            )
+            yield Finding("error" if never else "warning", f"humans.{name}.reach.{number}.to", text)
 
 
 def motion_key(samples: SceneSamples, name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -156,6 +157,89 @@ class FaceConfig(ShortSection):
         return (value,) if isinstance(value, (str, dict)) else value
 
 
+class ReachConfig(Section):
+    """A hand that goes to something, stays there, and goes back."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "to": "target goal object human",
+        "at": "point joint place on",
+        "hand": "side arm",
+        "start": "time from begin",
+        "palm": "normal facing",
+        "fingers": "direction along",
+        "shake": "shaking",
+    }
+
+    hand: Literal["left", "right"] = Field(default="right", description="the hand")
+    to: BoundedVector3 | str = Field(
+        description="a point in map, the name of an object, or of a human: without at one who reaches for "
+        "this one, so that their palms meet"
+    )
+    at: BoundedVector3 | str | None = Field(
+        default=None,
+        description="place that the palm touches: of an object a point in its own axes, metres from its "
+        "origin (0 0 0 if absent); of a human the name of a joint",
+    )
+    start: float = Field(
+        default=0.0, ge=0, le=1e6, description="when the hand leaves the motion, seconds of the scene"
+    )
+    end: float | None = Field(
+        default=None, gt=0, le=1e6, description="when it is back, seconds of the scene; never if absent"
+    )
+    repeat: float | None = Field(
+        default=None, gt=0, le=1e6, description="seconds after which it begins again; once if absent"
+    )
+    blend: float = Field(
+        default=0.8, ge=0, le=1e4, description="time of the way there, and of the way back, seconds"
+    )
+    palm: BoundedVector3 | None = Field(
+        default=None,
+        description="direction that the palm faces, in map or in the axes of the object; if absent, as the "
+        "forearm turns it",
+    )
+    fingers: BoundedVector3 | None = Field(
+        default=None,
+        description="direction of the fingers, in map or in the axes of the object; if absent, along the "
+        "forearm, or up where the palm allows it",
+    )
+    shake: float = Field(
+        default=0.03, ge=0, le=0.2, description="metres by which right hands, or left ones, that meet shake"
+    )
+
+    @property
+    def until(self) -> float:
+        """End, seconds; infinite without."""
+        return math.inf if self.end is None else self.end
+
+    @property
+    def span(self) -> str:
+        """Start and end for messages."""
+        return f"{self.start:g} s on" if self.end is None else f"{self.start:g} to {self.end:g} s"
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> ReachConfig:
+        if self.end is not None and self.end <= self.start:
+            raise ValueError(f"end ({self.end:g} s) must come after start ({self.start:g} s)")
+        if self.until - self.start < 2 * self.blend:
+            raise ValueError(
+                f"from {self.span} there is no time for the way there and back, of {self.blend:g} s each: "
+                "give a later end, or a shorter blend"
+            )
+        if self.repeat is not None and self.until - self.start > self.repeat:
+            raise ValueError(
+                f"what lasts from {self.span} cannot begin again after {self.repeat:g} s: give an end and a "
+                "longer repeat"
+            )
+        for name, line in (("palm", self.palm), ("fingers", self.fingers)):
+            if line is not None and not math.hypot(*line) > 1e-6:
+                raise ValueError(f"{name} is a direction: it must not be 0 0 0")
+        if self.palm is not None and self.fingers is not None:
+            cosine = sum(a * b for a, b in zip(self.palm, self.fingers, strict=True))
+            if abs(cosine) > 0.99 * math.hypot(*self.palm) * math.hypot(*self.fingers):
+                raise ValueError("palm and fingers must not be parallel: fingers point across the palm")
+        return self
+
+
 def living_face(alive: bool, seed: int) -> FaceConfig | None:
     """Face of a random human: alive, or stiff."""
     return FaceConfig(alive=True, seed=seed) if alive else None
@@ -228,6 +312,11 @@ class MotionConfig(ShortSection):
     )
     clamp: bool = Field(default=False, description="clamp bones to the limits of their joints")
     pin_feet: bool = Field(default=False, description="keep standing feet from sliding")
+    floor: Literal["soles", "skin"] | None = Field(
+        default=None,
+        description="what is on the floor: soles, or at each time the lowest skin, of somebody who lies or "
+        "crawls; if absent, skin for lie, fall and crawl",
+    )
     hands: tuple[HandKeyConfig, ...] | None = Field(
         default=None,
         max_length=1000,
@@ -278,6 +367,9 @@ class HumanConfig(ShortSection):
     face: FaceConfig | None = Field(
         default=None, description="move the face: life, expressions, gaze and speech; stiff if absent"
     )
+    reach: tuple[ReachConfig, ...] = Field(
+        default=(), max_length=1000, description="what the hands reach for over the time of the scene"
+    )
     seat: Literal["chair", "none"] = Field(
         default="chair",
         description="chair: put a chair where the human sits on nothing, and a table in front of it if it "
@@ -286,11 +378,16 @@ class HumanConfig(ShortSection):
 
 
 class HoldConfig(ShortSection):
-    """Two hands that hold an object."""
+    """A human who takes an object along: in two hands, or on the path."""
 
     short_key: ClassVar[str] = "human"
 
     human: str = Field(description="name of the human who holds it")
+    by: Literal["hands", "path"] = Field(
+        default="hands",
+        description="hands: it is between the palms; path: it goes along on the floor, as a cart does, in a "
+        "frame below the hips (x ahead, y left, z up)",
+    )
     start: float = Field(
         default=0.0, ge=0, description="when the hands take it, seconds of the motion; before it stays there"
     )
@@ -322,8 +419,8 @@ class ObjectConfig(ShortSection):
 
     mesh: FileName = Field(
         default="box",
-        description="box, sphere, cylinder, table, chair, door, screen, shelf, robot, "
-        "or a mesh file: .obj (z up, metres), .glb, .ply, .stl, .dae …",
+        description="box, sphere, cylinder, table, chair, door, screen, shelf, robot, doorway, door_leaf, "
+        "cart, or a mesh file: .obj (z up, metres), .glb, .ply, .stl, .dae …",
     )
     color: ByteColor = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
     size: tuple[_Size, _Size, _Size] = Field(
@@ -341,7 +438,7 @@ class ObjectConfig(ShortSection):
     held_by: HoldConfig | None = Field(
         default=None,
         description="a human who holds it in both hands: position and rotation_deg are then in the frame "
-        "between the palms (x ahead, y to the left hand)",
+        "between the palms (x ahead, y to the left hand); or who takes it along (by: path)",
     )
     label: bool = Field(default=False, description="give it an instance label, as humans have")
 
@@ -438,6 +535,11 @@ class VarietyConfig(Section):
     )
     spacing: float = Field(
         default=0.9, ge=0, le=100, description="least distance between the middles of two paths, metres"
+    )
+    seats: Literal["own", "scene"] = Field(
+        default="own",
+        description="own: a chair is put below each who sits; scene: they take free chairs of the scene and "
+        "the sofa of the room first",
     )
     alive: bool = Field(default=False, description="give them faces that blink and glance around")
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(

@@ -1,4 +1,4 @@
-"""Objects that a human of the scene holds in both hands."""
+"""Objects that a human of the scene holds in both hands, or takes along on its path."""
 
 from __future__ import annotations
 
@@ -10,24 +10,37 @@ import numpy as np
 
 from humansim_ros.errors import SceneError, did_you_mean
 from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
+from humansim_ros.motion.reaches import PALM
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, unit_vectors
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import HoldConfig
 from humansim_ros.scene.objects import SHAPES, ObjectPose, SceneObject
 from humansim_ros.types import Array
 
-#: Place of the palm between wrist and finger tips, as a share; half the thickness of a hand, metres.
-_PALM, _THICK = 0.45, 0.018
+#: Half the thickness of a hand, metres.
+_THICK = 0.018
+#: Most poses that are kept.
+_KNOWN = 10_000
+#: Seconds around a time over which a path is smoothed, which three strides fill.
+_SMOOTHED = np.linspace(-1.5, 1.5, 31)
+
+
+def _smoothing() -> Array:
+    """Weights (31,): they keep a path of constant acceleration, and little of strides of a second."""
+    bell = 1 + np.cos(np.pi * _SMOOTHED / _SMOOTHED[-1])
+    moments = [(bell * _SMOOTHED**power).sum() for power in (0, 2, 4)]
+    a, b = np.linalg.solve([moments[:2], moments[1:]], [1.0, 0.0])
+    return np.asarray(bell * (a + b * _SMOOTHED**2))
 
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """The hands of a human that hold an object.
+    """A human that takes an object along, in the hands or on the path.
 
     Attributes:
         actor: The human.
-        config: When they hold it.
-        own: Pose of the object in the frame between the palms.
+        config: When, and by what.
+        own: Pose of the object in the frame between the palms, or below the hips.
     """
 
     actor: Actor
@@ -36,6 +49,18 @@ class Hold:
 
     def at(self, seconds: float) -> ObjectPose:
         """Pose and velocity at a scene time in seconds."""
+        if seconds not in self._known:
+            if len(self._known) >= _KNOWN:
+                self._known.clear()
+            self._known[seconds] = self._at(seconds)
+        return self._known[seconds]
+
+    @cached_property
+    def _known(self) -> dict[float, ObjectPose]:
+        """Poses by scene time: humans that reach for the object, and checks, ask for them again."""
+        return {}
+
+    def _at(self, seconds: float) -> ObjectPose:
         times = seconds + VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
         positions, rotations = self.frames(times)
         turn = quaternion_to_matrix(self.own.rotation)
@@ -45,12 +70,27 @@ class Hold:
         return ObjectPose(places[1], quaternions[1], self.own.size, velocity)
 
     def frames(self, times: Array) -> tuple[Array, Array]:
-        """Middles of the palms (N, 3), and axes (N, 3, 3): x ahead, y to the left palm."""
+        """Middles of the palms (N, 3), and axes (N, 3, 3): x ahead, y to the left palm.
+
+        Of a path, points of the floor below the hips, without the sway of steps; y to the left.
+        """
+        if self.config.by == "path":
+            return self._path(self._held(times))
         left, right = self.palms(self._held(times))
         y = unit_vectors(left - right)
         up = np.array([0.0, 0.0, 1.0]) - y[:, 2:] * y
         z = unit_vectors(up)
         return (left + right) / 2, np.stack([np.cross(y, z), y, z], axis=-1)
+
+    def _path(self, times: Array) -> tuple[Array, Array]:
+        weights = _smoothing()
+        around = self._held(np.add.outer(times, _SMOOTHED).ravel())
+        middle, left = (
+            np.einsum("w,nwd->nd", weights, each.reshape(len(times), len(weights), 3)) * (1.0, 1.0, 0.0)
+            for each in self.actor.hips_at(around)
+        )
+        y, z = unit_vectors(left), np.broadcast_to([0.0, 0.0, 1.0], left.shape)
+        return middle, np.stack([np.cross(y, z), y, z], axis=-1)
 
     def palms(self, times: Array) -> tuple[Array, Array]:
         """Left and right palm (N, 3) at scene times (N,)."""
@@ -58,7 +98,7 @@ class Hold:
         wrists, tips = (
             joints[:, [names.index(f"{side}_{part}") for side in "lr"]] for part in ("wrist", "wrist_end")
         )
-        left, right = np.moveaxis((1 - _PALM) * wrists + _PALM * tips, 1, 0)
+        left, right = np.moveaxis((1 - PALM) * wrists + PALM * tips, 1, 0)
         return left, right
 
     @cached_property
@@ -73,12 +113,12 @@ class Hold:
         end = motion.cycle_length if self.config.end is None else self.config.end
         played = motion.file_times(times + self.actor.offset, self.actor.ahead)
         length = motion.cycle_length
-        phase = played % length if motion.loop != "none" and length > 0 else np.clip(played, 0.0, length)
+        phase = played % length if motion.loop != "none" and length > 0 else played
         return np.asarray(times + (np.clip(phase, self.config.start, end) - phase) / max(motion.speed, 1e-6))
 
 
 def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> SceneObject:
-    """An object that hands hold; a built-in shape becomes as wide as the hands are apart.
+    """An object that a human takes along; a built-in shape in hands becomes as wide as these are apart.
 
     Raises:
         SceneError: There is no such human, or it has no hands.
@@ -87,10 +127,12 @@ def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> 
     if actor is None:
         known = f"; the humans are {', '.join(list(actors)[:8])}" if actors else "; the scene has no humans"
         raise SceneError(f"no human {config.human[:40]!r}{known}{did_you_mean(config.human, actors)}")
+    hold = Hold(actor, config, item.initial_pose)
+    if config.by == "path":
+        return replace(item, pose_at=hold.at)
     if not {"l_wrist_end", "r_wrist_end"} <= set(actor.human.skeleton.joint_names):
         raise SceneError(f"{config.human} has no hands")
-    hold = Hold(actor, config, item.initial_pose)
     if item.shape in SHAPES:
         x, _, z = item.initial_pose.size.tolist()
         hold = replace(hold, own=replace(item.initial_pose, size=np.array([x, hold.width, z])))
-    return replace(item, initial_pose=hold.own, pose_at=hold.at)
+    return replace(item, initial_pose=hold.own, pose_at=hold.at, held_by=config.human)

@@ -87,6 +87,7 @@ class SceneObject:
         keyframes: Keyframes that move the object; None if it is static.
         instance: Instance label; 0 for none.
         pose_at: Pose and velocity at a scene time in seconds of an object that something else moves.
+        held_by: Name of the human who holds it in both hands; None if nobody does.
     """
 
     name: str
@@ -97,6 +98,7 @@ class SceneObject:
     keyframes: KeyframeTrack | None = None
     instance: int = 0
     pose_at: Callable[[float], ObjectPose] | None = None
+    held_by: str | None = None
 
     @classmethod
     def build(
@@ -383,21 +385,42 @@ def _chair() -> list[_Part]:
     return [cushion, *front, *posts, *slats, *rails]
 
 
-def _door() -> list[_Part]:
+def _doorway() -> list[_Part]:
     width, height, jamb, depth = 0.9, 2.0, 0.07, 0.12
     white: Color = (226, 222, 212)
     frame = [
         _Part((0, j * (width + jamb) / 2, (height + jamb) / 2), (depth, jamb, height + jamb), white)
         for j in (-1, 1)
     ]
-    frame.append(_Part((0, 0, height + jamb / 2), (depth, width, jamb), white))
-    leaf = _Part((0, 0, height / 2 + 0.003), (0.04, width - 0.006, height - 0.006))
+    return [*frame, _Part((0, 0, height + jamb / 2), (depth, width, jamb), white)]
+
+
+def _door_leaf(middle: float = 0.445, gap: float = 0.0) -> list[_Part]:
+    """Leaf of a door, whose middle is some metres beside its origin, over a gap."""
+    width, height = 0.9, 2.0
+    leaf = _Part((0, middle, (height + gap) / 2), (0.04, width - 0.006, height - gap))
     panels = [
-        _Part((i * 0.021, 0, z), (0.008, 0.6, 0.72), (176, 146, 108)) for i in (-1, 1) for z in (0.55, 1.45)
+        _Part((i * 0.021, middle, z), (0.008, 0.6, 0.72), (176, 146, 108))
+        for i in (-1, 1)
+        for z in (0.55, 1.45)
     ]
-    handles = [_Part((i * 0.05, 0.3, 1.05), (0.02, 0.13, 0.022), _METAL) for i in (-1, 1)]
-    handles += [_Part((i * 0.03, 0.36, 1.05), (0.04, 0.025, 0.05), _METAL) for i in (-1, 1)]
-    return [*frame, leaf, *panels, *handles]
+    handles = [_Part((i * 0.05, middle + 0.3, 1.05), (0.02, 0.13, 0.022), _METAL) for i in (-1, 1)]
+    handles += [_Part((i * 0.03, middle + 0.36, 1.05), (0.04, 0.025, 0.05), _METAL) for i in (-1, 1)]
+    return [leaf, *panels, *handles]
+
+
+def _door() -> list[_Part]:
+    return [*_doorway(), *_door_leaf(0.0, 0.006)]
+
+
+def _cart() -> list[_Part]:
+    dark: Color = (44, 46, 50)
+    wheels = [_Part((i * 0.32, j * 0.2, 0.06), (0.12, 0.04, 0.12), dark) for i in (-1, 1) for j in (-1, 1)]
+    posts = [_Part((-0.44, j * 0.24, 0.62), (0.03, 0.03, 0.88), _METAL) for j in (-1, 1)]
+    handle = _Part((-0.44, 0, 1.06), (0.032, 0.54, 0.032), dark)
+    box: Color = (176, 138, 92)
+    load = [_Part((-0.12, 0, 0.38), (0.5, 0.42, 0.36), box), _Part((0.28, 0.03, 0.3), (0.22, 0.36, 0.2), box)]
+    return [_Part((0, 0, 0.165), (0.92, 0.54, 0.07)), *wheels, *posts, handle, *load]
 
 
 def _screen() -> list[_Part]:
@@ -469,6 +492,18 @@ FURNITURE: dict[str, Furniture] = {
     ),
     "robot": Furniture(
         "robot with two wheels and a mast, 0.46 m wide, 0.98 m high", (196, 198, 202), 0.5, tuple(_robot())
+    ),
+    "doorway": Furniture(
+        "frame of a door, 1.04 m wide, 2.07 m high", (226, 222, 212), 0.6, tuple(_doorway())
+    ),
+    "door_leaf": Furniture(
+        "door that turns about its origin, 0.9 m wide to the left, 2 m high",
+        (188, 160, 124),
+        0.6,
+        tuple(_door_leaf()),
+    ),
+    "cart": Furniture(
+        "cart with boxes, 0.92 m deep, 0.54 m wide, 1.08 m high", (70, 92, 128), 0.5, tuple(_cart())
     ),
 }
 #: Descriptions of all built-in meshes by name.

@@ -23,6 +23,7 @@ from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.faces import with_gazes
 from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.robot import CommandedDrive
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
@@ -218,6 +219,7 @@ class Playback:
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
         robot = scene.robot
         self.drive = CommandedDrive(robot) if robot is not None and robot.takes_commands else None
+        self.actors = self._reaching(self.actors)
 
     def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
@@ -321,6 +323,7 @@ class Playback:
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, source, None if read_again else before.motion.motion)
+        self._reaching({**self.actors, name: actor})  # an arm that cannot reach is an error now
         actor.motion.sample(0.0)  # compute the shared values of all frames now
         return Change(name, new, actor, bool(different & _RESTART_KEYS), bool(different & _ROUND_KEYS))
 
@@ -339,9 +342,20 @@ class Playback:
         self._look()
 
     def _look(self) -> None:
-        """Let people look at others where these are with their present motions."""
+        """Let people look at others, and reach for things, where these are now."""
+        self.actors = self._reaching(self.actors)
         faces = {name: self.scene.config.humans[name].face for name in self.actors}
         self.actors |= with_gazes(self.actors, faces, self.scene.scene_cameras)
+
+    def _reaching(self, actors: Mapping[str, Actor]) -> dict[str, Actor]:
+        return with_reaches(actors, self.scene.config.humans, self.scene.objects, self._placed)
+
+    def _placed(self, name: str, seconds: float) -> ObjectPose:
+        """Pose of an object, static or moving, at a scene time in seconds."""
+        item = self.scene.objects[name]
+        if name == ROBOT and self.drive is not None:
+            return item.placed(self.drive.at(seconds))
+        return self._object_at(name, seconds) if item.moves else item.initial_pose
 
     def _object_at(self, name: str, seconds: float) -> ObjectPose:
         pose = self.scene.moving_objects[name].at(seconds)
@@ -385,10 +399,7 @@ class Playback:
 
     def object_pose(self, name: str) -> ObjectPose:
         """Pose of an object, static or moving, at the scene time that was shown last."""
-        item = self.scene.objects[name]
-        if name == ROBOT and self.drive is not None:
-            return item.placed(self.drive.at(self.elapsed * 1e-9))
-        return self._object_at(name, self.elapsed * 1e-9) if item.moves else item.initial_pose
+        return self._placed(name, self.elapsed * 1e-9)
 
     def human_pose(self, name: str) -> EntityPose:
         """Pose of a human on the floor, at the scene time that was shown last."""

@@ -45,6 +45,7 @@ from humansim_ros.scene.holding import held
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_looks, random_numbers
+from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.robot import Robot, robot_object
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, build_scanners
@@ -359,6 +360,7 @@ class Scene(Pictured):
                 f"pyrender does not render distorted lenses, as of {distorted[0]}: use moderngl",
                 key="renderer",
             )
+        actors = with_reaches(actors, config.humans, objects)
         actors = with_faces(actors, config.humans, cameras, source)
         random = config.humans.keys() - named
         return cls(source, config, actors, cameras, objects, environment, frozenset(random), scanners, robot)

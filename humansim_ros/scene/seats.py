@@ -237,6 +237,68 @@ def footprint(sitting: Sitting, table: bool) -> Array:
     return np.asarray(np.concatenate(points) @ np.array([[c, s], [-s, c]]) + sitting.hips[:2])
 
 
+#: Half of the distance between the two places of a sofa, and hips behind its front edge, metres.
+_SOFA_PLACES, _SOFA_DEPTH = 0.5, 0.375
+#: A seat fits who sits if it is lower, or higher, than this by less, metres: cushions give way by little.
+_LOWER, _HIGHER = 0.07, 0.045
+
+
+@dataclass(frozen=True)
+class Seat:
+    """A place of a chair of the scene, or of the sofa of the room.
+
+    Attributes:
+        place: Middle of the hips of a person of the size of the default human who sits there, (2,) metres in
+            ``map``.
+        yaw: Heading of who sits there, radians.
+        height: Height of the seat, metres.
+        middle: Middle of the chair or sofa, (2,).
+        size: Its sides along the heading and across, (2,) metres.
+        depth: Metres from there to the front edge, at which knees bend; 0 where the seat is shallow.
+    """
+
+    place: Array
+    yaw: float
+    height: float
+    middle: Array
+    size: Array
+    depth: float = 0.0
+
+    def place_of(self, sitting: Sitting) -> Array:
+        """Middle of the hips (2,) of a person: smaller people sit nearer to the edge."""
+        ahead = self.depth * (1 - sitting.size)
+        return self.place + ahead * np.array([np.cos(self.yaw), np.sin(self.yaw)])
+
+    def covers(self, points: Array, margin: float = 0.05) -> NDArray[np.bool_]:
+        """Whether points (N, 2) are above the chair or sofa, or beside it by a margin in metres."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        own = (points - self.middle) @ np.array([[c, -s], [s, c]])
+        return np.asarray((np.abs(own) < self.size / 2 + margin).all(axis=1))
+
+    def fits(self, sitting: Sitting) -> bool:
+        """Whether its height is right for a person who sits."""
+        return -_LOWER < self.height - sitting.height < _HIGHER
+
+
+def seats_of(config: SceneConfig) -> list[Seat]:
+    """Chairs that stand on the floor of a scene, and both places of the sofa of its room."""
+    found = []
+    for item in config.objects.values():
+        level = item.rotation_deg[:2] == (0.0, 0.0) and abs(item.position[2]) < 0.02
+        if item.mesh == "chair" and level and item.keyframes is None and item.held_by is None:
+            middle, size = np.array(item.position[:2]), np.array(item.size[:2]) * (0.44, 0.43)
+            height = item.position[2] + _SEAT * item.size[2]
+            found.append(Seat(middle, float(np.radians(item.rotation_deg[2])), height, middle, size))
+    if config.room is not None:
+        (x, y), (depth, width), top = furniture_tops(config.room.size[:2])["sofa"]
+        middle, hips = np.array([x, y]), x + depth / 2 - _SOFA_DEPTH
+        found += [
+            Seat(np.array([hips, y + side]), 0.0, top, middle, np.array([depth, width]), _SOFA_DEPTH)
+            for side in (-_SOFA_PLACES, _SOFA_PLACES)
+        ]
+    return found
+
+
 def _free(name: str, taken: Mapping[str, object]) -> str:
     while name in taken:
         name += "_"

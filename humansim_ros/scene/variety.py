@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -30,7 +30,7 @@ from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.robot import Robot, robot_object
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.room import furniture_plan
-from humansim_ros.scene.seats import find_sittings, footprint
+from humansim_ros.scene.seats import Seat, Sitting, find_sittings, footprint, seats_of
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
@@ -40,6 +40,8 @@ _FROM_WALLS, _FROM_THINGS, _FROM_HUMANS = 0.2, 0.2, 0.2
 _STEP, _MOST_POSES = 0.05, 3000
 #: Seconds of the scene in which the paths of the scene's own humans are known.
 _DURATION = 60.0
+#: Metres from the hips of who sits to what of them is above the seat.
+_SEATED = 0.5
 #: Metres between the points that stand for a path or for a thing.
 _CELL = 0.05
 #: Step between the points of a path that are compared first; most bad places show there.
@@ -54,9 +56,15 @@ class Path:
 
     Attributes:
         points: (F, 2) metres, where one joint or more comes, or a chair or a table is.
+        joints: (F, 2) those of the points where a joint comes.
+        feet: (F, 2) those of the points where an ankle comes.
+        sittings: Where the human sits.
     """
 
     points: Array
+    joints: Array
+    feet: Array
+    sittings: tuple[Sitting, ...] = ()
 
     @classmethod
     def of_cycle(cls, actor: Actor, table: bool = False) -> Path:
@@ -79,21 +87,29 @@ class Path:
     def _of(cls, actor: Actor, times: Array, table: bool = False) -> Path:
         joints, names = actor.joint_paths(times), actor.human.skeleton.joint_names
         body = joints[:, body_joints(names), :2].reshape(-1, 2)
-        points = [body, *(footprint(each, table) for each in find_sittings(joints, names, times))]
-        return cls(_CELL * np.unique(np.round(np.concatenate(points) / _CELL), axis=0))
+        sittings = tuple(find_sittings(joints, names, times))
+        points = [body, *(footprint(each, table) for each in sittings)]
+        feet = joints[:, [joint for joint, name in enumerate(names) if name[2:] == "ankle"], :2]
+        return cls(_on_grid(np.concatenate(points)), _on_grid(body), _on_grid(feet.reshape(-1, 2)), sittings)
 
     def turned(self, yaw: float) -> Path:
         """The path of a human that starts at the origin with another heading, radians to the left."""
         c, s = np.cos(yaw), np.sin(yaw)
-        return Path(self.points @ np.array([[c, s], [-s, c]]))
+        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        sittings = tuple(replace(each, hips=each.hips @ turn, yaw=each.yaw + yaw) for each in self.sittings)
+        return self._mapped(lambda points: points @ turn[:2, :2], sittings)
 
     def mirrored(self) -> Path:
         """The path with left and right exchanged, along +x."""
-        return Path(self.points * (1, -1))
+        sittings = (replace(each, hips=each.hips * (1, -1, 1), yaw=-each.yaw) for each in self.sittings)
+        return self._mapped(lambda points: points * (1, -1), tuple(sittings))
 
     def moved(self, shift: Array) -> Path:
-        """The path moved by (2,) metres."""
-        return Path(self.points + shift)
+        """The path moved by (2,) metres, without its sittings."""
+        return self._mapped(lambda points: points + shift, ())
+
+    def _mapped(self, change: Callable[[Array], Array], sittings: tuple[Sitting, ...]) -> Path:
+        return Path(change(self.points), change(self.joints), change(self.feet), sittings)
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -113,6 +129,11 @@ class Path:
         return float(np.linalg.norm(high - low))
 
 
+def _on_grid(points: Array) -> Array:
+    """Points (M, 2) 5 cm apart that stand for points (N, 2)."""
+    return np.asarray(_CELL * np.unique(np.round(points / _CELL), axis=0))
+
+
 class Floor:
     """Floor of a scene, with everything that stands on it.
 
@@ -124,6 +145,7 @@ class Floor:
 
     def __init__(self, room: Sequence[float] | None, things: Array, spacing: float) -> None:
         self._half = None if room is None else np.array(room[:2]) / 2 - _FROM_WALLS
+        self._points = things
         self._things = scipy.spatial.cKDTree(things) if len(things) else None
         self._spacing = spacing
         self._middles = np.zeros((0, 2))
@@ -158,9 +180,19 @@ class Floor:
         low, high = path.box
         return np.asarray(((shifts + low >= -self._half) & (shifts + high <= self._half)).all(axis=1))
 
-    def clear(self, path: Path, shifts: Array, humans: bool) -> NDArray[np.bool_]:
-        """Whether a path moved by each of the shifts (N, 2) is away from things, and from ``humans``."""
-        trees = [(self._things, _FROM_THINGS)]
+    def clear(self, path: Path, shifts: Array, humans: bool, things: bool = True) -> NDArray[np.bool_]:
+        """Whether a path is away from all else.
+
+        Args:
+            path: The path.
+            shifts: Moves of the path, (N, 2) metres.
+            humans: Keep away from the paths of humans.
+            things: Keep away from furniture and objects.
+
+        Returns:
+            (N,) for each of the moves.
+        """
+        trees = [(self._things, _FROM_THINGS)] if things else []
         if humans:
             recent = scipy.spatial.cKDTree(np.concatenate(self._recent)) if self._recent else None
             trees += [(self._old, _FROM_HUMANS), (recent, _FROM_HUMANS)]
@@ -174,6 +206,23 @@ class Floor:
                     apart = tree.query(at, distance_upper_bound=distance)[0].min(axis=1)
                     free[left] = apart >= distance
         return free
+
+    def offers(self, seat: Seat, path: Path) -> bool:
+        """Whether a seat is free for a human that sits there, and the rest of its path is free."""
+        over = seat.covers(path.joints)
+        if (np.linalg.norm(path.joints[over] - seat.place, axis=1) > _SEATED).any():
+            return False  # it walks through the seat as well
+        if seat.covers(path.feet, margin=0.0).any():
+            return False  # it stands where the seat is
+        own = replace(path, points=path.joints)
+        stay = np.zeros((1, 2))
+        if not (self.inside(own, stay).all() and self.clear(own, stay, humans=True, things=False).all()):
+            return False
+        others = self._points[~seat.covers(self._points)]
+        if not len(others) or over.all():
+            return True
+        apart = scipy.spatial.cKDTree(others).query(path.joints[~over])[0]
+        return bool(apart.min() >= _FROM_THINGS)
 
 
 #: Metres between points.
@@ -205,7 +254,7 @@ def things_on_floor(
     """
     points = [np.zeros((0, 2)), *_furniture(config), *_objects(config, source, tracks, area)]
     points += [_seen_from_above(_samples(mesh), area) for mesh in mesh_files(config, source)]
-    return _CELL * np.unique(np.round(np.concatenate(points) / _CELL), axis=0)
+    return _on_grid(np.concatenate(points))
 
 
 def _furniture(config: SceneConfig) -> Iterator[Array]:
@@ -329,6 +378,7 @@ class _Crowd:
         paths: Paths so far from the origin along +x, by body and motion.
         crossing: Names of the humans that found no free place.
         drawn: Bodies of all humans so far.
+        seats: Free seats of the scene, if people take them.
     """
 
     variety: VarietyConfig
@@ -338,6 +388,7 @@ class _Crowd:
     paths: dict[tuple[str, str], Path] = field(default_factory=dict)
     crossing: list[str] = field(default_factory=list)
     drawn: list[str] = field(default_factory=list)
+    seats: list[Seat] = field(default_factory=list)
 
     @classmethod
     def of_scene(cls, config: SceneConfig, variety: VarietyConfig, source: SceneSource) -> _Crowd:
@@ -349,7 +400,8 @@ class _Crowd:
         for number, (name, human) in enumerate(config.humans.items(), 1):
             track = tracks.get(("humans", name))
             floor.add(Path.of_scene(Actor.load(name, number, human, source, track)))
-        return cls(variety, area, floor, source)
+        seats = seats_of(config) if variety.seats == "scene" else []
+        return cls(variety, area, floor, source, seats=seats)
 
     def draw(self, name: str) -> HumanConfig:
         """The next human. Raises SceneError with the key."""
@@ -390,6 +442,8 @@ class _Crowd:
         self, name: str, body: str, motions: Sequence[str], mirror: bool, uniform: RandomNumbers
     ) -> tuple[str, tuple[float, float], float]:
         """Motion, start position and heading in degrees. ``motions``: in the order of their trial."""
+        if self.seats and (taken := self._take_seat(motions[0], body, mirror, uniform)) is not None:
+            return taken
         for motion in motions:
             place = self._try(self._path(body, motion, mirror), uniform)
             if place is not None:
@@ -411,6 +465,30 @@ class _Crowd:
                 key="variety.count",
             )
         return self._place(name, smallest, path, shifts[0], yaw, free=False)
+
+    def _take_seat(
+        self, motion: str, body: str, mirror: bool, uniform: RandomNumbers
+    ) -> tuple[str, tuple[float, float], float] | None:
+        """Motion, start position and heading in degrees of who takes a free seat; None if there is none.
+
+        Who needs a table brings it, and the chair with it.
+        """
+        origin = self._path(body, motion, mirror)
+        if len(origin.sittings) != 1 or needs_table(motion):
+            return None
+        (sitting,) = origin.sittings
+        for _, number in sorted((uniform(), number) for number in range(len(self.seats))):
+            seat = self.seats[number]
+            yaw = round(math.degrees(seat.yaw - sitting.yaw), 3)
+            turned = origin.turned(math.radians(yaw))
+            shift = seat.place_of(sitting) - turned.sittings[0].hips[:2]
+            path = turned.moved(shift)
+            if seat.fits(sitting) and self.floor.offers(seat, path):
+                del self.seats[number]
+                x, y = shift.tolist()
+                self.floor.add(replace(path, points=path.joints))
+                return motion, (round(x, 4), round(y, 4)), yaw
+        return None
 
     def _try(
         self, origin: Path, uniform: RandomNumbers, humans: bool = True, thoroughly: int = 1

@@ -13,10 +13,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_retarget import SHARED, SKELETON, in_world, read
 
-from humansim_ros.motion.contacts import FootContacts, two_bone
+from humansim_ros.motion.contacts import FootContacts, SkinContact, two_bone
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import find_stances, slide_distances, sole_heights, sole_points
 from humansim_ros.motion.world_motion import Placement, WorldMotion
+from humansim_ros.scene import Scene
+from humansim_ros.scene.actor import Actor
 from humansim_ros.types import Array
 
 stems = pytest.mark.parametrize("stem", ["walk", "own_mixamo", "own_z_up", "own_cmu", *if_shared(*SHARED)])
@@ -163,3 +165,49 @@ def test_a_goal_at_the_ankle_moves_nothing() -> None:
     upper, lower = two_bone(points[0], points[1], points[2], points[2])
     for turns in (upper, lower):
         assert Rotation.from_matrix(turns).magnitude().max() < 1e-6
+
+
+# --- skin on the floor
+
+
+def lying(motion: str, body: str, **keys: Any) -> Actor:
+    loop = "continue" if motion == "crawl" else "repeat"
+    humans = {"anna": {"body": body, "motion": {"file": motion, "loop": loop, **keys}}}
+    cameras = {"front": {"position": [4, 0, 1], "look_at": [0, 0, 0.5]}}
+    return Scene.from_dict({"humans": humans, "cameras": cameras, "room": None}).actors["anna"]
+
+
+@pytest.mark.daily("lie-adult_woman", "fall-child")
+@pytest.mark.slow
+@pytest.mark.parametrize("body", ["adult_man", "adult_woman", "child", "tall_heavy_man", "slim_old_woman"])
+@pytest.mark.parametrize("motion", ["lie", "fall", "crawl"])
+def test_the_skin_of_who_lies_is_on_the_floor(motion: str, body: str) -> None:
+    actor = lying(motion, body)
+    lowest = [
+        float(actor.at(time).vertices[:, 2].min())
+        for time in np.arange(0.03, min(actor.motion.duration, 9.0), 0.23)
+    ]
+    assert min(lowest) > -0.01 and max(lowest) < 0.02
+    velocity = actor.at(2.0).linear
+    assert velocity is not None and np.isfinite(velocity).all()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", range(1, 6))
+def test_the_body_of_who_lies_is_on_the_floor_below_skirts(number: int) -> None:
+    actor = lying("lie", f"person#{number}-1")
+    vertices = actor.at(2.0).vertices
+    assert -0.01 < float(vertices[:, 2].min()) < 0.02
+    # the trunk and the head are near it, and nothing stands in the air
+    assert float(np.percentile(vertices[:, 2], 5)) < 0.08
+
+
+def test_a_recording_is_placed_by_its_skin_if_the_scene_says_so() -> None:
+    soles, skin = (lying("sit", "child", floor=floor) for floor in ("soles", "skin"))
+    assert soles.motion.correction is None
+    moved = skin.at(1.0).positions - soles.at(1.0).positions
+    np.testing.assert_allclose(moved, np.broadcast_to(moved[0] * (0, 0, 1), moved.shape), atol=1e-9)
+    assert float(skin.at(1.0).vertices[:, 2].min()) == pytest.approx(0, abs=0.003)
+    # what pins the feet is kept
+    both = lying("crawl", "child", pin_feet=True, yaw_deg=90).motion.correction
+    assert isinstance(both, SkinContact) and isinstance(both.before, FootContacts)

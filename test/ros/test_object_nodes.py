@@ -17,12 +17,16 @@ from humansim_ros.errors import RosError
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 
-#: A person is moved, rotated and scaled; a box passes in front; its position gives the scene time.
+#: A person is moved, rotated and scaled, and reaches for the box that passes in front; its position gives the
+#: scene time.
 SCENE = """\
 rate: 20
 room: null
 humans:
-  anna: {motion: {file: walk, position: [0.0, -1], loop: continue}, keyframes: moves.xml}
+  anna:
+    motion: {file: walk, position: [0.0, -1], loop: continue}
+    keyframes: moves.xml
+    reach: [{to: box, blend: 0.1}]
 objects:
   box: {size: [0.1, 0.4, 1.8], position: [0, 0, 0.9], keyframes: moves.xml}
   post: {mesh: cylinder, position: [-1, 1, 0.5]}

@@ -82,7 +82,7 @@ KEYFRAMES = keyframes(
 )
 
 
-@pytest.mark.daily("*pin_feet*")
+@pytest.mark.daily("*pin_feet*", "*reach*")
 @pytest.mark.parametrize(
     "human",
     [
@@ -90,6 +90,8 @@ KEYFRAMES = keyframes(
         "{motion: {file: sit_stand, mirror: true, retarget: thesis}}",
         "{motion: {file: run, clamp: true, pin_feet: true}, skinning: dual_quaternion}",
         "{motion: {file: walk}, keyframes: {file: moves.xml}}",
+        "{motion: {file: lie, yaw_deg: 40}}",
+        "{motion: stand, reach: [{to: [0.4, -0.2, 1.1], palm: [0, 0, -1], blend: 0.5}]}",
     ],
 )
 def test_body_of_sent_joints_has_the_bits_of_simulation(ros: None, tmp_path: Path, human: str) -> None:

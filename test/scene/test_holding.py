@@ -69,6 +69,8 @@ def test_a_box_is_lifted_from_the_floor_and_put_back() -> None:
         ("ana", r"objects\.box\.held_by: no human 'ana'; the humans are anna"),
         ({"human": "anna", "start": 3, "end": 2}, r"end \(2 s\) must come after start \(3 s\)"),
         ({"human": "anna", "hand": "left"}, r"objects\.box\.held_by"),
+        ({"human": "ana", "by": "path"}, r"objects\.box\.held_by: no human 'ana'"),
+        ({"human": "anna", "by": "rope"}, r"objects\.box\.held_by\.by"),
     ],
 )
 def test_a_wrong_hold_is_refused_with_its_key(held_by: Any, problem: str) -> None:
@@ -79,3 +81,43 @@ def test_a_wrong_hold_is_refused_with_its_key(held_by: Any, problem: str) -> Non
 def test_what_is_held_has_no_keyframes() -> None:
     with pytest.raises(SceneError, match="give keyframes or held_by, not both"):
         scene("carry", {"held_by": "anna", "keyframes": "moves.xml"})
+
+
+def test_what_goes_along_the_path_stays_on_the_floor_without_the_sway_of_steps() -> None:
+    walk = {"file": "walk_straight", "loop": "continue", "yaw_deg": 30}
+    made = scene(
+        walk,
+        {
+            "mesh": "cart",
+            "size": [1, 1, 1],
+            "position": [0.9, 0, 0],
+            "held_by": {"human": "anna", "by": "path"},
+        },
+    )
+    item, actor = made.objects["box"], made.actors["anna"]
+    ahead = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0])
+    times = np.arange(0.0, 4.0, 0.1)
+    poses = [item.at(time) for time in times]
+    places = np.array([pose.position for pose in poses])
+    across = places - (places @ ahead)[:, None] * ahead
+    assert np.linalg.norm(np.ptp(across, axis=0)) < 0.01  # hips sway by 4 cm, and turn
+    speeds = [pose.velocity.linear @ ahead for pose in poses if pose.velocity is not None]
+    assert np.ptp(speeds) < 0.1 and np.mean(speeds) == pytest.approx(1.25, abs=0.05)
+    hips = actor.joint_paths(times)[:, 0]
+    assert ((places - hips) @ ahead).mean() == pytest.approx(0.9, abs=0.05)
+    for pose in poses:
+        np.testing.assert_allclose(pose.rotation, [0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)], atol=0.02)
+        assert pose.position[2] == 0
+
+
+def test_what_is_taken_along_waits_before_and_stays_after() -> None:
+    walk = {"file": "walk_straight", "loop": "none"}
+    made = scene(
+        walk,
+        {"held_by": {"human": "anna", "by": "path", "start": 0.5, "end": 1.5}, "position": [0.5, 0, 0.2]},
+    )
+    early, start, end, late = (made.objects["box"].at(time) for time in (0.1, 0.5, 1.5, 5.0))
+    np.testing.assert_allclose(early.position, start.position, atol=1e-9)
+    np.testing.assert_allclose(late.position, end.position, atol=1e-9)
+    assert end.position[0] - start.position[0] > 0.8
+    assert late.velocity is not None and np.linalg.norm(late.velocity.linear) < 1e-9

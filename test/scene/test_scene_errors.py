@@ -32,6 +32,7 @@ SCENE: dict[str, Any] = {
             "motion": {"file": "walk", "joint_names": "table.yaml", "hands": [{"pose": "fist"}]},
             "keyframes": {"file": "keys.xml"},
             "face": {"file": "take.csv", "keys": [{"gaze": "left"}]},
+            "reach": [{"to": [0.4, -0.2, 1.0]}],
         }
     },
     "variety": {"count": 1, "bodies": ["adult_man"], "motions": ["walk"]},

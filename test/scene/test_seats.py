@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene, check_scene
 from humansim_ros.scene.seats import find_sittings
 
@@ -128,3 +129,83 @@ def test_people_in_each_other_are_told_with_the_place() -> None:
 
 def test_nobody_sits_without_legs_or_time() -> None:
     assert find_sittings(np.zeros((5, 1, 3)), ["head"], np.arange(5.0)) == []
+
+
+# --- free seats
+
+
+SEATS = {
+    "one": {"mesh": "chair", "position": [1.2, 1.2, 0], "rotation_deg": [0, 0, -120]},
+    "two": {"mesh": "chair", "position": [0.2, -1.6, 0], "rotation_deg": [0, 0, 90]},
+}
+
+
+def seated(count: int, seats: str = "scene", humans: Any = None, **variety: Any) -> Scene:
+    given = {"count": count, "bodies": ["adult_man", "adult_woman"], "motions": ["sit", "sit_stand"]}
+    return Scene.from_dict(
+        {
+            "variety": {**given, "seats": seats, **variety},
+            "humans": humans or {},
+            "objects": SEATS,
+            "cameras": CAMERAS,
+            "room": {},
+        }
+    )
+
+
+def hips_of_sitting(made: Scene) -> dict[str, np.ndarray]:
+    """Place (2,) of the hips of each human who sits, by name, from its joints."""
+    places = {}
+    for name, actor in made.actors.items():
+        times = np.arange(0.0, 8.0, 0.1)
+        joints, names = actor.joint_paths(times), actor.human.skeleton.joint_names
+        hips = joints[:, [names.index("l_hip"), names.index("r_hip")]].mean(axis=1)
+        places[name] = hips[np.argmin(hips[:, 2]), :2]
+    return places
+
+
+@pytest.mark.parametrize("seed", [1, 4, 7])
+def test_people_who_sit_take_free_seats_each_once(seed: int) -> None:
+    made = seated(5, seed=seed)
+    places = hips_of_sitting(made)
+    chairs = [np.array(item["position"][:2]) for item in SEATS.values()]
+    own = [name for name in made.objects if name.startswith("person_")]
+    on_chairs = [
+        [name for name, place in places.items() if np.linalg.norm(place - chair) < 0.08] for chair in chairs
+    ]
+    on_sofa = [place for place in places.values() if place[0] < -2.7 and abs(place[1] - 0.4) < 0.8]
+    assert all(len(names) <= 1 for names in on_chairs)
+    assert len(on_sofa) <= 2
+    assert sum(map(len, on_chairs)) + len(on_sofa) + len(own) == 5
+    assert len(own) <= 2
+    pairs = [np.linalg.norm(a - b) for n, a in enumerate(places.values()) for b in [*places.values()][:n]]
+    assert min(pairs) > 0.5
+    assert not [finding for finding in check_scene(made) if finding.key.startswith(("variety", "humans"))]
+
+
+def test_a_seat_that_a_human_of_the_scene_has_is_not_free() -> None:
+    ben = {"motion": {"file": "sit", "position": [0.2, -1.6], "yaw_deg": 90}}
+    made = seated(4, humans={"ben": ben}, seed=4)
+    places = hips_of_sitting(made)
+    near = [name for name, place in places.items() if np.linalg.norm(place - (0.2, -1.6)) < 0.4]
+    assert near == ["ben"]
+
+
+def test_a_child_does_not_take_a_seat_that_is_too_high() -> None:
+    made = seated(2, bodies=["child"])
+    assert {"person_1_chair", "person_2_chair"} <= set(made.objects)
+
+
+def test_without_the_key_everybody_brings_a_chair() -> None:
+    made = seated(2, "own", seed=4)
+    assert {"person_1_chair", "person_2_chair"} <= set(made.objects)
+
+
+def test_who_writes_brings_chair_and_table() -> None:
+    made = seated(1, motions=["write"])
+    assert {"person_1_chair", "person_1_table"} <= set(made.objects)
+
+
+def test_wrong_seats_are_refused() -> None:
+    with pytest.raises(SceneError, match=r"variety\.seats"):
+        seated(1, "mine")

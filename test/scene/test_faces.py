@@ -435,7 +435,7 @@ def test_the_neck_stays_within_its_limits_and_never_jumps() -> None:
     assert actor.face is not None and actor._eyes is not None
     skeleton, eyes = actor.human.skeleton, actor._eyes
     limits = load_limits(skeleton=skeleton)
-    joints = actor._joints_at(np.zeros(1))
+    joints = actor.joints_at(np.zeros(1))
     middle = eyes.rays(joints)[0][0]
     grid = np.meshgrid(np.radians(np.arange(0, 361, 2)), np.radians([-80, -40, 0, 30, 70, 85]))
     yaw, pitch = (each.ravel() for each in grid)

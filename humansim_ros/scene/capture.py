@@ -110,7 +110,15 @@ def request_at_stamp(
     faults: FrameFaults = NO_FAULTS,
     frozen: Image | None = None,
 ) -> RenderRequest | None:
-    """What :func:`capture` renders first: the bodies at the stamp; None if it renders only others."""
+    """What :func:`capture` renders first: the bodies at the stamp; None if it renders only others.
+
+    Args:
+        camera: The camera with its sensor.
+        exposure: Bodies and camera pose around the stamp.
+        channels: Names of the channels.
+        faults: Faults of the picture.
+        frozen: Colours of an earlier frame that the camera shows in place of its own.
+    """
     coloured = frozen is None and not _samples(camera, faults).any()
     rendered = [channel for channel in channels if coloured or channel != "rgb"]
     if not rendered:

@@ -274,8 +274,9 @@ class Simulation:
             )
             for name, camera in chosen.items()
         }
-        requests = (request_at_stamp(*view) for view in views.values())
-        self.renderer.prepare([request for request in requests if request is not None])
+        requests = [request for view in views.values() if (request := request_at_stamp(*view)) is not None]
+        if len(requests) > 1:
+            self.renderer.prepare(requests)
         captured = {name: state.camera_frame(self.renderer, *view) for name, view in views.items()}
         return Frame(
             index=index,

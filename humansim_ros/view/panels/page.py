@@ -168,7 +168,13 @@ class Background:
         done: Callable[[_Result], None],
         failed: Callable[[Exception], None] = lambda error: None,
     ) -> None:
-        """Do a step in the thread, then ``done`` or ``failed`` in the thread of the page.
+        """Do a step in the thread.
+
+        Args:
+            what: What is done, for the user.
+            step: The step.
+            done: Takes its result, in the thread of the page.
+            failed: Takes its error, in the thread of the page, which shows it then.
 
         Raises:
             HumansimError: The step before has not ended.

@@ -75,8 +75,15 @@ def capture(
     request = request_at_stamp(camera, exposure, channels, faults, frozen)
     view = View()
     if request is not None:
-        request.check(renderer)
-        view = renderer.render_request(request)
+        view = renderer.render(
+            request.bodies,
+            request.camera,
+            request.channels,
+            request.moving_camera,
+            request.next_frame,
+            request.previous_frame,
+            request.backdrop,
+        )
     if frozen is not None:
         return view.with_channels(rgb=frozen)
     if "rgb" not in channels:

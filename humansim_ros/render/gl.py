@@ -252,10 +252,10 @@ class GLRenderer(Renderer):
 
         def wait() -> RenderedFrame:
             frame = finish()
-            if passes.uncovered:
-                frame.body_part = self._uncovered(frame, bodies, camera, moving)
             if self._static_bodies:
                 frame.static_labels = self._static_labels(camera, passes, moving, layer)
+            if passes.uncovered:
+                frame.body_part = self._uncovered(frame, bodies, camera, moving)
             return self._frames.put(bodies, view, frame)
 
         return wait
@@ -343,13 +343,15 @@ class GLRenderer(Renderer):
         if not (static or (moving and frame.ids.table("off_body").take(frame.triangle_ids).any())):
             return None
         target, layer = self._targets.of(camera.size), frame.layer
-        if self._static_bodies:  # the layer shows what is beside them
-            self._static.draw_unlabelled(target, camera, moving_camera)
-            layer = StaticLayer(target, None)
-        everybody = [*bodies, *self._static_bodies]
-        drawn = self._render(everybody, camera, Passes(), layer, (), target, uncovered=True)()
         parts = np.zeros(camera.size[::-1], np.uint8)
-        parts[drawn.rectangle.slices] = drawn.ids.table("part").take(drawn.triangle_ids)
+        if static:  # the layer shows what is beside them
+            self._static.draw_unlabelled(target, camera, moving_camera)
+            layer, bodies = StaticLayer(target, None), [*bodies, *self._static_bodies]
+        elif frame.static_labels is not None:
+            parts = frame.static_labels.images(("body_part",))["body_part"]
+        drawn = self._render(bodies, camera, Passes(), layer, (), target, uncovered=True)()
+        values = drawn.ids.table("part").take(drawn.triangle_ids)
+        np.copyto(parts[drawn.rectangle.slices], values, where=drawn.triangle_ids > 0)
         return parts
 
     def _alone(self, body: PosedBody, projected: ProjectedPoints) -> NDArray[np.bool_]:

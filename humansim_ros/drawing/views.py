@@ -119,6 +119,7 @@ _PICTURES: dict[str, Callable[[Any], Image]] = {
     "depth": color_depth,
     "instance": color_labels,
     "part": color_labels,
+    "body_part": color_labels,
     "material": color_labels,
     "face": color_labels,
     "normal": _color_normals,

@@ -51,7 +51,8 @@ from humansim_ros.types import Array
 #: Largest message that is read, bytes.
 _MAX_MESSAGE = 1 << 31
 #: What is about labelled bodies: needs their names.
-_LABELLED = {"instance", "part", BOXES, KEYPOINTS}
+_PARTS = {"part", "body_part"}
+_LABELLED = {"instance", *_PARTS, BOXES, KEYPOINTS}
 _SCENE_TIME = "/scene_time"
 #: Topics with which every format can be understood.
 _ALWAYS = ("/scene_time", "*/camera_info", "*/extrinsics", "*/joints/legend", "*/part/legend")
@@ -250,7 +251,7 @@ class _Survey:
                 self._require(row, f"/{camera}/extrinsics")
                 if row.content & _LABELLED:
                     self._require(row, f"/{camera}/joints/legend")
-                if "part" in row.content:
+                if row.content & _PARTS:
                     self._require(row, f"/{camera}/part/legend")
                 for channel in sorted(row.content & CHANNEL_TABLE.keys()):
                     own = f"/{camera}/{CHANNEL_TABLE[channel].topic}"

@@ -15,6 +15,7 @@ from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
 from humansim_ros.export.images import (
+    BodyPartWriter,
     DepthExrWriter,
     DepthNpyWriter,
     DepthPngWriter,
@@ -86,6 +87,9 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ExportFormat("depth-exr", "depth, OpenEXR in metres", DepthExrWriter, _DEPTH, needs=("OpenEXR",)),
         ExportFormat("depth-npy", "depth, NumPy arrays in metres", DepthNpyWriter, _DEPTH),
         ExportFormat("labels", "instances and body parts, PNG", LabelWriter, frozenset({"instance", "part"})),
+        ExportFormat(
+            "body-parts", "body parts below loose cloth, PNG", BodyPartWriter, frozenset({"body_part"})
+        ),
         ExportFormat(
             "materials", "skin, hair, garments and worn things, PNG", MaterialWriter, frozenset({"material"})
         ),

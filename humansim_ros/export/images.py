@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from humansim_ros.drawing.canvas import write_mp4
 from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import ExportError
-from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, FormatWriter, Record
 from humansim_ros.io.files import ANY_SIZE, read_bytes
 from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Float32Array, Image
@@ -85,13 +85,28 @@ class LabelWriter(FormatWriter):
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         scene = self.settings.scene
-        parts = {
-            name: {"0": "background"} | {str(n): part for n, part in enumerate(parts, 1)}
-            for name, parts in scene.parts.items()
-        }
         instances = {"0": "background"} | {str(label): name for name, label in scene.labels.items()}
-        legend = {"instance": instances, "part": parts}
+        legend = {"instance": instances, "part": _part_legends(scene)}
         folder.write("labels.json", json.dumps(legend, indent=1) + "\n")
+
+
+def _part_legends(scene: ExportScene) -> dict[str, dict[str, str]]:
+    """Names of the labels of body parts, by human."""
+    return {
+        name: {"0": "background"} | {str(n): part for n, part in enumerate(parts, 1)}
+        for name, parts in scene.parts.items()
+    }
+
+
+class BodyPartWriter(FormatWriter):
+    """Body parts below skirts, hats, bags and long hair as 8 bit PNG; their legends in ``labels.json``."""
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        for camera, view in frame.frame.views.items():
+            folder.write(f"{camera}/{frame.name}.png", encoded_png(view.body_part))
+
+    def finish(self, _: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        folder.write("labels.json", json.dumps(_part_legends(self.settings.scene), indent=1) + "\n")
 
 
 class MaterialWriter(FormatWriter):

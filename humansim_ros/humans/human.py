@@ -275,6 +275,8 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
         arrays["materials"] = mesh.materials
     if mesh.hair is not None:
         arrays["hair"] = mesh.hair
+    if mesh.off_body is not None:
+        arrays["off_body"] = mesh.off_body
     if mesh.shading is not None:
         parts = (mesh.shading.data, mesh.shading.indices, mesh.shading.indptr)
         arrays |= dict(zip(_SHADING, parts, strict=True))
@@ -315,6 +317,7 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         skin=_texels(arrays, "skin"),
         materials=_materials(arrays),
         hair=_texels(arrays, "hair"),
+        off_body=_off_body(arrays),
     )
     mesh = replace(mesh, shading=_shading(arrays, mesh))
     skeleton = Skeleton(
@@ -391,6 +394,14 @@ def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
     if len(labels) and not 1 <= labels.min() <= labels.max() <= len(MATERIALS):
         raise MeshError(f"labels are 1 to {len(MATERIALS)}", key="materials")
     return labels
+
+
+def _off_body(arrays: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
+    """Whether each face is part of a surface beside the body."""
+    beside = arrays.get("off_body")
+    if beside is not None and (beside.dtype != np.bool_ or beside.shape != (len(arrays["faces"]),)):
+        raise MeshError(f"must be (F,) bool, not {beside.shape} {beside.dtype}", key="off_body")
+    return beside
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:

@@ -96,8 +96,9 @@ class Mesh:
     ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8, share of skin in
     each texel (the rest is cloth and hair), or None. ``materials``: (F,) uint8, label of each face of a
     human (:data:`humansim_ros.mesh.materials.MATERIALS`), or None; ``hair``: (H, W) uint8, share of hair in
-    each texel of skin, or None for the rest of ``skin``. ``material``: reflection of static meshes; matt if
-    None.
+    each texel of skin, or None for the rest of ``skin``. ``off_body``: (F,) bool, whether each face of a
+    human is part of a surface beside the body, such as a skirt, a hat or long hair, or None if no face is.
+    ``material``: reflection of static meshes; matt if None.
     ``shading``: (V, N) weights of the area vectors of the N triangles in the vertex normals, or None for 1
     (:func:`humansim_ros.mesh.normals.shading_weights`).
 
@@ -120,6 +121,7 @@ class Mesh:
     skin: NDArray[np.uint8] | None = None
     materials: NDArray[np.uint8] | None = None
     hair: NDArray[np.uint8] | None = None
+    off_body: NDArray[np.bool_] | None = None
     material: Material | None = None
     shading: csr_matrix | None = None
 
@@ -143,6 +145,8 @@ class Mesh:
             raise MeshError(f"skin of {self.skin.shape} does not fit a texture of {self.texture.shape[:2]}")
         if self.materials is not None and self.materials.shape != (len(self.faces),):
             raise MeshError(f"materials of {self.materials.shape} do not fit {len(self.faces)} faces")
+        if self.off_body is not None and self.off_body.shape != (len(self.faces),):
+            raise MeshError(f"off_body of {self.off_body.shape} does not fit {len(self.faces)} faces")
 
     def __repr__(self) -> str:
         appearance = ""
@@ -175,6 +179,13 @@ class Mesh:
         if self.materials is None:
             return np.full(len(self.triangles), UNKNOWN, np.uint8)
         return self.materials[self.triangle_faces]
+
+    @cached_property
+    def triangles_off_body(self) -> NDArray[np.bool_]:
+        """(N,) whether each triangle of a human is part of a surface beside the body."""
+        if self.off_body is None:
+            return np.zeros(len(self.triangles), bool)
+        return self.off_body[self.triangle_faces]
 
     @cached_property
     def hair_texels(self) -> NDArray[np.uint8] | None:

@@ -146,6 +146,7 @@ def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
         colors=None,
         shading=None,
         materials=None,
+        off_body=None,
     )
     return Subdivision(finer, owner, tuple(edges))
 

@@ -90,7 +90,7 @@ DepthContent = tuple[DepthCapture, View]
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
 #: Legends that a recording has only if they are asked for.
-_OPTIONAL_LEGENDS = ("keypoints", "material")
+_OPTIONAL_LEGENDS = ("keypoints", "body_part", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
 
 
@@ -626,6 +626,7 @@ class CameraTopics:
         exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
         legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
         if actors:
+            legends["body_part"] = legends["part"]
             legends["material"] = messages.material_legend
 
         if (faults := self._camera.faults) is not None:

@@ -94,6 +94,7 @@ class _MeshBuffers:
                 colors=None if mesh.colors is None else mesh.colors[kept],
                 shading=None,
                 materials=None,
+                off_body=None,
             )
             self._levels[number] = kept, _MeshBuffers(self.ctx, shown, self.programs, self.material)
         return self._levels[number]

@@ -19,8 +19,9 @@ from humansim_ros.pictures import Pictured
 #: Name of an adjacent frame, as a keyword of :meth:`Renderer.render`.
 AdjacentName = Literal["next_frame", "previous_frame"]
 ADJACENT_NAMES: tuple[AdjacentName, ...] = ("next_frame", "previous_frame")
-#: Rendering work besides depth and triangle ids: colour, outlines, each body without occluders.
-Pass = Literal["lit", "outlined", "alone"]
+#: Rendering work besides depth and triangle ids: colour, outlines, each body without occluders, all bodies
+#: without surfaces beside them.
+Pass = Literal["lit", "outlined", "alone", "uncovered"]
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Channel:
 _LIT: frozenset[Pass] = frozenset({"lit"})
 _OUTLINED: frozenset[Pass] = frozenset({"outlined"})
 _ALONE: frozenset[Pass] = frozenset({"alone"})
+_UNCOVERED: frozenset[Pass] = frozenset({"uncovered"})
 _LABELS: dict[str, Any] = {"labels_bodies": True}
 _PER_BODY: dict[str, Any] = {"labels_bodies": True, "per_body": True}
 _NEXT: dict[str, Any] = {"adjacent_frame": "next_frame"}
@@ -82,6 +84,7 @@ CHANNEL_TABLE: dict[str, Channel] = {
         Channel("depth", np.float32, "depth/image", "32FC1", empty=np.inf, **_RECTIFIED_DEPTH),
         Channel("instance", np.uint16, "instance/image", "mono16", default=True, **_LABELS),
         Channel("part", np.uint8, "part/image", "mono8", default=True, **_LABELS),
+        Channel("body_part", np.uint8, "body_part/image", "mono8", passes=_UNCOVERED, **_LABELS),
         Channel("material", np.uint8, "material/image", "mono8", **_LABELS),
         Channel("face", np.int32, "face/image", "32SC1", **_LABELS),
         Channel("normal", np.float32, "normal/image", "32FC3", (3,), **_LABELS),
@@ -125,6 +128,8 @@ class View(Pictured):
             sampled at pixel centers, never blended.
         instance: (H, W) uint16 label of the human or labelled object; 0 where none is.
         part: (H, W) uint8 label of the body part; 0 where no labelled body is.
+        body_part: As ``part``, without surfaces beside the bodies of humans (:attr:`Mesh.off_body`), such as
+            skirts, hats, bags and long hair.
         material: (H, W) uint8 label of skin, eyes, hair, a garment or a worn thing
             (:data:`humansim_ros.mesh.materials.MATERIALS`); 0 where no human is.
         face: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
@@ -146,6 +151,7 @@ class View(Pictured):
     depth: NDArray[np.float32]
     instance: NDArray[np.uint16]
     part: NDArray[np.uint8]
+    body_part: NDArray[np.uint8]
     material: NDArray[np.uint8]
     face: NDArray[np.int32]
     normal: NDArray[np.float32]

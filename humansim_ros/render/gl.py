@@ -254,6 +254,8 @@ class GLRenderer(Renderer):
             frame = finish()
             if self._static_bodies:
                 frame.static_labels = self._static_labels(camera, passes, moving, layer)
+            if passes.uncovered:
+                frame.body_part = self._uncovered(frame, bodies, camera, moving)
             return self._frames.put(bodies, view, frame)
 
         return wait
@@ -266,8 +268,9 @@ class GLRenderer(Renderer):
         layer: StaticLayer,
         levels: tuple[int, ...],
         target: RenderTarget,
+        uncovered: bool = False,
     ) -> Callable[[], RenderedFrame]:
-        """Draw a frame; the result waits for its images."""
+        """Draw a frame, ``uncovered`` without surfaces beside bodies; the result waits for its images."""
         posed = [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
@@ -291,7 +294,9 @@ class GLRenderer(Renderer):
                 sun.apply(layer.shadow_inputs, target, camera)
             target.use(passes.lit)
             numbers = [number for number, draw in enumerate(drawn) if draw]
-            ids, facing = self._draw(posed, projected, numbers, target, rectangle, passes.lit, layer.depth)
+            ids, facing = self._draw(
+                posed, projected, numbers, target, rectangle, passes.lit, layer.depth, uncovered
+            )
             if passes.outlined and clouds:
                 angle = straight_angle(camera, rectangle)
                 edges = [
@@ -328,6 +333,27 @@ class GLRenderer(Renderer):
             layer.labels = StaticLabels(replace(frame, layer=layer), self._static_bodies)
         return layer.labels
 
+    def _uncovered(
+        self, frame: RenderedFrame, bodies: Sequence[Body], camera: Camera, moving_camera: bool
+    ) -> NDArray[np.uint8] | None:
+        """(H, W) part labels without surfaces beside bodies; None if no pixel of a frame shows one."""
+        moving, static = (
+            any(body.mesh.off_body is not None for body in each) for each in (bodies, self._static_bodies)
+        )
+        if not (static or (moving and frame.ids.table("off_body").take(frame.triangle_ids).any())):
+            return None
+        target, layer = self._targets.of(camera.size), frame.layer
+        parts = np.zeros(camera.size[::-1], np.uint8)
+        if static:  # the layer shows what is beside them
+            self._static.draw_unlabelled(target, camera, moving_camera)
+            layer, bodies = StaticLayer(target, None), [*bodies, *self._static_bodies]
+        elif frame.static_labels is not None:
+            parts = frame.static_labels.images(("body_part",))["body_part"]
+        drawn = self._render(bodies, camera, Passes(), layer, (), target, uncovered=True)()
+        values = drawn.ids.table("part").take(drawn.triangle_ids)
+        np.copyto(parts[drawn.rectangle.slices], values, where=drawn.triangle_ids > 0)
+        return parts
+
     def _alone(self, body: PosedBody, projected: ProjectedPoints) -> NDArray[np.bool_]:
         """(H, W) mask of a body without occluders."""
         camera = projected.camera
@@ -351,6 +377,7 @@ class GLRenderer(Renderer):
         rectangle: Rectangle,
         lit: bool,
         behind: Float32Array,
+        uncovered: bool = False,
     ) -> tuple[TriangleIds, dict[int, NDArray[np.bool_]]]:
         """Draw the triangles that may be visible of some bodies, each with its own id.
 
@@ -362,6 +389,7 @@ class GLRenderer(Renderer):
             rectangle: Pixels that the bodies may touch.
             lit: Draw colours too.
             behind: (H, W) depth of what hides them, metres.
+            uncovered: Leave out surfaces beside the bodies.
 
         Returns:
             The triangles that were drawn; and of each body that others do not hide, by its number, (N,)
@@ -389,6 +417,8 @@ class GLRenderer(Renderer):
             set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
             # from outside a closed surface its back faces never show; a near camera may be inside
             visible = np.flatnonzero(front) if body.closed and not points.near else np.arange(len(front))
+            if uncovered and body.body.kind == "human" and body.body.mesh.off_body is not None:
+                visible = visible[~body.body.mesh.triangles_off_body[visible]]
             bent = body.bent(camera, straight) if camera.distorted else None
             if bent is not None:
                 pieces = body.tessellated(camera, visible[bent[visible]])

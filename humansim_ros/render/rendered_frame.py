@@ -29,11 +29,14 @@ AdjacentFrames = Mapping[AdjacentName, tuple[AdjacentFrame, "RenderedFrame | Non
 
 
 class Passes(NamedTuple):
-    """What is rendered besides depth and triangle ids: colour, outlines, each body without occluders."""
+    """What is rendered besides depth and triangle ids: colour, outlines, each body without occluders, and all
+    bodies without surfaces beside them.
+    """
 
-    lit: bool
-    outlined: bool
-    alone: bool
+    lit: bool = False
+    outlined: bool = False
+    alone: bool = False
+    uncovered: bool = False
 
     @classmethod
     def of(cls, channels: Collection[str]) -> Passes:
@@ -61,6 +64,16 @@ class _Drawn(NamedTuple):
             return np.zeros(len(self.triangles), np.uint8)
         return self.mesh.triangle_materials[self.triangles]
 
+    def off_body(self) -> NDArray[np.bool_]:
+        """(M,) whether each triangle is part of a surface beside the body of a human."""
+        if self.mesh is None or self.mesh.off_body is None:
+            return np.zeros(len(self.triangles), bool)
+        return self.mesh.triangles_off_body[self.triangles]
+
+
+#: Types of the tables of ids that are no channels.
+_OTHER_TABLES: dict[str, type[np.generic]] = {"owner": np.intp, "triangle": np.intp, "off_body": np.bool_}
+
 
 class TriangleIds:
     """Triangles of the bodies of one image: id 0 is no body, id n is the n-th triangle that was drawn."""
@@ -76,16 +89,20 @@ class TriangleIds:
         self._bodies.append(_Drawn(number, body.instance, body.parts, mesh, triangles))
 
     def table(self, name: str) -> NDArray[Any]:
-        """Value of each id in a channel; or its ``owner``, index of the body, or its ``triangle``."""
+        """Value of each id in a channel; or its ``owner``, index of the body, its ``triangle``, or whether
+        that is ``off_body``.
+        """
         make: dict[str, Callable[[_Drawn], NDArray[Any]]] = {
             "instance": lambda drawn: np.full(len(drawn.triangles), drawn.instance, np.uint16),
             "part": lambda drawn: drawn.parts[drawn.triangles],
+            "body_part": lambda drawn: drawn.parts[drawn.triangles],
             "material": _Drawn.materials,
+            "off_body": _Drawn.off_body,
             "owner": lambda drawn: np.full(len(drawn.triangles), drawn.number, np.intp),
             "triangle": lambda drawn: drawn.triangles,
             "face": lambda drawn: ((drawn.triangles + 1) * (drawn.instance > 0)).astype(np.int32),
         }
-        kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else np.intp
+        kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else _OTHER_TABLES[name]
         values = (make[name](drawn) for drawn in self._bodies)
         return np.concatenate([np.zeros(1, kind), *values])
 
@@ -129,6 +146,7 @@ class StaticLayer:
         if self.kept is not None:
             for image in (*self.kept.color_attachments, self.kept.depth_attachment, self.kept):
                 image.release()
+            self.kept = None  # frames that were started may draw once more
         if self.shadow_inputs is not None:
             self.shadow_inputs.release()
 
@@ -142,6 +160,8 @@ class RenderedFrame:
     metres, 0 where no body is. ``rgba``: (h, w, 4), alpha is the share of direct light that bodies leave.
     ``outline``: crossings of outlines with pixels. ``alone``: by instance, (H, W) mask of the body without
     occluders. Each is None if its pass was not requested. ``static_labels``: labels of the static bodies.
+    ``body_part``: (H, W) part labels of all bodies without surfaces beside them; None if no pixel shows such
+    a surface, or the pass was not requested.
     """
 
     passes: Passes
@@ -157,6 +177,7 @@ class RenderedFrame:
     outline: EdgeCrossings | None
     alone: Mapping[int, NDArray[np.bool_]] | None
     static_labels: StaticLabels | None = None
+    body_part: NDArray[np.uint8] | None = None
     _geometry: PixelGeometry | None = field(default=None, init=False)
 
     @cached_property
@@ -187,7 +208,8 @@ class RenderedFrame:
         masks = 0 if self.alone is None else pixels * len(self.alone)
         depth = 4 * pixels if "whole_depth" in vars(self) else 0
         colours = 0 if self.rgba is None else self.rgba.nbytes
-        return 8 * own + colours + masks + depth + (0 if self._geometry is None else 64 * own)
+        uncovered = 0 if self.body_part is None else self.body_part.nbytes
+        return 8 * own + colours + masks + depth + uncovered + (0 if self._geometry is None else 64 * own)
 
     def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
         """Surface points that the pixels show. ``bodies``: those that were rendered."""
@@ -260,6 +282,13 @@ def _fill_from_ids(frame: RenderedFrame, name: str, images: dict[str, Any], _: S
         np.copyto(images[name][within], values, where=frame.triangle_ids > 0)
 
 
+def _fill_body_part(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    if frame.body_part is None:
+        _fill_from_ids(frame, name, images, bodies)
+    else:
+        images[name] = frame.body_part.copy()
+
+
 def _fill_rgb(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
     if frame.rgba is not None and frame.rgba.size:
         # (many times faster than an assignment of three channels out of four)
@@ -323,6 +352,7 @@ _FILL: dict[str, _Fill] = {
     "depth": _fill_depth,
     "instance": _fill_from_ids,
     "part": _fill_from_ids,
+    "body_part": _fill_body_part,
     "material": _fill_material,
     "face": _fill_from_ids,
     "rgb": _fill_rgb,

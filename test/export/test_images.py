@@ -16,8 +16,8 @@ from export_support import SCENE, exported, small_scene
 from humansim_ros import Frame, Scene, Simulation
 from humansim_ros.export.images import kitti_flow, millimetres
 
-FORMATS = "images,depth-png,depth-exr,depth-npy,labels,materials,flow-flo,flow-kitti"
-CHANNELS = ("rgb", "depth", "instance", "part", "material", "flow", "flow_hidden")
+FORMATS = "images,depth-png,depth-exr,depth-npy,labels,body-parts,materials,flow-flo,flow-kitti"
+CHANNELS = ("rgb", "depth", "instance", "part", "body_part", "material", "flow", "flow_hidden")
 CAMERAS = ("noisy", "bent")
 
 
@@ -99,6 +99,16 @@ def test_labels_have_a_legend(root: Path, frame: Frame, camera: str) -> None:
     assert legend["instance"] == {"0": "background", "1": "anna", "2": "bert", "3": "crate"}
     assert set(map(str, np.unique(part[instance == 1]))) <= legend["part"]["anna"].keys()
     assert legend["part"]["anna"]["1"] == "HumanoidRoot"
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_body_parts_have_the_legend_of_parts(root: Path, frame: Frame, camera: str) -> None:
+    part = read(root / f"body-parts/{camera}/000004.png")
+    np.testing.assert_array_equal(part, frame.views[camera].body_part)
+    parts, labels = (
+        json.loads((root / each / "labels.json").read_text()) for each in ("body-parts", "labels")
+    )
+    assert parts == labels["part"]
 
 
 @pytest.mark.parametrize("camera", CAMERAS)

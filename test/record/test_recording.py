@@ -372,7 +372,7 @@ def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -
         + [
             f"/{name}/{kind}/legend"
             for name in ("noisy", "bent")
-            for kind in ("instance", "part", "joints", "keypoints", "material")
+            for kind in ("instance", "part", "joints", "keypoints", "body_part", "material")
         ],
         1,
     )

@@ -106,6 +106,8 @@ def test_the_table_has_every_kind_of_topic_once(scene: Scene) -> None:
         "fixed/joints",
         "fixed/joints/legend",
         "fixed/keypoints/legend",
+        "fixed/body_part/image",
+        "fixed/body_part/legend",
         "fixed/material/image",
         "fixed/material/legend",
         "fixed/keypoints/coco17",

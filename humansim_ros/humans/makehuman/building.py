@@ -362,6 +362,7 @@ def build(
         **shape_arrays(Shapes.of_offsets(ACTIONS, figure.offsets), figure.scale),
         "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
         "materials": figure.materials,
+        **figure.off_body,
         **figure.hair,
         **figure.loose,
         "license": np.array("CC0-1.0"),
@@ -451,6 +452,12 @@ class _Figure:
         labels = garments[self.mesh.face_garment]
         labels[self.mesh.part[self.mesh.faces[:, 0]] > 0] = MATERIAL_LABELS["eyes"]
         return np.concatenate([labels, *(part.labels for part in self.parts)])
+
+    @property
+    def off_body(self) -> dict[str, NDArray[np.bool_]]:
+        """Whether each face belongs to a part beside the skin, if there are parts."""
+        faces = len(self.solid["faces"])
+        return {"off_body": np.arange(faces) >= len(self.mesh.faces)} if self.parts else {}
 
     @property
     def hair(self) -> dict[str, NDArray[np.uint8]]:

@@ -59,6 +59,7 @@ EXPORT_FORMATS = (
         "depth-exr",
         "depth-npy",
         "labels",
+        "body-parts",
         "materials",
         "flow-flo",
         "flow-kitti",

@@ -1,6 +1,7 @@
 """Compare the joints that a pose detector finds in rendered images with the joints of the scene.
 
     python benchmarks/pose_detector.py [--python PATH] [--picture sheet.jpg] [--outfits all|first]
+        [--size WIDTH HEIGHT] [--span PIXELS] [--people N]
 
 Every built-in human walks in every outfit in the furnished room. It is rendered at four times from eight
 sides, 340 pixels tall in images of 640x480. MediaPipe Pose (0.10.21, its model is in its wheel) processes the
@@ -9,6 +10,9 @@ elbows, wrists, hips, knees and ankles. MediaPipe needs NumPy 1 and runs in a vi
 
     python3.12 -m venv detector && detector/bin/pip install mediapipe==0.10.21
     python benchmarks/pose_detector.py --python detector/bin/python
+
+``--span`` renders people whose joints extend over so many rows of the image instead; ``--people`` renders as
+many people by seed, once from four sides, instead of the built-in humans.
 """
 
 from __future__ import annotations
@@ -20,11 +24,14 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from humansim_ros.camera import Camera
     from humansim_ros.humans.human import Human
+    from humansim_ros.scene.actor import HumanState
 
 ROOT = Path(__file__).parent.parent
 JOINTS = {
@@ -45,6 +52,10 @@ HEIGHT = 340.0
 SIZE = (640, 480)
 #: Seconds of the walk.
 TIMES = (0.0, 0.3, 0.6, 0.9)
+#: Number of the joints of the body, which are before those of fingers, toes and face.
+BODY_JOINTS = 22
+#: Seed of people by seed.
+SEED = 11
 
 
 def detect(folder: Path) -> None:
@@ -67,12 +78,13 @@ def detect(folder: Path) -> None:
     (folder / "joints.json").write_text(json.dumps(detected))
 
 
-def render_humans(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]:
+def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[list[float]]]:
     """Write images of all humans from all sides into a folder; return the joints (12, 2) by image."""
     import numpy as np
 
     from humansim_ros.cli.human import built_in_humans
     from humansim_ros.drawing.canvas import write_png
+    from humansim_ros.humans import draw_person, make_person
     from humansim_ros.humans.loading import load_human
     from humansim_ros.io.assets import resource_path
     from humansim_ros.render import GLRenderer
@@ -81,39 +93,52 @@ def render_humans(folder: Path, all_outfits: bool) -> dict[str, list[list[float]
     from humansim_ros.scene.room import furnished_room
     from humansim_ros.scene.source import SceneSource
 
+    def people() -> Iterator[tuple[str, str, Human, Sequence[float], Sequence[int]]]:
+        for number in range(options.people):
+            human = make_person(draw_person(SEED, number), f"person_{number}")
+            yield "people", f"seed {SEED}", human, TIMES[1:2], range(number % 2, SIDES, 2)
+        for name in () if options.people else built_in_humans():
+            human = load_human(resource_path(f"assets/humans/{name}.npz"))
+            for outfit in human.outfits if options.outfits == "all" else human.outfits[:1]:
+                yield name, outfit, human.wearing(outfit), TIMES, range(SIDES)
+
     truth = {}
     renderer = GLRenderer(furnished_room((14.0, 14.0, 2.8)))
-    for name in built_in_humans():
-        human = load_human(resource_path(f"assets/humans/{name}.npz"))
-        for outfit in human.outfits if all_outfits else human.outfits[:1]:
-            dressed = human.wearing(outfit)
-            motion = MotionConfig(file="walk", anchor="center")
-            actor = Actor.build(name, 1, dressed, motion, SceneSource())
-            for frame, time in enumerate(TIMES):
-                state = actor.at(time)
-                for side, camera in enumerate(cameras_around(state.vertices, human)):
-                    view = renderer.render([actor.body(state.vertices)], camera, ("rgb",))
-                    image = f"{name}-{outfit}-{frame}{side}"
-                    write_png(folder / f"{image}.png", view.rgb)
-                    joints = [state.positions[state.joint_names.index(joint)] for joint in JOINTS]
-                    truth[image] = camera.project(np.array(joints))[0].tolist()
+    for number, (name, outfit, human, times, sides) in enumerate(people()):
+        motion = MotionConfig(file="walk", anchor="center")
+        actor = Actor.build(name, 1, human, motion, SceneSource())
+        for frame, time in enumerate(times):
+            state = actor.at(time)
+            for side in sides:
+                camera = camera_beside(state, human, side, options)
+                view = renderer.render([actor.body(state.vertices)], camera, ("rgb",))
+                image = f"{name}-{outfit}-{number:03}{frame}{side}"
+                write_png(folder / f"{image}.png", view.rgb)
+                joints = [state.positions[state.joint_names.index(joint)] for joint in JOINTS]
+                truth[image] = camera.project(np.array(joints))[0].tolist()
     renderer.close()
     return truth
 
 
-def cameras_around(vertices: Any, human: Human) -> list[Camera]:
-    """Create cameras on all sides of a human, at the distance at which it has the height in the image."""
+def camera_beside(state: HumanState, human: Human, side: int, options: argparse.Namespace) -> Camera:
+    """Create a camera on a side of a human, at the distance at which it has its size in the image."""
     import numpy as np
 
     from humansim_ros.camera import Camera
 
-    middle = (vertices.min(0) + vertices.max(0)) / 2
-    fov = np.radians(50.0)
+    middle = (state.vertices.min(0) + state.vertices.max(0)) / 2
+    fov, size = np.radians(50.0), tuple(options.size)
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
-    distance = stature * SIZE[0] / (2 * np.tan(fov / 2)) / HEIGHT
-    angles = 2 * np.pi * np.arange(SIDES) / SIDES + 0.2
-    offsets = np.column_stack([distance * np.cos(angles), distance * np.sin(angles), np.full(SIDES, 0.35)])
-    return [Camera.look_at(tuple(middle + offset), tuple(middle), SIZE, float(fov)) for offset in offsets]
+    distance = stature * size[0] / (2 * np.tan(fov / 2)) / HEIGHT
+    angle = 2 * np.pi * side / SIDES + 0.2
+    for _ in range(5):
+        offset = (distance * np.cos(angle), distance * np.sin(angle), 0.35)
+        camera = Camera.look_at(tuple(middle + offset), tuple(middle), size, float(fov))
+        if options.span is None:
+            break
+        rows = camera.project(state.positions[:BODY_JOINTS])[0][:, 1]
+        distance *= float(np.ptp(rows)) / options.span
+    return camera
 
 
 def report(truth: dict[str, list[list[float]]], detected: dict[str, list[list[float]] | None]) -> bool:
@@ -141,7 +166,7 @@ def report(truth: dict[str, list[list[float]]], detected: dict[str, list[list[fl
     count = sum(len(images) for images in groups.values())
     print(
         f"all: detected in {len(total)} of {count} views; error {total.mean():.2f} px (mean), "
-        f"{np.median(total):.2f} px (median), at a height of {HEIGHT:.0f} px"
+        f"{np.median(total):.2f} px (median)"
     )
     return len(total) == count
 
@@ -197,6 +222,9 @@ def main() -> int:
         "--picture", type=Path, help="write a sheet of images with joints and detections (.jpg)"
     )
     parser.add_argument("--outfits", choices=("all", "first"), default="all")
+    parser.add_argument("--size", type=int, nargs=2, default=SIZE, metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--span", type=float, metavar="PIXELS", help="rows over which joints extend")
+    parser.add_argument("--people", type=int, default=0, metavar="N", help="people by seed")
     parser.add_argument("--detect", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.detect is not None:
@@ -210,7 +238,7 @@ def main() -> int:
     sys.path.insert(0, str(ROOT))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        truth = render_humans(folder, options.outfits == "all")
+        truth = render_humans(folder, options)
         command = [options.python, str(Path(__file__).resolve()), "--detect", str(folder)]
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
         detected = json.loads((folder / "joints.json").read_text())

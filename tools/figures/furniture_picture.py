@@ -20,6 +20,8 @@ from humansim_ros.scene.objects import FURNITURE, SHAPES  # noqa: E402
 
 #: Positions from left to right as the camera sees them: y in metres.
 _PLACES = {
+    "doorway": 7.1,
+    "door_leaf": 5.15,
     "door": 4.2,
     "screen": 2.6,
     "shelf": 1.2,
@@ -29,6 +31,7 @@ _PLACES = {
     "box": -3.0,
     "sphere": -3.75,
     "cylinder": -4.5,
+    "cart": -5.7,
 }
 
 
@@ -55,9 +58,9 @@ def main() -> int:
             "cameras": {
                 "front": {
                     "size": [1280, 420],
-                    "position": [9, 0, 2.6],
-                    "look_at": [0, 0, 0.85],
-                    "fov_deg": 58,
+                    "position": [11, 0.75, 2.8],
+                    "look_at": [0, 0.75, 0.85],
+                    "fov_deg": 66,
                 }
             },
         }

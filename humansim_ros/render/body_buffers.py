@@ -268,8 +268,9 @@ class PosedBody:
     def tessellated(self, camera: Camera, triangles: Indices) -> TessellatedMesh:
         """Some triangles (M,), tessellated for a lens."""
         expanded = self._buffers.mesh.expanded
-        corners, used = expanded.corners.take(triangles, axis=0), expanded.attributes(self.posed)
-        mesh = LensView(camera).tessellate(used, corners)
+        used, corners = np.unique(expanded.corners.take(triangles, axis=0), return_inverse=True)
+        attributes = expanded.attributes(self.posed).take(used, axis=0)
+        mesh = LensView(camera).tessellate(attributes, corners.reshape(-1, 3))
         return replace(mesh, parents=triangles[mesh.parents])
 
     @property

@@ -207,10 +207,10 @@ class GLRenderer(Renderer):
             self._bodies.release_unused()
             posed = self._bodies.pose(body)
             rectangle = image_bounds([ProjectedPoints(posed.posed.points, camera)], camera)
-            mesh = posed.whole
+            bent = None
             if camera.distorted and not rectangle.empty:
-                bends = posed.bent(camera, straight_angle(camera, rectangle)) is not None
-                mesh = posed.tessellated(camera, mesh.parents) if bends else mesh
+                bent = posed.bent(camera, straight_angle(camera, rectangle))
+            mesh = posed.whole if bent is None else posed.tessellated(camera, np.arange(len(bent)))
             return self._coverage.count(posed, mesh, camera, rectangle)
 
     def _moving(self, bodies: Sequence[Body]) -> Sequence[Body]:

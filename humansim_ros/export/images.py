@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from io import BytesIO
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -98,27 +98,39 @@ def _part_legends(scene: ExportScene) -> dict[str, dict[str, str]]:
     }
 
 
-class BodyPartWriter(FormatWriter):
-    """Body parts below skirts, hats, bags and long hair as 8 bit PNG; their legends in ``labels.json``."""
+class _OneLabelWriter(FormatWriter):
+    """Label images of one channel as 8 bit PNG, and their legend in ``labels.json``."""
+
+    channel: ClassVar[str]
+
+    def legend(self) -> dict[str, Any]:
+        """Names of the labels."""
+        raise NotImplementedError
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         for camera, view in frame.frame.views.items():
-            folder.write(f"{camera}/{frame.name}.png", encoded_png(view.body_part))
+            folder.write(f"{camera}/{frame.name}.png", encoded_png(getattr(view, self.channel)))
 
     def finish(self, _: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        folder.write("labels.json", json.dumps(_part_legends(self.settings.scene), indent=1) + "\n")
+        folder.write("labels.json", json.dumps(self.legend(), indent=1) + "\n")
 
 
-class MaterialWriter(FormatWriter):
-    """Skin, hair, garments and worn things as 8 bit PNG, and their legend in ``labels.json``."""
+class BodyPartWriter(_OneLabelWriter):
+    """Body parts below skirts, hats, bags and long hair; a legend for each human."""
 
-    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        for camera, view in frame.frame.views.items():
-            folder.write(f"{camera}/{frame.name}.png", encoded_png(view.material))
+    channel = "body_part"
 
-    def finish(self, _: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        legend = {"0": "background"} | {str(label): name for name, label in MATERIAL_LABELS.items()}
-        folder.write("labels.json", json.dumps(legend, indent=1) + "\n")
+    def legend(self) -> dict[str, Any]:
+        return _part_legends(self.settings.scene)
+
+
+class MaterialWriter(_OneLabelWriter):
+    """Skin, hair, garments and worn things."""
+
+    channel = "material"
+
+    def legend(self) -> dict[str, Any]:
+        return {"0": "background"} | {str(label): name for name, label in MATERIAL_LABELS.items()}
 
 
 class FloWriter(FormatWriter):

@@ -298,6 +298,12 @@ def compose_poses(
     return positions + arms, multiply_quaternions(normalised(rotations), normalised(turns))
 
 
+def smooth_step(share: Array) -> Array:
+    """Shares (...) of a change that is smooth at its ends: 0 up to 0, 1 from 1 on."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share * share * (3 - 2 * share))
+
+
 def unit_vectors(vectors: NDArray[Any]) -> Array:
     """Vectors (..., 3) divided by their length; a zero vector stays zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

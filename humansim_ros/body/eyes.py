@@ -14,7 +14,7 @@ import numpy as np
 
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import rotate, unit_vectors
+from humansim_ros.rotations import rotate, smooth_step, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: The eyes, left first.
@@ -75,15 +75,12 @@ def head_turn(angles: Array) -> Array:
     beyond = away - _EYES_ALONE
     bent = np.where(beyond > _BEND, beyond, np.clip(beyond + _BEND, 0.0, None) ** 2 / (4 * _BEND))
     yaw, pitch = np.moveaxis(np.degrees(np.abs(angles)), -1, 0)
-    back, steep = _smooth(yaw, _TURNS_BACK), _smooth(pitch, _STEEP)
+    back, steep = (
+        smooth_step((angle - start) / (end - start))
+        for angle, (start, end) in ((yaw, _TURNS_BACK), (pitch, _STEEP))
+    )
     kept = np.stack([(1 - back) * (1 - steep), 1 - back * (1 - steep)], axis=-1)
     return np.asarray(kept * angles * (_HEAD_SHARE * bent / np.maximum(away, 1e-9))[..., None])
-
-
-def _smooth(values: Array, ends: tuple[float, float]) -> Array:
-    """Smooth step of values from 0 at the first end to 1 at the second."""
-    share = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
-    return np.asarray(share * share * (3 - 2 * share))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.rotations import smooth_step
 from humansim_ros.types import Array
 
 #: Kinds of loose parts: the numbers in a file.
@@ -109,8 +110,7 @@ class LooseParts:
         shares = []
         for name in _LEGS:
             _, up, ahead = pelvis.T @ transforms[skeleton.bone(name), :3, :3] @ (0.0, -1.0, 0.0)
-            share = float(np.clip((np.arctan2(ahead, -up) - low) / (high - low), 0.0, 1.0))
-            shares.append(np.float32(share * share * (3 - 2 * share)))
+            shares.append(np.float32(smooth_step((np.arctan2(ahead, -up) - low) / (high - low))))
         if not any(shares):
             return None
         left, right = shares

@@ -25,6 +25,7 @@ from humansim_ros.rotations import (
     quaternion_to_matrix,
     rotate,
     shortest_rotations,
+    smooth_step,
     unit_vectors,
 )
 from humansim_ros.types import Array
@@ -75,8 +76,7 @@ def correction_share(hip: Array, knee: Array, ankle: Array) -> Array:
     """Share (N, 1) of a correction that a leg takes; 0 for a folded leg, whose knee would swing far."""
     leg = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
     share = (np.linalg.norm(ankle - hip, axis=-1) / leg - _FOLDED) / _FOLDED
-    share = np.clip(share, 0.0, 1.0)[:, None]
-    return np.asarray(share * share * (3 - 2 * share))
+    return smooth_step(share)[:, None]
 
 
 def _bone_frame(along: Array, normal: Array) -> Array:

@@ -21,7 +21,7 @@ from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
-from humansim_ros.rotations import angle_between, unit_vectors
+from humansim_ros.rotations import angle_between, smooth_step, unit_vectors
 from humansim_ros.types import Array
 
 #: Joints that carry a face in a motion begin with this.
@@ -76,10 +76,6 @@ VOWELS: dict[str, dict[str, float]] = {
 }
 
 
-def _smooth(share: Array) -> Array:
-    return share * share * (3 - 2 * share)
-
-
 def linear(share: Array) -> Array:
     """Share of a change that is even, as between the frames of recordings."""
     return share
@@ -101,7 +97,7 @@ class WeightTrack:
     times: Array
     weights: Array
     period: float = math.inf
-    ease: Callable[[Array], Array] = _smooth
+    ease: Callable[[Array], Array] = smooth_step
 
     def at(self, times: Array) -> Array:
         """Weights (N, A) at times (N,)."""
@@ -364,7 +360,7 @@ class Face:
         # a gaze from the start is there at once
         if time > 0 and times.min() < time + seconds(180):
             lasts = seconds(self._change(time, before, after))
-            done = _smooth(np.clip((times - time) / lasts, 0.0, 1.0))
+            done = smooth_step((times - time) / lasts)
         if after is None or before is None:
             point = after or before
             if point is not None:

@@ -20,7 +20,7 @@ from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.motion.hand_keys import MAX_SECONDS, HandKey, HandPoseName
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
-from humansim_ros.rotations import quaternion_to_matrix, rotate
+from humansim_ros.rotations import quaternion_to_matrix, rotate, smooth_step
 from humansim_ros.types import Array, Indices
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ class HandKeys:
         for key in keys:
             share = np.where(times >= key.time, 1.0, 0.0)
             if key.blend > 0:
-                share = _smooth((times - key.time) / key.blend)
+                share = smooth_step((times - key.time) / key.blend)
             out += share[:, None, None] * (hand_angles(key.pose, self.anatomy) - out)
         return out
 
@@ -321,10 +321,4 @@ class FreeFingers:
         """How far the hands are open (N, 2), 0 to 1."""
         shoulders, wrists, lengths = self._arms
         raised = (heads[:, wrists, 2] - heads[:, shoulders, 2]) / lengths
-        return _smooth((raised - _OPENS) / (_OPEN - _OPENS))
-
-
-def _smooth(share: Array) -> Array:
-    """Share of a change, smooth at 0 and 1."""
-    clipped = np.clip(share, 0.0, 1.0)
-    return np.asarray(clipped**2 * (3 - 2 * clipped))
+        return smooth_step((raised - _OPENS) / (_OPEN - _OPENS))

@@ -23,6 +23,7 @@ from humansim_ros.rotations import (
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
     slerp,
+    smooth_step,
 )
 from humansim_ros.types import Array, Indices
 
@@ -353,7 +354,7 @@ class _Walks:
         positions[..., :2] += self._ground(times)[:, None]
         matrices = quaternion_to_matrix(rotations)
         moves = self._shifts(times, phase)
-        moves *= _whole(share / _PINNED)[:, None]
+        moves *= smooth_step(share / _PINNED)[:, None]
         shifts, turns = moves[..., :3], moves[..., 3]
         shifts *= np.minimum(1.0, _MAX_SHIFT / np.maximum(np.linalg.norm(shifts, axis=-1), 1e-9))[..., None]
         legs = gait.legs
@@ -391,7 +392,7 @@ class _Walks:
             feet.append(np.full(2 * len(times), foot))
             middles.append(np.concatenate([first + last, start + end]) / 2)
             at.append(np.concatenate([np.where(in_air > 0, left, times), back]))
-            weights.append(_whole(in_air))
+            weights.append(smooth_step(in_air))
         moves = self._to_plant(*(np.concatenate(each) for each in (feet, middles, at)))
         now, after = moves.reshape(2, 2, len(times), 4).swapaxes(0, 1)
         return np.asarray(now + np.array(weights)[..., None] * (after - now))
@@ -434,9 +435,3 @@ def _yaw_matrices(yaws: Array) -> Array:
     matrices[:, 0, 1] = -matrices[:, 1, 0]
     matrices[:, 2, 2] = 1.0
     return matrices
-
-
-def _whole(share: Array) -> Array:
-    """Shares (N,) that grow smoothly from 0 to 1, where they stay."""
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray(share * share * (3 - 2 * share))

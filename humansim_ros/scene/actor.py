@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
-from humansim_ros.body.face_actions import FaceState
+from humansim_ros.body.face_actions import ACTIONS, FaceState
+from humansim_ros.body.jaw import OPENING, Jaw
 from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
@@ -42,6 +43,7 @@ from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
 from humansim_ros.types import Array
 
+_JAW_OPEN = ACTIONS.index(OPENING)
 _NO_HANDS_MOVE = "moves nothing: the body has no fingers, or the motion moves them all"
 
 
@@ -301,15 +303,17 @@ class Actor:
         skeleton, poses = self.human.skeleton, poses.contiguous()
         face = linear = angular = swing = None
         if poses.linear is None:
-            (joints,), (size,), weights, offsets = self.posed(poses)
+            posed, (size,), weights, offsets = self.posed(poses)
+            bones, (joints,) = posed[0], self._open_jaw(posed, weights)
             if offsets is not None:
                 swing = SwingState(offsets[0], np.zeros_like(offsets[0]))
             if weights is not None:
                 face = FaceState(weights[0], np.zeros_like(weights[0]))
         else:
-            (before, joints, after), (_, size, _), weights, offsets = self.posed(
+            posed, (_, size, _), weights, offsets = self.posed(
                 poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
+            bones, (before, joints, after) = posed[1], self._open_jaw(posed, weights)
             linear, angular = central_difference(
                 before[:, :3, 3],
                 after[:, :3, 3],
@@ -321,7 +325,7 @@ class Actor:
                 face = FaceState(weights[1], (weights[2] - weights[0]) / (2 * VELOCITY_STEP))
             if offsets is not None:
                 swing = SwingState(offsets[1], (offsets[2] - offsets[0]) / (2 * VELOCITY_STEP))
-        bones = joints[: len(skeleton)]
+        bones = bones[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
         rotations = matrix_to_quaternion(joints[:, :3, :3])
@@ -338,6 +342,12 @@ class Actor:
             face=face,
             swing=swing,
         )
+
+    def _open_jaw(self, joints: Array, weights: Array | None) -> Array:
+        """Frames (N, J, 4, 4) of the joints with the jaw as weights (N, 52) of the face open it."""
+        if weights is None or self._jaw is None:
+            return joints
+        return self._jaw.open(joints, weights[:, _JAW_OPEN])
 
     def _skin(self, bones: Array, weights: Array | None, swing: Array | None) -> NDArray[np.float32]:
         """Vertices (V, 3) of bone frames (B, 4, 4), weights (52,) of the face and the swing (K, 3)."""
@@ -434,6 +444,11 @@ class Actor:
         return np.asarray((angles == within_limits(angles)).all(axis=(1, 2)))
 
     @cached_property
+    def _jaw(self) -> Jaw | None:
+        human = self.human
+        return Jaw.of(human.skeleton, human.mesh.vertices, human.weights, human.shapes)
+
+    @cached_property
     def _eyes(self) -> Eyes | None:
         return Eyes.of(self.human.skeleton)
 
@@ -465,6 +480,9 @@ class Actor:
             offset = joints[details, :3, 3] - joints[above, :3, 3]
             turn = bones[above, :3, :3] @ np.swapaxes(joints[above, :3, :3], -1, -2)
             bones[details, :3, 3] = bones[above, :3, 3] + rotate(turn, offset)
+        if face is not None and self._jaw is not None:  # its skin moves with the action
+            jaw, amount = self._jaw.bone, float(face.after(seconds)[_JAW_OPEN])
+            bones[jaw, :3, :3] = self._jaw.closed(bones[jaw, :3, :3], amount)
         size = skeleton.size_of(joints[:count, :3, 3])
         bones = bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones
         return self._skin(

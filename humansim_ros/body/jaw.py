@@ -56,7 +56,8 @@ class Jaw:
         some = slice(shapes.starts[number], shapes.starts[number + 1])
         offsets[shapes.rows[some]] = shapes.offsets[some]
         follows = np.asarray(weights[:, [bone]].todense()).ravel()
-        rows = np.flatnonzero((follows >= _FOLLOWS) & offsets.any(axis=1))
+        # without teeth and tongue, which have no other bone: a body has the same turn with them
+        rows = np.flatnonzero((follows >= _FOLLOWS) & (follows < 1) & offsets.any(axis=1))
         if len(rows) < 3:
             return None
         end = skeleton.joint_names.index(f"{BONE}_end")

@@ -142,6 +142,7 @@ class FaceConfig(ShortSection):
         le=1,
         description="how far the head turns with a gaze: 0 not at all, 1 as people turn it",
     )
+    mouth: bool = Field(default=False, description="show teeth and tongue in an open mouth")
     keys: tuple[FaceKeyConfig, ...] = Field(
         default=(), max_length=1000, description="expressions, actions, gaze and speech over time"
     )

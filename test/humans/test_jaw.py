@@ -107,7 +107,7 @@ def test_an_opening_jaw_has_its_velocity_and_moves_the_skin_around_the_stamp(tim
     first, last = (Rotation.from_matrix(each.joints[number, :3, :3]) for each in (before, after))
     rate = (last * first.inv()).as_rotvec() / (2 * step)
     assert np.linalg.norm(rate) > 0.3
-    np.testing.assert_allclose(state.angular[number], rate, atol=0.02 * np.linalg.norm(rate))
+    np.testing.assert_allclose(state.angular[number], rate, atol=0.02 * float(np.linalg.norm(rate)))
     jaw = actor.human.weights[:, [actor.human.skeleton.bone(BONE)]].toarray().ravel() > 0.1
     for sign, other in ((-1, before), (1, after)):
         got = actor.moved(state.joints, state.linear, state.angular, sign * step, state.face)

@@ -48,7 +48,14 @@ class Jaw:
     def of(
         cls, skeleton: Skeleton, vertices: Array, weights: csr_matrix, shapes: Shapes | None
     ) -> Jaw | None:
-        """Jaw of a body with vertices (V, 3) and weights (V, B); None if no action opens it."""
+        """Jaw of a body; None if no action opens it.
+
+        Args:
+            skeleton: Its B bones.
+            vertices: (V, 3) metres at rest.
+            weights: (V, B).
+            shapes: Actions of its face, if it has any.
+        """
         if shapes is None or OPENING not in shapes.names or BONE not in skeleton.names:
             return None
         bone, number = skeleton.bone(BONE), shapes.names.index(OPENING)

@@ -1,97 +1,85 @@
-"""The jaw of a body: how far the action ``jawOpen`` turns the bone ``temporomandibular``.
+"""The jaw of a body: how actions of the face turn and slide the bone ``temporomandibular``.
 
-The action moves the skin itself, as its artists drew it; so the bone does not move the skin with it. The turn
-of the bone is the rotation that best fits the movement of the skin that follows the jaw most: that of the
-lower teeth, to 1 degree (test/humans/test_jaw.py).
+The actions move the skin themselves, as their artists drew it; so the bone does not move the skin with them.
+Its motion is the rigid one that fits the lower teeth best [Umeyama 1991].
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
-from humansim_ros.body.shapes import Shapes
+from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import fit_similarity
-from humansim_ros.types import Array
+from humansim_ros.rotations import fit_similarity, rotate
+from humansim_ros.types import Array, Indices
 
 BONE = "temporomandibular"
-#: Action that turns the jaw. ``jawForward``, ``jawLeft`` and ``jawRight`` slide it, and do not turn it.
-OPENING = "jawOpen"
-#: The skin that follows the jaw most has at least this weight of its bone.
-_FOLLOWS = 0.8
+#: Actions that move the jaw.
+MOVES = ("jawForward", "jawLeft", "jawOpen", "jawRight")
 
 
 @dataclass(frozen=True, eq=False)
 class Jaw:
-    """The bone of the jaw, and what the action does to its skin.
+    """The bone of the jaw, and what the actions do to its teeth.
 
     Attributes:
         bone: Number of the bone.
         end: Number of the joint at the chin.
-        rest: Rotation (3, 3) of the bone at rest.
-        skin: (K, 3) vertices at rest that follow the jaw, metres.
-        opening: (K, 3) offsets of them by the action at weight 1.
-        weights: (K,) their weights of the bone.
+        rest: Frame (4, 4) of the bone at rest.
+        actions: (A,) numbers of the actions.
+        teeth: (K, 3) vertices of the lower teeth at rest, metres.
+        offsets: (A, K, 3) of them by each action at weight 1.
     """
 
     bone: int
     end: int
     rest: Array
-    skin: Array
-    opening: Array
-    weights: Array
+    actions: Indices
+    teeth: Array
+    offsets: Array
 
     @classmethod
-    def of(
-        cls, skeleton: Skeleton, vertices: Array, weights: csr_matrix, shapes: Shapes | None
-    ) -> Jaw | None:
-        """Jaw of a body; None if no action opens it.
-
-        Args:
-            skeleton: Its B bones.
-            vertices: (V, 3) metres at rest.
-            weights: (V, B).
-            shapes: Actions of its face, if it has any.
-        """
-        if shapes is None or OPENING not in shapes.names or BONE not in skeleton.names:
-            return None
-        bone, number = skeleton.bone(BONE), shapes.names.index(OPENING)
-        offsets = np.zeros(vertices.shape)
-        some = slice(shapes.starts[number], shapes.starts[number + 1])
-        offsets[shapes.rows[some]] = shapes.offsets[some]
-        follows = np.asarray(weights[:, [bone]].todense()).ravel()
-        # without teeth and tongue, which have no other bone: a body has the same turn with them
-        rows = np.flatnonzero((follows >= _FOLLOWS) & (follows < 1) & offsets.any(axis=1))
-        if len(rows) < 3:
-            return None
-        end = skeleton.joint_names.index(f"{BONE}_end")
-        rest = skeleton.rest[bone, :3, :3]
-        return cls(bone, end, rest, np.asarray(vertices[rows], dtype=float), offsets[rows], follows[rows])
-
-    def turns(self, amounts: Array) -> Array:
-        """Rotations (N, 3, 3) by weights (N,) of the action, in the frame of the bone."""
-        goals = self.skin + amounts[:, None, None] * self.opening
-        count = (len(amounts), 1)
-        _, rotations, _ = fit_similarity(
-            np.tile(self.skin, (*count, 1)), goals, np.tile(self.weights, count), scale=1.0
+    def of(cls, skeleton: Skeleton, teeth: Array, offsets: Mapping[str, Array]) -> Jaw:
+        """Jaw of a skeleton with the bone. ``teeth``: (K, 3); ``offsets``: (K, 3) by each of the actions."""
+        bone, end = skeleton.bone(BONE), skeleton.joint_names.index(f"{BONE}_end")
+        actions = np.array([ACTIONS.index(name) for name in MOVES])
+        return cls(
+            bone, end, skeleton.rest[bone], actions, teeth, np.array([offsets[name] for name in MOVES])
         )
-        return np.asarray(self.rest.T @ rotations @ self.rest)
 
-    def open(self, joints: Array, amounts: Array) -> Array:
-        """Frames (N, J, 4, 4) of the joints with the jaw turned by weights (N,) of the action."""
-        if not amounts.any():
+    def moves(self, weights: Array) -> bool:
+        """Whether weights (..., 52) of the actions move it."""
+        return bool(weights[..., self.actions].any())
+
+    def motions(self, weights: Array) -> tuple[Array, Array]:
+        """Rotations (N, 3, 3) and shifts (N, 3), metres, in the frame of the bone, by weights (N, 52)."""
+        goals = self.teeth + np.einsum("na,aki->nki", weights[:, self.actions], self.offsets)
+        teeth = np.broadcast_to(self.teeth, goals.shape)
+        _, rotations, translations = fit_similarity(teeth, goals, scale=1.0)
+        axes, head = self.rest[:3, :3], self.rest[:3, 3]
+        shifts = rotate(rotations, head) + translations - head
+        return np.asarray(axes.T @ rotations @ axes), shifts @ axes
+
+    def open(self, joints: Array, weights: Array, sizes: Array) -> Array:
+        """Frames (N, J, 4, 4) with the jaw moved by weights (N, 52). ``sizes``: (N,) of the body."""
+        if not self.moves(weights):
             return joints
-        out = joints.copy()
-        out[:, self.bone, :3, :3] @= self.turns(amounts)
-        out[:, self.end, :3, :3] = out[:, self.bone, :3, :3]
-        head, chin = joints[:, self.bone, :3, 3], joints[:, self.end, :3, 3]
-        reach = np.linalg.norm(chin - head, axis=-1, keepdims=True)
-        out[:, self.end, :3, 3] = head + reach * out[:, self.bone, :3, 1]
+        turns, shifts = self.motions(weights)
+        out, both = joints.copy(), [self.bone, self.end]
+        before = joints[:, self.bone, :3, :3]
+        chin = np.swapaxes(before, -1, -2) @ (joints[:, self.end] - joints[:, self.bone])[:, :3, 3:]
+        out[:, both, :3, :3] = (before @ turns)[:, None]
+        out[:, self.bone, :3, 3] += sizes[:, None] * rotate(before, shifts)
+        out[:, self.end, :3, 3] = out[:, self.bone, :3, 3] + rotate(before @ turns, chin[..., 0])
         return out
 
-    def closed(self, bone: Array, amount: float) -> Array:
-        """Rotation (3, 3) of the bone of a jaw that is open by a weight, without this turn."""
-        return bone if amount == 0 else np.asarray(bone @ self.turns(np.array([amount]))[0].T)
+    def closed(self, bone: Array, weights: Array, size: float) -> Array:
+        """Frame (4, 4) of the bone without the motion by weights (52,); ``size``: of the body."""
+        (turn,), (shift,) = self.motions(weights[None])
+        out = bone.copy()
+        out[:3, :3] = bone[:3, :3] @ turn.T
+        out[:3, 3] -= size * out[:3, :3] @ shift
+        return out

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
 from humansim_ros.body.face_actions import ACTIONS
-from humansim_ros.body.jaw import BONE, OPENING
+from humansim_ros.body.jaw import BONE, MOVES, Jaw
 from humansim_ros.body.shapes import Shapes
 from humansim_ros.humans.human import Human
-from humansim_ros.humans.makehuman.data import Base, VertexIndices
+from humansim_ros.humans.makehuman.data import METRES, Base, VertexIndices
 from humansim_ros.humans.makehuman.face import face_offsets
 from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.mesh.materials import MATERIAL_LABELS
@@ -39,6 +39,8 @@ _TILE = (545, 400, 96, 128)
 _ROWS = {"helper-upper-teeth": (2, 38), "helper-lower-teeth": (44, 80), "helper-tongue": (86, 126)}
 _TOOTH, _GAP, _GUM = (np.array(c, float) for c in ((214, 204, 184), (120, 92, 78), (158, 82, 78)))
 _TONGUE = np.array((168, 84, 84), float)
+#: Action whose offsets tell the size of a body.
+_OPEN = "jawOpen"
 #: Teeth of a row, and rows of vertices: gum, root and edge of a tooth, and behind.
 _TEETH, _DEPTH = 16, 4
 
@@ -58,15 +60,39 @@ def has_mouth(human: Human) -> bool:
     """Whether a human has teeth and a tongue that :func:`with_mouth` shows."""
     mesh = human.mesh
     return (
-        human.mouth is not None
-        and human.shapes is not None
-        and OPENING in human.shapes.names
+        _has_places(human)
         and mesh.texture is not None
         and mesh.texture.shape[0] >= mesh.texture.shape[1] == _WIDTH
         and mesh.shading is None
-        and len(human.mouth) == len(_parts().bones)
-        and {"vt3", BONE} <= set(human.skeleton.names)
     )
+
+
+def jaw_of(human: Human) -> Jaw | None:
+    """Jaw of a human, which the actions of the face move; None if its file has no teeth."""
+    if not _has_places(human):
+        return None
+    assert human.mouth is not None and human.shapes is not None
+    parts, group = _parts(), "helper-lower-teeth"
+    some = parts.groups[group]
+    teeth = human.mouth[some] - [0.0, *_GROUPS[group][2]]
+    offsets = _size(human.shapes) * parts.offsets[some]
+    return Jaw.of(human.skeleton, teeth, {name: offsets[:, ACTIONS.index(name)] for name in MOVES})
+
+
+def _has_places(human: Human) -> bool:
+    """Whether a human has places of teeth and tongue, with the bones and the actions that move them."""
+    return (
+        human.mouth is not None
+        and human.shapes is not None
+        and set(MOVES) <= set(human.shapes.names)
+        and {"vt3", BONE} <= set(human.skeleton.names)
+        and len(human.mouth) == len(_parts().bones)
+    )
+
+
+def _size(shapes: Shapes) -> float:
+    """Size of a body relative to the offsets of MakeHuman's actions."""
+    return _largest(shapes, _OPEN) / _parts().largest
 
 
 def with_mouth(human: Human) -> Human:
@@ -97,27 +123,26 @@ def with_mouth(human: Human) -> Human:
         materials=None if mesh.materials is None else np.concatenate([mesh.materials, parts.labels]),
         off_body=None if mesh.off_body is None else np.pad(mesh.off_body, (0, len(parts.faces))),
     )
-    size = _largest(shapes, OPENING) / parts.largest
     return replace(
         human,
         mesh=added,
         weights=csr_matrix(vstack([human.weights, weights])),
         looks={},
-        shapes=_with_more(shapes, first, size * parts.offsets, parts.actions),
+        shapes=_with_more(shapes, first, _size(shapes) * parts.offsets, ACTIONS),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """What all mouths have in common: M vertices, F faces, S actions.
+    """What all mouths have in common: M vertices, F faces, the 52 actions.
 
     Attributes:
         faces: (F, 4).
         labels: (F,) materials.
         bones: M names of bones.
         tile: (M, 2) place in the tile of the texture, 0 to 1, from its upper left corner.
-        actions: S names.
-        offsets: (M, S, 3) metres.
+        groups: Vertices of each group.
+        offsets: (M, 52, 3) metres, of :data:`ACTIONS`.
         largest: Largest offset of ``jawOpen`` in the base mesh, metres.
     """
 
@@ -125,7 +150,7 @@ class _Parts:
     labels: NDArray[np.uint8]
     bones: tuple[str, ...]
     tile: Array
-    actions: tuple[str, ...]
+    groups: Mapping[str, VertexIndices]
     offsets: Array
     largest: float
 
@@ -152,16 +177,15 @@ def _parts() -> _Parts:
             tile[used] = _tile(group, (flat - flat.min(axis=0)) / np.ptp(flat, axis=0))
         faces.append(place[own])
         labels.append(np.full(len(own), MATERIAL_LABELS[material], np.uint8))
-    every = np.arange(len(base.vertices))
-    offsets = face_offsets(source, every).reshape(len(every), -1, 3)
-    opening = offsets[base.vertex_groups["body"], ACTIONS.index(OPENING)]
+    moved, steps = source.face_action(_OPEN)
+    opening = METRES * steps[np.isin(moved, base.vertex_groups["body"])]
     return _Parts(
         np.concatenate(faces),
         np.concatenate(labels),
         tuple(bones[rows].tolist()),
         tile[rows],
-        ACTIONS,
-        offsets[rows],
+        {group: place[_rows(base, group)] for group in _GROUPS},
+        face_offsets(source, rows).reshape(len(rows), -1, 3),
         float(np.abs(opening).max()),
     )
 

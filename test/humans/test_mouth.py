@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from humansim_ros.body.jaw import BONE
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.description import ParametricHuman, read_description
 from humansim_ros.humans.human import Human, read_human, write_human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.data import find_data, read_base
 from humansim_ros.humans.makehuman.mouth import has_mouth, with_mouth
 from humansim_ros.humans.makehuman.packed import people_data
@@ -91,6 +93,7 @@ def test_colours_are_in_texels_that_no_body_uses(name: str) -> None:
     assert painted[row, column].mean() > 0.95
 
 
+CAMERAS = {"front": {"position": [3, 0, 1.6], "look_at": [0, 0, 1.5]}}
 FACE = {"jawOpen": 0.8, "mouthUpperUpLeft": 0.6, "mouthUpperUpRight": 0.6}
 
 
@@ -148,6 +151,35 @@ def test_a_body_without_teeth_is_said(tmp_path: Path) -> None:
     with pytest.warns(HumansimWarning, match=r"humans\.anna\.face\.mouth: the body has no teeth"):
         actor = scene(True, FACE, str(tmp_path / "bare.npz")).actors["anna"]
     assert len(actor.at(0.0).vertices) == len(bare.mesh.vertices)
+
+
+def test_a_live_human_may_have_a_mouth() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", HumansimWarning)
+        live = Scene.from_dict(
+            {"cameras": CAMERAS, "humans": {"anna": {"motion": "live", "face": {"mouth": True}}}}
+        )
+    actor = live.actors["anna"]
+    assert actor.jaw is not None
+    assert MATERIAL_LABELS["tongue"] in actor.human.mesh.materials  # type: ignore[operator]
+
+
+@pytest.mark.slow
+def test_drawn_people_have_teeth_behind_their_lips() -> None:
+    human = load_human("person#7-5")
+    assert has_mouth(human) and human.mouth is not None and with_mouth(human).mesh.closed
+    lips = human.mesh.vertices[human.shapes.rows[_of(human, "mouthPucker")]]  # type: ignore[union-attr]
+    teeth = human.mouth[UPPER]
+    assert lips[:, 1].min() < teeth[:, 1].min() and teeth[:, 1].max() < lips[:, 1].max()
+    front = lips[np.abs(lips[:, 1] - teeth[:, 1].min()) < 0.01, 2].max()
+    assert 0 < front - teeth[:, 2].max() < 0.03
+
+
+def _of(human: Human, action: str) -> slice:
+    """Entries of an action in the shapes of a human."""
+    assert human.shapes is not None
+    number = human.shapes.names.index(action)
+    return slice(human.shapes.starts[number], human.shapes.starts[number + 1])
 
 
 def test_places_survive_a_file_and_wrong_ones_are_told(tmp_path: Path) -> None:

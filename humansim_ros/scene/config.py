@@ -131,7 +131,11 @@ class FaceKeyConfig(ShortSection):
 class FaceConfig(ShortSection):
     """Face of a human over the time of the scene."""
 
-    other_words: ClassVar[dict[str, str]] = {"alive": "blink blinks life living", "file": "path csv take"}
+    other_words: ClassVar[dict[str, str]] = {
+        "alive": "blink blinks life living",
+        "file": "path csv take",
+        "mouth": "teeth tongue",
+    }
     short_key: ClassVar[str] = "keys"
 
     alive: bool = Field(default=False, description="blink, and let the eyes glance around")

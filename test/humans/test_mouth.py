@@ -197,3 +197,9 @@ def test_places_survive_a_file_and_wrong_ones_are_told(tmp_path: Path) -> None:
     write_npz(path, {**arrays, "mouth": human.mouth[:9]}, level=1)
     short: Human = read_human(path)
     assert not has_mouth(short)
+    # a file whose actions move nothing
+    nothing = {"shape_starts": 0 * arrays["shape_starts"], "shape_rows": arrays["shape_rows"][:0]}
+    still = {**arrays, **nothing, "shape_offsets": arrays["shape_offsets"][:0], "mouth": human.mouth}
+    write_npz(path, still, level=1)
+    stiff, weights = with_mouth(read_human(path)), {"jawOpen": 1.0}
+    np.testing.assert_array_equal(stiff.pose(resting("child"), weights), stiff.pose(resting("child")))

@@ -63,6 +63,7 @@ def has_mouth(human: Human) -> bool:
         _has_places(human)
         and mesh.texture is not None
         and mesh.texture.shape[0] >= mesh.texture.shape[1] == _WIDTH
+        and mesh.faces.shape[1] == 4
         and mesh.shading is None
     )
 
@@ -262,7 +263,7 @@ def _joined(faces: NDArray[np.integer], more: VertexIndices) -> NDArray[np.int32
 
 def _largest(shapes: Shapes, name: str) -> float:
     number = shapes.names.index(name)
-    return float(np.abs(shapes.offsets[shapes.starts[number] : shapes.starts[number + 1]]).max())
+    return float(np.abs(shapes.offsets[shapes.starts[number] : shapes.starts[number + 1]]).max(initial=0.0))
 
 
 def _with_more(shapes: Shapes, first: int, offsets: Array, names: tuple[str, ...]) -> Shapes:

@@ -67,6 +67,7 @@ TOOLS = {
     "figures/skinning_picture": ("OUT/skinning.jpg",),
     "figures/hand_figure": ("OUT/hands.jpg",),
     "figures/face_scene_picture": ("OUT/faces.jpg",),
+    "figures/mouth_picture": ("OUT/mouths.jpg",),
     "figures/snapshot_picture": ("OUT/snapshot.jpg",),
 }
 PROGRAMS = [

@@ -124,7 +124,7 @@ class Eyes:
         """Angles (N, 2, 2) of eyes that look at points (N, 3), of joints (N, J, 4, 4)."""
         head = joints[:, self.head, :3, :3] @ self.head_rest.T
         lines = points[:, None] - _positions(joints)[:, self.bones]
-        return _angles((head.swapaxes(-1, -2)[:, None] @ lines[..., None])[..., 0]) - self._rest_angles
+        return gaze_angles((head.swapaxes(-1, -2)[:, None] @ lines[..., None])[..., 0]) - self._rest_angles
 
     def turn_head(self, joints: Array, points: Array, shares: Array) -> None:
         """Turn the head of joints (N, J, 4, 4), with all it carries, by shares (N,) to points (N, 3).
@@ -134,11 +134,11 @@ class Eyes:
         """
         head = joints[:, self.head, :3, :3] @ self.head_rest.T
         line = points - _positions(joints)[:, self.bones].mean(axis=1)
-        angles = _angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
+        angles = gaze_angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
         turn = shares[:, None] * head_turn(angles)
         trunk = self.skeleton.bone(_TRUNK)
         trunk_turn = joints[:, trunk, :3, :3] @ self.skeleton.rest[trunk, :3, :3].T
-        neck = _angles((trunk_turn.swapaxes(-1, -2) @ head)[..., 2])
+        neck = gaze_angles((trunk_turn.swapaxes(-1, -2) @ head)[..., 2])
         lowest, highest = np.minimum(NECK_LIMITS[0], neck), np.maximum(NECK_LIMITS[1], neck)
         turn = np.clip(neck + turn, lowest, highest) - neck
         about = head @ _turns(turn) @ head.swapaxes(-1, -2)
@@ -169,7 +169,7 @@ class Eyes:
 
     @property
     def _rest_angles(self) -> Array:
-        return _angles(self.rest[:, :, 1])
+        return gaze_angles(self.rest[:, :, 1])
 
 
 def _positions(joints: Array) -> Array:
@@ -177,7 +177,7 @@ def _positions(joints: Array) -> Array:
     return joints[..., :3, 3]
 
 
-def _angles(lines: Array) -> Array:
+def gaze_angles(lines: Array) -> Array:
     """Yaw and pitch (..., 2) of lines (..., 3) in body space."""
     x, y, z = np.moveaxis(lines, -1, 0)
     return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)

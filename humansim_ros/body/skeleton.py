@@ -108,9 +108,13 @@ class Skeleton:
             out[..., bones, :, :] = out[..., self.parents[bones], :, :] @ local[..., bones, :, :]
         return out
 
-    def size_of(self, heads: Array) -> float:
-        """Scale of a body relative to the rest pose, from the heads (B, 3) of its bones in any pose."""
+    def size_of(self, heads: Array, but: int = -1) -> float:
+        """Scale of a body relative to the rest pose, from the heads (B, 3) of its bones in any pose.
+
+        ``but``: number of a bone that is left out.
+        """
         child = np.flatnonzero(self.parents >= 0)
+        child = child[child != but]
         above = self.parents[child]
         now, rest = (np.linalg.norm(p[child] - p[above], axis=1).sum() for p in (heads, self.heads))
         size = float(now / rest) if rest > 0 else 1.0

@@ -24,7 +24,7 @@ from humansim_ros.errors import MeshError, did_you_mean
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import BEST, read_npz, write_npz
 from humansim_ros.mesh.materials import MATERIALS
-from humansim_ros.mesh.mesh import Mesh, normalise_weights
+from humansim_ros.mesh.mesh import LARGEST, Mesh, normalise_weights
 from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array
 
@@ -44,7 +44,8 @@ class Human(Pictured):
     ``weights``: (V, B), rows sum to one. ``looks``: outfits by name, each a PNG or JPEG texture as (N,) bytes
     or vertex colours (V, 3) uint8 sRGB. ``outfit``: name of the outfit of ``mesh``. ``notes``: ``license``
     and ``source``. ``shapes``: actions of the face (docs/faces.md); None for a stiff face. ``loose``: cloth
-    and hair that swing; None without.
+    and hair that swing; None without. ``mouth``: (M, 3) positions at rest of teeth and tongue, which
+    the mesh does not show (``humans/makehuman/mouth.py``); None without.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Human(Pictured):
     notes: Mapping[str, str] = field(default_factory=dict)
     shapes: Shapes | None = None
     loose: LooseParts | None = None
+    mouth: Array | None = None
 
     def __repr__(self) -> str:
         counts = f"{len(self.mesh.vertices)} vertices, {len(self.skeleton)} bones"
@@ -283,6 +285,8 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
     arrays |= {key: np.array(text) for key, text in {"name": human.name, **human.notes}.items()}
     if human.shapes is not None:
         arrays |= shape_arrays(human.shapes)
+    if human.mouth is not None:
+        arrays["mouth"] = human.mouth.astype(np.float32)
     if human.loose is not None:
         arrays |= loose_arrays(human.loose)
     if human.skinning != "linear":
@@ -354,7 +358,12 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     weights = normalise_weights(weights)
     loose = read_loose(arrays, len(vertices))
     human = Human(
-        *(name, mesh, skeleton, weights, looks), skinning=method, notes=notes, shapes=shapes, loose=loose
+        *(name, mesh, skeleton, weights, looks),
+        skinning=method,
+        notes=notes,
+        shapes=shapes,
+        loose=loose,
+        mouth=_mouth(arrays),
     )
     return human.wearing(human.outfits[0]) if looks else human
 
@@ -374,6 +383,16 @@ def _indices(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.integer]:
     if array.dtype.kind not in "iu" or (array.size and not -(2**31) <= array.min() <= array.max() < 2**31):
         raise MeshError(f"must be whole numbers of at most 32 bits, not {array.dtype}", key=key)
     return array
+
+
+def _mouth(arrays: dict[str, NDArray[Any]]) -> Array | None:
+    """Positions of teeth and tongue."""
+    if "mouth" not in arrays:
+        return None
+    places = _numbers(arrays, "mouth")
+    if places.ndim != 2 or places.shape[1] != 3 or not (np.abs(places) <= LARGEST).all():
+        raise MeshError(f"must be finite positions (M, 3), not {places.shape}", key="mouth")
+    return places
 
 
 def _texels(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.uint8] | None:

@@ -25,6 +25,8 @@ MATERIALS = (
     "hijab",
     "backpack",
     "bag",
+    "teeth",
+    "tongue",
 )
 #: Label by name.
 MATERIAL_LABELS = {name: label for label, name in enumerate(MATERIALS, 1)}

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from humansim_ros.body.eyes import gaze_angles, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, located, printable, some_of
 from humansim_ros.mesh.gltf_document import Gltf
@@ -17,6 +18,7 @@ from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import member
 from humansim_ros.motion.faces import VOWELS, WeightTrack, linear
 from humansim_ros.motion.gltf_motion import Track, find_animation, frame_times, node_tracks, sample_track
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: How far rounding may put a weight out of 0 to 1.
@@ -45,16 +47,33 @@ _PRESETS: Mapping[str, Array] = {
         "lookRight": {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0},
     }.items()
 }
+#: Presets of VRM 1.0, in lower case, by those of VRM 0 that have another name there.
+_OF_VRM_0: Mapping[str, str] = {
+    "joy": "happy",
+    "sorrow": "sad",
+    "fun": "relaxed",
+    "blink_l": "blinkleft",
+    "blink_r": "blinkright",
+    "a": "aa",
+    "i": "ih",
+    "u": "ou",
+    "e": "ee",
+    "o": "oh",
+}
+#: Weight 1 of the binds of VRM 0.
+_PERCENT = 100
 
 
 def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -> WeightTrack:
     """Read the weights of a face over time from an animation of a .gltf, .glb, .vrm or .vrma file.
 
     Morph targets count by their names: the actions of ARKit, in any case, and with ``_L`` and ``_R`` for
-    ``Left`` and ``Right``; and the presets of VRM 1.0. So do targets that a preset of a VRM avatar moves, and
-    the expressions of a VRM animation. Weights of presets are added; of several weights of one action, such
-    as of the meshes of face and teeth, the largest counts. Time 0 is the first key of a node that the
-    animation moves, as in :func:`~humansim_ros.motion.gltf_motion.read_gltf_motion`, or else of the face.
+    ``Left`` and ``Right``; and the presets of VRM 1.0. So do targets that a preset of a VRM avatar (1.0, or a
+    blend shape group of 0.x) moves, the expressions of a VRM animation, and its gaze. Weights of presets are
+    added; of several weights of one action, such as of the meshes of face and teeth, the largest counts.
+
+    Time 0 is the first key of a node that the animation moves, as in
+    :func:`~humansim_ros.motion.gltf_motion.read_gltf_motion`, or else of the face.
 
     Args:
         path: File.
@@ -65,11 +84,13 @@ def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -
     """
     with located(MotionError, path):
         gltf = Gltf.read(path)
-        chosen = find_animation(gltf, animation, lambda each: any(_known(gltf, each)))
-        moved = list(_known(gltf, chosen))
-        if not moved:
+        chosen = find_animation(
+            gltf, animation, lambda each: any(_known(gltf, each)) or bool(_gazes(gltf, each))
+        )
+        moved, gazes = list(_known(gltf, chosen)), _gazes(gltf, chosen)
+        if not (moved or gazes):
             raise MotionError(_nothing_moves(gltf, chosen))
-        times, _ = frame_times(gltf, [each.track for each in moved])
+        times, _ = frame_times(gltf, [*(each.track for each in moved), *gazes.values()])
         weights, presets = np.zeros((2, len(times), len(ACTIONS)))
         for each in moved:
             sampled = each.at(gltf, times)[:, None]
@@ -79,6 +100,10 @@ def read_gltf_face(path: str | os.PathLike[str], animation: str | None = None) -
                 column = weights[:, [each.action]]
                 weights[:, [each.action]] = np.maximum(column, sampled)
         weights = np.maximum(weights, np.clip(presets, 0.0, 1.0))
+        for key, track in gazes.items():
+            lines = quaternion_to_matrix(sample_track(gltf, key, track, times))[..., 2]
+            looks = with_looks(np.zeros(weights.shape), np.repeat(gaze_angles(lines)[:, None], 2, axis=1))
+            weights = np.maximum(weights, looks)
         nodes = node_tracks(gltf, chosen)
         start = min((float(track[0][0]) for track in nodes.values()), default=float(times[0]))
         actions = np.flatnonzero(weights.any(axis=0))
@@ -137,6 +162,18 @@ def _known(gltf: Gltf, animation: Animation) -> Iterator[_Weight]:
             yield from _named(name, (keys, values[..., :1], interpolation))
 
 
+def _gazes(gltf: Gltf, animation: Animation) -> dict[tuple[int, str], Track]:
+    """Rotation of the node whose z axis, in the axes of the head, is the gaze of a VRM animation.
+
+    Empty if it does not move, and for other files.
+    """
+    node = member(gltf.document.extensions, "VRMC_vrm_animation", "lookAt", "node")
+    if not isinstance(node, int):
+        return {}
+    moved = node_tracks(gltf, animation)
+    return {key: moved[key] for key in [(node, "rotation")] if key in moved}
+
+
 def _named(name: str, track: Track) -> Iterator[_Weight]:
     """Weight of an action or a preset of this name, if there is one."""
     plain = name.lower()
@@ -183,22 +220,61 @@ def _target_names(gltf: Gltf, mesh: int) -> Mapping[int, str]:
 
 
 def _bound(gltf: Gltf, targets: Mapping[tuple[int, int], Track]) -> Iterator[_Weight]:
-    """Presets of a VRM 1.0 avatar whose morph targets are moved and have no names of actions or presets."""
+    """Presets of a VRM avatar whose morph targets are moved and have no names of actions or presets."""
     meshes = {node: gltf.nodes[node].mesh for node, _ in targets}
     names = {node: {} if mesh is None else _target_names(gltf, mesh) for node, mesh in meshes.items()}
-    for name, content in _items(member(gltf.document.extensions, "VRMC_vrm", "expressions", "preset")):
-        binds = member(content, "morphTargetBinds")
-        for bind in binds if isinstance(binds, list) else []:
-            node, index, unit = (member(bind, key) for key in ("node", "index", "weight"))
-            place = node, index
-            if not (isinstance(node, int) and isinstance(index, int) and isinstance(unit, (int, float))):
+    for name, binds in _groups(gltf, meshes):
+        for place, unit in binds:
+            own = names.get(place[0], {}).get(place[1], "")
+            if place not in targets or any(_named(own, targets[place])) or not 0 < unit <= 1:
                 continue
-            if name.lower() not in _PRESETS or place not in targets:
-                continue
-            own = names[node].get(index, "")
-            if not any(_named(own, targets[place])) and 0 < unit <= 1:
-                yield _Weight(name.lower(), None, targets[place], float(unit))
+            found = list(_named(name, targets[place]))
+            yield from (replace(each, unit=unit) for each in found)
+            if found:
                 break  # the others move with it
+
+
+#: Morph target of a bind, by node and number, and the weight at which its preset is at 1.
+_Bind = tuple[tuple[int, int], float]
+
+
+def _groups(gltf: Gltf, meshes: Mapping[int, int | None]) -> Iterator[tuple[str, list[_Bind]]]:
+    """Presets of a VRM 1.0 avatar and blend shape groups of a VRM 0 avatar, with their binds.
+
+    ``meshes``: mesh by node, of nodes whose morph targets are moved.
+    """
+    extensions = gltf.document.extensions
+    for name, content in _items(member(extensions, "VRMC_vrm", "expressions", "preset")):
+        if name.lower() in _PRESETS:
+            yield (
+                name,
+                [
+                    ((node, index), float(unit))
+                    for node, index, unit in _binds(member(content, "morphTargetBinds"), "node")
+                ],
+            )
+    groups = member(extensions, "VRM", "blendShapeMaster", "blendShapeGroups")
+    for group in groups if isinstance(groups, list) else []:
+        preset, name = member(group, "presetName"), member(group, "name")
+        if not isinstance(preset, str) or preset.lower() in ("", "unknown"):
+            preset = name if isinstance(name, str) else ""
+        yield (
+            _OF_VRM_0.get(preset.lower(), preset),
+            [
+                ((node, index), unit / _PERCENT)
+                for mesh, index, unit in _binds(member(group, "binds"), "mesh")
+                for node, own in meshes.items()
+                if own == mesh
+            ],
+        )
+
+
+def _binds(binds: Any, of: str) -> Iterator[tuple[int, int, float]]:
+    """Node or mesh, number of the morph target and weight of the binds of a document that have them."""
+    for bind in binds if isinstance(binds, list) else []:
+        place, index, unit = (member(bind, key) for key in (of, "index", "weight"))
+        if isinstance(place, int) and isinstance(index, int) and isinstance(unit, (int, float)):
+            yield place, index, float(unit)
 
 
 def _items(value: Any) -> Iterator[tuple[str, Any]]:

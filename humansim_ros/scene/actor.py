@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
 from humansim_ros.body.face_actions import FaceState
+from humansim_ros.body.jaw import Jaw
 from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.humans.human import Human
@@ -98,6 +99,7 @@ class Actor:
         levels: Simpler versions of the mesh, for colours of small people; None for the whole mesh alone.
         face: Its face over scene time; None for a stiff face.
         reaches: What its hands reach for over scene time; None for nothing.
+        jaw: Its jaw, which moves with its face; None for one that does not.
     """
 
     name: str
@@ -112,6 +114,7 @@ class Actor:
     hands: HandKeys | None = None
     face: Face | None = None
     reaches: Reaches | None = None
+    jaw: Jaw | None = None
 
     @classmethod
     def build(
@@ -219,7 +222,7 @@ class Actor:
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""
         changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
-        return replace(changed, keyframes=self.keyframes, levels=self.levels, face=self.face)
+        return replace(changed, keyframes=self.keyframes, levels=self.levels, face=self.face, jaw=self.jaw)
 
     def with_hands(self, config: MotionConfig) -> Actor:
         """The same human, whose motion goes on, with the hands of a section ``motion``.
@@ -301,15 +304,18 @@ class Actor:
         skeleton, poses = self.human.skeleton, poses.contiguous()
         face = linear = angular = swing = None
         if poses.linear is None:
-            (joints,), (size,), weights, offsets = self.posed(poses)
+            posed, sizes, weights, offsets = self.posed(poses)
+            bones, (joints,), (size,) = posed[0], self._open_jaw(posed, weights, sizes), sizes
             if offsets is not None:
                 swing = SwingState(offsets[0], np.zeros_like(offsets[0]))
             if weights is not None:
                 face = FaceState(weights[0], np.zeros_like(weights[0]))
         else:
-            (before, joints, after), (_, size, _), weights, offsets = self.posed(
+            posed, sizes, weights, offsets = self.posed(
                 poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
+            bones, (before, joints, after) = posed[1], self._open_jaw(posed, weights, sizes)
+            size = sizes[1]
             linear, angular = central_difference(
                 before[:, :3, 3],
                 after[:, :3, 3],
@@ -321,7 +327,7 @@ class Actor:
                 face = FaceState(weights[1], (weights[2] - weights[0]) / (2 * VELOCITY_STEP))
             if offsets is not None:
                 swing = SwingState(offsets[1], (offsets[2] - offsets[0]) / (2 * VELOCITY_STEP))
-        bones = joints[: len(skeleton)]
+        bones = bones[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
         rotations = matrix_to_quaternion(joints[:, :3, :3])
@@ -338,6 +344,12 @@ class Actor:
             face=face,
             swing=swing,
         )
+
+    def _open_jaw(self, joints: Array, weights: Array | None, sizes: Array) -> Array:
+        """Frames (N, J, 4, 4) of joints, of bodies of sizes (N,), with the jaw as weights (N, 52) move it."""
+        if weights is None or self.jaw is None:
+            return joints
+        return self.jaw.open(joints, weights, sizes)
 
     def _skin(self, bones: Array, weights: Array | None, swing: Array | None) -> NDArray[np.float32]:
         """Vertices (V, 3) of bone frames (B, 4, 4), weights (52,) of the face and the swing (K, 3)."""
@@ -459,13 +471,20 @@ class Actor:
         skeleton = self.human.skeleton
         count = len(skeleton)
         bones = moved(joints[:count], linear[:count], angular[:count], seconds)
+        jaw = self.jaw
+        if jaw is None or face is None or not jaw.moves(np.stack([face.weights, face.rates])):
+            jaw = None
+        size = skeleton.size_of(joints[:count, :3, 3], but=-1 if jaw is None else jaw.bone)
+        if jaw is not None and face is not None:  # the action moves the skin, not the bone
+            joints = joints.copy()
+            joints[jaw.bone] = jaw.closed(joints[jaw.bone], face.weights, size)
+            bones[jaw.bone] = jaw.closed(bones[jaw.bone], face.after(seconds), size)
         # fingers, toes, jaw and eyes stay joined to the bone above: they are short, and would come apart
         for details in skeleton.detail_levels:
             above = skeleton.parents[details]
             offset = joints[details, :3, 3] - joints[above, :3, 3]
             turn = bones[above, :3, :3] @ np.swapaxes(joints[above, :3, :3], -1, -2)
             bones[details, :3, 3] = bones[above, :3, 3] + rotate(turn, offset)
-        size = skeleton.size_of(joints[:count, :3, 3])
         bones = bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones
         return self._skin(
             bones,

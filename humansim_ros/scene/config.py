@@ -131,7 +131,11 @@ class FaceKeyConfig(ShortSection):
 class FaceConfig(ShortSection):
     """Face of a human over the time of the scene."""
 
-    other_words: ClassVar[dict[str, str]] = {"alive": "blink blinks life living", "file": "path csv take"}
+    other_words: ClassVar[dict[str, str]] = {
+        "alive": "blink blinks life living",
+        "file": "path csv take",
+        "mouth": "teeth tongue",
+    }
     short_key: ClassVar[str] = "keys"
 
     alive: bool = Field(default=False, description="blink, and let the eyes glance around")
@@ -142,6 +146,7 @@ class FaceConfig(ShortSection):
         le=1,
         description="how far the head turns with a gaze: 0 not at all, 1 as people turn it",
     )
+    mouth: bool = Field(default=False, description="show teeth and tongue in an open mouth")
     keys: tuple[FaceKeyConfig, ...] = Field(
         default=(), max_length=1000, description="expressions, actions, gaze and speech over time"
     )

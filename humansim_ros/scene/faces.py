@@ -10,6 +10,7 @@ import numpy as np
 
 from humansim_ros.body.eyes import EYE_BONES
 from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.humans.makehuman.mouth import has_mouth, jaw_of, with_mouth
 from humansim_ros.io.motion_formats import split_motion_name
 from humansim_ros.motion.face_files import read_face_file
 from humansim_ros.motion.face_keys import AHEAD
@@ -82,16 +83,34 @@ def with_faces(
                 with in_section(f"keys.{number}.gaze"):
                     _check_gaze(name, key.gaze, configs, cameras)
             face = face_of(name, configs[name], source)
-            out[name] = replace(actors[name], face=replace(face, body_file=actors[name].motion.motion.path))
-            if configs[name].motion.file == LIVE and config != FaceConfig():
+            human = actors[name].human
+            jaw = source.once(partial(jaw_of, human), "jaw", id(human.mesh.vertices))
+            face = replace(face, body_file=actors[name].motion.motion.path)
+            out[name] = replace(actors[name], face=face, jaw=jaw)
+            if configs[name].motion.file == LIVE and config != FaceConfig(mouth=config.mouth):
                 source.warn(
                     f"humans.{name}.face", "another node moves this human, and its face: nothing else does"
                 )
-            human = actors[name].human
+            if config.mouth:
+                out[name] = _with_mouth(out[name], source)
             if human.shapes is None:
                 eyes = "only its eyes move" if EYE_BONES[0] in human.skeleton.names else "nothing moves"
                 source.warn(f"humans.{name}.face", f"the body has no actions of the face: {eyes}")
     return with_gazes(out, faces, cameras)
+
+
+def _with_mouth(actor: Actor, source: SceneSource) -> Actor:
+    """The human with teeth and tongue, in full detail at each distance."""
+    human = actor.human
+    if not has_mouth(human):
+        source.warn(
+            f"humans.{actor.name}.face.mouth",
+            "the body has no teeth: the built-in humans have, and those that this version makes of sliders "
+            "or draws by seed",
+        )
+        return actor
+    shown = source.once(lambda: with_mouth(human), "mouth", id(human.mesh), human.skinning)
+    return replace(actor, human=shown, levels=None)
 
 
 def _check_gaze(

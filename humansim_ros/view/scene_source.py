@@ -120,6 +120,7 @@ class SceneViewSource(ViewSource):
         sizes: dict[str, float] = {}
         faces: dict[str, Array] = {}
         for name, actor in self._playback.actors.items():
+            # without the motion of the jaw: shapes move its skin on the page
             (joints[name],), (size,), weights, _ = actor.posed(poses.poses[name].contiguous())
             sizes[name] = float(size)
             if weights is not None:

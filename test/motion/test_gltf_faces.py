@@ -11,6 +11,7 @@ import pytest
 from figures import glb, gltf_text
 from motion_files import stand_in, walk
 from motion_formats import write_vrma
+from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
 from humansim_ros.body.face_actions import ACTIONS, expression
@@ -197,7 +198,8 @@ def test_expressions_of_a_vrm_animation_move_a_face(
 def test_a_published_vrm_animation_smiles(shared_data: Path) -> None:
     track = read_face_file(shared_data / "other" / "test.vrma")
     full = expression("happiness")
-    assert {ACTIONS[action] for action in track.actions} == set(full)
+    looks = {"eyeLookInLeft", "eyeLookInRight", "eyeLookOutLeft", "eyeLookOutRight"}
+    assert {ACTIONS[action] for action in track.actions} == set(full) | looks  # its gaze turns to both sides
     assert weights(track, "mouthSmileLeft", np.arange(0, 3, 0.01).tolist()).max() == pytest.approx(
         full["mouthSmileLeft"]
     )
@@ -217,6 +219,67 @@ def test_presets_of_a_vrm_avatar_name_its_morph_targets(tmp_path: Path) -> None:
     )
     got = weights(read_face_file(path), "browDownLeft", [0.5, 1.0])
     np.testing.assert_allclose(got, np.array([0.5, 1]) * expression("anger")["browDownLeft"], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("group", "action", "full"),
+    [
+        ({"presetName": "angry"}, "browDownLeft", expression("anger")["browDownLeft"]),
+        ({"presetName": "Joy"}, "mouthSmileLeft", expression("happiness")["mouthSmileLeft"]),
+        ({"presetName": "blink_r"}, "eyeBlinkRight", 1.0),
+        ({"presetName": "lookleft"}, "eyeLookInRight", 1.0),
+        ({"presetName": "a"}, "jawOpen", 0.45),
+        (
+            {"presetName": "unknown", "name": "Surprised"},
+            "eyeWideLeft",
+            expression("surprise")["eyeWideLeft"],
+        ),
+        ({"name": "JawOpen"}, "jawOpen", 1.0),
+    ],
+)
+def test_blend_shape_groups_of_a_vrm_0_avatar_name_its_morph_targets(
+    tmp_path: Path, group: dict[str, str], action: str, full: float
+) -> None:
+    def bind(content: dict[str, Any]) -> None:
+        binds = [{"mesh": 0, "index": 1, "weight": 50}]
+        content["extensions"] = {
+            "VRM": {"blendShapeMaster": {"blendShapeGroups": [{**group, "binds": binds}]}}
+        }
+
+    path = write_face(tmp_path / "avatar.vrm", ["a", "Fcl"], [[0, 0], [0, 0.25], [0, 0.5]], change=bind)
+    got = weights(read_face_file(path), action, [0.5, 1.0])
+    np.testing.assert_allclose(got, np.array([0.5, 1]) * full, atol=1e-6)
+
+
+def with_gaze(path: Path, yaw: float, pitch: float, **look: Any) -> Path:
+    """Write a VRM animation of a face whose gaze turns from straight ahead by degrees to left and up."""
+    turn = Rotation.from_euler("YX", [yaw, -pitch], degrees=True).as_quat()
+
+    def add(content: dict[str, Any]) -> None:
+        content["nodes"].append({"name": "lookAt"})
+        content["meshes"][0]["extras"]["targetNames"] = []
+        content["animations"][0]["channels"] = [{"sampler": 0, "target": {"node": 1, "path": "rotation"}}]
+        content["accessors"][2].update(type="VEC4", count=2)
+        content["extensions"] = {"VRMC_vrm_animation": {"lookAt": {"node": 1, **look}}}
+
+    return write_face(path, ["x"], [[0, 0, 0, 1], turn], times=[0, 1], change=add)
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(22.0, 0.0), (-30.0, 14.0), (10.0, -20.0), (0.0, 60.0)])
+def test_the_gaze_of_a_vrm_animation_turns_the_eyes(tmp_path: Path, yaw: float, pitch: float) -> None:
+    path = with_gaze(tmp_path / "take.vrma", yaw, pitch)
+    scene = Scene.from_dict({"cameras": CAMERAS, "humans": {"anna": {"face": {"file": str(path)}}}})
+    actor = scene.actors["anna"]
+    rest, state = actor.at(0.0), actor.at(1.0)
+    names = state.joint_names
+    head = rest.joints[names.index("vt3"), :3, :3] @ actor.human.skeleton.rest[names.index("vt3"), :3, :3].T
+    moved = state.joints[names.index("vt3"), :3, :3] @ actor.human.skeleton.rest[names.index("vt3"), :3, :3].T
+    for eye in ("l_eyeball_joint", "r_eyeball_joint"):
+        (x0, y0, z0), (x, y, z) = (
+            axes.T @ each.joints[names.index(eye), :3, 1] for axes, each in ((head, rest), (moved, state))
+        )
+        turned = np.degrees([np.arctan2(x, z) - np.arctan2(x0, z0), np.arcsin(y) - np.arcsin(y0)])
+        np.testing.assert_allclose(turned, [yaw, min(pitch, 28.0)], atol=0.2)  # the limit of the eyes
 
 
 def test_the_face_of_a_file_is_in_time_with_its_body(tmp_path: Path) -> None:
@@ -313,6 +376,20 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"change": lambda c: c["meshes"][0].update(primitives=[])},
         "node 0 has no morph targets",
     ),
+    "a gaze that is no rotation": (
+        {
+            "change": lambda c: c.update(
+                extensions={"VRMC_vrm_animation": {"lookAt": {"node": 0}}},
+                animations=[
+                    {
+                        "channels": [{"sampler": 0, "target": {"node": 0, "path": "rotation"}}],
+                        "samplers": [{"input": 1, "output": 2}],
+                    }
+                ],
+            )
+        },
+        "rotation of the wrong width|must be|values",
+    ),
     "no animation": ({"change": lambda c: c.update(animations=[])}, "the file has no animation"),
 }
 
@@ -346,6 +423,21 @@ def test_a_hostile_bone_map_or_bind_is_ignored_or_refused(tmp_path: Path) -> Non
         {"VRMC_vrm": {"expressions": {"preset": [1]}}},
         {"VRMC_vrm_animation": {"expressions": {"preset": {"happy": {"node": []}}, "custom": 3}}},
         {"VRMC_vrm_animation": 7},
+        {"VRMC_vrm_animation": {"lookAt": {"node": "Head"}}},
+        {"VRMC_vrm_animation": {"lookAt": {"node": 99}}},
+        {"VRM": {"blendShapeMaster": {"blendShapeGroups": {"joy": 1}}}},
+        {"VRM": {"blendShapeMaster": {"blendShapeGroups": [7, {"presetName": 3, "name": [], "binds": [2]}]}}},
+        {
+            "VRM": {
+                "blendShapeMaster": {
+                    "blendShapeGroups": [
+                        {"presetName": "joy", "binds": [{"mesh": 0, "index": 1, "weight": unit}]}
+                        for unit in (0, -5, 101, "all", None)
+                    ]
+                    + [{"presetName": "joy", "binds": [{"mesh": 8, "index": 9, "weight": 100}]}]
+                }
+            }
+        },
     ):
         path = write_face(tmp_path / "take.glb", change=lambda c, e=extensions: c.update(extensions=e))
         assert len(read_face_file(path).actions) == 2

@@ -59,7 +59,11 @@ def test_a_face_moves_the_vertices_of_the_page_and_hands_and_eyes_turn() -> None
     )
     actor, frame = scene.actors["anna"], SceneViewSource(scene).frame(0)
     state, body = actor.at(0.0), PageBody(scene.actors["anna"].human)
-    np.testing.assert_allclose(frame.joints["anna"], state.joints, atol=1e-12)  # with hands and eyes
+    # with hands and eyes; shapes open the jaw of the page, not its bone
+    same = [
+        number for number, name in enumerate(state.joint_names) if not name.startswith("temporomandibular")
+    ]
+    np.testing.assert_allclose(frame.joints["anna"][same], state.joints[same], atol=1e-12)
     data = body.shapes
     assert data is not None
     count, rows = np.frombuffer(data, np.uint32, 2).tolist()

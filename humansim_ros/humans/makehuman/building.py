@@ -41,6 +41,7 @@ from humansim_ros.humans.makehuman.data import (
     read_base,
 )
 from humansim_ros.humans.makehuman.face import face_offsets, unskin_offsets
+from humansim_ros.humans.makehuman.mouth import mouth_places
 from humansim_ros.humans.makehuman.paint import (
     AO_DIRECTIONS,
     TEXTURE_SIZE,
@@ -360,6 +361,7 @@ def build(
         "outfits": np.array(list(looks)),
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
         **shape_arrays(Shapes.of_offsets(ACTIONS, figure.offsets), figure.scale),
+        "mouth": (figure.mouth - sole).astype(np.float32),
         "skin": np.pad(common.skin, ((0, strip_height(parts)), (0, 0))),
         "materials": figure.materials,
         **figure.off_body,
@@ -394,6 +396,7 @@ class _Figure:
         own: Its regions.
         bones: Its bones.
         offsets: Offsets of the face by the actions, in the T pose.
+        mouth: (M, 3) teeth and tongue in the T pose.
         parts: Parts beside the skin.
         solid: Arrays of surface and parts, see :func:`add_parts`.
     """
@@ -406,6 +409,7 @@ class _Figure:
     own: BodyRegions
     bones: Bones
     offsets: Array
+    mouth: Array
     parts: Sequence[WornPart]
     solid: Mapping[str, NDArray[Any]]
 
@@ -443,7 +447,8 @@ class _Figure:
             parts,
             TEXTURE_SIZE,
         )
-        return cls(common, config, scale, mesh, dressed, own, body.bones, offsets, parts, solid)
+        mouth = mouth_places(base) - body.floor  # the T pose does not move the head
+        return cls(common, config, scale, mesh, dressed, own, body.bones, offsets, mouth, parts, solid)
 
     @property
     def materials(self) -> NDArray[np.uint8]:

@@ -167,6 +167,7 @@ class ReachConfig(Section):
         "start": "time from begin",
         "palm": "normal facing",
         "fingers": "direction along",
+        "pose": "hands gesture grip",
         "shake": "shaking",
     }
 
@@ -201,6 +202,10 @@ class ReachConfig(Section):
         default=None,
         description="direction of the fingers, in map or in the axes of the object; if absent, along the "
         "forearm, or up where the palm allows it",
+    )
+    pose: HandPoseName | None = Field(
+        default=None,
+        description="pose of the hand while it is there, such as grip; of motion.hands if absent",
     )
     shake: float = Field(
         default=0.03, ge=0, le=0.2, description="metres by which right hands, or left ones, that meet shake"

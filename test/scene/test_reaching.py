@@ -454,3 +454,49 @@ def test_the_door_passes_by_the_man_who_opens_it(doorway: Scene) -> None:
         assert not len(in_frame) or 1.16 < in_frame[:, 0].min() <= in_frame[:, 0].max() < 2.06, time
         passed += len(in_frame) > 0
     assert passed > 5
+
+
+# --- poses of the hands that reach
+
+
+def finger_bend(actor: Actor, side: str, seconds: float) -> float:
+    """Degrees between the first and the last bone of the index finger."""
+    state = actor.at(seconds)
+    names = state.joint_names
+    points = [state.positions[names.index(f"{side}_index{n}")] for n in (1, 2, 3)]
+    points.append(state.positions[names.index(f"{side}_index3_end")])
+    first, last = points[1] - points[0], points[3] - points[2]
+    return float(np.degrees(np.arccos(first @ last / np.linalg.norm(first) / np.linalg.norm(last))))
+
+
+def test_a_hand_has_its_pose_while_it_reaches() -> None:
+    reach = {"to": [0.5, -0.2, 1.1], "start": 1, "end": 5, "blend": 0.5, "repeat": 6, "pose": "flat"}
+    actor = scene([reach], motion={"file": "stand", "offset": 0.7}).actors["anna"]
+    plain = scene([{**reach, "pose": None}], motion={"file": "stand", "offset": 0.7}).actors["anna"]
+    for seconds, flat in ((0.5, False), (2.0, True), (4.4, True), (5.5, False), (8.0, True)):
+        bends = [finger_bend(each, "r", seconds) for each in (actor, plain)]
+        assert (bends[0] < 10) == flat, seconds
+        assert bends[1] > 30
+        assert finger_bend(actor, "l", seconds) == pytest.approx(finger_bend(plain, "l", seconds), abs=1e-6)
+    half = finger_bend(actor, "r", 1.25)  # on the way there
+    assert 10 < half < 45
+    assert (palms := actor.palms_at("right", np.array([2.0])))[0] == pytest.approx(
+        [0.5, -0.2, 1.1], abs=CONTACT
+    )
+    assert palms.shape == (1, 3)
+
+
+def test_a_pose_goes_on_where_hands_and_motions_are_changed_while_they_play() -> None:
+    made = scene([{"to": [0.5, -0.2, 1.1], "pose": "flat"}], motion={"file": "stand", "hands": "fist"})
+    playback = Playback(made)
+    for change in ({"hands": ["point"]}, {"hands": None}, {"file": "talk"}, {"speed": 0.5}):
+        playback.show(3 * 10**9)
+        playback.change("anna", **change)
+        assert finger_bend(playback.actors["anna"], "r", 3.0) < 10
+        assert finger_bend(playback.actors["anna"], "l", 3.0) > 2
+    assert finger_bend(made.actors["anna"], "l", 3.0) > 90
+
+
+def test_a_wrong_pose_is_refused_with_its_key() -> None:
+    with pytest.raises(SceneError, match=r"humans\.anna\.reach\.0\.pose: give relaxed, fist"):
+        scene([{"to": [0.5, -0.2, 1.1], "pose": "gripp"}])

@@ -47,10 +47,15 @@ WORLD_FROM_BODY: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 
 _ROUNDING = 1e-12
 
 
+def _components(vectors: Array) -> Array:
+    """Components (N, ...) of vectors (..., N): a view, made faster than by ``numpy.moveaxis``."""
+    return vectors.transpose(-1, *range(vectors.ndim - 1))
+
+
 def quaternion_to_matrix(quaternion: NDArray[Any]) -> Array:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) xyzw."""
     q = np.asarray(quaternion, dtype=float)
-    x, y, z, w = np.moveaxis(q, -1, 0)
+    x, y, z, w = _components(q)
     out = np.empty((*q.shape[:-1], 3, 3))
     out[..., 0, 0] = 1 - 2 * (y * y + z * z)
     out[..., 0, 1] = 2 * (x * y - z * w)
@@ -68,7 +73,7 @@ def rotation_vector_to_matrix(vector: NDArray[Any]) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3): axis times angle in radians (Rodrigues'
     formula).
     """
-    x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
+    x, y, z = _components(np.asarray(vector, dtype=float))
     angle = np.sqrt(x * x + y * y + z * z)
     cross = np.zeros((*angle.shape, 3, 3))
     cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = x, y, z
@@ -123,7 +128,7 @@ def quaternion_to_rotation_vector(quaternion: NDArray[Any]) -> Array:
 
 def multiply_quaternions(a: NDArray[Any], b: NDArray[Any]) -> Array:
     """Unit quaternions (..., 4) xyzw of rotation ``b`` followed by rotation ``a``."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = (np.moveaxis(q, -1, 0) for q in (a, b))
+    (ax, ay, az, aw), (bx, by, bz, bw) = (_components(np.asarray(q)) for q in (a, b))
     product = (
         aw * bx + bw * ax + (ay * bz - az * by),
         aw * by + bw * ay + (az * bx - ax * bz),
@@ -135,7 +140,7 @@ def multiply_quaternions(a: NDArray[Any], b: NDArray[Any]) -> Array:
 
 def normalised(quaternion: NDArray[Any]) -> Array:
     """Quaternions (..., 4) divided by their length, also where rounding explains the difference from 1."""
-    x, y, z, w = np.moveaxis(np.asarray(quaternion, dtype=float), -1, 0)
+    x, y, z, w = _components(np.asarray(quaternion, dtype=float))
     return np.asarray(quaternion / np.sqrt(x * x + y * y + z * z + w * w)[..., None], dtype=float)
 
 
@@ -154,7 +159,7 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
     table[..., 3, 3] = 1 + trace
     best = np.argmax(np.diagonal(table, axis1=-2, axis2=-1), axis=-1)
     q: Array = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = q / lengths_of(q)[..., None]
     return np.where(q[..., 3:] < 0, -q, q)
 
 
@@ -211,7 +216,7 @@ def from_y_axis(direction: Array) -> Array:
 
 def shortest_rotations(starts: Array, ends: Array) -> Array:
     """Shortest rotations (..., 3, 3) from unit vectors (..., 3) to others (..., 3) that are not opposite."""
-    axes = np.cross(starts, ends)
+    axes = cross_products(starts, ends)
     skew = np.zeros((*axes.shape, 3))
     skew[..., [2, 0, 1], [1, 2, 0]] = axes
     skew[..., [1, 2, 0], [2, 0, 1]] = -axes
@@ -306,12 +311,28 @@ def smooth_step(share: Array) -> Array:
 
 def unit_vectors(vectors: NDArray[Any]) -> Array:
     """Vectors (..., 3) divided by their length; a zero vector stays zero."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+    return np.asarray(vectors / np.maximum(lengths_of(vectors)[..., None], 1e-12))
+
+
+def lengths_of(vectors: NDArray[Any]) -> Array:
+    """Lengths (...) of vectors (..., N), with the bits of ``numpy.linalg.norm`` in less time."""
+    return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, axis=-1)))
 
 
 def perpendicular(vectors: Array, directions: Array) -> Array:
     """Vectors (..., 3) without their part along unit vectors (..., 3)."""
     return np.asarray(vectors - (vectors * directions).sum(axis=-1, keepdims=True) * directions)
+
+
+def cross_products(a: Array, b: Array) -> Array:
+    """Cross products (..., 3) of vectors (..., 3), with the bits of ``numpy.cross`` in less time."""
+    return np.asarray(
+        a.take(_NEXT, axis=-1) * b.take(_LAST, axis=-1) - a.take(_LAST, axis=-1) * b.take(_NEXT, axis=-1)
+    )
+
+
+#: Axes after and before each axis.
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     cross,
+    cross_products,
     fit_similarity,
     from_y_axis,
     invert_rigid,
+    lengths_of,
     matrix_to_quaternion,
     moved,
     quaternion_to_matrix,
@@ -155,6 +157,15 @@ def test_vectors_are_rotated_normalised_and_crossed() -> None:
     np.testing.assert_allclose(np.linalg.norm(unit_vectors(a), axis=1), 1.0)
     np.testing.assert_array_equal(unit_vectors(np.zeros((2, 3))), np.zeros((2, 3)))
     np.testing.assert_allclose(cross(a.T, b.T).T, np.cross(a, b), atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(3,), (5, 3), (2, 4, 3), (0, 3)])
+def test_cross_products_and_lengths_have_the_bits_of_numpy(shape: tuple[int, ...]) -> None:
+    """Recorded motions and their hashes depend on them."""
+    for scale in (1.0, 1e-8, 1e8):
+        a, b = scale * np.random.default_rng(3).normal(size=(2, *shape))
+        np.testing.assert_array_equal(cross_products(a, b), np.cross(a, b), strict=True)
+        np.testing.assert_array_equal(lengths_of(a), np.linalg.norm(a, axis=-1))
 
 
 @pytest.mark.parametrize("depth", [1.0, 0.0], ids=["in space", "in a plane"])

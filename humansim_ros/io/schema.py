@@ -108,6 +108,20 @@ class NamedFile(str):
 FileName = Annotated[str, AfterValidator(NamedFile), Expected("a name or path", "names or paths")]
 
 
+def one_or_more(schema: dict[str, Any]) -> None:
+    """Let a JSON schema of a list, for :func:`alone_in_list`, accept one of its items alone."""
+    options = schema.pop("anyOf", None) or [
+        {key: schema.pop(key) for key in ("type", "items", "maxItems") if key in schema}
+    ]
+    item = next(each["items"] for each in options if "items" in each)
+    schema["anyOf"] = [*options, item]
+
+
+def alone_in_list(value: Any) -> Any:
+    """A list of one item for a text or a section alone."""
+    return (value,) if isinstance(value, (str, dict)) else value
+
+
 class ShortSection(Section):
     """Section that a text alone can stand for: the value of one of its keys, such as the name of its file."""
 

@@ -22,6 +22,7 @@ from humansim_ros.io.assets import resource_path
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.joint_match import opposite_joints
 from humansim_ros.motion.kinematics import Motion
+from humansim_ros.rotations import smooth_step
 from humansim_ros.types import Array
 
 #: Kinds of activity. ``around``: stand, talk, sit, walk on errands; ``desk``: sit, write, eat; ``standing``:
@@ -341,8 +342,7 @@ def _continued(last: Array, values: Array) -> Array:
     out[:, 3:6] = (turn * Rotation.from_euler("ZXY", values[:, 3:6], degrees=True)).as_euler(
         "ZXY", degrees=True
     )
-    share = np.arange(min(_FADE, len(out))) / _FADE
-    share = 1 - share * share * (3 - 2 * share)
+    share = 1 - smooth_step(np.arange(min(_FADE, len(out))) / _FADE)
     for columns in _rotations(motion):
         before = Rotation.from_euler("ZXY", last[columns], degrees=True)
         after = Rotation.from_euler("ZXY", out[: len(share), columns], degrees=True)

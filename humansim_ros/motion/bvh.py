@@ -225,6 +225,11 @@ class Parser:
             values = self.text.numbers(rest)
         except ValueError:
             values = []
+        if len(values) == 6:  # SOMA writes the rotation at rest behind it, which the rows replace
+            self.text.note(
+                "offset", "six numbers after OFFSET: the last three, a rotation at rest, are not used"
+            )
+            values = values[:3]
         if len(values) != 3 or not all(abs(value) <= LARGEST for value in values):
             hint = comma_hint(rest)
             raise self.text.error(f"OFFSET needs three finite numbers, not {rest.strip()[:40]!r}{hint}")

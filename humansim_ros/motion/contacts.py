@@ -20,6 +20,8 @@ from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
 from humansim_ros.motion.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.rotations import (
+    cross_products,
+    lengths_of,
     matrix_to_quaternion,
     perpendicular,
     quaternion_to_matrix,
@@ -49,26 +51,25 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
         ankle: Positions (N, 3).
         goal: Target positions of the ankle (N, 3).
     """
-    thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
-    before, after = unit_vectors(ankle - hip), unit_vectors(goal - hip)
-    reach = np.linalg.norm(ankle - hip, axis=-1)
+    upper, lower, line = knee - hip, ankle - knee, ankle - hip
+    thigh, shin, reach, way = (lengths_of(each) for each in (upper, lower, line, goal - hip))
+    before, after = unit_vectors(line), unit_vectors(goal - hip)
     longest = np.maximum(reach, STRAIGHTEST * (thigh + shin))
-    distance = np.clip(np.linalg.norm(goal - hip, axis=-1), 1.001 * np.abs(thigh - shin) + 1e-9, longest)
-    bend = perpendicular(knee - hip, before)
-    straight = np.linalg.norm(bend, axis=-1, keepdims=True) < 1e-9
-    bend = unit_vectors(np.where(straight, perpendicular(np.array([1.0, 0.1, 0.0]), before), bend))
+    distance = np.minimum(np.maximum(way, 1.001 * np.abs(thigh - shin) + 1e-9), longest)
+    bend = perpendicular(upper, before)
+    straight = lengths_of(bend)[:, None] < 1e-9
+    if straight.any():
+        bend = np.where(straight, perpendicular(np.array([1.0, 0.1, 0.0]), before), bend)
+    bend = unit_vectors(bend)
     new_bend = rotate(shortest_rotations(before, after), bend)
     along = (thigh**2 - shin**2 + distance**2) / (2 * distance)
     across = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
     new_knee = hip + along[:, None] * after + across[:, None] * new_bend
     new_ankle = hip + distance[:, None] * after
-    normal, new_normal = (
-        np.asarray(np.cross(line, side), dtype=float) for line, side in ((before, bend), (after, new_bend))
-    )
+    normal, new_normal = cross_products(before, bend), cross_products(after, new_bend)
     return (
-        _bone_frame(new_knee - hip, new_normal) @ np.swapaxes(_bone_frame(knee - hip, normal), -1, -2),
-        _bone_frame(new_ankle - new_knee, new_normal)
-        @ np.swapaxes(_bone_frame(ankle - knee, normal), -1, -2),
+        _bone_frame(new_knee - hip, new_normal) @ np.swapaxes(_bone_frame(upper, normal), -1, -2),
+        _bone_frame(new_ankle - new_knee, new_normal) @ np.swapaxes(_bone_frame(lower, normal), -1, -2),
     )
 
 
@@ -81,8 +82,11 @@ def correction_share(hip: Array, knee: Array, ankle: Array) -> Array:
 
 def _bone_frame(along: Array, normal: Array) -> Array:
     """Rotations (N, 3, 3) with the first axis along a bone and the second on its hinge."""
-    x = unit_vectors(along)
-    return np.stack([x, normal, np.cross(x, normal)], axis=-1)
+    out = np.empty((*along.shape, 3))
+    out[..., 0] = unit_vectors(along)
+    out[..., 1] = normal
+    out[..., 2] = cross_products(out[..., 0], normal)
+    return out
 
 
 #: Seconds of the cycles before and after, so that a stance across the end of a loop is one stance.
@@ -391,8 +395,7 @@ def _shifts(points: Array, standing: NDArray[np.bool_]) -> Array:
         out[: runs[0][0], foot] = out[runs[0][0], foot]
         out[runs[-1][1] :, foot] = out[runs[-1][1], foot]
         for (_, left), (right, _) in pairwise(runs):
-            weight = np.linspace(0.0, 1.0, right - left + 1)[:, None]
-            weight = weight * weight * (3 - 2 * weight)
+            weight = smooth_step(np.linspace(0.0, 1.0, right - left + 1))[:, None]
             out[left : right + 1, foot] = (1 - weight) * out[left, foot] + weight * out[right, foot]
         # a foot in the air stays above the floor
         out[:, foot, 2] = np.maximum(out[:, foot, 2], -points[:, foot, :, 2].min(-1))

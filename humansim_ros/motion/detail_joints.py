@@ -46,6 +46,8 @@ _FACE = {"eye": "eyeball_joint", "eyeball": "eyeball_joint", "jaw": "temporomand
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 #: Words that are written as one: ``lthumb``, ``lefthandindex``, ``ringfinger``.
 _FUSED = re.compile(rf"(left|right|l|r)?(?:hand)?({'|'.join([*_FINGER_WORDS, 'finger'])})(?:finger)?")
+#: Word of Biped for the end of a finger, whose number counts from 0.
+_NUB = re.compile("nub", re.IGNORECASE)
 _MMD = re.compile(r"([左右])(?:([親人中薬小])差?指([0-3０-３])|(目))$")
 _MMD_FINGERS = dict(zip("親人中薬小", FINGERS, strict=True))
 #: Joints of H-Anim 2 by the finger and its number, and the segments of H-Anim 2 that rotate with them.
@@ -97,8 +99,10 @@ def _finger_joint(name: str) -> tuple[str, str, str | int] | None:
         return None
     if not finger and counted and numbers:
         first = numbers.pop(0)
-        if not numbers and not segment:  # Biped: fingers from 0, joints after the first have a second digit
-            numbers.append(str(int(first[1:] or "0") + 1))
+        # Biped: fingers from 0, joints after the first have a second digit, ends have that of their joint
+        if not numbers and (not segment or len(first) == 2 or _NUB.search(plain)):
+            if not segment:
+                numbers.append(str(int(first[1:] or "0") + 1))
             first = str(int(first[0]) + 1)
         finger = FINGERS[int(first) - 1] if 0 < int(first) <= 5 else ""
     if not finger or len(numbers) > 1 or (not numbers and not segment):
@@ -168,12 +172,13 @@ def detail_joints(
             face.setdefault(bone, (joint, joint))
     out: dict[str, tuple[int, int]] = {}
     for (side, finger), joints in named.items():
-        chain, tip = _in_order(joints, finger)
+        chain, tip = _in_order(joints, finger, joint_names)
         wrist = roles.get(f"{'Left' if side == 'l' else 'Right'}Wrist")
         above = () if wrist is None else (wrist,)
         if len(chain) < 2 or (parents is not None and not _is_chain((*above, *chain), parents)):
             continue
-        tip = _tip(chain[-1], joint_names, parents) if tip is None else tip
+        if tip is None or (parents is not None and not _is_chain((chain[-1], tip), parents)):
+            tip = _tip(chain[-1], joint_names, parents)
         for number, (start, end) in enumerate(itertools.pairwise((*chain, tip)), 1):
             out[f"{side}_{finger}{number}"] = (start, end)
     for side in ("Left", "Right"):
@@ -184,13 +189,20 @@ def detail_joints(
     return {bone: out[bone] for bone in DETAIL_BONES if bone in out}
 
 
-def _in_order(joints: Mapping[str | int, int], finger: str) -> tuple[tuple[int, ...], int | None]:
+def _in_order(
+    joints: Mapping[str | int, int], finger: str, joint_names: Sequence[str]
+) -> tuple[tuple[int, ...], int | None]:
     """Joints of a finger from its base, at most three, and its tip."""
     numbers = sorted(each for each in joints if isinstance(each, int) and (each or finger == "thumb"))
     words = [word for word in _ORDER if word in joints and (finger == "thumb" or word != "metacarpal")]
     chain = [joints[word] for word in words if not numbers or word == "metacarpal"]
     chain += [joints[number] for number in numbers]
-    return tuple(chain[:3]), chain[3] if len(chain) > 3 else joints.get("tip")
+    tip = joints.get("tip")
+    if tip is not None and chain and joint_names[tip] == f"{joint_names[chain[-1]]}_end":
+        tip = None  # an end site: the joint before it may be the tip
+    if len(chain) > 3 and (tip is not None or len(chain) > 4 or 0 in numbers):
+        chain = chain[1:]  # the first joint is in the palm, as in files of SOMA and Meta Quest
+    return tuple(chain[:3]), chain[3] if len(chain) > 3 else tip
 
 
 def _tip(joint: int, joint_names: Sequence[str], parents: Indices | None) -> int:

@@ -6,10 +6,10 @@ poses the angles change linearly, so that a finger bends and never passes throug
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,21 @@ def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
 
 
 @dataclass(frozen=True)
+class ReachingHand:
+    """A pose that a hand has while it reaches for something.
+
+    Attributes:
+        side: The hand.
+        pose: Name of the pose.
+        shares: Returns how far (N,) the hand has it at scene times (N,), 0 to 1.
+    """
+
+    side: Literal["left", "right"]
+    pose: HandPoseName
+    shares: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
 class HandKeys:
     """Keys of the hands of a human over its motion.
 
@@ -120,6 +135,7 @@ class HandKeys:
     anatomy: HandAnatomy
     motion: WorldMotion
     driven: frozenset[str] = frozenset()
+    reaching: tuple[ReachingHand, ...] = ()
 
     @classmethod
     def of(
@@ -187,7 +203,13 @@ class HandKeys:
             out += share[:, None, None] * (hand_angles(key.pose, self.anatomy) - out)
         return out
 
-    def add(self, poses: JointPoses, seconds: float, file_offset: float) -> JointPoses:
+    def reaching_for(self, reaching: Sequence[ReachingHand]) -> HandKeys:
+        """These keys, with other poses while hands reach; a hand without keys is relaxed elsewhere."""
+        sides = sorted({each.side for each in reaching if not self._of_side(each.side[0])})
+        relaxed = (HandKey("relaxed", self.motion.start, side) for side in sides)
+        return replace(self, keys=(*relaxed, *self.keys), reaching=tuple(reaching))
+
+    def add(self, poses: JointPoses, seconds: float, file_offset: float, delay: float = 0.0) -> JointPoses:
         """Poses (N = 1) of a motion at a time, with joints that carry the poses of the hands.
 
         The rotation of such a joint is the rotation of its bone; its position is the first joint's.
@@ -196,12 +218,17 @@ class HandKeys:
             poses: Joint poses of the motion.
             seconds: Time of the motion, seconds.
             file_offset: Seconds of the file that the motion is ahead.
+            delay: Seconds that the time of the motion is ahead of the scene.
         """
         times = seconds + np.array([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
         phases = self.motion.phases(times, file_offset)
         if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):  # a new cycle began
             phases[:] = phases[1]
-        turns = self.anatomy.rotations(self.angles(phases))[:, list(self.bones)]
+        angles = self.angles(phases)
+        for each in self.reaching:
+            hand = angles[:, :PER_HAND] if each.side == "left" else angles[:, PER_HAND:]
+            hand += each.shares(times - delay)[:, None, None] * (hand_angles(each.pose, self.anatomy) - hand)
+        turns = self.anatomy.rotations(angles)[:, list(self.bones)]
         _, turning = central_difference(turns[0], turns[2], turns[0], turns[2], 2 * VELOCITY_STEP)
         names = [HAND_JOINT + FINGER_BONES[number] for number in self.bones]
         return poses.with_joints(names, turns[1], turning)

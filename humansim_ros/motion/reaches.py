@@ -16,6 +16,7 @@ from humansim_ros.motion.keyframes import KeyframeSpace
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.rotations import (
+    cross_products,
     matrix_to_quaternion,
     perpendicular,
     quaternion_to_matrix,
@@ -200,8 +201,8 @@ class ReachingArm:
             up = 0.0 if goal.fingers is not None else _FINGERS_UP
             fingers = unit_vectors(perpendicular(fingers + up * np.array([0.0, 0.0, 1.0]), normal))
         own = np.array([0.0, 1.0, 0.0])
-        axes = np.stack([own, self.palm.normal, np.cross(own, self.palm.normal)], axis=-1)
-        return np.stack([fingers, normal, np.cross(fingers, normal)], axis=-1) @ axes.T
+        axes = np.stack([own, self.palm.normal, cross_products(own, self.palm.normal)], axis=-1)
+        return np.stack([fingers, normal, cross_products(fingers, normal)], axis=-1) @ axes.T
 
 
 def _rotation_vectors(rotations: Array) -> Array:

@@ -33,6 +33,24 @@ _PARTS = (
     ("pose_hand", "left_hand_pose"),
     ("right_hand_pose",),
 )
+#: Numbers of a frame of the body of SMPL+H and SMPL-X, and of the parts of face and hands.
+_BODY = 63
+_WIDTHS = {
+    **dict.fromkeys(("pose_jaw", "jaw_pose", "leye_pose", "reye_pose"), 3),
+    **dict.fromkeys(("left_hand_pose", "right_hand_pose"), 45),
+    "pose_eye": 6,
+    "pose_hand": 90,
+}
+#: What these parts contain.
+_HALVES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("pose_jaw", "jaw_pose"), ("jaw",)),
+    "pose_eye": ("left_eye", "right_eye"),
+    "leye_pose": ("left_eye",),
+    "reye_pose": ("right_eye",),
+    "pose_hand": ("left_hand", "right_hand"),
+    "left_hand_pose": ("left_hand",),
+    "right_hand_pose": ("right_hand",),
+}
 _PLACES = ("trans", "transl", "smpl_trans")
 _RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
 _KNOWN = (*_POSES, *(name for names in _PARTS for name in names), *_PLACES, *_RATES, "betas")
@@ -191,10 +209,10 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:
                 path=path,
             )
         name = parts[0]
-        tables = [_numbers(path, part, arrays[part]) for part in parts if part is not None]
-        if len({len(table) for table in tables}) > 1:
+        tables = {part: _numbers(path, part, arrays[part]) for part in parts if part is not None}
+        if len({len(table) for table in tables.values()}) > 1:
             raise MotionError("parts of different lengths", path=path, key=name)
-        found = np.concatenate(tables, axis=1)
+        found = np.concatenate(_all_parts(path, tables), axis=1)
     width = found.shape[1] // 3
     if found.shape[1] % 3 == 0 and width == 22:  # the body alone: SMPL without its hands
         found, width = np.pad(found, ((0, 0), (0, 6))), 24
@@ -208,6 +226,34 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:
     if found.size > 3 * _MAX_ROTATIONS:
         raise MotionError(f"{len(found)} frames are too many", path=path, key=name)
     return _finite(path, found, name).reshape(len(found), -1, 3)
+
+
+def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
+    """Root, body, face and hands (F, 3 J) in the order of the models; zero where a part is absent.
+
+    Args:
+        path: File, for messages.
+        tables: Rotations (F, N) of the parts of a file by name: root, body, and others.
+    """
+    root, body, *others = tables
+    if not others:
+        return list(tables.values())
+    widths = {body: _BODY} | {part: _WIDTHS[part] for part in others}
+    for part, width in widths.items():
+        if (found := tables[part].shape[1]) != width:
+            hint = ". Components of hands (use_pca) need the model: write rotations of 15 joints a hand"
+            hint = hint if "hand" in part and found < width else ""
+            raise MotionError(f"{found} numbers a frame in place of {width}{hint}", path=path, key=part)
+    halves: dict[str, Array] = {}
+    for part in others:
+        halves |= zip(_HALVES[part], np.split(tables[part], len(_HALVES[part]), axis=1), strict=True)
+    order: tuple[str, ...] = ("left_hand", "right_hand")
+    if any(not half.endswith("hand") for half in halves):
+        order = ("jaw", "left_eye", "right_eye", *order)
+    count = len(tables[root])
+    sizes = {half: width // len(_HALVES[part]) for part, width in _WIDTHS.items() for half in _HALVES[part]}
+    details = [halves.get(half, np.zeros((count, sizes[half]))) for half in order]
+    return [tables[root], tables[body], *details]
 
 
 def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Array:

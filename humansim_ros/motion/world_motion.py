@@ -22,6 +22,7 @@ from humansim_ros.rotations import (
     normalised,
     quaternion_to_matrix,
     slerp,
+    smooth_step,
     unit_vectors,
 )
 from humansim_ros.types import Array, Indices
@@ -366,8 +367,7 @@ class WorldMotion:
             t, r = self._local_poses(self.start + self.cycle_length + phases[fading])
             roots = np.flatnonzero(self.motion.parents < 0)
             t[:, roots], r[:, roots] = self._minus_one_cycle(t[:, roots], r[:, roots])
-            weight = phases[fading] / self.blend
-            weight = (weight * weight * (3 - 2 * weight))[:, None]
+            weight = smooth_step(phases[fading] / self.blend)[:, None]
             translations[fading] = t + weight[..., None] * (translations[fading] - t)
             rotations[fading] = slerp(r, rotations[fading], weight)
         return translations, rotations

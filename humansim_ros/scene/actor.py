@@ -21,7 +21,7 @@ from humansim_ros.motion.contacts import ON_SKIN, FootContacts, SkinContact, ski
 from humansim_ros.motion.faces import Face, PointAt, without_face
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
-from humansim_ros.motion.hand_poses import HandKeys, without_hands
+from humansim_ros.motion.hand_poses import HandKeys, ReachingHand, without_hands
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
@@ -239,6 +239,23 @@ class Actor:
                 raise MotionError(_NO_HANDS_MOVE)
         return replace(self, hands=hands)
 
+    def with_reaches(self, reaches: Reaches, poses: Sequence[ReachingHand]) -> Actor:
+        """This human with hands that reach, and the poses that they have meanwhile.
+
+        Raises:
+            MotionError: The poses move nothing.
+        """
+        if not poses:
+            hands = self.hands and replace(self.hands, reaching=())
+            return replace(self, reaches=reaches, hands=hands)
+        hands = self.hands
+        if hands is None:
+            keys = [HandKey("relaxed", self.motion.start, each.side) for each in poses]
+            hands = HandKeys.of(keys, self.human.skeleton, self.motion, self.retargeter.match)
+        if hands is None:
+            raise MotionError(_NO_HANDS_MOVE, key="pose")
+        return replace(self, reaches=reaches, hands=hands.reaching_for(poses))
+
     @staticmethod
     def _fit(world: WorldMotion, human: Human, config: MotionConfig, source: SceneSource) -> Retargeter:
         """Retargeting of a motion, which is fitted once for all humans with a skeleton and a motion."""
@@ -275,7 +292,11 @@ class Actor:
         if self.reaches is not None:
             poses = self.reaches.apply_at(poses, seconds, None if self.keyframes is None else self._space)
         poses = poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
-        poses = poses if self.hands is None else self.hands.add(poses, seconds + self.offset, self.ahead)
+        poses = (
+            poses
+            if self.hands is None
+            else self.hands.add(poses, seconds + self.offset, self.ahead, self.offset)
+        )
         return self.with_face(poses, seconds)
 
     def with_face(self, poses: JointPoses, seconds: float) -> JointPoses:

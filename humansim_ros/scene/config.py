@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, StringConstraints, field_validator, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, field_validator, model_validator
 
 from humansim_ros.body.face_actions import ExpressionName, face_weights
 from humansim_ros.errors import MAX_FRAMES, MotionError, SceneError, printable
@@ -22,6 +22,8 @@ from humansim_ros.io.schema import (
     Share,
     ShortSection,
     TopicName,
+    alone_in_list,
+    one_or_more,
 )
 from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.io.yaml import read_yaml
@@ -147,19 +149,17 @@ class FaceConfig(ShortSection):
         description="how far the head turns with a gaze: 0 not at all, 1 as people turn it",
     )
     mouth: bool = Field(default=False, description="show teeth and tongue in an open mouth")
-    keys: tuple[FaceKeyConfig, ...] = Field(
-        default=(), max_length=1000, description="expressions, actions, gaze and speech over time"
+    keys: Annotated[tuple[FaceKeyConfig, ...], BeforeValidator(alone_in_list)] = Field(
+        default=(),
+        max_length=1000,
+        description="expressions, actions, gaze and speech over time",
+        json_schema_extra=one_or_more,
     )
     file: FileName | None = Field(
         default=None,
         description="recording of a face, from time 0 on, or with the motion of the same file: the CSV file "
         "of Live Link Face, or the animated face of a .glb, .gltf, .vrm or .vrma file (take.glb#Name)",
     )
-
-    @field_validator("keys", mode="before")
-    @classmethod
-    def _one_key(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, (str, dict)) else value
 
 
 class ReachConfig(Section):
@@ -172,6 +172,7 @@ class ReachConfig(Section):
         "start": "time from begin",
         "palm": "normal facing",
         "fingers": "direction along",
+        "pose": "hands gesture grip",
         "shake": "shaking",
     }
 
@@ -206,6 +207,10 @@ class ReachConfig(Section):
         default=None,
         description="direction of the fingers, in map or in the axes of the object; if absent, along the "
         "forearm, or up where the palm allows it",
+    )
+    pose: HandPoseName | None = Field(
+        default=None,
+        description="pose of the hand while it is there, such as grip; of motion.hands if absent",
     )
     shake: float = Field(
         default=0.03, ge=0, le=0.2, description="metres by which right hands, or left ones, that meet shake"
@@ -322,17 +327,13 @@ class MotionConfig(ShortSection):
         description="what is on the floor: soles, or at each time the lowest skin, of somebody who lies or "
         "crawls; if absent, skin for lie, fall and crawl",
     )
-    hands: tuple[HandKeyConfig, ...] | None = Field(
+    hands: Annotated[tuple[HandKeyConfig, ...] | None, BeforeValidator(alone_in_list)] = Field(
         default=None,
         max_length=1000,
+        json_schema_extra=one_or_more,
         description="poses of the hands over time; if absent, hands are relaxed, open with a raised arm, and "
         "hold what a built-in motion holds",
     )
-
-    @field_validator("hands", mode="before")
-    @classmethod
-    def _one_pose(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, (str, dict)) else value
 
 
 class KeyframesConfig(ShortSection):

@@ -47,7 +47,7 @@ class Hold:
     config: HoldConfig
     own: ObjectPose
 
-    def at(self, seconds: float) -> ObjectPose:
+    def __call__(self, seconds: float) -> ObjectPose:
         """Pose and velocity at a scene time in seconds."""
         if seconds not in self._known:
             if len(self._known) >= _KNOWN:
@@ -129,10 +129,24 @@ def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> 
         raise SceneError(f"no human {config.human[:40]!r}{known}{did_you_mean(config.human, actors)}")
     hold = Hold(actor, config, item.initial_pose)
     if config.by == "path":
-        return replace(item, pose_at=hold.at)
+        return replace(item, pose_at=hold)
     if not {"l_wrist_end", "r_wrist_end"} <= set(actor.human.skeleton.joint_names):
         raise SceneError(f"{config.human} has no hands")
     if item.shape in SHAPES:
         x, _, z = item.initial_pose.size.tolist()
         hold = replace(hold, own=replace(item.initial_pose, size=np.array([x, hold.width, z])))
-    return replace(item, initial_pose=hold.own, pose_at=hold.at, held_by=config.human)
+    return replace(item, initial_pose=hold.own, pose_at=hold, held_by=config.human)
+
+
+def followed(item: SceneObject, actors: Mapping[str, Actor]) -> SceneObject:
+    """An object that follows the human who takes it along as this human moves now.
+
+    It keeps its size, and its place between the palms or before the hips.
+    """
+    hold = item.pose_at
+    if not isinstance(hold, Hold):
+        return item
+    now, then = actors[hold.config.human], hold.actor
+    if now.motion is then.motion and now.retargeter is then.retargeter and now.ahead == then.ahead:
+        return item
+    return replace(item, pose_at=replace(hold, actor=replace(now, reaches=None)))

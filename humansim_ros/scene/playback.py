@@ -22,6 +22,7 @@ from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.faces import with_gazes
+from humansim_ros.scene.holding import followed
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.robot import CommandedDrive
@@ -219,6 +220,8 @@ class Playback:
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
         robot = scene.robot
         self.drive = CommandedDrive(robot) if robot is not None and robot.takes_commands else None
+        #: Moving objects by name; those that a human takes along follow its present motion.
+        self._moving = dict(scene.moving_objects)
         self.actors = self._reaching(self.actors)
 
     def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
@@ -342,7 +345,8 @@ class Playback:
         self._look()
 
     def _look(self) -> None:
-        """Let people look at others, and reach for things, where these are now."""
+        """Let people look at others, reach for things, and take things along, where these are now."""
+        self._moving = {name: followed(item, self.actors) for name, item in self.scene.moving_objects.items()}
         self.actors = self._reaching(self.actors)
         faces = {name: self.scene.config.humans[name].face for name in self.actors}
         self.actors |= with_gazes(self.actors, faces, self.scene.scene_cameras)
@@ -358,7 +362,7 @@ class Playback:
         return self._object_at(name, seconds) if item.moves else item.initial_pose
 
     def _object_at(self, name: str, seconds: float) -> ObjectPose:
-        pose = self.scene.moving_objects[name].at(seconds)
+        pose = self._moving[name].at(seconds)
         if name not in self._shifts:
             return pose
         turn, offset = self._shifts[name]
@@ -384,7 +388,7 @@ class Playback:
             self.drive.place(self.elapsed * 1e-9, float(position[0]), float(position[1]), float(yaw))
             self.version += 1
             return
-        pose = self.scene.moving_objects[name].at(self.elapsed * 1e-9)
+        pose = self._moving[name].at(self.elapsed * 1e-9)
         rotate = scipy.spatial.transform.Rotation.from_quat
         turn = rotate(rotation) * rotate(pose.rotation).inv()
         self._shifts[name] = turn, position - turn.apply(pose.position)

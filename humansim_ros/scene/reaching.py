@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.motion.hand_poses import ReachingHand
 from humansim_ros.motion.reaches import PALM, GoalAt, HandGoal, Reach, Reaches, in_round
 from humansim_ros.rotations import quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.scene.actor import Actor
@@ -237,7 +238,13 @@ def with_reaches(
                     Reach(each.hand, each.start, each.until, each.blend, goal, each.repeat or math.inf)
                 )
             actor = actors[name]
-            out[name] = replace(actor, reaches=Reaches(tuple(reaches), actor.motion.motion, actor.retargeter))
+            poses = [
+                ReachingHand(each.side, own.pose, each.shares)
+                for each, own in zip(reaches, config.reach, strict=True)
+                if own.pose is not None
+            ]
+            all_reaches = Reaches(tuple(reaches), actor.motion.motion, actor.retargeter)
+            out[name] = actor.with_reaches(all_reaches, poses)
     makes.refuse_circles()
     return out
 

@@ -358,6 +358,7 @@ LENIENT: list[tuple[str, str | bytes, int, str]] = [
     ("commas and spaces", GOOD.replace(ROW, ROW.replace(" ", ", ")), 19, "as white space"),
     ("commas and points", GOOD.replace(ROW, ROW.replace(" ", ".0,")), 19, "as white space"),
     ("commas in OFFSETs", GOOD.replace("OFFSET 0 10 0", "OFFSET 0.0,10.0, 0.0"), 8, "as white space"),
+    ("a rotation in OFFSETs", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 10 0 9 0 -9e-1"), 8, "are not used"),
     ("commas in CHANNELS", GOOD.replace("3 Zrotation X", "3, Zrotation, X"), 9, "after CHANNELS"),
     ("last brace missing", GOOD.replace("}\nMOTION", "MOTION"), 15, "1 '}' missing at the end"),
     ("last braces missing", GOOD.replace("  }\n}\nMOTION", "MOTION"), 14, "2 '}' missing at the end"),

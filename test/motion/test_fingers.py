@@ -227,6 +227,48 @@ def test_names_of_jaw_and_eyes(name: str, bone: str) -> None:
     assert detail_joints(["Hips", name], {}) == {bone: (1, 1)}
 
 
+#: Joints from the wrist out with one that is in the palm, or with an end that another finger seems to have;
+#: then those that bend the finger, and where its last segment ends.
+CHAINS = {
+    "SOMA": ("LeftHandIndex1 LeftHandIndex2 LeftHandIndex3 LeftHandIndex4 LeftHandIndexEnd", "index", 1),
+    "SOMA, thumb": ("LeftHandThumb1 LeftHandThumb2 LeftHandThumb3 LeftHandThumbEnd", "thumb", 0),
+    "Meta Quest, thumb": ("b_l_thumb0 b_l_thumb1 b_l_thumb2 b_l_thumb3", "thumb", 1),
+    "Meta Quest, little finger": ("b_l_pinky0 b_l_pinky1 b_l_pinky2 b_l_pinky3", "pinky", 1),
+    "Mixamo": ("LeftHandIndex1 LeftHandIndex2 LeftHandIndex3 LeftHandIndex4", "index", 0),
+    "Mixamo of Blender": (
+        "LeftHandIndex1 LeftHandIndex2 LeftHandIndex3 LeftHandIndex4 LeftHandIndex4_end", "index", 0),
+    "MetaHuman": ("index_metacarpal_l index_01_l index_02_l index_03_l", "index", 1),
+    "Rigify": ("palm.01.L f_index.01.L f_index.02.L f_index.03.L", "index", 1),
+    "Daz": ("lCarpal1 lIndex1 lIndex2 lIndex3", "index", 1),
+    "MakeHuman": ("metacarpal1.L finger2-1.L finger2-2.L finger2-3.L", "index", 1),
+    "Biped": ("Bip01 L Finger1|Bip01 L Finger11|Bip01 L Finger12|Bip01 L Finger1Nub", "index", 0),
+    "Biped of Blender": (
+        "Bip01_L_Finger0 Bip01_L_Finger01 Bip01_L_Finger02 Bip01_L_Finger02_end", "thumb", 0),
+    "Rokoko": ("LeftFinger2Metacarpal LeftFinger2Proximal LeftFinger2Medial LeftFinger2Distal LeftFinger2Tip",
+               "index", 1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", CHAINS)
+@pytest.mark.parametrize("with_parents", [True, False])
+def test_joints_of_the_palm_and_ends_of_other_fingers_bend_no_finger(
+    program: str, with_parents: bool
+) -> None:
+    chain, finger, first = CHAINS[program]
+    joints = chain.split("|" if "|" in chain else None)
+    # names of Biped's other fingers, whose ends have numbers of other fingers
+    others = ["Bip01 L Finger2", "Bip01 L Finger21", "Bip01 L Finger22", "Bip01 L Finger2Nub"]
+    names = ["LeftHand", *joints, *(others if "Nub" in chain else [])]
+    parents = np.array([-1, *range(len(joints)), 0, *range(len(joints) + 1, len(names) - 1)][: len(names)])
+    found = detail_joints(names, {"LeftWrist": 0}, parents if with_parents else None)
+    links = {bone: tuple(names[joint] for joint in link) for bone, link in found.items()}
+    bent = joints[first : first + 3]
+    ends = [*bent[1:], joints[first + 3] if len(joints) > first + 3 else bent[-1]]
+    for number, link in enumerate(zip(bent, ends, strict=True), 1):
+        assert links[f"l_{finger}{number}"] == link
+    assert {bone[:-1] for bone in links} - {"l_middle"} == {f"l_{finger}"}
+
+
 def test_fingers_out_of_order_or_below_another_joint_do_not_match() -> None:
     names = ["Hips", "Hand", "LeftHandIndex1", "LeftHandIndex2", "Foot"]
     roles = {"LeftWrist": 1}

@@ -175,6 +175,27 @@ def test_single_frames_that_are_not_finite_are_filled(tmp_path: Path) -> None:
     assert np.isfinite(motion.values).all()
 
 
+def test_parts_that_are_absent_beside_others_are_zero(tmp_path: Path) -> None:
+    """Hands with a jaw and without eyes, and a left hand alone, bend each joint by its own rotation."""
+    p = poses(52)
+    body = {"poses": None, "root_orient": p[:, :3], "pose_body": p[:, 3:66]}
+    hands = np.random.default_rng(2).uniform(-0.5, 0.5, (len(p), 90))
+    with_jaw = read_motion(amass(tmp_path, **body, pose_hand=hands, pose_jaw=np.full((len(p), 3), 0.1)))
+    left = read_motion(amass(tmp_path, **body, left_hand_pose=hands[:, :45].reshape(-1, 15, 3)))
+    whole = read_motion(amass(tmp_path, poses=np.concatenate([p[:, :66], hands], axis=1)))
+    for side, others in (("left", (with_jaw, left)), ("right", (with_jaw,))):
+        names = [f"{side}_{finger}{n}" for finger in ("thumb", "index", "pinky") for n in (1, 2, 3)]
+        for other in others:
+            found = [
+                motion.world_positions()[:, [motion.joint(n) for n in names]] for motion in (other, whole)
+            ]
+            np.testing.assert_allclose(*found, atol=1e-5)
+    flat = read_motion(amass(tmp_path, poses=np.pad(p[:, :66], ((0, 0), (0, 90)))))
+    tips = [motion.world_positions()[:, motion.joint("right_index3")] for motion in (left, flat)]
+    np.testing.assert_allclose(*tips, atol=1e-5)
+    assert {"jaw", "left_eye_smplhf"} <= set(with_jaw.joint_names)
+
+
 class Pickled:
     pass
 
@@ -194,6 +215,25 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "rate 0": ({"mocap_framerate": 0}, "frames per second must be a number above 0"),
     "rate nan": ({"mocap_framerate": np.nan}, "frames per second must be a number above 0"),
     "rate text": ({"mocap_framerate": "fast"}, "frames per second must be a number above 0"),
+    "components of a hand": (
+        {
+            "poses": None,
+            "global_orient": np.zeros((12, 3)),
+            "body_pose": np.zeros((12, 63)),
+            "left_hand_pose": np.zeros((12, 3)),
+            "right_hand_pose": np.zeros((12, 3)),
+        },
+        "left_hand_pose: 3 numbers a frame in place of 45. Components of hands (use_pca) need the model",
+    ),
+    "hands of SMPL and fingers": (
+        {
+            "poses": None,
+            "global_orient": np.zeros((12, 3)),
+            "body_pose": np.zeros((12, 69)),
+            "pose_hand": np.zeros((12, 90)),
+        },
+        "body_pose: 69 numbers a frame in place of 63",
+    ),
     "parts of different lengths": (
         {"poses": None, "root_orient": np.zeros((5, 3)), "pose_body": np.zeros((6, 63))},
         "parts of different lengths",

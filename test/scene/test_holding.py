@@ -9,6 +9,7 @@ import pytest
 
 from humansim_ros.errors import SceneError
 from humansim_ros.scene import Scene, check_scene
+from humansim_ros.scene.playback import Playback
 
 CAMERAS = {"front": {"size": [160, 120], "position": [3, 2.6, 2], "look_at": [0, 0, 0.8]}}
 
@@ -121,3 +122,47 @@ def test_what_is_taken_along_waits_before_and_stays_after() -> None:
     np.testing.assert_allclose(late.position, end.position, atol=1e-9)
     assert end.position[0] - start.position[0] > 0.8
     assert late.velocity is not None and np.linalg.norm(late.velocity.linear) < 1e-9
+
+
+CART = {
+    "mesh": "cart",
+    "size": [1, 1, 1],
+    "position": [0.9, 0, 0],
+    "held_by": {"human": "anna", "by": "path"},
+}
+
+
+@pytest.mark.parametrize("box", [{"held_by": "anna"}, CART], ids=["in hands", "on the path"])
+@pytest.mark.parametrize(
+    "change", [{"speed": 0.5}, {"position": (1.0, -0.5), "yaw_deg": 70.0}, {"file": "walk_slow"}], ids=str
+)
+def test_what_is_held_follows_a_motion_that_is_changed_while_it_plays(
+    box: dict[str, Any], change: dict[str, Any]
+) -> None:
+    """After a rewind it is where a scene with the changed motion from its start has it."""
+    carry = {"file": "carry", "loop": "continue"}
+    playback = Playback(scene(carry, box))
+    before = playback.show(2 * 10**9).objects["box"]
+    playback.change("anna", **change)
+    for seconds in (2.0, 3.3):
+        shown = playback.show(round(seconds * 1e9))
+        actor = playback.actors["anna"]
+        hips = actor.hips_at(np.array([seconds]))[0][0]
+        pose = shown.objects["box"]
+        if box is CART:
+            assert np.linalg.norm((pose.position - hips)[:2]) == pytest.approx(0.9, abs=0.06)
+        else:
+            names, joints = actor.human.skeleton.joint_names, actor.joint_paths(np.array([seconds]))[0]
+            wrists, tips = (
+                joints[[names.index(f"{s}_{part}") for s in "lr"]] for part in ("wrist", "wrist_end")
+            )
+            np.testing.assert_allclose(pose.position, (0.55 * wrists + 0.45 * tips).mean(axis=0), atol=1e-9)
+        assert playback.object_pose("box").position.tolist() == pose.position.tolist()
+    playback.rewind()
+    there = scene({**carry, **change}, box).objects["box"].at(1.7)
+    again = playback.show(round(1.7e9)).objects["box"]
+    np.testing.assert_allclose(again.position, there.position, atol=1e-9)
+    np.testing.assert_allclose(again.rotation, there.rotation, atol=1e-9)
+    playback.change("anna", **carry, speed=1.0, position=(0.0, 0.0), yaw_deg=0.0)
+    playback.rewind()
+    np.testing.assert_array_equal(playback.show(2 * 10**9).objects["box"].position, before.position)

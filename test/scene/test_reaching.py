@@ -13,6 +13,7 @@ from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.motion.kinematics import VELOCITY_STEP
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.soles import sole_points
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene import Scene, check_scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.live import LiveRetargeter
@@ -418,3 +419,84 @@ def test_somebody_who_does_not_reach_yet_is_as_without_the_key() -> None:
         np.testing.assert_array_equal(later.at(time).vertices, plain.at(time).vertices)
         np.testing.assert_array_equal(later.at(time).linear, plain.at(time).linear)
     assert np.abs(later.at(3.0).vertices - plain.at(3.0).vertices).max() > 0.2
+
+
+@pytest.fixture(scope="module")
+def doorway() -> Scene:
+    return Scene.load(ROOT / "config" / "scenes" / "door.yaml")
+
+
+def test_a_man_opens_a_door_wide_with_his_hand_on_the_handle(doorway: Scene) -> None:
+    actor, door = doorway.actors["visitor"], doorway.objects["door"]
+    assert actor.reaches is not None
+    (reach,) = actor.reaches.reaches
+    times = reach.holds(np.linspace(0, 25.6, 513))
+    turns = np.array([2 * np.degrees(np.arctan2(*door.at(time).rotation[2:])) for time in times])
+    assert np.ptp(turns) > 80
+    error = np.linalg.norm(actor.palms_at(reach.side, times) - reach.goal(times).place, axis=1)
+    assert error.max() < CONTACT
+    assert check_scene(doorway) == []
+    poses = actor.reaches.apply(actor.motion.sample(times), times)
+    rotations, _ = actor.retargeter.apply(poses)
+    assert not load_limits().for_skeleton(actor.human.skeleton).report(rotations)
+
+
+def test_the_door_passes_by_the_man_who_opens_it(doorway: Scene) -> None:
+    """No skin is in the leaf, nor behind it, while he goes through; he is between the posts of its frame."""
+    actor, door = doorway.actors["visitor"], doorway.objects["door"]
+    passed = 0
+    for time in np.arange(2.0, 12.8, 0.15):
+        pose, skin = door.at(time), actor.at(time).vertices
+        own = (skin - pose.position) @ quaternion_to_matrix(pose.rotation)
+        beside = (own[:, 1] > 0) & (own[:, 1] < 0.897) & (own[:, 2] < 2)
+        assert not (beside & (np.abs(own[:, 0]) < 0.02)).any(), time
+        in_frame = skin[np.abs(skin[:, 1] + 0.23) < 0.05] if time < 6 else skin[:0]
+        assert not len(in_frame) or 1.16 < in_frame[:, 0].min() <= in_frame[:, 0].max() < 2.06, time
+        passed += len(in_frame) > 0
+    assert passed > 5
+
+
+# --- poses of the hands that reach
+
+
+def finger_bend(actor: Actor, side: str, seconds: float) -> float:
+    """Degrees between the first and the last bone of the index finger."""
+    state = actor.at(seconds)
+    names = state.joint_names
+    points = [state.positions[names.index(f"{side}_index{n}")] for n in (1, 2, 3)]
+    points.append(state.positions[names.index(f"{side}_index3_end")])
+    first, last = points[1] - points[0], points[3] - points[2]
+    return float(np.degrees(np.arccos(first @ last / np.linalg.norm(first) / np.linalg.norm(last))))
+
+
+def test_a_hand_has_its_pose_while_it_reaches() -> None:
+    reach = {"to": [0.5, -0.2, 1.1], "start": 1, "end": 5, "blend": 0.5, "repeat": 6, "pose": "flat"}
+    actor = scene([reach], motion={"file": "stand", "offset": 0.7}).actors["anna"]
+    plain = scene([{**reach, "pose": None}], motion={"file": "stand", "offset": 0.7}).actors["anna"]
+    for seconds, flat in ((0.5, False), (2.0, True), (4.4, True), (5.5, False), (8.0, True)):
+        bends = [finger_bend(each, "r", seconds) for each in (actor, plain)]
+        assert (bends[0] < 10) == flat, seconds
+        assert bends[1] > 30
+        assert finger_bend(actor, "l", seconds) == pytest.approx(finger_bend(plain, "l", seconds), abs=1e-6)
+    half = finger_bend(actor, "r", 1.25)  # on the way there
+    assert 10 < half < 45
+    assert (palms := actor.palms_at("right", np.array([2.0])))[0] == pytest.approx(
+        [0.5, -0.2, 1.1], abs=CONTACT
+    )
+    assert palms.shape == (1, 3)
+
+
+def test_a_pose_goes_on_where_hands_and_motions_are_changed_while_they_play() -> None:
+    made = scene([{"to": [0.5, -0.2, 1.1], "pose": "flat"}], motion={"file": "stand", "hands": "fist"})
+    playback = Playback(made)
+    for change in ({"hands": ["point"]}, {"hands": None}, {"file": "talk"}, {"speed": 0.5}):
+        playback.show(3 * 10**9)
+        playback.change("anna", **change)
+        assert finger_bend(playback.actors["anna"], "r", 3.0) < 10
+        assert finger_bend(playback.actors["anna"], "l", 3.0) > 2
+    assert finger_bend(made.actors["anna"], "l", 3.0) > 90
+
+
+def test_a_wrong_pose_is_refused_with_its_key() -> None:
+    with pytest.raises(SceneError, match=r"humans\.anna\.reach\.0\.pose: give relaxed, fist"):
+        scene([{"to": [0.5, -0.2, 1.1], "pose": "gripp"}])

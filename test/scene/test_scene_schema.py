@@ -65,6 +65,32 @@ def test_scenes_of_the_documents_fit(scene: dict[str, Any]) -> None:
         {"humans": {"anna": "child"}, "cameras": {"c": CAMERA | {"faults": {"drop": 0.05, "clock": 0.01}}}},
         {"rig": {"file": "cams.json", "cameras": [54138969, "left"]}},
         {"cameras": {"c": {"calibration": "cams.json", "camera": 0}}},
+        *(
+            {"humans": {"anna": {"motion": {"hands": hands}}}, "cameras": {"c": CAMERA}}
+            for hands in (
+                "grip",
+                {"pose": "fist", "side": "left"},
+                ["grip", {"pose": "flat", "time": 1}],
+                [],
+                None,
+            )
+        ),
+        *(
+            {"humans": {"anna": {"face": face}}, "cameras": {"c": CAMERA}}
+            for face in (
+                "happiness",
+                {"keys": "happiness"},
+                {"keys": {"expression": "happiness", "time": 1}},
+                {"keys": ["happiness", {"gaze": [1, 0, 1.5], "time": 2}]},
+                {"keys": []},
+            )
+        ),
+        {
+            "humans": {"anna": {"reach": [{"to": [1, 0, 1]}, {"to": "ball", "at": [0, 0, 1], "start": 9}]}},
+            "objects": {"ball": "sphere", "box": {"mesh": "box", "held_by": "anna"}},
+            "cameras": {"c": CAMERA},
+        },
+        {"humans": {"anna": {"motion": "walk", "keyframes": "a.xml"}}, "cameras": {"c": CAMERA}},
     ],
 )
 def test_short_forms_and_numbers_as_names_fit(scene: dict[str, Any]) -> None:
@@ -84,6 +110,9 @@ def test_short_forms_and_numbers_as_names_fit(scene: dict[str, Any]) -> None:
         {"cameras": {"c": CAMERA | {"faults": {"drop": 1.5}}}},
         {"cameras": {"c": CAMERA | {"faults": {"drop": "often"}}}},
         {"cameras": {"c": CAMERA}, "renderer": "blender"},
+        {"humans": {"anna": {"motion": {"hands": 3}}}, "cameras": {"c": CAMERA}},
+        {"humans": {"anna": {"motion": {"hands": [["grip"]]}}}, "cameras": {"c": CAMERA}},
+        {"humans": {"anna": {"face": {"keys": {"emotion": "happiness"}}}}, "cameras": {"c": CAMERA}},
     ],
 )
 def test_mistakes_do_not_fit(scene: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 
 from humansim_ros.humans.makehuman.data import VertexIndices, VertexMask
 from humansim_ros.mesh.normals import mean_normals
+from humansim_ros.rotations import smooth_step
 from humansim_ros.types import Array
 
 NONE, SHOES, TROUSERS, SHIRT = range(4)  # in the order of layers
@@ -75,8 +76,7 @@ def vertex_normals(vertices: Array, faces: VertexIndices) -> Array:
 
 def ramp(value: Array, low: float | Array, high: float | Array) -> Array:
     """Smooth step: 0 below low, 1 above high (or the reverse when high < low)."""
-    t = np.clip((value - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)
+    return smooth_step((value - low) / (high - low))
 
 
 def neighbours(faces: VertexIndices, count: int) -> sparse.csr_matrix:

@@ -613,7 +613,8 @@ def wrap_in_shoe(
     shoe = ConvexHull(
         np.concatenate([skin + 0.004 * size * np.sign(skin - skin.mean(axis=0)) * [1, 0, 0], *levels, box])
     )
-    sides = (shoe.equations * [1, 1, 1, -1]).astype(np.float32)  # micrometres are enough
+    # micrometres are enough; triangles of one plane have equal equations
+    sides = np.unique((shoe.equations * [1, 1, 1, -1]).astype(np.float32), axis=0)
 
     heel = skin[:, 2].min() + 0.045 * size
     middle = np.array([low[:, 0].mean(), floor + 0.03 * size, ball[2] - 0.035 * size])

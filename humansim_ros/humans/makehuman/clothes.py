@@ -485,15 +485,20 @@ def snap_to_border(
         if len(targets[a, b]) == len(copies[a]):  # vertices on a texture seam move along the seam only
             length = step * float(np.linalg.norm(mesh.canonical[b] - mesh.canonical[a]))
             best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
-    carry = sparse.identity(len(mesh.vertices), format="lil")
     uv = mesh.uv.copy()
     for a, (_, b, step) in best.items():
-        carry[a, a], carry[a, b] = 1 - step, step
         for ta, tb in targets[a, b].items():
             uv[ta] = (1 - step) * mesh.uv[ta] + step * mesh.uv[tb]
-    carry = carry.tocsr()
+    moved = np.array(list(best), np.int64)
+    goals = np.array([b for _, b, _ in best.values()], np.int64)
+    steps = np.zeros(len(mesh.vertices))
+    steps[moved] = [step for _, _, step in best.values()]
+    every = np.arange(len(mesh.vertices))
+    carry = sparse.csr_matrix(
+        (np.r_[1 - steps, steps[moved]], (np.r_[every, moved], np.r_[every, goals])), shape=2 * every.shape
+    )
     new_fields = carry @ fields
-    new_fields[list(best), column] = 0.0
+    new_fields[moved, column] = 0.0
     return replace(carried(mesh, carry), uv=uv), new_fields, carry
 
 

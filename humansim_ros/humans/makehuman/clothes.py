@@ -545,16 +545,18 @@ def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> tuple[BodySurface,
     old, garment = copies.T
     faces_cut = inverse.reshape(-1, 4)
 
-    # directed edge of the uncut mesh -> its index in the faces
-    ends = zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True)
-    sides = {edge: index for index, edge in enumerate(ends) if edge[0] != edge[1]}
+    # sides (N,) of faces, and the numbers of the same sides in the other direction
+    count, start, end = len(mesh.vertices), faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    key = np.where(start != end, start * count + end, -1)
+    order = np.argsort(key, kind="stable")
+    reverse = end * count + start
+    others = order[np.searchsorted(key, reverse, sorter=order).clip(max=len(key) - 1)]
+    on_border = face_garment[np.arange(len(key)) // 4] > face_garment[others // 4]
     uv, hems, uv_hems, hem_garment = list(mesh.uv), [], [], []
-    for (a, b), index in sides.items():
-        other = sides.get((b, a))
+    for index in np.flatnonzero(on_border & (key >= 0) & (key[others] == reverse)).tolist():
+        a, b = int(start[index]), int(end[index])
         f, k = divmod(index, 4)
-        if other is None or face_garment[f] <= face_garment[other // 4]:
-            continue
-        g, m = divmod(other, 4)
+        g, m = divmod(int(others[index]), 4)
         to_b = next(i % 4 for i in range(k + 1, k + 4) if faces[f, i % 4] == b)
         to_a = next(i % 4 for i in range(m + 1, m + 4) if faces[g, i % 4] == a)
         hems.append([faces_cut[f, to_b], faces_cut[f, k], faces_cut[g, to_a], faces_cut[g, m]])

@@ -604,7 +604,8 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
             continue
         waist, bottom = own.belt_height + 0.012 * size, own.belt_height - length * size
         # above the lower edge of the upper garment on all sides
-        top = max(waist, float(wearer.points[wearer.mesh.garment == TROUSERS, 1].max()) + 0.012 * size)
+        edge = wearer.points[wearer.mesh.garment == TROUSERS, 1].max(initial=own.belt_height)
+        top = float(edge) + 0.012 * size
         heights = np.linspace(top, bottom, 26)
 
         below = ramp(heights, waist, waist - 0.12)

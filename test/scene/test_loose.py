@@ -249,7 +249,7 @@ def test_no_slit_opens_at_the_waist_of_who_bends(top: str, bottom: str) -> None:
     rest = human.mesh.vertices.astype(float)
     below = body[np.linalg.norm(rest[waist, None] - rest[body], axis=2).argmin(axis=1)]
     before = np.linalg.norm(rest[waist] - rest[below], axis=1)
-    assert before.max() < 0.02
+    assert before.max() < 0.022  # to the nearest vertex
     actor = playing(human, "pick_up")
     for time in (1.0, 1.5):
         points = actor.at(time).vertices

@@ -605,7 +605,7 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         waist, bottom = own.belt_height + 0.012 * size, own.belt_height - length * size
         # above the lower edge of the upper garment on all sides
         edge = wearer.points[wearer.mesh.garment == TROUSERS, 1].max(initial=own.belt_height)
-        top = float(edge) + 0.012 * size
+        top = max(waist, float(edge) + 0.002 * size)
         heights = np.linspace(top, bottom, 26)
 
         below = ramp(heights, waist, waist - 0.12)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
@@ -50,6 +51,10 @@ SIDES = 8
 #: Height of a human in an image, pixels.
 HEIGHT = 340.0
 SIZE = (640, 480)
+#: Horizontal field of view, radians.
+FOV = math.radians(50.0)
+#: No person is taller, metres.
+TALLEST = 2.1
 #: Seconds of the walk.
 TIMES = (0.0, 0.3, 0.6, 0.9)
 #: Number of the joints of the body, which are before those of fingers, toes and face.
@@ -103,7 +108,8 @@ def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[l
                 yield name, outfit, human.wearing(outfit), TIMES, range(SIDES)
 
     truth = {}
-    renderer = GLRenderer(furnished_room((14.0, 14.0, 2.8)))
+    side_length = room_side(options)
+    renderer = GLRenderer(furnished_room((side_length, side_length, 2.8)))
     for number, (name, outfit, human, times, sides) in enumerate(people()):
         motion = MotionConfig(file="walk", anchor="center")
         actor = Actor.build(name, 1, human, motion, SceneSource())
@@ -120,6 +126,13 @@ def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[l
     return truth
 
 
+def room_side(options: argparse.Namespace) -> float:
+    """Length and width of a room that has all cameras inside, metres: at least 14."""
+    focal = options.size[0] / (2 * math.tan(FOV / 2))
+    distance = TALLEST * focal / (options.span or HEIGHT)
+    return max(14.0, 2 * (distance + 1.0))
+
+
 def camera_beside(state: HumanState, human: Human, side: int, options: argparse.Namespace) -> Camera:
     """Create a camera on a side of a human, at the distance at which it has its size in the image."""
     import numpy as np
@@ -127,13 +140,13 @@ def camera_beside(state: HumanState, human: Human, side: int, options: argparse.
     from humansim_ros.camera import Camera
 
     middle = (state.vertices.min(0) + state.vertices.max(0)) / 2
-    fov, size = np.radians(50.0), tuple(options.size)
+    size = tuple(options.size)
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
-    distance = stature * size[0] / (2 * np.tan(fov / 2)) / HEIGHT
+    distance = stature * size[0] / (2 * np.tan(FOV / 2)) / HEIGHT
     angle = 2 * np.pi * side / SIDES + 0.2
     for _ in range(5):
         offset = (distance * np.cos(angle), distance * np.sin(angle), 0.35)
-        camera = Camera.look_at(tuple(middle + offset), tuple(middle), size, float(fov))
+        camera = Camera.look_at(tuple(middle + offset), tuple(middle), size, FOV)
         if options.span is None:
             break
         rows = camera.project(state.positions[:BODY_JOINTS])[0][:, 1]

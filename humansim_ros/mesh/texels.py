@@ -162,7 +162,7 @@ def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
 
 
 #: Texels that are computed at once.
-_CHUNK = 2_000_000
+_CHUNK = 50_000
 #: Tolerance of barycentric coordinates, so that no texel is lost between triangles.
 _INSIDE = 1e-9
 
@@ -215,8 +215,9 @@ def rasterise_uv(uv: Array, triangles: NDArray[np.integer], size: int) -> Surfac
     corners = uv[triangles] * [size, -size] + [-0.5, size - 0.5]
     low = np.maximum(np.ceil(corners.min(axis=1) - 1e-6).astype(int), 0)
     high = np.minimum(np.floor(corners.max(axis=1) + 1e-6).astype(int), size - 1)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    ax, ay = np.ascontiguousarray(corners[:, 0].T)
+    (bx, by), (cx, cy) = (np.ascontiguousarray((corners[:, k] - corners[:, 0]).T) for k in (1, 2))
+    area = bx * cy - by * cx
     extent = np.maximum(high - low + 1, 0)
     extent[area == 0] = 0
     counts = extent[:, 0] * extent[:, 1]
@@ -230,13 +231,12 @@ def rasterise_uv(uv: Array, triangles: NDArray[np.integer], size: int) -> Surfac
         own = counts[start:stop]
         number = np.repeat(np.arange(start, stop), own)
         within = np.arange(len(number)) - np.repeat(np.cumsum(own) - own, own)
-        width = extent[number, 0]
-        x, y = low[number, 0] + within % width, low[number, 1] + within // width
-        first, second, third = a[number], b[number], c[number]
-        dx, dy = x - first[:, 0], y - first[:, 1]
-        wb = (dx * (third[:, 1] - first[:, 1]) - dy * (third[:, 0] - first[:, 0])) / area[number]
-        wc = ((second[:, 0] - first[:, 0]) * dy - (second[:, 1] - first[:, 1]) * dx) / area[number]
-        inside = (wb >= -_INSIDE) & (wc >= -_INSIDE) & (wb + wc <= 1 + _INSIDE)
+        down, across = np.divmod(within, extent[number, 0])
+        x, y = low[number, 0] + across, low[number, 1] + down
+        dx, dy = x - ax[number], y - ay[number]
+        wb = (dx * cy[number] - dy * cx[number]) / area[number]
+        wc = (bx[number] * dy - by[number] * dx) / area[number]
+        inside = np.flatnonzero((wb >= -_INSIDE) & (wc >= -_INSIDE) & (wb + wc <= 1 + _INSIDE))
         at = y[inside] * size + x[inside]
         owner[at] = number[inside]  # of repeated places, the last one stays
         wb, wc = wb[inside], wc[inside]

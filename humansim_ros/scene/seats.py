@@ -22,8 +22,9 @@ from humansim_ros.types import Array
 #: Masses of trunk with head and arms, of both thighs, and of both shins with feet [Winter 2009, table 4.1].
 _MASSES = (0.678, 0.200, 0.122)
 #: A person sits if the hips are between these shares of the length of the legs above the ankles, and the
-#: center of mass is behind the ankles by more than this share: nobody stands so.
-_LOW, _HIGH, _BEHIND = 0.25, 0.75, 0.12
+#: center of mass is behind the ankles by more than this share: nobody stands so. Children who lift something
+#: from the floor reach 0.16, people on seats are above 0.30.
+_LOW, _HIGH, _BEHIND = 0.25, 0.75, 0.22
 #: Hips that sit are slower than this, m/s, for at least these seconds.
 _STILL, _SHORTEST = 0.15, 0.5
 #: Seconds between two times, and most seconds, in which people are watched.

@@ -212,8 +212,8 @@ def test_flow_leads_to_where_the_swinging_point_is_in_the_next_frame(tmp_path: P
 
 
 @cache
-def dressed(bottom: str) -> Human:
-    config = MakeHumanConfig(gender=0.0, bottom=bottom, hair="tail")  # type: ignore[arg-type]
+def dressed(bottom: str, top: str = "shirt") -> Human:
+    config = MakeHumanConfig(gender=0.0, top=top, bottom=bottom, hair="tail")  # type: ignore[arg-type]
     arrays = build(people_data(), config, {"own": Outfit()}, fine=False)
     return human_from_arrays(arrays, bottom)
 
@@ -238,6 +238,23 @@ def playing(human: Human, motion: str) -> Actor:
     actor = Scene.from_dict(config).actors["a"]
     section = Scene.from_dict(config).config.humans["a"].motion
     return Actor.build("a", 1, human, section, Scene.from_dict(config).source, actor.motion.motion)
+
+
+@pytest.mark.parametrize(("top", "bottom"), [("dress", "tights"), ("coat", "trousers"), ("shirt", "skirt")])
+def test_no_slit_opens_at_the_waist_of_who_bends(top: str, bottom: str) -> None:
+    human = dressed(bottom, top)
+    assert human.loose is not None and human.mesh.off_body is not None
+    waist = human.loose.ends[human.loose.kinds == CLOTH, 0]
+    body = np.unique(human.mesh.faces[~human.mesh.off_body])[1:]  # -1 pads triangles
+    rest = human.mesh.vertices.astype(float)
+    below = body[np.linalg.norm(rest[waist, None] - rest[body], axis=2).argmin(axis=1)]
+    before = np.linalg.norm(rest[waist] - rest[below], axis=1)
+    assert before.max() < 0.022  # to the nearest vertex
+    actor = playing(human, "pick_up")
+    for time in (1.0, 1.5):
+        points = actor.at(time).vertices
+        after = np.linalg.norm(points[waist] - points[below], axis=1)
+        assert (after < before + 0.006).all(), (after, before)
 
 
 @pytest.mark.slow

@@ -73,6 +73,14 @@ def test_who_squats_bends_falls_or_lies_does_not_sit(motion: str) -> None:
     assert in_the_air(made) == []
 
 
+@pytest.mark.parametrize(
+    ("body", "motion"),
+    [("child", "pick_up"), ("child", "lift_box"), ("adult_woman", "lift_box"), ("child", "activity#190178")],
+)
+def test_people_of_other_proportions_squat_without_a_chair(body: str, motion: str) -> None:
+    assert not scene(motion, body=body).objects
+
+
 @pytest.mark.parametrize("motion", ["write", "eat", "activity#1,desk,20"])
 def test_who_writes_or_eats_has_a_table_below_the_hands(motion: str) -> None:
     made = scene(motion)

@@ -233,18 +233,46 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class PersonTopology:
-    """What all people of a choice have in common.
+class _Scalp:
+    """What the choices of one hairline have in common.
 
     Attributes:
         bare: Body and eyes of the base mesh, on the reference body.
         rows: (V,) its vertices in the base mesh.
         fingers: (N, 31) see :func:`finger_shares`.
         is_ear: (V,) above 0.5 at the ears.
-        reference: Regions of the reference body.
-        gaze: (2, 3) points that its eyes look at.
+        man: Reference body.
         refined: The mesh with a finer scalp, and the matrix that gives its vertices from ``bare``.
-        cut: The mesh cut along the borders of clothes, and the matrix from ``refined`` to it.
+    """
+
+    bare: BodySurface
+    rows: VertexIndices
+    fingers: Array
+    is_ear: Array
+    man: _Body
+    refined: tuple[BodySurface, csr_matrix]
+
+    @classmethod
+    def of(cls, source: MakeHumanData, choice: Choice) -> _Scalp:
+        base = read_base(source, target_strengths(source, ADULT_MAN))
+        fingers = finger_shares(source, len(base.vertices))
+        rows, bare = _bare(source, base)
+        man = _naked(base, rows, bare, fingers)
+        is_ear = _at_vertices(bare, source.mask("ears"))
+        bare = replace(bare, vertices=man.vertices, canonical=man.naked, naked=man.naked)
+        hair = man.regions(is_ear, bare.part, choice).hair(bare.canonical)
+        on_scalp = (hair > 0.01) & (is_ear < 0.01) & (bare.part == 0)
+        return cls(bare, rows, fingers, is_ear, man, refine(bare, on_scalp[bare.faces].all(axis=1)))
+
+
+@dataclass(frozen=True)
+class PersonTopology:
+    """What all people of a choice have in common.
+
+    Attributes:
+        scalp: What they have in common with other choices.
+        reference: Regions of the reference body.
+        cut: The mesh with a finer scalp, cut along the borders of clothes, and the matrix from that mesh.
         ear_cover: (V',) above 0 at the ears, of ``cut``.
         uv: (T, 2) layout of the texture.
         edges: (E, 2) of ``cut``.
@@ -252,13 +280,8 @@ class PersonTopology:
         raster: See :class:`Choice`.
     """
 
-    bare: BodySurface
-    rows: VertexIndices
-    fingers: Array
-    is_ear: Array
+    scalp: _Scalp
     reference: BodyRegions
-    gaze: Array
-    refined: tuple[BodySurface, csr_matrix]
     cut: tuple[BodySurface, csr_matrix]
     ear_cover: Array
     uv: Array
@@ -268,25 +291,16 @@ class PersonTopology:
 
     @classmethod
     def of_choice(cls, source: MakeHumanData, choice: Choice) -> PersonTopology:
-        """Cut and lay out the clothes of a choice on the reference body; takes seconds."""
-        base = read_base(source, target_strengths(source, ADULT_MAN))
-        fingers = finger_shares(source, len(base.vertices))
-        rows, bare = _bare(source, base)
-        man = _naked(base, rows, bare, fingers)
-        is_ear = _at_vertices(bare, source.mask("ears"))
-        reference = man.regions(is_ear, bare.part, choice)
-        bare = replace(bare, vertices=man.vertices, canonical=man.naked, naked=man.naked)
-        on_scalp = (reference.hair(bare.canonical) > 0.01) & (is_ear < 0.01) & (bare.part == 0)
-        refined = refine(bare, on_scalp[bare.faces].all(axis=1))
-        mesh, carry = cut_clothes(refined[0], reference)
+        """Cut and lay out the clothes of a choice on the reference body; takes half a second."""
+        key = ("scalp", choice.cut.hair)
+        scalp = source.kept.get(key) or _Scalp.of(source, choice)
+        assert isinstance(scalp, _Scalp)
+        source.kept[key] = scalp
+        reference = scalp.man.regions(scalp.is_ear, scalp.bare.part, choice)
+        mesh, carry = cut_clothes(scalp.refined[0], reference)
         return cls(
-            bare=bare,
-            rows=rows,
-            fingers=fingers,
-            is_ear=is_ear,
+            scalp=scalp,
             reference=reference,
-            gaze=man.gaze,
-            refined=refined,
             cut=(mesh, carry),
             ear_cover=_at_vertices(mesh, source.mask("ears")),
             uv=relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0),
@@ -313,7 +327,7 @@ class PersonTopology:
 
     def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:
         """The mesh on a body, with the body smoothed under clothes, before it is dressed."""
-        refined, into_refined = self.refined
+        refined, into_refined = self.scalp.refined
         cut, into_cut = self.cut
         naked = into_refined @ body.naked
         skin = replace(refined, vertices=into_refined @ body.vertices, naked=naked)
@@ -326,8 +340,8 @@ def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
     found = source.kept.pop(choice, None) or PersonTopology.of_choice(source, choice)
     assert isinstance(found, PersonTopology)
     source.kept[choice] = found  # the last one of the dictionary is the one that was used last
-    while len(source.kept) > _MOST_KEPT:
-        del source.kept[next(iter(source.kept))]
+    for oldest in [key for key in source.kept if isinstance(key, Choice)][:-_MOST_KEPT]:
+        del source.kept[oldest]
     return found
 
 
@@ -423,10 +437,11 @@ class _Figure:
         of other parts.
         """
         common = topology(source, choice)
+        scalp = common.scalp
         config, scale = with_stature(source, config)
         base = _scaled(read_base(source, target_strengths(source, config)), scale)
-        body = _naked(base, common.rows, common.bare, common.fingers)
-        own = replace(body.regions(common.is_ear, common.bare.part, choice), dress=Dress.of(config))
+        body = _naked(base, scalp.rows, scalp.bare, scalp.fingers)
+        own = replace(body.regions(scalp.is_ear, scalp.bare.part, choice), dress=Dress.of(config))
         mesh = common.worn_by(body, own)
         balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
         dressed = dress(mesh, common.reference, own, common.ear_cover, balls)
@@ -523,7 +538,7 @@ def _painted(
     open_sky = texels.mixing @ openness(dressed, mesh.surface, AO_DIRECTIONS // (1 if fine else 2))
     light = np.where(mesh.part[texels.vertex] == 0, 0.55 + 0.45 * open_sky, 1.0)
     return {
-        name: as_image(texels, paint(mesh, texels, canvas, light, outfit, common.gaze))
+        name: as_image(texels, paint(mesh, texels, canvas, light, outfit, common.scalp.man.gaze))
         for name, outfit in outfits.items()
     }
 

@@ -485,15 +485,20 @@ def snap_to_border(
         if len(targets[a, b]) == len(copies[a]):  # vertices on a texture seam move along the seam only
             length = step * float(np.linalg.norm(mesh.canonical[b] - mesh.canonical[a]))
             best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
-    carry = sparse.identity(len(mesh.vertices), format="lil")
     uv = mesh.uv.copy()
     for a, (_, b, step) in best.items():
-        carry[a, a], carry[a, b] = 1 - step, step
         for ta, tb in targets[a, b].items():
             uv[ta] = (1 - step) * mesh.uv[ta] + step * mesh.uv[tb]
-    carry = carry.tocsr()
+    moved = np.array(list(best), np.int64)
+    goals = np.array([b for _, b, _ in best.values()], np.int64)
+    steps = np.zeros(len(mesh.vertices))
+    steps[moved] = [step for _, _, step in best.values()]
+    every = np.arange(len(mesh.vertices))
+    carry = sparse.csr_matrix(
+        (np.r_[1 - steps, steps[moved]], (np.r_[every, moved], np.r_[every, goals])), shape=2 * every.shape
+    )
     new_fields = carry @ fields
-    new_fields[list(best), column] = 0.0
+    new_fields[moved, column] = 0.0
     return replace(carried(mesh, carry), uv=uv), new_fields, carry
 
 
@@ -540,16 +545,18 @@ def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> tuple[BodySurface,
     old, garment = copies.T
     faces_cut = inverse.reshape(-1, 4)
 
-    # directed edge of the uncut mesh -> its index in the faces
-    ends = zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True)
-    sides = {edge: index for index, edge in enumerate(ends) if edge[0] != edge[1]}
+    # sides (N,) of faces, and the numbers of the same sides in the other direction
+    count, start, end = len(mesh.vertices), faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    key = np.where(start != end, start * count + end, -1)
+    order = np.argsort(key, kind="stable")
+    reverse = end * count + start
+    others = order[np.searchsorted(key, reverse, sorter=order).clip(max=len(key) - 1)]
+    on_border = face_garment[np.arange(len(key)) // 4] > face_garment[others // 4]
     uv, hems, uv_hems, hem_garment = list(mesh.uv), [], [], []
-    for (a, b), index in sides.items():
-        other = sides.get((b, a))
+    for index in np.flatnonzero(on_border & (key >= 0) & (key[others] == reverse)).tolist():
+        a, b = int(start[index]), int(end[index])
         f, k = divmod(index, 4)
-        if other is None or face_garment[f] <= face_garment[other // 4]:
-            continue
-        g, m = divmod(other, 4)
+        g, m = divmod(int(others[index]), 4)
         to_b = next(i % 4 for i in range(k + 1, k + 4) if faces[f, i % 4] == b)
         to_a = next(i % 4 for i in range(m + 1, m + 4) if faces[g, i % 4] == a)
         hems.append([faces_cut[f, to_b], faces_cut[f, k], faces_cut[g, to_a], faces_cut[g, m]])
@@ -613,7 +620,8 @@ def wrap_in_shoe(
     shoe = ConvexHull(
         np.concatenate([skin + 0.004 * size * np.sign(skin - skin.mean(axis=0)) * [1, 0, 0], *levels, box])
     )
-    sides = (shoe.equations * [1, 1, 1, -1]).astype(np.float32)  # micrometres are enough
+    # micrometres are enough; triangles of one plane have equal equations
+    sides = np.unique((shoe.equations * [1, 1, 1, -1]).astype(np.float32), axis=0)
 
     heel = skin[:, 2].min() + 0.045 * size
     middle = np.array([low[:, 0].mean(), floor + 0.03 * size, ball[2] - 0.035 * size])

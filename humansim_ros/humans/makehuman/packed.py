@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.data import INSTALL, Base, MakeHumanData, VertexIndices, VertexMask
@@ -141,33 +142,41 @@ class PackedData(MakeHumanData):
 
 def differences(components: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
     """Differences (R, 3, V) of components (R, 3, V) from what :func:`undone` expects."""
-    out = components.copy()
-    for vertex, before in _left(base):
-        out[:, :, vertex] -= _expected(components, before)
+    steps = _by_vertex(components)
+    out = steps.copy()
     left, right = _mirrored(base)
-    out[:, :, right] -= components[:, :, left] * _MIRROR[:, None]
-    return out
+    for rows, sums, counts in _rounds(base, right):
+        out[rows] -= _rounded(sums @ steps, counts)
+    out[right] -= steps[left] * _mirror(len(components))
+    return _by_component(out)
 
 
 def undone(steps: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
     """Components (R, 3, V) from their :func:`differences`."""
-    out = np.ascontiguousarray(steps.transpose(2, 0, 1))
-    for vertex, before in _left(base):
-        if before:
-            out[vertex] += _rounded(out[before].sum(axis=0), len(before))
+    out = _by_vertex(steps)
     left, right = _mirrored(base)
-    out[right] += out[left] * _MIRROR
-    return np.ascontiguousarray(out.transpose(1, 2, 0))
+    for rows, sums, counts in _rounds(base, right):
+        out[rows] += _rounded(sums @ out, counts)
+    out[right] += out[left] * _mirror(len(steps))
+    return _by_component(out)
 
 
-_MIRROR = np.array([-1, 1, 1], np.int32)
+def _by_vertex(components: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Rows (V, 3 R) of components (R, 3, V)."""
+    return np.ascontiguousarray(components.reshape(-1, components.shape[2]).T)
 
 
-def _expected(components: NDArray[np.int32], before: list[int]) -> Any:
-    return _rounded(components[:, :, before].sum(axis=2), len(before)) if before else 0
+def _by_component(rows: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Components (R, 3, V) of rows (V, 3 R)."""
+    return np.ascontiguousarray(rows.T).reshape(-1, 3, len(rows))
 
 
-def _rounded(total: NDArray[np.integer], count: int) -> NDArray[np.integer]:
+def _mirror(count: int) -> NDArray[np.int32]:
+    """Factors (3 R,) of rows of ``count`` components on the other half of the body."""
+    return np.tile(np.array([-1, 1, 1], np.int32), count)
+
+
+def _rounded(total: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.int32]:
     return (2 * total + count) // (2 * count)
 
 
@@ -180,17 +189,29 @@ def _mirrored(base: Base) -> tuple[VertexIndices, VertexIndices]:
     return left[left >= 0], right[left >= 0]
 
 
-def _left(base: Base) -> list[tuple[int, list[int]]]:
-    """Vertices that are no mirror images, and their neighbours among those before."""
-    _, right = _mirrored(base)
-    mirrored = np.zeros(len(base.vertices), bool)
-    mirrored[right] = True
-    around: list[set[int]] = [set() for _ in mirrored]
-    for quad in base.faces.tolist():
-        for k in range(4):
-            a, b = quad[k - 1], quad[k]
-            around[max(a, b)].add(min(a, b))
-    return [
-        (vertex, sorted(other for other in around[vertex] if not mirrored[other] and other != vertex))
-        for vertex in np.flatnonzero(~mirrored).tolist()
-    ]
+def _rounds(base: Base, mirrored: VertexIndices) -> list[tuple[VertexIndices, csr_matrix, NDArray[np.int32]]]:
+    """Rounds in which vertices follow from their neighbours among the vertices before.
+
+    Args:
+        base: Base mesh.
+        mirrored: Vertices (K,) that are mirror images; they are in no round.
+
+    Returns:
+        For each round: vertices (M,), whose neighbours are in earlier rounds; the matrix (M, V) that sums the
+        values of these neighbours; and their numbers (M, 1).
+    """
+    count = len(base.vertices)
+    left = np.ones(count, bool)
+    left[mirrored] = False
+    before, after = np.sort(np.concatenate([base.faces[:, [k - 1, k]] for k in range(4)]), axis=1).T
+    chosen = left[before] & left[after] & (before != after)
+    before, after = before[chosen], after[chosen]
+    sums = csr_matrix((np.ones(len(after), np.int32), (after, before)), shape=(count, count))
+    sums.data[:] = 1  # sides of two faces
+    number = np.diff(sums.indptr).astype(np.int32)[:, None]
+    depth, deeper = np.full(count, -1), np.zeros(count, np.int64)
+    while (depth != deeper).any():
+        depth = deeper.copy()
+        np.maximum.at(deeper, after, depth[before] + 1)
+    rounds = [np.flatnonzero(depth == level) for level in range(1, int(depth.max()) + 1)]
+    return [(rows, sums[rows], number[rows]) for rows in rounds]

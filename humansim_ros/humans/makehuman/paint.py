@@ -564,7 +564,10 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     forward = q[:, 2] - heel[2] - 0.6 * (toe[2] - heel[2])  # from the ball of the foot
     across = np.abs(q[:, 0]) - np.interp(q[:, 2], [heel[2], toe[2]], [heel[0], toe[0]])
     cap = line(forward - 0.030 + 8 * across**2, 0.003)
-    laces = np.clip(np.sin(forward / 0.013 * np.pi) * 3 - 1.5, 0, 1) * (forward < -0.002) * (forward > -0.085)
+    shaft = c.own.dress.footwear.shaft
+    up = forward - height if shaft else forward  # along the instep, and up a shaft
+    laces = np.clip(np.sin(up / 0.013 * np.pi) * 3 - 1.5, 0, 1) * (forward < -0.002)
+    laces *= (forward > -0.105) * (height < 0.08 + 0.7 * shaft) if shaft else forward > -0.085
     laces *= ramp(np.abs(across), 0.022, 0.020) * (height > 0.038)
     colour *= (
         1

@@ -581,10 +581,11 @@ def skin_color(tone: int) -> tuple[int, int, int]:
     """Colour (sRGB) of the texture of skin of a Monk tone.
 
     The scale shows how skin looks beside white. Skin reflects less than that and reddens what it scatters, by
-    factors that were chosen by looking at rendered faces.
+    factors that were chosen by looking at rendered faces. Its darkest swatches are grey; the darkest skin is
+    brown, as it scatters red light deepest.
     """
     swatch = np.array(MONK_TONES[tone - 1]) / 255
-    albedo = 0.02 + 0.66 * np.array([1.0, 0.84, 0.75]) * swatch**2.2
+    albedo = np.array([0.045, 0.022, 0.014]) + 0.66 * np.array([1.0, 0.84, 0.75]) * swatch**2.2
     red, green, blue = np.rint(255 * albedo ** (1 / 2.2)).astype(int).tolist()
     return red, green, blue
 

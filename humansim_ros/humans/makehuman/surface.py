@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -305,6 +306,6 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> tuple[BodySurface, s
 def _mean_of_rows(table: list[list[int]], count: int) -> sparse.csr_matrix:
     """Matrix (N, ``count``) of the means of the rows that each of N lists names."""
     sizes = np.array([len(row) for row in table])
-    columns = np.concatenate([np.array(row) for row in table])
+    columns = np.fromiter(itertools.chain.from_iterable(table), np.int64, int(sizes.sum()))
     starts = np.concatenate([[0], np.cumsum(sizes)])
     return sparse.csr_matrix((np.repeat(1 / sizes, sizes), columns, starts), shape=(len(table), count))

@@ -22,7 +22,7 @@ from humansim_ros.humans.makehuman.clothes import BodyRegions, Outline
 from humansim_ros.humans.makehuman.data import VertexIndices
 from humansim_ros.humans.makehuman.paint import line, weave
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
-from humansim_ros.humans.makehuman.surface import BodySurface, noise, ramp, vertex_normals
+from humansim_ros.humans.makehuman.surface import TROUSERS, BodySurface, noise, ramp, vertex_normals
 from humansim_ros.humans.makehuman.wardrobe import (
     BOTTOMS,
     FOOTWEAR,
@@ -595,29 +595,33 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
     """Cloth that hangs from the waist: skirts, and the lower part of dresses and coats."""
     own, size = wearer.own, wearer.own.hip_y / wearer.reference.hip_y
     upper, lower = TOPS[config.top], BOTTOMS[config.bottom]
-    rows: list[tuple[float, float, float, PartMaterial]] = [
-        (lower.skirt, 0.006, lower.flare, "bottom"),
-        (upper.skirt, 0.007 + upper.ease, upper.flare, "top"),
+    rows: list[tuple[float, float, float, float, PartMaterial]] = [
+        (lower.skirt, 0.006, 0.0, lower.flare, "bottom"),
+        (upper.skirt, 0.003, 0.004 + upper.ease, upper.flare, "top"),
     ]
-    for length, ease, flare, material in rows:
+    for length, ease, more, flare, material in rows:
         if not length:
             continue
-        top, bottom = own.belt_height + 0.012 * size, own.belt_height - length * size
+        waist, bottom = own.belt_height + 0.012 * size, own.belt_height - length * size
+        # above the lower edge of the upper garment on all sides
+        edge = wearer.points[wearer.mesh.garment == TROUSERS, 1].max(initial=own.belt_height)
+        top = max(waist, float(edge) + 0.002 * size)
         heights = np.linspace(top, bottom, 26)
 
-        wider = size * ease + flare * (top - heights).clip(0) + 0.012 * size * ramp(heights, top, top - 0.12)
+        below = ramp(heights, waist, waist - 0.12)
+        wider = size * (ease + (0.012 + more) * below) + flare * (waist - heights).clip(0)
         outer = _around(wearer, heights, wider)
         turn = np.arange(outer.shape[1]) / outer.shape[1] * 2 * np.pi
         middle = outer.mean(axis=1, keepdims=True)
         out = (outer - middle) * [1, 0, 1]
         out /= np.linalg.norm(out, axis=2, keepdims=True)
-        depth = flare * 0.22 * (top - outer[..., 1]).clip(0)
+        depth = flare * 0.22 * (waist - outer[..., 1]).clip(0)
         outer = outer + (depth * np.sin(9 * turn + 2 * np.sin(2 * turn)))[..., None] * out
         inner = outer - 0.005 * size * out
         points = np.concatenate([outer, inner[::-1]])
         room = 0.010 if material == "bottom" else 0.020
         hanging = _hanging_cloth(wearer, points, out[-1], room)
-        yield WornPart(points, _leg_weights(wearer, points, top), material, ring=True, hanging=hanging)
+        yield WornPart(points, _leg_weights(wearer, points, waist), material, ring=True, hanging=hanging)
 
 
 #: Ends of a skirt that swing, around it.
@@ -718,7 +722,7 @@ def under_skirts(config: MakeHumanConfig, wearer: Wearer) -> Array:
     size = own.hip_y / wearer.reference.hip_y
     hem = own.belt_height - length * size
     y = points[:, 1]
-    amount = ramp(y, hem + 0.03, hem + 0.15) * ramp(y, own.hip_y + 0.02, own.hip_y - 0.12)
+    amount = ramp(y, hem + 0.03, hem + 0.15) * ramp(y, own.hip_y + 0.10 * size, own.hip_y - 0.06 * size)
     amount = np.where(wearer.trunk, 0.45 * amount, 0.0)
     middle = points.copy()
     middle[:, 0] = np.sign(points[:, 0]) * own.leg_x(points)
@@ -737,8 +741,9 @@ def _leg_weights(wearer: Wearer, points: Array, top: float) -> Array:
     for side, share in (("l", left), ("r", 1 - left)):
         weights[..., own.bones.index(f"{side}_hip")] = leg * share * (1 - shin)
         weights[..., own.bones.index(f"{side}_knee")] = leg * share * shin
-    weights[..., own.bones.index("HumanoidRoot")] = 0.6 * (1 - leg)
-    weights[..., own.bones.index("sacroiliac")] = 0.4 * (1 - leg)
+    # the waist bends as the garment below it, so that no slit opens
+    near = gaussian_filter(wearer.near_weights(points), (0.5, 1.0, 0.0), mode=("nearest", "wrap", "wrap"))
+    weights += (1 - leg)[..., None] * near
     order = np.argsort(weights, axis=2)[..., :-4]
     np.put_along_axis(weights, order, 0.0, axis=2)
     return weights / weights.sum(axis=2, keepdims=True)

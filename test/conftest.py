@@ -213,9 +213,15 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Write humans of the tests into a temporary cache, not into the cache of the user."""
+    """Write humans of the tests into a temporary cache, not into the cache of the user.
+
+    The processes of pytest-xdist share it, so that a human is made once in a run.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HUMANSIM_CACHE", str(tmp_path_factory.mktemp("humans")))
+        patch.setenv("HUMANSIM_CACHE", str(folder / "humans"))
         yield
 
 

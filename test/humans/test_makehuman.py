@@ -21,7 +21,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.description import ParametricHuman, read_description
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
-from humansim_ros.humans.makehuman.building import build
+from humansim_ros.humans.makehuman.building import build, build_unpainted
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.humans.makehuman.skeleton import (
@@ -273,8 +273,7 @@ def test_an_impossible_stature_for_an_age_is_an_error(source: MakeHumanData) -> 
 @pytest.mark.slow
 def test_a_human_from_sliders_is_complete_and_reproducible(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
-    arrays = build(source, config, {"a": Outfit(shirt_fabric="dots")})
-    again = build(source, config, {"a": Outfit(shirt_fabric="dots")})
+    arrays, again = (build(source, config, {"a": Outfit(shirt_fabric="dots")}, fine=False) for _ in range(2))
     assert all(np.array_equal(arrays[name], again[name]) for name in arrays)
     from humansim_ros.humans.human import human_from_arrays
 
@@ -300,7 +299,7 @@ def test_a_shirt_spans_the_hollow_under_a_large_bust(source: MakeHumanData) -> N
     config = MakeHumanConfig(gender=0.0, age=85, weight=0.9, cup_size=1.0, firmness=0.0)
     naked = read_base(source, target_strengths(source, config))
     skin = naked.vertices[naked.vertex_groups["body"]]
-    clothes = build(source, config, {"a": Outfit()})["vertices"]
+    clothes = build_unpainted(source, config)[0]["vertices"]
 
     def deepest(points: Any) -> float:
         """Depth of the middle of the chest relative to its sides, metres."""

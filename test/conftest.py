@@ -225,6 +225,25 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def built_in_humans_once() -> Iterator[None]:
+    """Read each human of the package once in a process: humans are never changed."""
+    from humansim_ros.humans import loading
+
+    read, known = loading.read_human, {}
+
+    def read_once(path: Any) -> Any:
+        if Path(path).parent != ROOT / "assets" / "humans":
+            return read(path)
+        if path not in known:
+            known[path] = read(path)
+        return known[path]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loading, "read_human", read_once)
+        yield
+
+
 @pytest.fixture
 def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     """No human is kept."""

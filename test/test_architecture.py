@@ -95,11 +95,7 @@ def _imported(path: Path) -> Iterator[str]:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "humansim_ros":
             for alias in node.names:
                 target = f"{node.module}.{alias.name}"
-                parts = target.split(".")
-                is_module = (ROOT / Path(*parts)).is_dir() or (ROOT / Path(*parts)).with_suffix(
-                    ".py"
-                ).is_file()
-                yield target if is_module else node.module
+                yield target if target in module_names() else node.module
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "humansim_ros")
 
@@ -107,6 +103,12 @@ def _imported(path: Path) -> Iterator[str]:
 def name_of(path: Path) -> str:
     relative = path.relative_to(ROOT).with_suffix("")
     return ".".join(relative.parts).removesuffix(".__init__")
+
+
+@cache
+def module_names() -> frozenset[str]:
+    """Names of all modules and folders of the package."""
+    return frozenset(map(name_of, modules()))
 
 
 def test_the_top_level_holds_only_what_every_folder_uses() -> None:

@@ -46,8 +46,6 @@ LAYERS = (
 )
 #: Modules of the top level, which every folder may import.
 BASE = {"__init__", "errors", "pictures", "rotations", "types"}
-#: Deprecated paths that lead to the folder above which they stood.
-DEPRECATED = {"body/__init__.py", "body/mesh.py"}
 PUBLIC = {
     "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View evaluate
         export idealize load_human read_bvh read_calibration read_mesh read_motion record write_bvh
@@ -123,7 +121,7 @@ def test_folders_import_only_folders_below_them() -> None:
     wrong = []
     for path in modules():
         relative = path.relative_to(PACKAGE)
-        if str(relative) in {"__init__.py", "__main__.py", *DEPRECATED}:
+        if str(relative) in {"__init__.py", "__main__.py"}:
             continue  # they lead to other folders
         own = relative.parts[0] if len(relative.parts) > 1 else ""
         for target in imported(path):

@@ -32,11 +32,12 @@ check: lint
 
 # Tests of nodes and processes share the machine's network and clock: three files at a time, each in a ROS
 # domain of its own, because a third of their time is waiting. Tests that only build messages run with all
-# others. Failures of the first part do not hide those of the second.
+# others; examples in docstrings, too, so that the second part does not look for them. Failures of the first
+# part do not hide those of the second.
 test: TIER = and not nightly
 test test-all: env-test
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not ros and not process $(TIER)"; first=$$?; \
-	$(BIN)/python -m pytest -n 3 --dist loadfile -m "(ros or process) $(TIER)" && exit $$first
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m "(ros or process) $(TIER)" test && exit $$first
 
 lint: env-test
 	$(BIN)/ruff format --check .

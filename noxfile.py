@@ -41,7 +41,7 @@ def run_tests(session: nox.Session) -> None:
         session.run(*pytest, *session.posargs)
         return
     session.run(*pytest, "-n", "auto", "-m", "not ros and not process and not nightly")
-    session.run(*pytest, "-n", "2", "--dist", "loadfile", "-m", "(ros or process) and not nightly")
+    session.run(*pytest, "-n", "2", "--dist", "loadfile", "-m", "(ros or process) and not nightly", "test")
 
 
 @nox.session

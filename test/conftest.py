@@ -213,9 +213,34 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Write humans of the tests into a temporary cache, not into the cache of the user."""
+    """Write humans of the tests into a temporary cache, not into the cache of the user.
+
+    The processes of pytest-xdist share it, so that a human is made once in a run.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HUMANSIM_CACHE", str(tmp_path_factory.mktemp("humans")))
+        patch.setenv("HUMANSIM_CACHE", str(folder / "humans"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def built_in_humans_once() -> Iterator[None]:
+    """Read each human of the package once in a process: humans are never changed."""
+    from humansim_ros.humans import loading
+
+    read, known = loading.read_human, {}
+
+    def read_once(path: Any) -> Any:
+        if Path(path).parent != ROOT / "assets" / "humans":
+            return read(path)
+        if path not in known:
+            known[path] = read(path)
+        return known[path]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loading, "read_human", read_once)
         yield
 
 

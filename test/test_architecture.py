@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -45,8 +46,6 @@ LAYERS = (
 )
 #: Modules of the top level, which every folder may import.
 BASE = {"__init__", "errors", "pictures", "rotations", "types"}
-#: Deprecated paths that lead to the folder above which they stood.
-DEPRECATED = {"body/__init__.py", "body/mesh.py"}
 PUBLIC = {
     "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View evaluate
         export idealize load_human read_bvh read_calibration read_mesh read_motion record write_bvh
@@ -78,17 +77,23 @@ def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def imported(path: Path) -> Iterator[str]:
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
+def imported(path: Path) -> frozenset[str]:
     """Modules of the package that a file imports anywhere, for type checkers too."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    return frozenset(_imported(path))
+
+
+def _imported(path: Path) -> Iterator[str]:
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "humansim_ros":
             for alias in node.names:
                 target = f"{node.module}.{alias.name}"
-                parts = target.split(".")
-                is_module = (ROOT / Path(*parts)).is_dir() or (ROOT / Path(*parts)).with_suffix(
-                    ".py"
-                ).is_file()
-                yield target if is_module else node.module
+                yield target if target in module_names() else node.module
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "humansim_ros")
 
@@ -98,6 +103,12 @@ def name_of(path: Path) -> str:
     return ".".join(relative.parts).removesuffix(".__init__")
 
 
+@cache
+def module_names() -> frozenset[str]:
+    """Names of all modules and folders of the package."""
+    return frozenset(map(name_of, modules()))
+
+
 def test_the_top_level_holds_only_what_every_folder_uses() -> None:
     assert {path.stem for path in PACKAGE.glob("*.py")} == BASE | {"__main__"}
     assert {path.name for path in PACKAGE.iterdir() if path.is_dir()} - {"__pycache__"} == {
@@ -105,26 +116,24 @@ def test_the_top_level_holds_only_what_every_folder_uses() -> None:
     }
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_folders_import_only_folders_below_them(path: Path) -> None:
-    relative = path.relative_to(PACKAGE)
-    if len(relative.parts) == 1 and relative.stem not in ("__init__", "__main__"):
-        assert all(len(target.split(".")) <= 2 and target.split(".")[-1] in BASE for target in imported(path))
-        return
-    if str(relative) in ("__init__.py", "__main__.py") or str(relative) in DEPRECATED:
-        return  # they lead to other folders
+def test_folders_import_only_folders_below_them() -> None:
     level = {folder: number for number, row in enumerate(LAYERS) for folder in row}
-    own = relative.parts[0]
-    for target in imported(path):
-        parts = target.split(".")
-        folder = parts[1] if len(parts) > 1 else "__init__"
-        if folder in BASE or folder == own:
-            continue
-        assert level[folder] > level[own], f"{relative} imports {target}"
+    wrong = []
+    for path in modules():
+        relative = path.relative_to(PACKAGE)
+        if str(relative) in {"__init__.py", "__main__.py"}:
+            continue  # they lead to other folders
+        own = relative.parts[0] if len(relative.parts) > 1 else ""
+        for target in imported(path):
+            parts = target.split(".")
+            folder = parts[1] if len(parts) > 1 else "__init__"
+            if folder not in BASE | {own} and (not own or level[folder] <= level[own]):
+                wrong.append(f"{relative} imports {target}")
+    assert not wrong
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = {name_of(path): set(imported(path)) for path in modules()}
+    graph = {name_of(path): imported(path) for path in modules()}
     faces = {name_of(path) for path in modules() if path.stem == "__init__"}
     done: set[str] = set()
 
@@ -201,7 +210,7 @@ def test_no_class_or_alias_name_has_two_meanings() -> None:
     """Names of public classes and type aliases are defined once in the package."""
     places: dict[str, list[str]] = {}
     for path in modules():
-        for node in ast.parse(path.read_text()).body:
+        for node in tree(path).body:
             names = []
             if isinstance(node, ast.ClassDef):
                 names = [node.name]
@@ -214,7 +223,7 @@ def test_no_class_or_alias_name_has_two_meanings() -> None:
 
 
 def test_every_module_has_a_docstring() -> None:
-    assert [path for path in modules() if not ast.get_docstring(ast.parse(path.read_text()))] == []
+    assert [path for path in modules() if not ast.get_docstring(tree(path))] == []
 
 
 def test_the_picture_of_the_layers_shows_every_folder_in_order() -> None:

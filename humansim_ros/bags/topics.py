@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,8 +87,9 @@ def qos_text(topic: BagTopic) -> str:
     return yaml.safe_dump([qos.as_yaml() for qos in topic.qos], sort_keys=False).strip()
 
 
+@lru_cache(maxsize=64)
 def qos_of_text(text: str) -> tuple[Qos, ...]:
-    """QoS profiles from such a text; none if it cannot be read."""
+    """QoS profiles from such a text, which many topics share; none if it cannot be read."""
     try:
         return tuple(Qos.from_yaml(profile) for profile in yaml.safe_load(text) or [])
     except (yaml.YAMLError, AttributeError, TypeError, ValueError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -63,14 +62,6 @@ class Human(Pictured):
     def __repr__(self) -> str:
         counts = f"{len(self.mesh.vertices)} vertices, {len(self.skeleton)} bones"
         return f"Human({self.name!r}, {counts}, wears {self.outfit!r} of {list(self.outfits)})"
-
-    @staticmethod
-    def load(path: str | os.PathLike[str], *options: Any, **named: Any) -> Human:
-        """Deprecated until 0.3.0: use :func:`humansim_ros.load_human`."""
-        import humansim_ros
-
-        warnings.warn("use humansim_ros.load_human instead of Human.load", DeprecationWarning, stacklevel=2)
-        return humansim_ros.load_human(path, *options, **named)
 
     @property
     def outfits(self) -> tuple[str, ...]:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 from numpy.typing import NDArray
 
-#: Names of the labels from 1; 0 is no human. New names come last, so that labels keep their meaning.
-MATERIALS = (
-    "unknown",
-    "skin",
-    "eyes",
-    "hair",
-    "top",
-    "bottom",
-    "shoes",
+#: Things that people wear beside their clothes.
+WornName = Literal[
     "glasses",
     "sunglasses",
     "mask",
@@ -25,6 +20,17 @@ MATERIALS = (
     "hijab",
     "backpack",
     "bag",
+]
+#: Names of the labels from 1; 0 is no human. Labels keep their meaning: what is new comes last, a thing worn too.
+MATERIALS = (
+    "unknown",
+    "skin",
+    "eyes",
+    "hair",
+    "top",
+    "bottom",
+    "shoes",
+    *get_args(WornName),
     "teeth",
     "tongue",
 )

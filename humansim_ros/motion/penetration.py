@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,12 +158,6 @@ def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matr
         rotate(inverse[:, :3, :3], np.array([row[i] for row in rows])) + inverse[:, :3, 3] for i in (1, 2)
     )
     return Capsules(skeleton, bones, starts, ends, np.array([row[3] for row in rows]))
-
-
-def capsules(human: Any) -> Capsules:
-    """Deprecated: use :func:`fit_capsules`."""
-    warnings.warn("use fit_capsules(skeleton, mesh, weights)", DeprecationWarning, stacklevel=2)
-    return fit_capsules(human.skeleton, human.mesh, human.weights)
 
 
 def self_penetration(posed: Array, capsules: Capsules) -> Array:

@@ -130,7 +130,7 @@ def doubt(name: str) -> float:
 # --- upright, whatever the file's axes
 
 
-@pytest.mark.daily("*.*", "child")
+@pytest.mark.daily("own_female_A_dm.obj", "child")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*if_shared(*FIGURES, *OTHERS), "own_female_A_dm.obj", *PEOPLE])
 def test_a_person_is_oriented_from_all_24_directions_at_any_size_and_position(name: str) -> None:

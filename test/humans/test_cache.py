@@ -129,7 +129,7 @@ def arrays_of(human: Human) -> list[Any]:
     ]
 
 
-@pytest.mark.parametrize("kind", ["figure", pytest.param("person", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["figure", pytest.param("person", marks=pytest.mark.nightly)])
 def test_humans_are_the_same_to_the_bit_without_a_cache(
     kind: str, cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

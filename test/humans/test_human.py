@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import pickle
 import zipfile
@@ -15,13 +14,11 @@ from conftest import ROOT, if_shared
 from mesh_files import MESHES, mesh_path
 from scipy.spatial.transform import Rotation
 
-import humansim_ros
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS, finger_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
-from humansim_ros.motion import penetration
 
 MAN = ROOT / "assets" / "humans" / "adult_man.npz"
 #: Some vertices of the humans that had 22 bones, posed at random; metres.
@@ -456,20 +453,3 @@ def test_a_mesh_that_is_not_a_person_is_an_error_with_the_file(tmp_path: Path) -
     (tmp_path / "tri.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0.5\nf 1 2 3\n")
     with pytest.raises(MeshError, match=r"tri\.obj"):
         load_human(tmp_path / "tri.obj")
-
-
-def test_names_of_version_0_1_work_and_warn() -> None:
-    with pytest.warns(DeprecationWarning, match="use humansim_ros.load_human"):
-        assert Human.load(MAN, skinning="dual_quaternion").skinning == "dual_quaternion"
-    for module, name in (("body.mesh", "Mesh"), *(("body", name) for name in ("Human", "Mesh", "read_mesh"))):
-        with pytest.warns(DeprecationWarning, match=f"import {name} from humansim_ros"):
-            moved = getattr(importlib.import_module(f"humansim_ros.{module}"), name)
-        assert moved is getattr(humansim_ros, name)
-    man = load_human(MAN)
-    with pytest.warns(DeprecationWarning, match="use fit_capsules"):
-        old = penetration.capsules(man)
-    np.testing.assert_array_equal(
-        old.radii, penetration.fit_capsules(man.skeleton, man.mesh, man.weights).radii
-    )
-    with pytest.raises(AttributeError, match="no attribute 'Nobody'"):
-        _ = importlib.import_module("humansim_ros.body").Nobody

@@ -276,7 +276,7 @@ def test_keypoints_follow_the_body_in_any_pose() -> None:
 
 
 def test_a_locator_is_made_once_for_a_human_and_forgotten_with_it() -> None:
-    human, keypoints = load_human("child"), keypoint_set("coco17")
+    human, keypoints = replace(load_human("child")), keypoint_set("coco17")
     locator = KeypointLocator.of(human, keypoints)
     assert KeypointLocator.of(human, keypoints) is locator
     key = id(human), keypoints.name

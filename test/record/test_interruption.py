@@ -23,7 +23,7 @@ from humansim_ros.errors import HumansimWarning
 from humansim_ros.record.recording import PLAN
 
 pytest.importorskip("rosbags")
-FRAMES = 60
+FRAMES = 30
 #: Files that are split, so that both the middle of a file and its end are hit.
 OPTIONS = ("--frames", FRAMES, "--max-bag-size", 1_000_000, "--compression", "lz4")
 

@@ -183,7 +183,7 @@ def test_shells_are_patches_and_so_is_each_side_of_a_hem() -> None:
     assert len(np.unique(upper)) == len(np.unique(lower)) == 1 and upper[0] != lower[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_people_in_other_combinations_of_clothes_need_no_further_simplification(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -249,6 +249,7 @@ from render_scenes import along_x, body, wall
     assert attempt(what, before) == "True False\n"
 
 
+@pytest.mark.daily("ImportError")
 @pytest.mark.parametrize("error", [ImportError, AttributeError, RuntimeError])
 def test_a_library_that_pyrender_needs_and_is_missing_is_named(
     error: type[Exception], tmp_path: Path

@@ -316,9 +316,9 @@ def test_images_that_stay_on_a_gpu_give_the_same_bytes(
     scene: Scene, shadows: Literal["contact", "soft"], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where a frame shows a shadow alone, no body, or the camera moves, and after many cameras."""
-    heights = np.linspace(0.5, 3, 3)
+    heights = (0.5, 3.0)
     cameras = [Camera.look_at((3, 1, 1.5), (0, 0, height), (160, 120), 1.0) for height in heights]
-    cameras += [Camera.look_at((1.2, 0, 3.0), (1.2, 0.4, 0), (96, 64), 0.9), *cameras[:2]]
+    cameras += [Camera.look_at((1.2, 0, 3.0), (1.2, 0.4, 0), (96, 64), 0.9), cameras[0]]
     people = [walkers(scene, 1.0, places) for places in ([], [(0, 0)], [(0, 0), (0.8, 0.9)])]
 
     def views() -> list[View]:

@@ -84,7 +84,7 @@ class Careless:
         player.publish(message)
 
 
-@pytest.mark.daily("fail*")
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("fault", "what"),
     [("fail", "ZeroDivisionError"), ("stall", "took 1"), ("pass_on", "not finite: /moving/pose")],
@@ -97,6 +97,7 @@ def test_the_fuzzer_finds_faults(stage: Any, fault: str, what: str) -> None:
     assert any(what in finding.what for finding in fuzzer.findings)
 
 
+@pytest.mark.nightly
 def test_mutated_messages_are_the_same_for_a_seed_and_differ_from_valid_ones(stage: Any) -> None:
     motion = stage.valid("/humans/anna/motion")
 

@@ -226,23 +226,36 @@ def loaded(scene: Path) -> Scene:
 
 
 class Listener:
-    """A subscriber of all topics of a scene in a namespace."""
+    """A subscriber of all topics of a scene in a namespace.
 
-    def __init__(self, scene: Path, namespace: str) -> None:
+    A member of lockstep reports each frame of which it has all messages, so that it loses none: a frame that
+    came before publishers knew its subscriptions is sent again.
+    """
+
+    def __init__(self, scene: Path, namespace: str, is_member: bool = False) -> None:
         from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+        from std_msgs.msg import Header
 
         from humansim_ros.messages.topics import scene_topics
 
-        self.namespace = namespace
-        self.client = Client(f"listener_{namespace}")
+        self.namespace, self.name = namespace, f"listener_{namespace}"
+        self.client = Client(self.name)
         self.messages: list[tuple[str, Any]] = []
         self.received: dict[str, set[int | None]] = {}
-        #: Topics with a message in each frame.
+        #: Topics with a message in each frame, in each frame but one, and in one frame at least.
         self.topics: list[str] = []
-        for topic in scene_topics(loaded(scene)):
+        self.all_but_one: list[str] = []
+        self.others: list[str] = []
+        self.is_member, self.reported = is_member, 0
+        self.reports = self.client.node.create_publisher(Header, f"/{namespace}/frame_done", 10)
+        topics = list(scene_topics(loaded(scene)))
+        # flow first: a camera that sends the image of frame 0 knows then that it needs its flow to frame 1
+        for topic in sorted(topics, key=lambda topic: "/flow" not in topic.name):
             name = f"/{namespace}/{topic.name}"
-            if topic.per_frame and not topic.latched and in_all_frames(name):
-                self.topics.append(name)
+            if not topic.per_frame or topic.latched:
+                self.others.append(name)
+            else:
+                (self.topics if in_all_frames(name) else self.all_but_one).append(name)
             latched = QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.latched else QoSDurabilityPolicy.VOLATILE
             self.client.node.create_subscription(
                 topic.type,
@@ -252,24 +265,32 @@ class Listener:
             )
 
     def _store(self, topic: str, message: Any) -> None:
+        from std_msgs.msg import Header
+
+        from humansim_ros.messages import to_time
+
         self.messages.append((topic, message))
         self.received.setdefault(topic, set()).add(field_hashes.stamp_of(message))
+        if self.is_member and self.frames() > self.reported:
+            self.reported = self.frames()
+            stamp = sorted(self._common_stamps())[self.reported - 1]
+            self.reports.publish(Header(stamp=to_time(stamp), frame_id=self.name))
+
+    def _common_stamps(self) -> set[Any]:
+        return set.intersection(*(self.received.get(topic, set()) for topic in self.topics))
 
     def frames(self) -> int:
         """Number of frames of which all messages have arrived, but the flow to the next one."""
-        stamps = [self.received.get(topic, set()) for topic in self.topics]
-        flow = [
-            1 + len(each)
-            for topic, each in self.received.items()
-            if topic.endswith(("/flow/image", "/flow_back/image", "/hidden"))
-        ]
-        return min([len(set.intersection(*stamps)), *flow])
+        if not all(topic in self.received for topic in self.others):
+            return 0
+        fewer = [1 + len(self.received.get(topic, ())) for topic in self.all_but_one]
+        return min([len(self._common_stamps()), *fewer])
 
     def hashes(self, frames: int | None = None) -> field_hashes.Hashes:
         """Hashes of all messages, or of the first frames of which all messages have arrived, without flow."""
         chosen = self.messages
         if frames is not None:
-            shown = sorted(set.intersection(*(self.received[topic] for topic in self.topics)))[:frames]
+            shown = sorted(self._common_stamps())[:frames]
             chosen = [
                 (topic, message)
                 for topic, message in chosen
@@ -280,7 +301,7 @@ class Listener:
 
 
 def in_all_frames(topic: str) -> bool:
-    """Flow lacks a frame at an end, and markers are rare."""
+    """Flow lacks a frame at an end, and markers, which are throttled by stamps from 0 on, the first one."""
     return "flow" not in topic and not topic.endswith("/markers")
 
 
@@ -351,8 +372,10 @@ def test_nodes_in_one_process_show_what_simulation_shows(
 
 @contextmanager
 def processes(scene: Path, namespace: str, *options: str) -> Iterator[Listener]:
-    """``humansim run`` with some options, and a listener."""
-    listener = Listener(scene, namespace)
+    """``humansim run`` with some options, and a listener, for which frames in lockstep wait."""
+    listener = Listener(scene, namespace, "--lockstep" in options)
+    if listener.is_member:
+        options += ("--wait-for", listener.name)
     command = [*HUMANSIM, "run", str(scene), "--namespace", namespace, *options]
     with subprocess.Popen(command) as run:
         try:

@@ -150,9 +150,10 @@ def test_rclpy_reads_the_bytes_of_every_topic(scene: Scene, frames: list[Frame])
     from rclpy.serialization import deserialize_message
 
     for topic in scene_topics(scene):
-        data = bytes(serialised(topic.message(frames[0]), topic.type_name))
+        message = topic.message(frames[0])
+        data = bytes(serialised(message, topic.type_name))
         back = deserialize_message(data, topic.type)
-        assert fields(back) == fields(topic.message(frames[0])), topic.name
+        assert fields(back) == fields(message), topic.name
         assert serialised(back, topic.type_name) == data, topic.name
 
 

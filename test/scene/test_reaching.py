@@ -120,6 +120,7 @@ def test_two_who_walk_side_by_side_hold_hands() -> None:
         assert (hand_axes(made.actors[name], side, times)[0][:, 2] < -0.6).all()  # fingers hang
 
 
+@pytest.mark.daily("*-adult_man", "*-child")  # a drawn person takes seconds to build
 @pytest.mark.parametrize("body", ["adult_man", "child", "person#3-1"])
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_hand_touches_a_point_with_the_palm_that_is_asked_for(body: str, side: str) -> None:

@@ -478,8 +478,9 @@ def test_any_tree_gives_a_scene_or_a_scene_error(
         assert config.cameras
 
 
-def test_people_of_one_file_share_its_body_and_motion() -> None:
-    person = {"body": "adult_man", "motion": {"file": "walk", "position": [0, 0]}}
+def test_people_of_one_file_share_its_body_and_motion(tmp_path: Path) -> None:
+    body = shutil.copy(ROOT / "assets" / "humans" / "adult_man.npz", tmp_path)
+    person = {"body": str(body), "motion": {"file": "walk", "position": [0, 0]}}
     beside = {**person, "motion": {"file": "walk", "position": [1, 0]}}
     other = {**person, "outfit": "green"}
     data = {"humans": {"a": person, "b": beside, "c": other}, "cameras": yaml.safe_load(GOOD)["cameras"]}

@@ -152,9 +152,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(key: str, value: Any) -> dict[str, Any]:
-    """The scene with another value of a key."""
-    scene = copy.deepcopy(SCENE)
+    """The section of a key with another value, and a camera: the other sections only take time."""
     *sections, last = (int(part) if part.isdigit() else part for part in key.split("."))
+    scene: dict[str, Any] = {"cameras": {"left": SCENE["cameras"]["right"]}}
+    if sections:
+        scene[sections[0]] = copy.deepcopy(SCENE[sections[0]])
     section: Any = scene
     for part in sections:
         section = section[part]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ SCENES = sorted((ROOT / "config" / "scenes").glob("*.yaml"))
 CAMERA = {"position": [3, 0, 2], "look_at": [0, 0, 1]}
 
 
+@cache
 def validator() -> Any:
     return jsonschema.Draft202012Validator(json.loads(schema_text()))
 

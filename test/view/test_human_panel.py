@@ -22,6 +22,7 @@ from humansim_ros import load_human
 from humansim_ros.errors import HumansimError
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.view.inputs import new_scene
+from humansim_ros.view.panels import drawn_person
 from humansim_ros.view.panels.human import HumanPanel
 from humansim_ros.view.person_draft import PersonDraft
 
@@ -236,7 +237,9 @@ def test_a_file_that_is_no_person_is_told_and_the_tab_goes_on(panel: Panel) -> N
 # --- a person by seed
 
 
-def test_sliders_make_the_person_of_the_command_and_replace_it(panel: Panel) -> None:
+def test_sliders_make_the_person_of_the_command_and_replace_it(
+    panel: Panel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn, folder = panel.human.drawn, panel.document.folder
     text = drawn._state.content
     drawn.set("age", 70.0)
@@ -260,11 +263,14 @@ def test_sliders_make_the_person_of_the_command_and_replace_it(panel: Panel) -> 
     assert np.ptp(load_human(folder / "grandma.npz").mesh.vertices[:, 1]) == pytest.approx(1.6, abs=0.05)
     made = (folder / "grandma.npz").read_bytes()
     drawn.set("height", 1.5)
+    built, child = [], load_human("child")  # which takes no time
+    monkeypatch.setattr(drawn_person, "make_person", lambda person, _: built.append(person) or child)
     drawn.add()
     panel.wait()
+    assert [person.stature for person in built] == [1.5]
     assert (folder / "grandma.npz").read_bytes() != made
     shown = panel.app.source.people["grandma"]
-    assert np.ptp(shown.mesh.vertices[:, 1]) == pytest.approx(1.52, abs=0.05)
+    assert np.ptp(shown.mesh.vertices[:, 1]) == pytest.approx(np.ptp(child.mesh.vertices[:, 1]), abs=1e-6)
     drawn.reset()
     assert drawn._state.content == text
 

@@ -265,6 +265,8 @@ MOTIVE = CalibrationFormat(
 # -- Theia3D
 
 _R = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+#: Attributes of K, as Qualisys has them too.
+_K = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
 #: Both spellings are in use.
 _THEIA_LENS = (
     *(("radialDistortion1",), ("radialDistortion2",)),
@@ -294,16 +296,22 @@ def _is_theia(file: CalibrationFile) -> bool:
     return False
 
 
+def _read_k(file: CalibrationFile, inner: Keys) -> Array:
+    """K (3, 3) of an element ``intrinsic``, in its unit."""
+    k = pinhole(*(file.number(*inner, key) for key in _K[:4]))
+    k[0, 1] = file.number(*inner, "skew", otherwise=0.0)
+    return k
+
+
+def _attributes_of_k(k: Array) -> dict[str, float]:
+    return dict(zip(_K, (k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1]), strict=True))
+
+
 def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for at in _theia_cameras(file):
         inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
-        fx, fy, cx, cy = (
-            file.number(*inner, key)
-            for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
-        )
-        k = pinhole(fx, fy, cx, cy)
-        k[0, 1] = file.number(*inner, "skew", otherwise=0.0)
+        k = _read_k(file, inner)
         keys = (
             next((key for key in names if file.get(*inner, key) is not None), None) for names in _THEIA_LENS
         )
@@ -328,18 +336,13 @@ def _write_theia(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     lines = ['<?xml version="1.0"?>', "<calibration>", "  <cameras>"]
     for name, camera in cameras.items():
         _check_name(name)
-        k = camera.K
         pose = {**dict(zip("xyz", camera.t, strict=True)), **dict(zip(_R, camera.R.ravel(), strict=True))}
         lens = {
             "sensorMinU": 0.0,
             "sensorMaxU": camera.size[0],
             "sensorMinV": 0.0,
             "sensorMaxV": camera.size[1],
-            "focalLengthU": k[0, 0],
-            "focalLengthV": k[1, 1],
-            "centerPointU": k[0, 2],
-            "centerPointV": k[1, 2],
-            "skew": k[0, 1],
+            **_attributes_of_k(camera.K),
             **dict(zip((names[0] for names in _THEIA_LENS), camera.distortion, strict=False)),
         }
         lines += [
@@ -394,17 +397,15 @@ def _read_qualisys(file: CalibrationFile) -> dict[str, RawCamera]:
 def _qualisys_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     inner, outer = (*at, "intrinsic", 0), (*at, "transform", 0)
     corner, size = _window(file, at)
-    fu, fv, cu, cv = (
-        file.number(*inner, key) / _SUBPIXELS
-        for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
-    )
-    skew = file.number(*inner, "skew", otherwise=0.0) / _SUBPIXELS
+    k = _read_k(file, inner)
+    k[:2] /= _SUBPIXELS
+    k[:2, 2] -= corner
     rotation, center = None, np.zeros(3)
     if file.get(*outer) is not None:
         rotation = _FLIP @ np.reshape([file.number(*outer, key) for key in _R], (3, 3))
         center = np.array([file.number(*outer, key) for key in "xyz"])
     return RawCamera(
-        np.array([[fu, skew, cu - corner[0]], [0, fv, cv - corner[1]], [0, 0, 1]]),
+        k,
         rotation,
         center=center,
         size=size,
@@ -433,17 +434,10 @@ def _write_qualisys(cameras: Mapping[str, Camera]) -> dict[str, str]:
     for name, camera in cameras.items():
         _check_name(name)
         width, height = camera.size
-        k = camera.K * _SUBPIXELS
         window = {"left": 0, "top": 0, "right": width - 1, "bottom": height - 1}
         pose = dict(zip(_R, (_FLIP @ camera.R).ravel(), strict=True))
-        intrinsic = {
-            "focalLengthU": k[0, 0],
-            "focalLengthV": k[1, 1],
-            "centerPointU": k[0, 2],
-            "centerPointV": k[1, 2],
-            "skew": k[0, 1],
-            **dict(zip(_QTM_LENS, camera.distortion, strict=False)),
-        }
+        lens = dict(zip(_QTM_LENS, camera.distortion, strict=False))
+        intrinsic = _attributes_of_k(camera.K * _SUBPIXELS) | lens
         lines.append(f'    <camera active="1" serial={quoteattr(name)} model="none" viewrotation="0">')
         lines.append(f"      <fov_video {_attributes(window)}/>")
         center = dict(zip("xyz", camera.center, strict=True))

@@ -24,10 +24,10 @@ from humansim_ros.humans.makehuman.wardrobe import (
     FootwearName,
     HairName,
     TopName,
-    WornName,
     check_clothes,
 )
 from humansim_ros.io.schema import ByteColor, Section, Share
+from humansim_ros.mesh.materials import WornName
 from humansim_ros.types import Array
 
 Race = Literal["african", "asian", "caucasian"]

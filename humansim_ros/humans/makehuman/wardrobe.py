@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from humansim_ros.errors import MeshError, did_you_mean
 from humansim_ros.io.schema import ByteColor
+from humansim_ros.mesh.materials import WornName
 
 Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
 HairName = Literal[
@@ -36,19 +37,6 @@ BeardName = Literal["none", "moustache", "goatee", "full"]
 TopName = Literal["shirt", "vest", "jumper", "hoodie", "jacket", "suit", "coat", "dress", "hi_vis"]
 BottomName = Literal["trousers", "leggings", "shorts", "skirt", "long_skirt", "tights", "none"]
 FootwearName = Literal["shoes", "boots", "sandals", "bare"]
-WornName = Literal[
-    "glasses",
-    "sunglasses",
-    "mask",
-    "cap",
-    "beanie",
-    "hard_hat",
-    "sun_hat",
-    "turban",
-    "hijab",
-    "backpack",
-    "bag",
-]
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,8 @@ from humansim_ros.humans.makehuman.wardrobe import (
     WORN,
     HairStyle,
     Worn,
-    WornName,
 )
-from humansim_ros.mesh.materials import MATERIAL_LABELS
+from humansim_ros.mesh.materials import MATERIAL_LABELS, WornName
 from humansim_ros.types import Array
 
 #: Rows and columns of directions around the head.

@@ -144,7 +144,7 @@ class SkinnerNode(SceneNode):
         self._keypoints = [(topic, self.topic_publisher(topic)) for topic in topics.keypoints.values()]
         _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
-        self._last_marker = 0
+        self._last_marker = -self._marker_period  # a first stamp of 0 has markers
         self.publish_latched(topics.mesh.build(None, 0), topics.mesh.name)
         # first, so that a legend arrives before its motion
         self.create_subscription(topics.legend.type, topics.legend.name, self._on_legend, LATCHED)

@@ -21,7 +21,7 @@ WornName = Literal[
     "backpack",
     "bag",
 ]
-#: Names of the labels from 1; 0 is no human. Labels keep their meaning: what is new comes last, a thing worn too.
+#: Names of the labels from 1; 0 is no human. Labels stay: new names come last, also of worn things.
 MATERIALS = (
     "unknown",
     "skin",

@@ -1,7 +1,7 @@
 """Compare the joints that a pose detector finds in rendered images with the joints of the scene.
 
     python benchmarks/pose_detector.py [--python PATH] [--picture sheet.jpg] [--outfits all|first]
-        [--size WIDTH HEIGHT] [--span PIXELS] [--people N]
+        [--size WIDTH HEIGHT] [--span PIXELS] [--people N | --photograph FILE --box LEFT TOP RIGHT BOTTOM]
 
 Every built-in human walks in every outfit in the furnished room. It is rendered at four times from eight
 sides, 340 pixels tall in images of 640x480. MediaPipe Pose (0.10.21, its model is in its wheel) processes the
@@ -12,12 +12,14 @@ elbows, wrists, hips, knees and ankles. MediaPipe needs NumPy 1 and runs in a vi
     python benchmarks/pose_detector.py --python detector/bin/python
 
 ``--span`` renders people whose joints extend over so many rows of the image instead; ``--people`` renders as
-many people by seed, once from four sides, instead of the built-in humans.
+many people by seed, once from four sides, instead of the built-in humans. ``--photograph`` shrinks a
+photograph so that real people in it, whose boxes are given, have that size: the detector's own limit.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import os
@@ -61,6 +63,10 @@ TIMES = (0.0, 0.3, 0.6, 0.9)
 BODY_JOINTS = 22
 #: Seed of people by seed.
 SEED = 11
+#: Share of the height of somebody who stands over which the joints extend.
+JOINT_SHARE = 0.87
+#: Pixels by which people of photographs are moved away from the middle of the image.
+SHIFTS = ((-20, -8, 0, 7, 19), (-6, 0, 5))
 
 
 def detect(folder: Path) -> None:
@@ -124,6 +130,30 @@ def render_humans(folder: Path, options: argparse.Namespace) -> dict[str, list[l
                 truth[image] = camera.project(np.array(joints))[0].tolist()
     renderer.close()
     return truth
+
+
+def shrink_photograph(folder: Path, options: argparse.Namespace) -> None:
+    """Write images in which people of a photograph are as large as rendered ones, also mirrored."""
+    import cv2
+    import numpy as np
+
+    photograph = cv2.imread(str(options.photograph))
+    if photograph is None:
+        raise SystemExit(f"error: {options.photograph} is not an image")
+    middle = np.array(options.size) / 2
+    for number, (left, top, right, bottom) in enumerate(options.box):
+        scale = (options.span or HEIGHT) / (JOINT_SHARE * (bottom - top))
+        smooth = cv2.GaussianBlur(photograph, (0, 0), 0.3 / scale)
+        for count, shift in enumerate(itertools.product(*SHIFTS)):
+            corner = middle + shift - scale * np.array([left + right, top + bottom]) / 2
+            view = cv2.warpAffine(
+                smooth,
+                np.array([[scale, 0, corner[0]], [0, scale, corner[1]]]),
+                tuple(options.size),
+                borderMode=cv2.BORDER_REPLICATE,
+            )
+            cv2.imwrite(str(folder / f"{number}-{count:02}.png"), view)
+            cv2.imwrite(str(folder / f"{number}-{count:02}m.png"), view[:, ::-1])
 
 
 def room_side(options: argparse.Namespace) -> float:
@@ -238,6 +268,16 @@ def main() -> int:
     parser.add_argument("--size", type=int, nargs=2, default=SIZE, metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--span", type=float, metavar="PIXELS", help="rows over which joints extend")
     parser.add_argument("--people", type=int, default=0, metavar="N", help="people by seed")
+    parser.add_argument("--photograph", type=Path, help="find the people of --box in this image instead")
+    parser.add_argument(
+        "--box",
+        type=float,
+        nargs=4,
+        action="append",
+        default=[],
+        metavar=("LEFT", "TOP", "RIGHT", "BOTTOM"),
+        help="somebody who stands in the photograph, pixels; repeatable",
+    )
     parser.add_argument("--detect", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.detect is not None:
@@ -251,10 +291,19 @@ def main() -> int:
     sys.path.insert(0, str(ROOT))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        truth = render_humans(folder, options)
+        truth = {}
+        if options.photograph is None:
+            truth = render_humans(folder, options)
+        else:
+            shrink_photograph(folder, options)
         command = [options.python, str(Path(__file__).resolve()), "--detect", str(folder)]
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
         detected = json.loads((folder / "joints.json").read_text())
+        if options.photograph is not None:
+            for number, box in enumerate(options.box):
+                found = [marks is not None for image, marks in detected.items() if image[0] == str(number)]
+                print(f"{[round(side) for side in box]}: detected in {sum(found)} of {len(found)} images")
+            return 0
         complete = report(truth, detected)
         if options.picture is not None:
             draw_sheet(options.picture, folder, truth, detected)

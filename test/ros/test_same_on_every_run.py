@@ -301,7 +301,7 @@ class Listener:
 
 
 def in_all_frames(topic: str) -> bool:
-    """Flow lacks a frame at an end, and markers, which are throttled by stamps from 0 on, the first one."""
+    """Flow lacks a frame at an end, and markers are throttled by stamps."""
     return "flow" not in topic and not topic.endswith("/markers")
 
 

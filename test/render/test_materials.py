@@ -145,7 +145,7 @@ def test_labels_are_kept_in_files(tmp_path: Path) -> None:
         ("materials", np.ones(7, np.uint8), r"must be \(F,\) uint8, not \(7,\) uint8"),
         ("materials", np.ones(14000, float), r"must be \(F,\) uint8"),
         ("materials", np.zeros(0, np.uint8), r"must be \(F,\) uint8"),
-        ("materials", None, "labels are 1 to 18"),
+        ("materials", None, "labels are 1 to 20"),
         ("hair", np.ones((4, 4, 3), np.uint8), r"must be \(H, W\) uint8"),
         ("hair", np.ones((0, 4), np.uint8), r"must be \(H, W\) uint8"),
     ],

@@ -98,7 +98,7 @@ def test_a_drag_moves_a_person_and_the_saved_scene_gives_the_picture_of_the_page
         def rests() -> bool:  # the server hears of a turned view late
             before = ends[:]
             ends[:] = [on_screen(app, page, start + reach * along) for reach in (0.45, 0.95)]
-            page.wait_for_timeout(500)
+            page.wait_for_timeout(2000)
             return np.array_equal(before, ends)
 
         for _ in range(_ATTEMPTS):  # on a busy machine the gizmo is drawn late, and a drag turns the view

@@ -117,6 +117,9 @@ for release in "${releases[@]}"; do
     for target in "${targets[@]}"; do
         step "$release" "$target" run_in "$root" make "$target" || true
     done
-    [ ! -d "$root$HOME/humansim_ros/demo" ] || cp -R "$root$HOME/humansim_ros/demo" "$folder/$release-pictures"
+    if [ -d "$root$HOME/humansim_ros/demo" ]; then
+        rm -rf "$folder/$release-pictures"
+        cp -R "$root$HOME/humansim_ros/demo" "$folder/$release-pictures"
+    fi
 done
 exit $failed

@@ -10,9 +10,8 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.rotations import quaternion_to_matrix
-from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.sweeps import Sweep
-from humansim_ros.truth import BodyBox
+from humansim_ros.truth import BodyBox, UprightBox
 from humansim_ros.types import Array
 
 #: Least visible share of people that are fully visible, and partly occluded; the others are largely occluded.
@@ -47,7 +46,7 @@ class KittiWriter(FormatWriter):
     def _labels(self, frame: ExportFrame, camera: str, posed: Camera) -> str:
         boxes = frame.frame.truth[camera].boxes
         return "".join(
-            label_line(person_box(state), boxes[name], posed)
+            label_line(state.upright_box, boxes[name], posed)
             for name, state in frame.frame.humans.items()
             if boxes[name].truncation < 1 and boxes[name].pixels
         )
@@ -98,35 +97,18 @@ def calibration_text(camera: Camera, sweep: Sweep) -> str:
     )
 
 
-def person_box(state: HumanState) -> tuple[Array, Array, float]:
-    """Upright box of a body.
-
-    Returns:
-        Middle of its bottom (3,) in ``map``; length, width and height (3,), metres; and yaw of the direction
-        that the hips face, radians from x to y.
-    """
-    names = {name: state.positions[number] for number, name in enumerate(state.joint_names)}
-    left = names["l_hip"] - names["r_hip"]
-    yaw = float(np.arctan2(-left[0], left[1]))
-    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    vertices = state.vertices @ turn.T
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    middle = np.array([*(low[:2] + high[:2]) / 2, low[2]])
-    return turn.T @ middle, high - low, yaw
-
-
-def label_line(box: tuple[Array, Array, float], seen: BodyBox, camera: Camera) -> str:
+def label_line(box: UprightBox, seen: BodyBox, camera: Camera) -> str:
     """Line of ``label_2`` for a person.
 
     Args:
-        box: See :func:`person_box`.
+        box: Box of the body.
         seen: Box in the image.
         camera: The camera at its pose.
     """
-    middle, (length, width, height), yaw = box
+    length, width, height = box.size
     level = levelled(camera)
-    x, y, z = level @ (middle - camera.center)
-    ahead = level @ (np.cos(yaw), np.sin(yaw), 0.0)
+    x, y, z = level @ (box.bottom - camera.center)
+    ahead = level @ (np.cos(box.yaw), np.sin(box.yaw), 0.0)
     # about y, which points down, from x towards -z
     rotation = float(np.arctan2(-ahead[2], ahead[0]))
     alpha = float(np.mod(rotation - np.arctan2(x, z) + np.pi, 2 * np.pi) - np.pi)

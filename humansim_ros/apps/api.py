@@ -49,17 +49,18 @@ def evaluate(
     gate: float | None = None,
     min_score: float | None = None,
 ) -> Comparison:
-    """Compare estimated 3D poses of people, or detections in images, with the truth.
+    """Compare estimated 3D poses or boxes of people, or detections in images, with the truth.
 
     Args:
         truth: Scene file, bag with the topics ``/humans/<id>/joints``, or folder of an export.
-        estimate: File or folder of poses or detections, or ``BAG:TOPIC``; or several of them.
+        estimate: File or folder of poses, boxes or detections, or ``BAG:TOPIC``; or several of them.
         keypoints: Keypoint set of the estimate, such as ``coco17``; None: as its names say.
         names: YAML file: name of a joint in the truth by name in the estimate.
         scale: Metres of a unit of the estimate.
         axes: Axes of the estimate, such as ``y-up``; None: the axes of ``map``.
         offset: Seconds by which the stamps of the estimate are late, or ``"auto"`` to measure them.
-        gate: Largest mean joint distance at which a person counts as found, metres; None: 0.5.
+        gate: Largest mean joint distance at which a person counts as found, metres; None: 0.5. Of boxes:
+            of their centres on the floor; None: 1.
         min_score: Detections in images with a lower score count for average precision only.
 
     Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,18 +25,27 @@ _DEFAULTS = {"scale": 1, "offset": 0}
 
 def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **options: Any) -> Comparison:
     """Compare an estimate with the truth; all parameters as of :func:`humansim_ros.apps.api.evaluate`."""
+    from humansim_ros.evaluate.readers.box_files import is_box_file
     from humansim_ros.evaluate.readers.detections import is_of_images
 
+    if any(map(is_box_file, estimate)):
+        gate = options.pop("gate")
+        _refuse({**options, "min-score": min_score}, "upright boxes")
+        return _boxes(truth, estimate, gate)
     if any(map(is_of_images, estimate)):
         keypoints = options.pop("keypoints")
-        for name, value in options.items():
-            if value != _DEFAULTS.get(name):
-                text = "is for 3D poses; the estimate is detections in images"
-                raise EvaluationError(text, key=f"--{name}")
+        _refuse(options, "detections in images")
         return _images(truth, estimate, keypoints, min_score)
     if min_score is not None:
         raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
     return _poses(truth, estimate, **options)
+
+
+def _refuse(options: Mapping[str, Any], content: str) -> None:
+    """Raise EvaluationError for options of 3D poses that are given with other estimates."""
+    for name, value in options.items():
+        if value != _DEFAULTS.get(name):
+            raise EvaluationError(f"is for 3D poses; the estimate is {content}", key=f"--{name}")
 
 
 def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
@@ -100,6 +109,21 @@ def _poses(
             return html_report(result)
 
     return Comparison(to_data(result), show(result), page)
+
+
+def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparison:
+    """Compare upright boxes."""
+    from humansim_ros.evaluate.boxes import DEFAULT_GATE, evaluate_boxes
+    from humansim_ros.evaluate.export_truth import open_box_truth
+    from humansim_ros.evaluate.html import box_html_report
+    from humansim_ros.evaluate.readers.box_files import read_box_file
+    from humansim_ros.evaluate.report import show_boxes, to_data
+
+    if len(estimate) > 1:
+        raise EvaluationError("give one file of boxes", key="--estimate")
+    found = read_box_file(Path(estimate[0]))
+    result = evaluate_boxes(open_box_truth(truth, found), found, DEFAULT_GATE if gate is None else gate)
+    return Comparison(to_data(result), show_boxes(result), lambda: box_html_report(result))
 
 
 def _images(

@@ -39,8 +39,8 @@ def evaluate(
         list_option(
             "--estimate",
             "PATH",
-            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json) or a folder of "
-            "files; several, such as one file a person.",
+            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json, .txt) or a "
+            "folder of files; several, such as one file a person.",
         ),
     ],
     keypoints: KeypointsOption = None,
@@ -58,7 +58,8 @@ def evaluate(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Largest mean joint distance at which a person counts as found, metres; 0.5 if absent.",
+            help="Largest mean joint distance at which a person counts as found, metres; 0.5 if absent. Of "
+            "boxes: of their centres on the floor; 1 if absent.",
             min=0.001,
             max=1000,
         ),
@@ -77,7 +78,7 @@ def evaluate(
         typer.Option(metavar="FILE", help="Write tables, plots and the worst frames to this HTML file."),
     ] = None,
 ) -> None:
-    """Compare estimated 3D poses of people, or detections in images, with the truth."""
+    """Compare estimated 3D poses or boxes of people, or detections in images, with the truth."""
     from humansim_ros.apps import api
 
     for path in (output, report):

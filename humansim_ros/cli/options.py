@@ -66,8 +66,21 @@ EXPORT_FORMATS = (
         "coco",
         "yolo",
     ),
-    *("mot", "thesis", "kitti", "mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh"),
-    *("glb", "webdataset", "croissant"),
+    *(
+        "mot",
+        "thesis",
+        "kitti",
+        "aicity",
+        "mp4",
+        "openpose",
+        "anipose",
+        "trc",
+        "c3d",
+        "panoptic",
+        "human36m",
+        "bvh",
+    ),
+    *("glb", "aicity", "webdataset", "croissant"),
 )
 
 

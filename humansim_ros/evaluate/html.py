@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.drawing.markup import Markup, element, joined, page, picture, polyline, section, svg, table
+from humansim_ros.evaluate.boxes import BoxEvaluation
 from humansim_ros.evaluate.evaluation import Evaluation, WorstPose
 from humansim_ros.evaluate.images import ImageEvaluation, WorstImage
 from humansim_ros.evaluate.joint_names import body_joint
@@ -21,8 +22,11 @@ from humansim_ros.evaluate.pictures import (
     draw_over,
 )
 from humansim_ros.evaluate.report import (
+    BOX_HEADER,
     PART_HEADER,
     TITLES,
+    box_rows,
+    box_summary,
     camera_count_rows,
     camera_header,
     camera_rows,
@@ -203,7 +207,16 @@ def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str
     )
 
 
-def _page(evaluation: Evaluation | ImageEvaluation, *content: str) -> str:
+def box_html_report(evaluation: BoxEvaluation) -> str:
+    """The page of boxes: the tables."""
+    figures = [
+        section("Metrics", table((), box_summary(evaluation))),
+        section("People", table(BOX_HEADER, box_rows(evaluation))),
+    ]
+    return _page(evaluation, element("div", *figures, class_="row"))
+
+
+def _page(evaluation: Evaluation | ImageEvaluation | BoxEvaluation, *content: str) -> str:
     return page(
         "Evaluation",
         _STYLE,

@@ -7,9 +7,11 @@ from dataclasses import asdict, fields, is_dataclass
 from itertools import groupby
 from typing import Any
 
+from humansim_ros.evaluate.boxes import BoxEvaluation
 from humansim_ros.evaluate.evaluation import Evaluation
 from humansim_ros.evaluate.images import ImageEvaluation, ImageScores, KindScores
 from humansim_ros.evaluate.pose_sequence import Timing
+from humansim_ros.evaluate.tracking import TrackingScores
 
 #: Version of the keys in JSON.
 JSON_VERSION = 1
@@ -17,7 +19,7 @@ JSON_VERSION = 1
 TITLES = {"keypoints": ("keypoints", "OKS"), "boxes": ("boxes", "IoU"), "masks": ("masks", "IoU")}
 
 
-def to_data(evaluation: Evaluation | ImageEvaluation) -> dict[str, Any]:
+def to_data(evaluation: Evaluation | ImageEvaluation | BoxEvaluation) -> dict[str, Any]:
     """The result with the keys of its class, for JSON: without the poses."""
     data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
     return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
@@ -83,11 +85,44 @@ def summary(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
     yield "detection", "mean AP", percent(e.detection.mean_ap)
     yield "detection", "recall at 500 mm", percent(e.detection.recall["500"])
     if e.tracking is not None:
-        t = e.tracking
-        yield "identity", "HOTA (DetA, AssA)", f"{percent(t.hota)} ({percent(t.deta)}, {percent(t.assa)})"
-        yield "identity", "MOTA", percent(t.mota)
-        yield "identity", "IDF1", percent(t.idf1)
-        yield "identity", "switches, fragments", f"{t.switches}, {t.fragments}"
+        yield from _tracking_rows("identity", e.tracking)
+
+
+def _tracking_rows(group: str, t: TrackingScores) -> Iterator[tuple[str, str, str]]:
+    yield group, "HOTA (DetA, AssA)", f"{percent(t.hota)} ({percent(t.deta)}, {percent(t.assa)})"
+    yield group, "MOTA", percent(t.mota)
+    yield group, "IDF1", percent(t.idf1)
+    yield group, "switches, fragments", f"{t.switches}, {t.fragments}"
+
+
+def box_summary(evaluation: BoxEvaluation) -> Iterator[tuple[str, str, str]]:
+    """Rows of the main table: group, name, value."""
+    people, errors = evaluation.people, evaluation.errors
+    yield "frames", "compared", str(evaluation.frames)
+    yield "people", "found", f"{people.found} of {people.present} ({percent(people.recall)})"
+    yield "people", "missed", str(people.missed)
+    yield "people", "false", str(people.false)
+    yield "boxes", "error of the centre", millimetres(errors.center)
+    sizes = (None,) * 3 if errors.size is None else errors.size
+    yield "boxes", "error of length, width, height", ", ".join(map(millimetres, sizes))
+    yield "boxes", "error of the yaw", "–" if errors.yaw_deg is None else f"{errors.yaw_deg:.1f}°"
+    yield "boxes", "mean 3D IoU", percent(errors.overlap)
+    yield from _tracking_rows("3D IoU", evaluation.tracking["iou"])
+    yield from _tracking_rows("distance", evaluation.tracking["distance"])
+
+
+BOX_HEADER = ("person", "found", "error of the centre")
+
+
+def box_rows(evaluation: BoxEvaluation) -> Iterator[tuple[str, str, str]]:
+    """A row for each person."""
+    for name, own in evaluation.by_person.items():
+        yield name, f"{own.found} of {own.present}", millimetres(own.center)
+
+
+def show_boxes(evaluation: BoxEvaluation) -> str:
+    """Tables for a terminal: all metrics, and people."""
+    return _terminal_text(box_summary(evaluation), ("", BOX_HEADER, box_rows(evaluation)))
 
 
 def _timing_rows(timing: Timing) -> Iterator[tuple[str, str, str]]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from humansim_ros.errors import ExportError, did_you_mean
+from humansim_ros.export.aicity import AiCityWriter
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
@@ -127,6 +128,12 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             KittiWriter,
             frozenset({BOXES, BODIES, SWEEPS}),
             images=True,
+        ),
+        ExportFormat(
+            "aicity",
+            "3D boxes of people in all cameras together, AI City Challenge",
+            AiCityWriter,
+            frozenset({BOXES, BODIES}),
         ),
         ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
         ExportFormat(

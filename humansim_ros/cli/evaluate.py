@@ -71,6 +71,15 @@ def evaluate(
             help="Detections in images with a lower score count for average precision only.",
         ),
     ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Radius of the robot whose path is the estimate; of the scene's robot, or 0.3, if absent.",
+            min=0.0,
+            max=100,
+        ),
+    ] = None,
     as_json: JsonOption = False,
     output: Annotated[Path | None, output_option("FILE", "Write the result to this JSON file.")] = None,
     report: Annotated[
@@ -78,7 +87,7 @@ def evaluate(
         typer.Option(metavar="FILE", help="Write tables, plots and the worst frames to this HTML file."),
     ] = None,
 ) -> None:
-    """Compare estimated 3D poses or boxes of people, or detections in images, with the truth."""
+    """Compare poses or boxes of people, detections in images, or the path of a robot, with the truth."""
     from humansim_ros.apps import api
 
     for path in (output, report):
@@ -95,6 +104,7 @@ def evaluate(
         offset=_seconds(offset),
         gate=gate,
         min_score=min_score,
+        radius=radius,
     )
     if output is not None:
         write_file(output, to_json(result.data) + "\n")

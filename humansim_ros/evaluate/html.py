@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +14,7 @@ from humansim_ros.evaluate.evaluation import Evaluation, WorstPose
 from humansim_ros.evaluate.images import ImageEvaluation, WorstImage
 from humansim_ros.evaluate.joint_names import body_joint
 from humansim_ros.evaluate.metrics import AUC_THRESHOLDS, pck
+from humansim_ros.evaluate.navigation import NavigationEvaluation
 from humansim_ros.evaluate.pictures import (
     ESTIMATE_COLOR,
     TRUTH_COLOR,
@@ -22,11 +23,9 @@ from humansim_ros.evaluate.pictures import (
     draw_over,
 )
 from humansim_ros.evaluate.report import (
-    BOX_HEADER,
     PART_HEADER,
     TITLES,
-    box_rows,
-    box_summary,
+    AnyEvaluation,
     camera_count_rows,
     camera_header,
     camera_rows,
@@ -207,16 +206,25 @@ def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str
     )
 
 
-def box_html_report(evaluation: BoxEvaluation) -> str:
-    """The page of boxes: the tables."""
-    figures = [
-        section("Metrics", table((), box_summary(evaluation))),
-        section("People", table(BOX_HEADER, box_rows(evaluation))),
-    ]
+def table_html_report(
+    evaluation: BoxEvaluation | NavigationEvaluation,
+    metrics: Iterable[Sequence[str]],
+    header: Sequence[str],
+    people: Iterable[Sequence[str]],
+) -> str:
+    """A page of two tables.
+
+    Args:
+        evaluation: The result.
+        metrics: Rows of the metrics.
+        header: Names of the columns of the people.
+        people: Rows of the people.
+    """
+    figures = section("Metrics", table((), metrics)), section("People", table(header, people))
     return _page(evaluation, element("div", *figures, class_="row"))
 
 
-def _page(evaluation: Evaluation | ImageEvaluation | BoxEvaluation, *content: str) -> str:
+def _page(evaluation: AnyEvaluation, *content: str) -> str:
     return page(
         "Evaluation",
         _STYLE,

@@ -10,16 +10,19 @@ from typing import Any
 from humansim_ros.evaluate.boxes import BoxEvaluation
 from humansim_ros.evaluate.evaluation import Evaluation
 from humansim_ros.evaluate.images import ImageEvaluation, ImageScores, KindScores
+from humansim_ros.evaluate.navigation import NavigationEvaluation
 from humansim_ros.evaluate.pose_sequence import Timing
 from humansim_ros.evaluate.tracking import TrackingScores
 
+#: A result of any comparison.
+AnyEvaluation = Evaluation | ImageEvaluation | BoxEvaluation | NavigationEvaluation
 #: Version of the keys in JSON.
 JSON_VERSION = 1
 #: Words for the kinds of detections, and for their similarity.
 TITLES = {"keypoints": ("keypoints", "OKS"), "boxes": ("boxes", "IoU"), "masks": ("masks", "IoU")}
 
 
-def to_data(evaluation: Evaluation | ImageEvaluation | BoxEvaluation) -> dict[str, Any]:
+def to_data(evaluation: AnyEvaluation) -> dict[str, Any]:
     """The result with the keys of its class, for JSON: without the poses."""
     data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
     return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
@@ -37,6 +40,16 @@ def _plain(value: Any) -> Any:
 def millimetres(value: float | None) -> str:
     """Length in millimetres, or a dash."""
     return "–" if value is None else f"{thousand(value)} mm"
+
+
+def metres(value: float | None) -> str:
+    """Length in metres, or a dash."""
+    return "–" if value is None else f"{value:.3f} m"
+
+
+def seconds(value: float | None) -> str:
+    """Time in seconds, or a dash."""
+    return "–" if value is None else f"{value:.2f} s"
 
 
 def thousand(value: float) -> str:
@@ -283,3 +296,46 @@ def show_images(evaluation: ImageEvaluation) -> str:
             (title, ("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores)),
         ]
     return _terminal_text(image_summary(evaluation), *tables)
+
+
+def navigation_summary(evaluation: NavigationEvaluation) -> Iterator[tuple[str, str, str]]:
+    """Rows of the main table: group, name, value."""
+    frames, path, nearest = evaluation.frames, evaluation.path, evaluation.nearest
+    yield "frames", "compared", str(frames.compared)
+    yield "frames", "without a pose of the robot", str(frames.without_pose)
+    yield "path", "time, length", f"{path.seconds:.2f} s, {path.length:.2f} m"
+    yield "path", "mean speed", per_second("m/s")(path.speed)
+    yield "path", "irregularity", "–" if path.irregularity is None else f"{path.irregularity:.3f} rad/m"
+    yield "people", "least distance", metres(nearest.distance)
+    yield "people", "least clearance of bodies", metres(nearest.clearance)
+    yield "people", "collisions", "–" if nearest.collisions is None else str(nearest.collisions)
+    yield "people", "in contact", seconds(nearest.contact)
+    yield "people", "least time to collision", seconds(nearest.time_to_collision)
+    for name, value in nearest.spaces.items():
+        yield "nearest person", f"in {name} space", seconds(value)
+    yield "nearest person", "farther than 0.5 m", percent(nearest.compliance)
+
+
+CLOSENESS_HEADER = (
+    *("person", "distance", "clearance", "collisions", "time to collision", "intimate", "personal"),
+    *("social", "public"),
+)
+
+
+def closeness_rows(evaluation: NavigationEvaluation) -> Iterator[tuple[str, ...]]:
+    """A row for each person: least distance, clearance, collisions, time to collision, times in spaces."""
+    for name, own in evaluation.by_person.items():
+        collisions = "–" if own.collisions is None else str(own.collisions)
+        yield (
+            name,
+            metres(own.distance),
+            metres(own.clearance),
+            collisions,
+            seconds(own.time_to_collision),
+            *map(seconds, own.spaces.values()),
+        )
+
+
+def show_navigation(evaluation: NavigationEvaluation) -> str:
+    """Tables for a terminal: all metrics, and people."""
+    return _terminal_text(navigation_summary(evaluation), ("", CLOSENESS_HEADER, closeness_rows(evaluation)))

@@ -80,7 +80,7 @@ EXPORT_FORMATS = (
         "human36m",
         "bvh",
     ),
-    *("glb", "aicity", "webdataset", "croissant"),
+    *("glb", "nuscenes", "aicity", "webdataset", "croissant"),
 )
 
 

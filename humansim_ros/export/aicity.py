@@ -14,7 +14,7 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
-from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
 from humansim_ros.types import Array
 
 #: Classes of the challenge in the order of their numbers.
@@ -37,7 +37,18 @@ class AiCityWriter(FormatWriter):
 
     Width is the size along the x axis of the box and length the size along its y axis, as the challenge
     defines them; x is the direction that the hips face.
+
+    ``settings``: settings of the export.
+
+    Raises:
+        ExportError: A camera moves, and the files hold one pose of each.
     """
+
+    def __init__(self, settings: ExportSettings) -> None:
+        super().__init__(settings)
+        if moving := [name for name, known in settings.scene.cameras.items() if known.moves]:
+            text = f"camera {moving[0]} moves, and calibration.json of aicity has one pose of a camera"
+            raise ExportError(text, key="--format")
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Boxes of the people: entries of ``ground_truth.json``."""
@@ -59,11 +70,8 @@ class AiCityWriter(FormatWriter):
         ]
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Write the files. Raises ExportError for a camera that moves, which they cannot hold."""
+        """Write the files."""
         cameras = self.settings.scene.cameras
-        if moving := [name for name, known in cameras.items() if known.moves]:
-            text = f"camera {moving[0]} moves, and calibration.json has one pose of a camera"
-            raise ExportError(text, key="--format")
         frames = dict(records)
         folder.write("ground_truth.json", json.dumps({str(index): frames[index] for index in frames}))
         lines = [

@@ -28,6 +28,7 @@ from humansim_ros.export.images import (
     VideoWriter,
 )
 from humansim_ros.export.kitti import KittiWriter
+from humansim_ros.export.nuscenes import NuScenesWriter
 from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
@@ -126,6 +127,13 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "kitti",
             "sweeps of laser scanners with boxes of people, KITTI",
             KittiWriter,
+            frozenset({BOXES, BODIES, SWEEPS}),
+            images=True,
+        ),
+        ExportFormat(
+            "nuscenes",
+            "sweeps, images, poses and 3D boxes of people, nuScenes",
+            NuScenesWriter,
             frozenset({BOXES, BODIES, SWEEPS}),
             images=True,
         ),

@@ -83,6 +83,13 @@ class HumanState:
         return self.joints[:, :3, 3]
 
     @property
+    def speed(self) -> float:
+        """Speed of the left hip on the floor, m/s; NaN if the motion has no velocities."""
+        if self.linear is None:
+            return float("nan")
+        return float(np.hypot(*self.linear[self.joint_names.index("l_hip"), :2]))
+
+    @property
     def upright_box(self) -> UprightBox:
         """Upright box along the direction that the hips face."""
         return upright_box(self.vertices, self.joint_names, self.positions)

@@ -14,8 +14,15 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
-from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
-from humansim_ros.types import Array
+from humansim_ros.export.writer import (
+    FROM_CORNER,
+    ExportFolder,
+    ExportFrame,
+    ExportSettings,
+    FormatWriter,
+    Record,
+    corner_matrix,
+)
 
 #: Classes of the challenge in the order of their numbers.
 CLASSES = ("Person", "Forklift", "NovaCarter", "Transporter", "FourierGR1T2", "AgilityDigit")
@@ -28,8 +35,6 @@ COLUMNS = (
 TRUTH_FILE = "ground_truth.txt"
 #: Number of the scene in an export, which has one.
 _SCENE = 0
-#: From pixels whose first has its centre at 0 to pixels whose first begins at 0.
-_FROM_CORNER = 0.5
 
 
 class AiCityWriter(FormatWriter):
@@ -61,7 +66,7 @@ class AiCityWriter(FormatWriter):
                 "3d bounding box scale": box.size,
                 "3d bounding box rotation": [0.0, 0.0, box.yaw],
                 "2d bounding box visible": {
-                    camera: truth.boxes[name].visible + _FROM_CORNER
+                    camera: truth.boxes[name].visible + FROM_CORNER
                     for camera, truth in frame.frame.truth.items()
                     if truth.boxes[name].pixels
                 },
@@ -97,9 +102,9 @@ def _line(frame: int, identity: int, box: list[Any]) -> str:
 
 def sensor(name: str, camera: Camera, rate: float) -> dict[str, Any]:
     """Entry of a camera in ``calibration.json``. ``rate``: images per second."""
-    corner = np.array([[1, 0, _FROM_CORNER], [0, 1, _FROM_CORNER], [0, 0, 1.0]])
+    intrinsic = corner_matrix(camera)
     extrinsic = np.column_stack([camera.R, camera.t])
-    matrix: Array = corner @ camera.K @ extrinsic
+    matrix = intrinsic @ extrinsic
     floor = matrix[:, [0, 1, 3]]  # pixels of points of the floor
     width, height = camera.size
     attributes = {"fps": f"{rate:g}", "frameWidth": str(width), "frameHeight": str(height)}
@@ -110,7 +115,7 @@ def sensor(name: str, camera: Camera, rate: float) -> dict[str, Any]:
         "scaleFactor": 1.0,
         "translationToGlobalCoordinates": {"x": 0.0, "y": 0.0},
         "attributes": [{"name": key, "value": value} for key, value in attributes.items()],
-        "intrinsicMatrix": (corner @ camera.K).tolist(),
+        "intrinsicMatrix": intrinsic.tolist(),
         "extrinsicMatrix": extrinsic.tolist(),
         "cameraMatrix": matrix.tolist(),
         "homography": (floor / floor[2, 2] if abs(floor[2, 2]) > 1e-9 else floor).tolist(),

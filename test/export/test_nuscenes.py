@@ -129,3 +129,12 @@ def test_cameras_that_differ_in_case_are_refused(tmp_path: Path) -> None:
     scene = Scene.from_dict({**SCENE, "cameras": cameras})
     with pytest.raises(ExportError, match="names that differ in case only"):
         exported(tmp_path / "out", "nuscenes", scene, frames="0:3")
+
+
+@pytest.mark.nightly
+def test_a_scene_without_scanners_has_a_sample_for_each_frame(tmp_path: Path) -> None:
+    scene = Scene.from_dict({key: value for key, value in SCENE.items() if key != "scanners"})
+    known = tables(exported(tmp_path / "out", "nuscenes", scene, frames="0:3") / "nuscenes")
+    assert len(known["sample"]) == 3 and len(known["sample_data"]) == 6
+    assert {row["modality"] for row in known["sensor"].values()} == {"camera"}
+    assert {row["num_lidar_pts"] for row in known["sample_annotation"].values()} == {0}

@@ -98,7 +98,9 @@ class NuScenesWriter(FormatWriter):
 
     def _token(self, *words: object) -> str:
         """Token of a row: the same for the same export."""
-        return hashlib.md5(repr((self.settings.scene.title, *words)).encode()).hexdigest()
+        return hashlib.md5(
+            repr((self.settings.scene.title, *words)).encode(), usedforsecurity=False
+        ).hexdigest()
 
     def _tables(self, frames: Mapping[int, Record], samples: list[int]) -> dict[str, list[dict[str, Any]]]:
         """Rows of all tables by name."""
@@ -296,7 +298,7 @@ def _camera(name: str) -> str:
 
 def _scanner(name: str, number: int) -> str:
     """Channel of a scanner; the first one has the name that programs look for."""
-    return f"LIDAR_{name.upper()}" if number else "LIDAR_TOP"
+    return f"LIDAR_{number}_{name.upper()}" if number else "LIDAR_TOP"
 
 
 def _place(key: bool) -> str:

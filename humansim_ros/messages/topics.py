@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from humansim_ros import messages
 from humansim_ros.camera import Camera, Region
 from humansim_ros.drawing.views import color_image
+from humansim_ros.errors import SceneError
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
+from humansim_ros.messages.adapters import AdapterTopic, adapter_topics
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import (
     CameraInfo,
@@ -778,7 +780,7 @@ class ScannerTopics:
 def scene_topics(
     scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION, png_labels: bool = False
 ) -> list[Topic[Any]]:
-    """All topics of a scene: the scene time, humans, moving objects, cameras, laser scanners.
+    """All topics of a scene: the scene time, humans, moving objects, cameras, laser scanners, adapters.
 
     Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not among them.
 
@@ -801,6 +803,17 @@ def scene_topics(
             topics += own.png_labels
     for scanner in scene.scanners.values():
         topics += ScannerTopics(scene, scanner)
+    return [*topics, *_checked_adapters(scene, {topic.name for topic in topics})]
+
+
+def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
+    """Topics of the adapters. Raises SceneError if one has the name of another topic, of ``names`` too."""
+    topics, taken = adapter_topics(scene), set(names)
+    for topic in topics:
+        if topic.name in taken:
+            text = f"there is another topic {topic.name}: give it another key 'topic'"
+            raise SceneError(text, path=scene.path, key="adapters")
+        taken.add(topic.name)
     return topics
 
 

@@ -152,10 +152,10 @@ def _finishing(scene: Scene) -> list[str]:
 class LockstepPlaying(Playing):
     """Sends ``/clock``, then the frame, and waits until all members have finished it.
 
-    Members: the cameras and scanners of the scene, its bridge, the names and topics of ``wait_for``, and everybody who
-    reports on ``frame_done``. A frame is sent at least once; the same stamp is sent again for nodes that
-    have joined. A player that is started again goes on with the frame that was in flight, or, without a file
-    for the summary, with the newest frame that a camera has finished.
+    Members: the cameras and scanners of the scene, its bridge, the names and topics of ``wait_for``, and
+    everybody who reports on ``frame_done``. A frame is sent at least once; the same stamp is sent again for
+    nodes that have joined. A player that is started again goes on with the frame that was in flight, or,
+    without a file for the summary, with the newest frame that a camera has finished.
 
     Args:
         player: The node.

@@ -18,7 +18,7 @@ import numpy as np
 from humansim_ros.errors import RosError, SceneError, did_you_mean, some_of, within_bounds
 from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes
 from humansim_ros.messages.headers import WORLD_FRAME, header, optical_frame
-from humansim_ros.messages.people import MESSAGE_TYPES
+from humansim_ros.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.messages.scanners import scanner_frame
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import (
@@ -505,7 +505,7 @@ class Adapter:
     @property
     def is_read(self) -> bool:
         """Whether the evaluation reads these messages of trackers."""
-        return self.type in MESSAGE_TYPES
+        return self.type in (*MESSAGE_TYPES, DETECTIONS_2D)
 
 
 def _name(config: FramedConfig, usual: str) -> str:

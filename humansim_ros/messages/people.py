@@ -264,9 +264,7 @@ def read_boxes_2d(message: Any) -> list[tuple[float, float, float, float, float]
             if not within_bounds(boxes[-1]) or min(width, height) < 0:
                 raise EvaluationError("a box is not finite, or has a negative size")
             if box.center.theta:
-                raise EvaluationError(
-                    f"a box is rotated by {box.center.theta:g} rad: only upright ones are read"
-                )
+                raise EvaluationError("a box is rotated: only boxes along the axes of the image are read")
     except AttributeError as reason:
         text = printable(str(reason))
         raise EvaluationError(f"{DETECTIONS_2D} is of a version that is not known here: {text}") from None

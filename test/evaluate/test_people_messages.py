@@ -297,3 +297,21 @@ def test_a_topic_with_another_version_of_the_message_is_refused(tmp_path: Path) 
     scene_with(tmp_path / "scene.yaml", {})
     with pytest.raises(EvaluationError, match="Detection3DArray is of a version that is not known here"):
         evaluate(tmp_path / "scene.yaml", f"{tmp_path / 'bag'}:/tracker")
+
+
+def test_the_page_matches_people_of_one_point(tmp_path: Path) -> None:
+    from humansim_ros.evaluate.live import LiveOptions
+    from humansim_ros.messages.people import read_people
+    from humansim_ros.view.topic_people import beside_truth
+
+    scene = scene_with(tmp_path / "scene.yaml", {"detections_3d": {}, "people": {}})
+    topic = next(each for each in adapter_topics(scene) if each.name == "people")
+    frame = frame_of(scene, 3)
+    message = topic.message(frame)
+    for person in message.people:
+        person.name, person.position.x = f"track_{person.name}", person.position.x + 0.04
+    truth = {name: (state.joint_names, state.positions) for name, state in frame.humans.items()}
+    estimate = read_people(topic.type_name, message, None).people
+    points, errors = beside_truth(estimate, truth, LiveOptions.of("", "", 1.0, "", 0.5))
+    assert points.keys() == errors.keys() == {"anna", "ben"}
+    assert list(errors.values()) == pytest.approx([40.0, 40.0])

@@ -254,9 +254,11 @@ def read_boxes_2d(message: Any) -> list[tuple[float, float, float, float, float]
     Raises:
         EvaluationError: The message is of another version, a box is rotated, or a number is not finite.
     """
-    boxes = []
+    boxes: list[tuple[float, float, float, float, float]] = []
     try:
         for found, score in _detected_people(message):
+            if len(boxes) == MAX_PEOPLE:
+                raise EvaluationError(f"a message has more than {MAX_PEOPLE} people")
             box, place = found.bbox, found.bbox.center.position
             width, height = float(box.size_x) / 2, float(box.size_y) / 2
             row = (place.x - width, place.y - height, place.x + width, place.y + height)

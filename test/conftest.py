@@ -301,13 +301,17 @@ def ros() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def built_interfaces() -> Path:
-    """Folder with the Python package simulation_interfaces, which is not on PyPI."""
+    """Folder with the Python package simulation_interfaces, which is not on PyPI.
+
+    The variable ``SIMULATION_INTERFACES`` chooses another version, such as ``simulation_interfaces-2.1``.
+    """
     spec = importlib.util.spec_from_file_location("build_interfaces", ROOT / "tools" / "build_interfaces.py")
     assert spec is not None and spec.loader is not None
     build_interfaces = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build_interfaces)
     try:
-        return Path(build_interfaces.built_interfaces("simulation_interfaces"))
+        version = os.environ.get("SIMULATION_INTERFACES", "simulation_interfaces")
+        return Path(build_interfaces.built_interfaces(version))
     except build_interfaces.BuildError as reason:
         pytest.skip(f"interfaces cannot be built here: {reason}")
 

@@ -301,7 +301,12 @@ def ros() -> Iterator[None]:
 
 @functools.cache
 def built_package(name: str) -> Path:
-    """Folder with a Python package of messages that is not on PyPI; the test is skipped without compiler."""
+    """Folder with a Python package of messages that is not on PyPI; the test is skipped without compiler.
+
+    The variable ``SIMULATION_INTERFACES`` chooses a version of that package: ``simulation_interfaces-2.1``.
+    """
+    if name == "simulation_interfaces":
+        name = os.environ.get("SIMULATION_INTERFACES", name)
     spec = importlib.util.spec_from_file_location("build_interfaces", ROOT / "tools" / "build_interfaces.py")
     assert spec is not None and spec.loader is not None
     build_interfaces = importlib.util.module_from_spec(spec)

@@ -22,10 +22,12 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 _ROOT = Path(__file__).parent.parent
-#: Definitions by package: a folder with folders msg, srv and action. Those in ``config`` are installed.
+#: Definitions by package: a folder with folders msg, srv and action; those in ``config`` are installed.
+#: A folder such as ``name-2.1`` has the files of another version that differ from those of ``name``.
 DEFINITIONS = {
     path.name: path
     for folder in (_ROOT / "test" / "data" / "interfaces", _ROOT / "config" / "interfaces")
@@ -95,12 +97,13 @@ class BuildError(Exception):
 
 
 def built_interfaces(package: str) -> Path:
-    """Build a package of DEFINITIONS, unless it has been built; returns the folder for PYTHONPATH.
+    """Build a folder of DEFINITIONS, unless it has been built; returns the folder for PYTHONPATH.
 
     Raises BuildError if it cannot be built: without network, compiler or the headers of Python.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "humansim_ros" / "interfaces"
-    prefix = cache / _fingerprint(DEFINITIONS[package])
+    definitions = _definitions(package)
+    prefix = cache / _fingerprint(definitions)
     modules = prefix / _MODULES
     if modules.is_dir():
         return modules
@@ -110,7 +113,7 @@ def built_interfaces(package: str) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)  # parallel tests build once
         if not modules.is_dir():
             with tempfile.TemporaryDirectory(dir=cache) as folder:
-                _build(DEFINITIONS[package], Path(folder), prefix)
+                _build(package.partition("-")[0], definitions, Path(folder), prefix)
     return modules
 
 
@@ -126,12 +129,21 @@ def install(package: str) -> Path:
     return Path(sys.prefix) / _MODULES
 
 
-def _fingerprint(package: Path) -> str:
+def _definitions(package: str) -> dict[str, str]:
+    """Definitions of a folder of DEFINITIONS, by path in the package, such as ``msg/Result.msg``."""
+    folders = [DEFINITIONS[name] for name in dict.fromkeys((package.partition("-")[0], package))]
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for folder in folders
+        for path in sorted(folder.rglob("*.*"))
+        if path.suffix in (".msg", ".srv", ".action")
+    }
+
+
+def _fingerprint(definitions: dict[str, str]) -> str:
     parts = (sys.version, sys.prefix, *WHEELS, _PACKAGE_XML, _CMAKE)
-    digest = hashlib.sha256("\n".join(parts).encode())
-    for path in sorted(package.rglob("*.*")):
-        digest.update(f"{path.relative_to(package.parent)}\n".encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    files = (f"{name}\n{text}" for name, text in sorted(definitions.items()))
+    return hashlib.sha256("\n".join((*parts, *files)).encode()).hexdigest()[:16]
 
 
 def _check_tools() -> None:
@@ -144,20 +156,21 @@ def _check_tools() -> None:
         raise BuildError(f"{sys.prefix} has no ROS 2 from PyPI: pip install '.[ros]'")
 
 
-def _build(package: Path, folder: Path, prefix: Path) -> None:
+def _build(package: str, definitions: dict[str, str], folder: Path, prefix: Path) -> None:
     """Build a package in a folder for temporary files, and move the result to ``prefix``."""
     environment = folder / "env"
     _run([sys.executable, "-m", "venv", environment])
     options = ("--quiet", "--disable-pip-version-check", "--retries=1")
     _run([environment / "bin" / "pip", "install", *options, *WHEELS])
     _correct_paths(environment)
-    source, build = folder / "src" / package.name, folder / "build"
-    shutil.copytree(package, source)
-    files = sorted(str(path.relative_to(package)) for path in package.rglob("*.*"))
-    depends = _dependencies(package, files)
+    source, build = folder / "src" / package, folder / "build"
+    for name, text in definitions.items():
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        (source / name).write_text(text)
+    depends = _dependencies(package, definitions.values())
     tags = "\n  ".join(f"<depend>{name}</depend>" for name in depends)
-    (source / "package.xml").write_text(_PACKAGE_XML.format(name=package.name, depends=tags))
-    text = _CMAKE.format(name=package.name, depends=" ".join(depends), files=" ".join(files))
+    (source / "package.xml").write_text(_PACKAGE_XML.format(name=package, depends=tags))
+    text = _CMAKE.format(name=package, depends=" ".join(depends), files=" ".join(sorted(definitions)))
     (source / "CMakeLists.txt").write_text(text)
     variables = {
         "CMAKE_PREFIX_PATH": environment,
@@ -173,14 +186,10 @@ def _build(package: Path, folder: Path, prefix: Path) -> None:
     (folder / "out").rename(prefix)
 
 
-def _dependencies(package: Path, files: list[str]) -> list[str]:
-    """Packages whose types the definitions of a package use."""
-    named = {
-        name
-        for file in files
-        for name in re.findall(r"^(\w+)/\w+", (package / file).read_text(), re.MULTILINE)
-    }
-    return sorted(named - {package.name})
+def _dependencies(package: str, definitions: Iterable[str]) -> list[str]:
+    """Packages whose types some definitions use."""
+    named = {name for text in definitions for name in re.findall(r"^(\w+)/\w+", text, re.MULTILINE)}
+    return sorted(named - {package})
 
 
 def _correct_paths(environment: Path) -> None:

@@ -21,7 +21,7 @@ from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import print_text, to_json
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.converters import FBX_VARIABLE, find_converter
-from humansim_ros.ros.transport import free_memory
+from humansim_ros.ros.transport import files_of_fast_dds, free_memory
 
 #: Result of a check: usable, usable with a drawback, or not usable.
 State = Literal["ok", "warning", "wrong"]
@@ -38,7 +38,9 @@ OLDEST = {"numpy": (1, 26), "opencv-python-headless": (4, 6)}
 #: Largest number of a ROS domain, and those whose UDP ports Linux gives to other programs, too.
 _LAST_DOMAIN, _RISKY_DOMAINS = 232, range(102, 215)
 #: What killed processes have left stops new ones.
-_CLEAN_SHARED_MEMORY = "stop all ROS programs, then: rm -f /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*"
+_CLEAN_SHARED_MEMORY = (
+    "stop all ROS programs, then: rm -f /dev/shm/fast{rtps,dds}_* /dev/shm/sem.fast{rtps,dds}_*"
+)
 #: Modules of each extra.
 EXTRAS = {
     "evaluate": ("c3d", "mcap", "pycocotools", "rosbags"),
@@ -264,7 +266,7 @@ def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
     if not os.access(folder, os.W_OK):
         return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
     free = free_memory(folder)
-    left = sum(1 for _ in folder.glob("fastrtps_*"))
+    left = len(files_of_fast_dds(folder))
     text = f"{folder} has no limit" if math.isinf(free) else f"{free // _MB:.0f} MB free in {folder}"
     if left:
         text += f", {left} files of Fast DDS"

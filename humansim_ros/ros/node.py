@@ -100,7 +100,8 @@ class SuiteNode(GuardedNode):
         descriptor.additional_constraints = constraints
         if limits is not None:
             low, high = limits
-            if isinstance(default, int):
+            # a type is an integer from rclpy 9 (Kilted) on
+            if isinstance(default, int) and not isinstance(default, Parameter.Type):
                 descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
             else:
                 descriptor.floating_point_range = [
@@ -118,15 +119,18 @@ class SuiteNode(GuardedNode):
         """Set parameters all at once, as the services do; integers become floating-point numbers where the
         parameter is one.
         """
-        return super().set_parameters_atomically(
-            [
-                _as_float(parameter)
-                if self.has_parameter(parameter.name)
-                and self.describe_parameter(parameter.name).type == Parameter.Type.DOUBLE.value
-                else parameter
-                for parameter in parameter_list
-            ]
-        )
+        given = []
+        for parameter in parameter_list:
+            known = self.has_parameter(parameter.name)
+            wanted = (
+                Parameter.Type(self.describe_parameter(parameter.name).type) if known else parameter.type_
+            )
+            given.append(_as_float(parameter) if wanted == Parameter.Type.DOUBLE else parameter)
+            # rclpy says this with words or numbers, as its version is
+            if wanted != given[-1].type_ and Parameter.Type.NOT_SET not in (wanted, parameter.type_):
+                reason = f"{parameter.name}: the type is {parameter.type_.name}, expecting type {wanted.name}"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(given)
 
     def topic_publisher(self, topic: Topic[Any]) -> Any:
         """Create a publisher of a topic of the table."""

@@ -8,6 +8,7 @@ import math
 import os
 import re
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -24,8 +25,10 @@ _MIN_SEGMENT = 1 << 20
 #: Share of the free memory for processes that start together; the rest is for subscribers and ports.
 _SHARE = 0.8
 _FOLDER = Path("/dev/shm")
-_SEGMENT, _PORT = re.compile(r"fastrtps_[0-9a-f]{16}"), re.compile(r"fastrtps_port\d+")
-_LOCK = re.compile(r"/dev/shm/(fastrtps_\w+)_[es]l")
+#: Beginning of the names of files: of Fast DDS 2 (Jazzy), and of Fast DDS 3 (Kilted and later).
+_PREFIX = "fast(?:rtps|dds)_"
+_SEGMENT, _PORT = re.compile(rf"{_PREFIX}[0-9a-f]{{16}}"), re.compile(rf"{_PREFIX}port\d+")
+_LOCK = re.compile(rf"/dev/shm/({_PREFIX}\w+)_[es]l")
 #: First bytes of a segment or port that its process has completed (boost::interprocess).
 _COMPLETE = (2).to_bytes(4, "little")
 #: Seconds in which a live process has surely made and locked a file that it has begun.
@@ -94,13 +97,18 @@ def owned_names(pid: int) -> set[str]:
     return names
 
 
+def files_of_fast_dds(folder: Path) -> list[Path]:
+    """Segments and ports of Fast DDS in /dev/shm, with their locks."""
+    return [path for path in folder.glob("fast*_*") if re.match(_PREFIX, path.name)]
+
+
 def remove_dead_files() -> None:
     """Remove segments of dead processes of this user, and ports that were not completed.
 
     Complete ports stay: Fast DDS takes them over, and another process may be about to do so.
     """
     with suppress(OSError):
-        for path in _FOLDER.glob("fastrtps_*"):
+        for path in files_of_fast_dds(_FOLDER):
             with suppress(OSError):
                 found = path.lstat()
                 own = stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid()
@@ -136,10 +144,11 @@ def _locked(path: Path) -> Iterator[Path]:
         os.close(descriptor)
 
 
+#: Environment variables that name the profiles of Fast DDS: version 2 reads the first, version 3 the second.
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 #: Environment variables that mean that the user has configured the transports of Fast DDS.
 _TRANSPORT_SETTINGS = (
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
+    *PROFILES,
     "FASTDDS_BUILTIN_TRANSPORTS",
     "ROS_DISCOVERY_SERVER",
 )
@@ -195,12 +204,19 @@ def choose_transport(participants: int | None = None, network: bool = True) -> T
     # with LOCALHOST, the ports would stay open on all interfaces
     limit = {} if network else {_RANGE: "SYSTEM_DEFAULT"}
     environment = {
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(resource_path(f"config/{_profile(segment, network)}.xml")),
+        PROFILES[_has_fast_dds_3()]: str(resource_path(f"config/{_profile(segment, network)}.xml")),
         _SEGMENT_BYTES: str(segment),
         _MEMORY_POLICY: "1",
         **limit,
     }
     return Transport(environment, reach, _warning(segment, free, participants))
+
+
+@functools.cache
+def _has_fast_dds_3() -> bool:
+    """Whether the ROS of this process has Fast DDS 3, as Kilted and later: its library has another name."""
+    folders = [f"{sys.prefix}/lib", *os.environ.get("LD_LIBRARY_PATH", "").split(":")]
+    return any(any(Path(folder).glob("libfastdds.so*")) for folder in folders if folder)
 
 
 def _profile(segment: int, network: bool) -> str:

@@ -109,7 +109,7 @@ def test_little_shared_memory_is_a_warning(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(checks, "_SHARED_MEMORY", 1 << 60)
     finding = checks.check_shared_memory(tmp_path)
     assert finding.state == "warning" and "1 files of Fast DDS" in finding.text
-    assert "--shm-size" in finding.fix and "rm -f /dev/shm/fastrtps_*" in finding.fix
+    assert "--shm-size" in finding.fix and "rm -f /dev/shm/fast{rtps,dds}_*" in finding.fix
 
 
 def test_a_missing_folder_of_shared_memory_is_wrong(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_a_check_that_fails_is_told_and_the_others_go_on() -> None:
     ("check", "code", "name", "fix"),
     [
         (checks.check_opengl, "_RENDER", "OpenGL", "apt-get"),
-        (checks.check_exchange, "_EXCHANGE", "DDS", "rm -f /dev/shm/fastrtps_*"),
+        (checks.check_exchange, "_EXCHANGE", "DDS", "rm -f /dev/shm/fast{rtps,dds}_*"),
     ],
 )
 def test_a_check_that_hangs_is_ended_and_keeps_its_name(

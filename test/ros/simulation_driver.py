@@ -99,7 +99,8 @@ class Tool:
     def place(
         self, entity: str, position: Any, rotation: Any = (0, 0, 0, 1), **changes: Any
     ) -> tuple[int, str]:
-        return self.code("SetEntityState", entity=entity, state=entity_state(position, rotation, **changes))
+        state = entity_state(position, rotation, **changes)
+        return self.code("SetEntityState", entity=entity, state=state, **set_flags())
 
     def entities(self, **filters: Any) -> list[str]:
         from simulation_interfaces.msg import EntityFilters
@@ -161,6 +162,15 @@ def entity_state(position: Any, rotation: Any = (0, 0, 0, 1), frame: str = "map"
     q.x, q.y, q.z, q.w = map(float, rotation)
     state.twist.linear.x = speed
     return state
+
+
+def set_flags(pose: bool = True, twist: bool = True) -> dict[str, bool]:
+    """Flags of SetEntityState that choose parts of the state; versions before 2.1 have none."""
+    from simulation_interfaces.srv import SetEntityState
+
+    fields = SetEntityState.Request.get_fields_and_field_types()
+    flags = {"set_pose": pose, "set_twist": twist}
+    return {name: value for name, value in flags.items() if name in fields}
 
 
 def yaw(degrees: float) -> Any:

@@ -108,10 +108,9 @@ def test_an_unfinished_port_does_not_stop_the_next_node(ros: None, tmp_path: Pat
     """A node that was killed while it made its port: Fast DDS waits for ever for the other half."""
     client = Client("occupant")
     assert client.spin_until(lambda: owned_names(os.getpid()))
-    number = max(
-        int(name.removeprefix("fastrtps_port")) for name in owned_names(os.getpid()) if "port" in name
-    )
-    unfinished = [SHM / f"fastrtps_port{number + 2 * i}" for i in range(1, 9)]
+    ports = [name.partition("_port") for name in owned_names(os.getpid()) if "port" in name]
+    prefix, number = ports[0][0], max(int(number) for _, _, number in ports)
+    unfinished = [SHM / f"{prefix}_port{number + 2 * i}" for i in range(1, 9)]
     made = [path for path in unfinished if not path.exists()]
     for path in made:
         path.touch()

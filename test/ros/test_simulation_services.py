@@ -106,7 +106,37 @@ def test_features_are_those_that_the_services_have(driver: Driver) -> None:
     names = {name for name, number in named.items() if isinstance(number, int) and number in features}
     assert len(names) == len(features)
     assert {"ENTITY_STATE_SETTING", "STEP_SIMULATION_ACTION", "SIMULATION_RESET_STATE"} <= names
-    assert not {name for name in names if "SPAWN" in name or "BOUNDS" in name or "WORLD" in name}
+    assert not {name for name in names if "SPAWN" in name or "BOUNDS" in name}
+    has_worlds = {"WORLD_INFO_GETTING", "AVAILABLE_WORLDS", "WORLD_TAGS"} & named.keys()
+    assert {name for name in names if "WORLD" in name} == has_worlds
+
+
+def test_scene_is_the_world(driver: Driver) -> None:
+    worlds = pytest.importorskip("simulation_interfaces.srv")
+    if not hasattr(worlds, "GetCurrentWorld"):
+        pytest.skip("version 1 of simulation_interfaces has no worlds")
+    from simulation_interfaces.msg import TagsFilter
+
+    answer = driver.call("GetCurrentWorld")
+    assert answer.result.result == OK
+    assert (answer.world.name, answer.world.world_resource.uri) == ("scene", "humansim:scene")
+    assert driver.call("GetAvailableWorlds").worlds == [answer.world]
+    assert driver.call("GetAvailableWorlds", filter=TagsFilter(tags=["humans"])).worlds == [answer.world]
+    assert driver.call("GetAvailableWorlds", filter=TagsFilter(tags=["outdoor"])).worlds == []
+    code, text = driver.code("GetAvailableWorlds", additional_sources=["file:///etc"])
+    assert code == FAILED and "no sources" in text
+    code, text = driver.code("GetAvailableWorlds", filter=TagsFilter(tags=["humans"] * 2000))
+    assert code == FAILED and "1000 tags" in text
+
+
+@pytest.mark.nightly
+def test_the_services_of_version_2() -> None:
+    tests = [__file__, str(Path(__file__).parent / "test_simulation_entities.py")]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not nightly", *tests]
+    environment = {**os.environ, "SIMULATION_INTERFACES": "simulation_interfaces-2.1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "has no worlds" not in done.stdout
 
 
 def test_the_simulation_plays_pauses_and_stops(driver: Driver) -> None:

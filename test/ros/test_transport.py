@@ -19,7 +19,7 @@ from waiting import PATIENCE, wait_until
 
 from humansim_ros.ros import transport
 from humansim_ros.ros import transport as shared_memory
-from humansim_ros.ros.transport import FULL_SEGMENT, choose_transport, free_memory, segment_size
+from humansim_ros.ros.transport import FULL_SEGMENT, PROFILES, choose_transport, free_memory, segment_size
 
 MB = 1 << 20
 SETTINGS = (
@@ -185,7 +185,8 @@ def test_the_user_decides_who_finds_the_nodes(
     monkeypatch.setenv(name, "1")
     chosen = choose_transport(6, network=False)
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in chosen.environment
-    assert chosen.environment["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("fastdds.xml")
+    profile = next(chosen.environment[key] for key in PROFILES if key in chosen.environment)
+    assert profile.endswith("fastdds.xml")
     assert name in chosen.reach
 
 

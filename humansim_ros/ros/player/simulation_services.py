@@ -7,7 +7,7 @@ Gazebo has them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -42,6 +42,9 @@ _SERVICES = {
     "get_entity_info": "GetEntityInfo",
     "get_entity_state": "GetEntityState",
     "set_entity_state": "SetEntityState",
+    # of versions 2 and later
+    "get_current_world": "GetCurrentWorld",
+    "get_available_worlds": "GetAvailableWorlds",
 }
 _FEATURES = (
     "ENTITY_TAGS",
@@ -58,8 +61,14 @@ _FEATURES = (
     "STEP_SIMULATION_SINGLE",
     "STEP_SIMULATION_MULTIPLE",
     "STEP_SIMULATION_ACTION",
+    # of versions 2 and later
+    "WORLD_INFO_GETTING",
+    "AVAILABLE_WORLDS",
+    "WORLD_TAGS",
 )
 _INFO = "humansim_ros: a step is a frame, an entity has the name that its topics begin with"
+#: Tags of the world, and the scheme of its URI.
+_WORLD_TAGS, _WORLD_SCHEME = ("humans",), "humansim"
 #: Most characters of a pattern, and bytes that a compiled pattern may take: it comes from the network.
 _MAX_PATTERN, _MAX_PATTERN_BYTES = 256, 1 << 20
 #: Most elements of a list in a filter.
@@ -105,6 +114,7 @@ class SimulationServices:
         self._player = player
         self._types = types
         self._entities = scene_entities(player.scene)
+        self._world_name = player.scene.path.stem if player.scene.path else "scene"
         self._is_stopped = False
         self._run: StepRun | None = None
         #: Goal of the action that began last, and whether another one was accepted that has not begun yet.
@@ -124,7 +134,8 @@ class SimulationServices:
                 PoseStamped, f"{camera.name}/pose", self._camera_pose_callback(camera.name), NEWEST
             )
         for service, name in _SERVICES.items():
-            self._serve(getattr(types.srv, name), service, getattr(self, f"_{service}"))
+            if hasattr(types.srv, name):  # the installed version has it
+                self._serve(getattr(types.srv, name), service, getattr(self, f"_{service}"))
         self._serve_steps(types.action.SimulateSteps)
 
     def close(self) -> None:
@@ -185,8 +196,27 @@ class SimulationServices:
 
     def _get_simulator_features(self, _: Any, response: Any) -> None:
         features = self._types.msg.SimulatorFeatures
-        response.features.features = [getattr(features, name) for name in _FEATURES]
+        response.features.features = [
+            getattr(features, name) for name in _FEATURES if hasattr(features, name)
+        ]
         response.features.custom_info = _INFO
+
+    def _world(self) -> Any:
+        """The scene as a world; its URI names it, and no file of this host."""
+        world = self._types.msg.WorldResource(name=self._world_name, tags=list(_WORLD_TAGS))
+        # version 2.0 names this field level_resource
+        resource = world.world_resource if hasattr(world, "world_resource") else world.level_resource
+        resource.uri = f"{_WORLD_SCHEME}:{world.name}"
+        return world
+
+    def _get_current_world(self, _: Any, response: Any) -> None:
+        response.world = self._world()
+
+    def _get_available_worlds(self, request: Any, response: Any) -> None:
+        if request.additional_sources:
+            raise Refusal("only the scene of the player is a world: no sources are searched")
+        if _has_tags(request.filter, _WORLD_TAGS):
+            response.worlds = [self._world()]
 
     def _state(self) -> int:
         states = self._types.msg.SimulationState
@@ -429,15 +459,12 @@ class SimulationServices:
         """Entities that pass all filters."""
         if filters.bounds.type:
             raise Refusal("entities cannot be filtered by bounds", "RESULT_FEATURE_UNSUPPORTED")
-        tags, categories = filters.tags, {each.category for each in filters.categories}
-        if max(len(tags.tags), len(filters.categories)) > _MAX_FILTERS:
-            raise Refusal(f"more than {_MAX_FILTERS} tags or categories")
-        wanted = set(tags.tags)
-        every = tags.filter_mode == type(tags).FILTER_MODE_ALL
+        if len(filters.categories) > _MAX_FILTERS:
+            raise Refusal(f"more than {_MAX_FILTERS} categories")
+        categories = {each.category for each in filters.categories}
         name_matches = name_filter(filters.filter)
         for entity in self._entities.values():
-            own = wanted & set(entity.tags)
-            if wanted and (own != wanted if every else not own):
+            if not _has_tags(filters.tags, entity.tags):
                 continue
             if categories and self._category(entity) not in categories:
                 continue
@@ -572,6 +599,14 @@ def name_filter(pattern: str) -> Callable[[str], bool]:
         problem = f"the filter is no POSIX extended pattern: {printable(reason, 80)}"
         raise Refusal(problem) from None
     return lambda name: found.search(name) is not None
+
+
+def _has_tags(tags: Any, own: Collection[str]) -> bool:
+    """Whether a filter by tags (TagsFilter) lets something with its own tags pass."""
+    if len(tags.tags) > _MAX_FILTERS:
+        raise Refusal(f"more than {_MAX_FILTERS} tags")
+    found = [tag in own for tag in tags.tags]
+    return not found or (all if tags.filter_mode == type(tags).FILTER_MODE_ALL else any)(found)
 
 
 def _read_pose(state: Any) -> tuple[Array, Array]:

@@ -31,6 +31,7 @@ from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
 from humansim_ros.export.thesis import ThesisWriter
+from humansim_ros.export.usd import UsdWriter
 from humansim_ros.export.webdataset import WebDatasetWriter
 from humansim_ros.export.writer import FormatWriter
 from humansim_ros.render.channels import CHANNEL_TABLE
@@ -149,6 +150,7 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ),
         ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter, _BODIES),
         ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter, _BODIES),
+        ExportFormat("usd", "the scene over time, OpenUSD with UsdSkel", UsdWriter, _BODIES, needs=("pxr",)),
         ExportFormat(
             "webdataset",
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",

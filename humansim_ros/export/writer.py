@@ -169,6 +169,7 @@ class ExportScene:
         humans: Bodies without pose by name; a bag has none.
         licenses: Licence of the body of each person whose licence is known, by name.
         license: Licence of data sets of the scene; empty if the scene states none.
+        simulated: The scene itself; None for a bag.
     """
 
     title: str
@@ -180,6 +181,7 @@ class ExportScene:
     humans: Mapping[str, Human] = field(default_factory=dict)
     licenses: Mapping[str, str] = field(default_factory=dict)
     license: str = ""
+    simulated: Scene | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> ExportScene:
@@ -203,6 +205,7 @@ class ExportScene:
             humans={name: actor.human for name, actor in scene.actors.items()},
             licenses={name: text for name, actor in scene.actors.items() if (text := actor.human.license)},
             license=scene.config.license or "",
+            simulated=scene,
         )
 
     @property

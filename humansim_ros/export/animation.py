@@ -261,11 +261,12 @@ def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
     return found
 
 
-class TextureFiles:
-    """Writes images to a folder of an export, equal ones once.
+#: Most colours of a texture of vertex colours, and the side of the square of each in pixels.
+_PALETTE, _SQUARE = 256, 4
 
-    ``folder``: the folder.
-    """
+
+class TextureFiles:
+    """Writes images to a folder of an export, equal ones once. ``folder``: the folder."""
 
     def __init__(self, folder: ExportFolder) -> None:
         self._folder = folder
@@ -289,3 +290,34 @@ class TextureFiles:
             self._names[key] = f"texture_{len(self._names):03d}.{suffix}"
             self._folder.write(self._names[key], content)
         return self._names[key]
+
+
+def painted(mesh: Mesh) -> Mesh:
+    """The mesh with a texture of its vertex colours, for programs that draw none; itself with a texture.
+
+    Each colour is a square of the texture. Where the corners of a triangle differ, colours between them are
+    wrong; a mesh of more than 256 colours has their mean.
+    """
+    if mesh.colors is None or mesh.texture is not None:
+        return mesh
+    colors, number = np.unique(mesh.colors, axis=0, return_inverse=True)
+    if len(colors) > _PALETTE:
+        mean = np.rint(mesh.colors.mean(axis=0)).astype(np.uint8)
+        colors, number = mean[None], np.zeros(len(mesh.vertices), np.intp)
+    image = np.tile(np.repeat(colors, _SQUARE, axis=0), (_SQUARE, 1, 1))
+    middles = np.column_stack([(np.arange(len(colors)) + 0.5) / len(colors), np.full(len(colors), 0.5)])
+    corners = np.where(mesh.faces < 0, 0, number.ravel()[mesh.faces]).astype(np.int32)
+    return replace(mesh, colors=None, texture=image, uv=middles, uv_faces=corners)
+
+
+def obj_text(mesh: Mesh) -> str:
+    """A mesh as an OBJ file, with texture coordinates but without material; in its own axes."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices.tolist()]
+    corners = (mesh.triangles + 1).tolist()
+    if mesh.uv is None or mesh.uv_triangles is None:
+        lines += [f"f {a} {b} {c}" for a, b, c in corners]
+    else:
+        lines += [f"vt {u:.9g} {v:.9g}" for u, v in mesh.uv.tolist()]
+        pairs = zip(corners, (mesh.uv_triangles + 1).tolist(), strict=True)
+        lines += ["f " + " ".join(f"{v}/{t}" for v, t in zip(*pair, strict=True)) for pair in pairs]
+    return "\n".join([*lines, ""])

@@ -27,6 +27,7 @@ from humansim_ros.export.images import (
     VideoWriter,
 )
 from humansim_ros.export.kitti import KittiWriter
+from humansim_ros.export.mjcf import MujocoWriter
 from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
@@ -151,6 +152,7 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter, _BODIES),
         ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter, _BODIES),
         ExportFormat("usd", "the scene over time, OpenUSD with UsdSkel", UsdWriter, _BODIES, needs=("pxr",)),
+        ExportFormat("mujoco", "the scene over time, MJCF of MuJoCo with skins", MujocoWriter, _BODIES),
         ExportFormat(
             "webdataset",
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",

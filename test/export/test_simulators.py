@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,16 @@ from keyframe_text import keyframes
 
 from humansim_ros import Camera, Scene, load_human
 from humansim_ros.errors import HumansimError, HumansimWarning
-from humansim_ros.export.animation import AnimationWriter, identifiers
+from humansim_ros.export.animation import (
+    AnimatedHuman,
+    AnimatedScene,
+    AnimationWriter,
+    TextureFiles,
+    identifiers,
+)
 from humansim_ros.export.formats import EXPORT_FORMATS, chosen_formats
+from humansim_ros.export.mjcf import MujocoModel
+from humansim_ros.export.usd import UsdStage
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.scene import Frame
 from humansim_ros.scene.states import SceneStates
@@ -141,20 +150,38 @@ def test_names_are_valid_and_unlike_each_other() -> None:
     assert len(set(many.values())) == 4 and all(len(name) <= 20 for name in many.values())
 
 
-class TestUsd:
-    """OpenUSD: the judge is Pixar's library."""
+@pytest.fixture(scope="module")
+def usd(played: Played, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of an OpenUSD export."""
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    return played.write("usd", tmp_path_factory.mktemp("usd"))
 
-    @pytest.fixture(scope="class")
-    def folder(self, played: Played, tmp_path_factory: pytest.TempPathFactory) -> Path:
+
+@pytest.fixture(scope="module")
+def model(played: Played, tmp_path_factory: pytest.TempPathFactory) -> MujocoPlayer:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    return MujocoPlayer(played.write("mujoco", tmp_path_factory.mktemp("mujoco")))
+
+
+@pytest.mark.parametrize("name", ["usd", "mujoco"])
+def test_equal_scenes_give_equal_bytes(name: str, played: Played, tmp_path: Path) -> None:
+    if name == "usd":
         pytest.importorskip("pxr", reason="usd-core is not installed")
-        return played.write("usd", tmp_path_factory.mktemp("usd"))
+    first, second = (played.write(name, tmp_path / part) for part in "ab")
+    files = sorted(path.relative_to(first) for path in first.rglob("*.*"))
+    assert len(files) > 5
+    assert all((first / path).read_bytes() == (second / path).read_bytes() for path in files)
 
-    def test_validators_find_nothing(self, folder: Path) -> None:
+
+class TestUsd:
+    """OpenUSD: the judge is the library of its makers."""
+
+    def test_validators_find_nothing(self, usd: Path) -> None:
         from pxr import Usd, UsdGeom, UsdValidation
 
         validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
         context = UsdValidation.ValidationContext(validators)
-        stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+        stage = Usd.Stage.Open(str(usd / "scene.usdc"))
         assert [(error.GetName(), error.GetMessage()) for error in context.Validate(stage)] == []
         assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
         assert stage.GetTimeCodesPerSecond() == RATE
@@ -163,10 +190,10 @@ class TestUsd:
         assert context.Validate(stage)  # they do look
 
     @pytest.mark.parametrize("person", ["anna", "ben"])
-    def test_skinned_vertices_are_those_of_the_human(self, played: Played, folder: Path, person: str) -> None:
+    def test_skinned_vertices_are_those_of_the_human(self, played: Played, usd: Path, person: str) -> None:
         from pxr import Usd, UsdGeom, UsdSkel, Vt
 
-        stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+        stage = Usd.Stage.Open(str(usd / "scene.usdc"))
         root = UsdSkel.Root(stage.GetPrimAtPath(f"/World/People/{person}"))
         cache = UsdSkel.Cache()
         cache.Populate(root, Usd.PrimDefaultPredicate)
@@ -181,19 +208,19 @@ class TestUsd:
             found = np.array(points, float) @ world[:3, :3] + world[3, :3]
             np.testing.assert_allclose(found, played.frames[index].humans[person].vertices, atol=5e-6)
 
-    def test_without_animation_people_stand_at_rest(self, played: Played, folder: Path) -> None:
+    def test_without_animation_people_stand_at_rest(self, played: Played, usd: Path) -> None:
         from pxr import Usd, UsdGeom
 
-        stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+        stage = Usd.Stage.Open(str(usd / "scene.usdc"))
         points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/World/People/anna/Body")).GetPointsAttr().Get())
         rest = played.scene.actors["anna"].human.mesh.vertices
         np.testing.assert_allclose(np.ptp(points, axis=0), np.ptp(rest, axis=0)[[2, 0, 1]], atol=1e-6)
 
     @pytest.mark.parametrize("camera", ["room", "front", "off_centre"])
-    def test_cameras_project_as_ours(self, played: Played, folder: Path, camera: str) -> None:
+    def test_cameras_project_as_ours(self, played: Played, usd: Path, camera: str) -> None:
         from pxr import Usd, UsdGeom
 
-        stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+        stage = Usd.Stage.Open(str(usd / "scene.usdc"))
         prim = UsdGeom.Camera(stage.GetPrimAtPath(f"/World/Cameras/{camera}"))
         for index in FRAMES:
             ours = played.camera(camera, index)
@@ -210,10 +237,10 @@ class TestUsd:
             np.testing.assert_allclose(clip[:, 3], depth, atol=1e-6)
             assert seen.any() or camera == "front"
 
-    def test_objects_are_where_ours_are(self, played: Played, folder: Path) -> None:
+    def test_objects_are_where_ours_are(self, played: Played, usd: Path) -> None:
         from pxr import Usd, UsdGeom
 
-        stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+        stage = Usd.Stage.Open(str(usd / "scene.usdc"))
         for name, item in played.scene.objects.items():
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/World/Objects/{name}/Surface"))
             for index in FRAMES:
@@ -221,14 +248,148 @@ class TestUsd:
                 found = np.array(mesh.GetPointsAttr().Get(), float) @ world[:3, :3] + world[3, :3]
                 np.testing.assert_allclose(found, item.at(index / RATE).apply(item.mesh.vertices), atol=1e-6)
 
-    def test_equal_scenes_give_equal_bytes(self, played: Played, folder: Path, tmp_path: Path) -> None:
-        again = played.write("usd", tmp_path)
-        files = sorted(path.relative_to(again) for path in again.rglob("*.*"))
-        assert len(files) > 5
-        assert all((again / path).read_bytes() == (folder / path).read_bytes() for path in files)
+
+class MujocoPlayer:
+    """MuJoCo with an exported scene, as docs/simulators.md says how to play it."""
+
+    def __init__(self, folder: Path) -> None:
+        import mujoco
+
+        self.model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+        self.data = mujoco.MjData(self.model)
+        with np.load(folder / "motion.npz") as arrays:
+            self.motion = dict(arrays)
+
+    def show(self, index: int) -> None:
+        import mujoco
+
+        self.data.mocap_pos[:] = self.motion["mocap_pos"][index - FRAMES[0]]
+        self.data.mocap_quat[:] = self.motion["mocap_quat"][index - FRAMES[0]]
+        mujoco.mj_forward(self.model, self.data)
+
+    def drawn(self, camera: str | None = None) -> Any:
+        """What MuJoCo's renderer gets."""
+        import mujoco
+
+        view = mujoco.MjvCamera()
+        if camera is not None:
+            view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.model.camera(camera).id
+        scene = mujoco.MjvScene(self.model, 5000)
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self.model, self.data, mujoco.MjvOption(), None, view, everything, scene)
+        return scene
+
+    def ray(self, start: np.ndarray, direction: np.ndarray, group: int) -> tuple[float, str]:
+        """Distance to the first geom of a group, and the name of its body."""
+        import mujoco
+
+        groups, found = np.zeros(6, np.uint8), np.zeros(1, np.int32)
+        groups[group] = 1
+        distance = mujoco.mj_ray(self.model, self.data, start, direction, groups, True, -1, found)
+        return distance, self.model.body(self.model.geom_bodyid[found[0]]).name if found[0] >= 0 else ""
+
+
+class TestMujoco:
+    """MuJoCo: the judge is its own library."""
+
+    def test_bodies_are_where_our_bones_are(self, played: Played, model: MujocoPlayer) -> None:
+        np.testing.assert_allclose(model.motion["time"], np.array(FRAMES) / RATE)
+        for index in FRAMES:
+            model.show(index)
+            for name, state in played.frames[index].humans.items():
+                for number, bone in enumerate(played.scene.actors[name].human.skeleton.names):
+                    body = model.data.body(f"{name}_{bone}")
+                    np.testing.assert_allclose(body.xpos, state.positions[number], atol=1e-12)
+                    np.testing.assert_allclose(
+                        body.xmat.reshape(3, 3), state.joints[number, :3, :3], atol=1e-12
+                    )
+
+    def test_skins_are_our_vertices(self, played: Played, model: MujocoPlayer) -> None:
+        first = played.frames[FRAMES[0]].humans["ben"].size
+        for index in FRAMES:
+            model.show(index)
+            points = model.drawn().skinvert.reshape(-1, 3)
+            for number, (name, state) in enumerate(played.frames[index].humans.items()):
+                start = model.model.skin_vertadr[number]
+                found = points[start : start + len(state.vertices)]
+                if name == "anna" or index == FRAMES[0]:
+                    np.testing.assert_allclose(found, state.vertices, atol=5e-6)
+                else:  # who keeps his first size
+                    assert state.size < first
+
+    def test_a_size_that_changes_is_warned_of(self, played: Played, tmp_path: Path) -> None:
+        with pytest.warns(HumansimWarning, match="ben: its size changes"):
+            played.write("mujoco", tmp_path)
+
+    @pytest.mark.parametrize("camera", ["room", "front", "off_centre"])
+    def test_cameras_project_as_ours(self, played: Played, model: MujocoPlayer, camera: str) -> None:
+        for index in FRAMES:
+            model.show(index)
+            ours, gl = played.camera(camera, index), model.drawn(camera).camera
+            # what the renderer draws: the mean of the eyes of a stereo pair
+            forward, up = (np.mean([getattr(eye, name) for eye in gl], axis=0) for name in ("forward", "up"))
+            eye = gl[0]
+            local = POINTS - np.mean([each.pos for each in gl], axis=0)
+            axes = np.array([np.cross(forward, up), up, forward])
+            x, y, depth = (local @ axes.T).T
+            plane = np.column_stack([x, y]) / depth[:, None] * eye.frustum_near
+            low = np.array([eye.frustum_center - eye.frustum_width, eye.frustum_bottom])
+            high = np.array([eye.frustum_center + eye.frustum_width, eye.frustum_top])
+            share = (plane - low) / (high - low)
+            found = np.column_stack([share[:, 0], 1 - share[:, 1]]) * ours.size - 0.5
+            expected, distance = ours.project(POINTS)
+            seen = distance > 0
+            np.testing.assert_allclose(found[seen], expected[seen], atol=0.02)
+            assert tuple(model.model.cam_resolution[model.model.camera(camera).id]) == ours.size
+
+    def test_rays_hit_people_as_near_as_their_skin_is(self, played: Played, model: MujocoPlayer) -> None:
+        index = FRAMES[-1]
+        model.show(index)
+        vertices = played.frames[index].humans["anna"].vertices
+        middle = vertices.mean(axis=0)
+        distance, body = model.ray(middle + np.array([3.0, 0, 0]), np.array([-1.0, 0, 0]), 3)
+        near = vertices[np.linalg.norm(vertices[:, 1:] - middle[1:], axis=1) < 0.02, 0].max()
+        assert body.startswith("anna_") and distance == pytest.approx(middle[0] + 3 - near, abs=0.02)
+
+    def test_room_and_objects_are_seen_and_touched(self, played: Played, model: MujocoPlayer) -> None:
+        model.show(FRAMES[-1])
+        down = np.array([0.0, 0, -1])
+        for group in (2, 3):  # as drawn, and as touched
+            assert model.ray(np.array([2.5, 3, 1]), down, group)[0] == pytest.approx(1, abs=1e-4)
+            for x in (-1.0, 1.0):
+                wall, _ = model.ray(np.array([0, 3.5, 2.2]), np.array([x, 0, 0]), group)
+                assert wall == pytest.approx(4, abs=1e-4)
+            table = played.scene.objects["table"].initial_pose.apply(
+                played.scene.objects["table"].mesh.vertices
+            )
+            top, body = model.ray(np.array([-1.0, 1, 2]), down, group)
+            assert body == "table" and top == pytest.approx(2 - table[:, 2].max(), abs=1e-4)
+            box = played.frames[FRAMES[-1]].objects["box"]
+            height, body = model.ray(box.position + np.array([0, 0, 1.0]), down, group)
+            assert body == "box" and height == pytest.approx(0.7, abs=1e-4)
+        # below the top of a table is room for a robot
+        under = model.ray(np.array([-1.0, 1, 0.3]), np.array([1.0, 0, 0]), 3)
+        assert under[1] != "table" or under[0] > 0.3
+
+
+def test_names_of_bones_that_programs_forbid_are_mapped(played: Played, tmp_path: Path) -> None:
+    child = load_human("child")
+    strange = [f"mixamorig:{name} [{'x' * 30}]" for name in child.skeleton.names]
+    strange[3] = strange[2].replace(" ", "!")
+    human = replace(child, skeleton=replace(child.skeleton, names=tuple(strange)))
+    still = human.skeleton.rest[None]
+    scene = AnimatedScene(range(1), 10.0, {"x": AnimatedHuman(human, still, np.ones(1))}, {}, {})
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    model = MujocoModel(scene, ExportFolder(tmp_path, "assets"))
+    (tmp_path / "scene.xml").write_text(model.encoded())
+    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+    assert loaded.nmocap == len(strange) and loaded.nskin == 1
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    UsdStage(scene, TextureFiles(ExportFolder(tmp_path, "textures"))).write(str(tmp_path / "x.usdc"))
+    assert (tmp_path / "x.usdc").stat().st_size > 100_000
 
 
 def test_a_library_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("humansim_ros.export.formats.find_spec", lambda name: None)
-    with pytest.raises(HumansimError, match=r"pip install 'humansim_ros\[simulators\]'"):
+    with pytest.raises(HumansimError, match=r"pip install 'humansim_ros\[export\]'"):
         chosen_formats(["usd"])

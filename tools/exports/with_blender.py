@@ -14,7 +14,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-
 #: Points (N, 3) in other axes.
 Axes = Callable[[np.ndarray], np.ndarray]
 

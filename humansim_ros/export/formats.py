@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from humansim_ros.errors import ExportError, did_you_mean
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
+from humansim_ros.export.gazebo import GazeboWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
 from humansim_ros.export.images import (
     BodyPartWriter,
@@ -153,6 +154,7 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter, _BODIES),
         ExportFormat("usd", "the scene over time, OpenUSD with UsdSkel", UsdWriter, _BODIES, needs=("pxr",)),
         ExportFormat("mujoco", "the scene over time, MJCF of MuJoCo with skins", MujocoWriter, _BODIES),
+        ExportFormat("gazebo", "the scene over time, SDF world with actors", GazeboWriter, _BODIES),
         ExportFormat(
             "webdataset",
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",

@@ -7,10 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pytest
 from keyframe_text import keyframes
+from scipy.spatial.transform import Rotation
 
 from humansim_ros import Camera, Scene, load_human
 from humansim_ros.errors import HumansimError, HumansimWarning
@@ -29,6 +32,8 @@ from humansim_ros.scene import Frame
 from humansim_ros.scene.states import SceneStates
 
 RATE, FRAMES = 10.0, range(2, 6)
+#: Of the camera ``room``.
+LENS = [-0.2, 0.05, 0.001, -0.002, 0.01]
 #: Ben and the box shrink while they turn and move.
 SHRINKING = (
     {"position": (0, 0, 0), "rotation": (0, 0, 0), "size": (1.2, 1.2, 1.2)},
@@ -109,7 +114,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
         "room": {"size": [8, 8, 2.6]},
         "robot": {"path": {"points": [[-2, -2], [2, -2]], "speed": 0.6}},
         "cameras": {
-            "room": {"position": [3, 0, 1.5], "look_at": [0, 0, 1], "size": [320, 240]},
+            "room": {"position": [3, 0, 1.5], "look_at": [0, 0, 1], "size": [320, 240], "distortion": LENS},
             "front": {
                 "mount": "robot",
                 "position": [0.1, 0, 0.9],
@@ -133,6 +138,11 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
 
 #: Points (N, 3) in ``map`` that cameras of the scene see.
 POINTS = np.array([[0.0, 0, 1], [0.3, 0.2, 1.4], [-0.4, 0.5, 0.6], [0.5, -0.4, 1.2]])
+
+
+def without_lens(camera: Camera) -> Camera:
+    """The camera as programs have it that know no lens distortion."""
+    return Camera(camera.size, camera.K, camera.R, camera.t)
 
 
 def test_names_are_valid_and_unlike_each_other() -> None:
@@ -163,7 +173,7 @@ def model(played: Played, tmp_path_factory: pytest.TempPathFactory) -> MujocoPla
     return MujocoPlayer(played.write("mujoco", tmp_path_factory.mktemp("mujoco")))
 
 
-@pytest.mark.parametrize("name", ["usd", "mujoco"])
+@pytest.mark.parametrize("name", ["usd", "mujoco", "gazebo"])
 def test_equal_scenes_give_equal_bytes(name: str, played: Played, tmp_path: Path) -> None:
     if name == "usd":
         pytest.importorskip("pxr", reason="usd-core is not installed")
@@ -231,7 +241,7 @@ class TestUsd:
             ndc = clip[:, :2] / clip[:, 3:]
             size = np.array(ours.size)
             found = (ndc * [1, -1] + 1) / 2 * size - 0.5
-            expected, depth = ours.project(POINTS)
+            expected, depth = without_lens(ours).project(POINTS)
             seen = depth > 0
             np.testing.assert_allclose(found[seen], expected[seen], atol=1e-3)
             np.testing.assert_allclose(clip[:, 3], depth, atol=1e-6)
@@ -337,7 +347,7 @@ class TestMujoco:
             high = np.array([eye.frustum_center + eye.frustum_width, eye.frustum_top])
             share = (plane - low) / (high - low)
             found = np.column_stack([share[:, 0], 1 - share[:, 1]]) * ours.size - 0.5
-            expected, distance = ours.project(POINTS)
+            expected, distance = without_lens(ours).project(POINTS)
             seen = distance > 0
             np.testing.assert_allclose(found[seen], expected[seen], atol=0.02)
             assert tuple(model.model.cam_resolution[model.model.camera(camera).id]) == ours.size
@@ -370,6 +380,99 @@ class TestMujoco:
         # below the top of a table is room for a robot
         under = model.ray(np.array([-1.0, 1, 0.3]), np.array([1.0, 0, 0]), 3)
         assert under[1] != "table" or under[0] > 0.3
+
+
+@pytest.fixture(scope="module")
+def gazebo(played: Played, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of an export for Gazebo."""
+    return played.write("gazebo", tmp_path_factory.mktemp("gazebo"))
+
+
+class TestGazebo:
+    """Gazebo: COLLADA as pycollada reads it, cameras as OpenCV projects."""
+
+    @staticmethod
+    def vertices(path: Path, index: int) -> np.ndarray:
+        """Skinned vertices of an actor, after the specification of COLLADA 1.4."""
+        collada = pytest.importorskip("collada", reason="pycollada is not installed")
+        document = collada.Collada(str(path))
+        (skin,) = document.controllers
+        moves = {animation.id: animation for animation in document.animations}
+        (roots,) = ([node for node in scene.nodes if node.id != "body"] for scene in document.scenes)
+        poses: dict[str, np.ndarray] = {}
+
+        def visit(node: Any, above: np.ndarray) -> None:
+            source = moves[f"{node.id}_motion"].sourceById
+            times = source[f"{node.id}_time"].data[:, 0]
+            np.testing.assert_allclose(times, np.arange(len(FRAMES)) / RATE, atol=1e-6)
+            local = source[f"{node.id}_matrix"].data.reshape(-1, 4, 4)[index - FRAMES[0]]
+            poses[node.id] = above @ local
+            for child in node.children:
+                if hasattr(child, "children"):
+                    visit(child, poses[node.id])
+
+        for root in roots:
+            visit(root, np.eye(4))
+        joints = skin.weight_joints.data[:, 0].tolist()
+        binds = {name: skin.joint_matrices[name] for name in joints}
+        moved = np.array([poses[name] @ binds[name] for name in joints])
+        rest = skin.geometry.sourceById["positions"].data
+        out = np.zeros((len(rest), 3))
+        weights = skin.weights.data[:, 0]
+        for number, (bones, shares) in enumerate(zip(skin.joint_index, skin.weight_index, strict=True)):
+            blend = np.einsum("b,bij->ij", weights[shares], moved[bones])
+            out[number] = blend[:3, :3] @ rest[number] + blend[:3, 3]
+        return out
+
+    @pytest.mark.daily("box")
+    @pytest.mark.parametrize("name", ["anna", "box"])
+    def test_actors_are_where_ours_are(self, played: Played, gazebo: Path, name: str) -> None:
+        for index in (FRAMES[0], FRAMES[-1]):
+            found, frame = self.vertices(gazebo / "meshes" / f"{name}.dae", index), played.frames[index]
+            if name == "box":
+                expected = frame.objects[name].apply(played.scene.objects[name].mesh.vertices)
+            else:
+                expected = frame.humans[name].vertices
+            np.testing.assert_allclose(found, expected, atol=5e-6)
+
+    def test_cameras_project_as_ours(self, played: Played, gazebo: Path) -> None:
+        world = ElementTree.parse(gazebo / "scene.sdf").find("world")
+        assert world is not None
+        for name in ("room", "front", "off_centre"):
+            model = world.find(f"model[@name='camera_{name}']")
+            assert model is not None
+            numbers = np.array((model.findtext("pose") or "").split(), float)
+            turn = Rotation.from_quat(numbers[3:]).as_matrix()
+            optical = turn @ np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # x right, y down, z forward
+            camera = model.find("link/sensor/camera")
+            assert camera is not None and (model.findtext("link/sensor/update_rate") or "") == "10"
+            fx, fy, cx, cy = (
+                float(camera.findtext(f"lens/intrinsics/{tag}") or 0) for tag in ("fx", "fy", "cx", "cy")
+            )
+            lens = [
+                float(camera.findtext(f"distortion/{tag}") or 0) for tag in ("k1", "k2", "p1", "p2", "k3")
+            ]
+            ours = played.camera(name, FRAMES[0])
+            assert (lens[0] != 0) == (name == "room")
+            vector, _ = cv2.Rodrigues(optical.T)
+            matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            found, _ = cv2.projectPoints(POINTS, vector, -optical.T @ numbers[:3], matrix, np.array(lens))
+            expected, depth = ours.project(POINTS)
+            seen = depth > 0
+            np.testing.assert_allclose(found[seen, 0] - 0.5, expected[seen], atol=1e-4)
+            width = float(camera.findtext("image/width") or 0)
+            assert 2 * np.arctan(width / 2 / fx) == pytest.approx(
+                float(camera.findtext("horizontal_fov") or 0)
+            )
+
+    def test_files_that_the_world_names_are_there(self, played: Played, gazebo: Path) -> None:
+        world = ElementTree.parse(gazebo / "scene.sdf")
+        named = {element.text for tag in ("uri", "filename", "albedo_map") for element in world.iter(tag)}
+        assert len(named) > 100
+        assert all((gazebo / (name or "")).is_file() for name in named)
+        assert {actor.get("name") for actor in world.iter("actor")} == {"anna", "ben", "box", "robot"}
+        names = [model.get("name") for model in world.iter("model")]
+        assert {"room", "table"} <= set(names) and len(names) == len(set(names))
 
 
 def test_names_of_bones_that_programs_forbid_are_mapped(played: Played, tmp_path: Path) -> None:

@@ -119,7 +119,7 @@ class AnimationWriter(FormatWriter):
             cameras[name] = [pose.position, pose.rotation, np.ones(3)]
         return {"people": people, "objects": objects, "cameras": cameras}
 
-    def people(self, records: Iterable[tuple[int, Record]]) -> dict[str, AnimatedHuman]:
+    def people(self, records: Iterable[tuple[int, Record]]) -> Mapping[str, AnimatedHuman]:
         """People with their poses in all frames."""
         return self.animated(records).people
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -356,9 +357,21 @@ def _add_motion(root: _Element, puppet: Puppet, times: Array) -> None:
 
 
 def _add_source(
-    parent: _Element, name: str, values: Array | Sequence[str], params: Sequence[str], kind: str = "float"
+    parent: _Element,
+    name: str,
+    values: NDArray[np.floating] | Sequence[str],
+    params: Sequence[str],
+    kind: str = "float",
 ) -> None:
-    """Add a source of numbers (N, W) or names (N). ``params``: names of the W columns, or of the matrix."""
+    """Add a source.
+
+    Args:
+        parent: Element of the source.
+        name: Its id.
+        values: Numbers (N, W), or N names.
+        params: Names of the W columns, or of a matrix.
+        kind: Type of the numbers.
+    """
     source = _add(parent, "source", id=name)
     if isinstance(values, np.ndarray):
         count, width = values.shape
@@ -391,7 +404,7 @@ def _color(values: Array) -> str:
     return f"{_text(np.clip(values, 0, 1))} 1"
 
 
-def _text(values: Array) -> str:
+def _text(values: NDArray[Any]) -> str:
     if np.issubdtype(values.dtype, np.integer):
         return " ".join(map(str, np.ravel(values).tolist()))
     return " ".join(f"{value:.9g}" for value in np.ravel(values).tolist())

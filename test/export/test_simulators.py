@@ -173,6 +173,7 @@ def model(played: Played, tmp_path_factory: pytest.TempPathFactory) -> MujocoPla
     return MujocoPlayer(played.write("mujoco", tmp_path_factory.mktemp("mujoco")))
 
 
+@pytest.mark.daily("usd")
 @pytest.mark.parametrize("name", ["usd", "mujoco", "gazebo"])
 def test_equal_scenes_give_equal_bytes(name: str, played: Played, tmp_path: Path) -> None:
     if name == "usd":
@@ -327,6 +328,7 @@ class TestMujoco:
                 else:  # who keeps his first size
                     assert state.size < first
 
+    @pytest.mark.nightly
     def test_a_size_that_changes_is_warned_of(self, played: Played, tmp_path: Path) -> None:
         with pytest.warns(HumansimWarning, match="ben: its size changes"):
             played.write("mujoco", tmp_path)
@@ -424,7 +426,6 @@ class TestGazebo:
             out[number] = blend[:3, :3] @ rest[number] + blend[:3, 3]
         return out
 
-    @pytest.mark.daily("box")
     @pytest.mark.parametrize("name", ["anna", "box"])
     def test_actors_are_where_ours_are(self, played: Played, gazebo: Path, name: str) -> None:
         for index in (FRAMES[0], FRAMES[-1]):

@@ -3,8 +3,8 @@
     SDF_PATH=ROOT/usr/share/sdformat12/1.9 LD_LIBRARY_PATH=ROOT/usr/lib/x86_64-linux-gnu \\
         python tools/exports/with_sdformat.py FOLDER
 
-``tools/exports/make.py`` makes the folder. Debian 12 has the library as libsdformat12-12, without the command
-``gz``. ROOT is where its packages are, such as a folder of ``dpkg-deb -x``; without it where apt installs them.
+``tools/exports/make.py`` makes the folder. Debian 12 has the library as libsdformat12-12, without the
+command ``gz``. ROOT is a folder with its packages (``dpkg-deb -x``); empty if apt has installed them.
 """
 
 from __future__ import annotations

@@ -206,7 +206,14 @@ class GazeboWorld:
         _add(script, "auto_start", "true")
 
     def add_camera(self, name: str, settings: ExportCamera, camera: Camera, track: PoseTrack) -> None:
-        """Add a camera at its first pose. Warns (HumansimWarning) of a lens that SDF does not have."""
+        """Add a camera at its first pose. Warns (HumansimWarning) of a lens that SDF does not have.
+
+        Args:
+            name: Its name.
+            settings: Its rate.
+            camera: Its calibration.
+            track: Poses of its optical frame.
+        """
         model = _add(self._world, "model", name=f"camera_{name}")
         _add(model, "static", "true")
         turn = multiply_quaternions(track.rotations[0], matrix_to_quaternion(_SDF_IN_OPTICAL))

@@ -2,8 +2,8 @@
 
     GENESIS_PYTHON tools/exports/with_genesis.py FOLDER
 
-FOLDER has ``scene.xml`` and ``motion.npz`` (``humansim export --format mujoco``). Genesis has no mocap bodies, and
-would keep them fixed: they get free joints, and each frame sets the positions of all joints.
+FOLDER has ``scene.xml`` and ``motion.npz`` of ``humansim export --format mujoco``. Genesis keeps mocap bodies
+fixed: they get free joints here, and each frame sets the positions of all joints.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def with_free_joints(model: Path) -> Path:
 def main(folder: Path) -> None:
     """Print how far bodies are from their poses in each frame."""
     genesis.init(backend=genesis.cpu, logging_level="error")
-    scene = genesis.Scene(show_viewer=False, rigid_options=genesis.options.RigidOptions(enable_collision=False))
+    options = genesis.options.RigidOptions(enable_collision=False)
+    scene = genesis.Scene(show_viewer=False, rigid_options=options)
     world = scene.add_entity(genesis.morphs.MJCF(file=str(with_free_joints(folder / "scene.xml"))))
     start = time.monotonic()
     scene.build()

@@ -30,6 +30,8 @@ from humansim_ros.types import Array
 
 #: Sizes that differ by less are the same up to rounding.
 SAME_SIZE = 1e-6
+#: Beginning of the names of surfaces.
+_SURFACE = "surface_"
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,12 @@ class AnimationWriter(FormatWriter):
         """The scene itself."""
         assert self.settings.scene.simulated is not None  # formats that need bodies refuse bags
         return self.settings.scene.simulated
+
+    @property
+    def surfaces(self) -> dict[str, Mesh]:
+        """Meshes of the room and of mesh files in ``map`` by a name, which begins as no other one does."""
+        meshes = enumerate(self.simulated.static_parts[0])
+        return {f"{_SURFACE}{number:03d}": mesh for number, mesh in meshes}
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Heads and rotations of the bones of people, with their size, and poses of objects and cameras."""
@@ -252,6 +260,7 @@ def identifiers(names: Iterable[str], longest: int = 64) -> dict[str, str]:
     for name in names:
         plain = re.sub("[^A-Za-z0-9_]+", "_", name).strip("_") or "n"
         plain = (plain if plain[0].isalpha() else f"n{plain}")[:longest].rstrip("_")
+        plain = plain.replace(_SURFACE, "surface")  # whose names are taken
         unique, number = plain, 1
         while unique.lower() in used:
             number += 1

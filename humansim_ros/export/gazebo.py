@@ -59,21 +59,22 @@ class GazeboWriter(AnimationWriter):
         scene = self.animated(records)
         world = GazeboWorld(np.arange(len(scene.frames)) / scene.rate, folder.subfolder(_MESHES))
         world.add_light(self.simulated.environment.lighting)
-        surfaces = {
-            f"surface_{number:03d}": mesh for number, mesh in enumerate(self.simulated.static_parts[0])
-        }
-        if surfaces:
-            world.add_model("room", surfaces)
+        cameras = (f"camera_{name}" for name in scene.cameras)
+        objects = (f"{name}." for name in scene.objects)
+        names = identifiers(["room", *cameras, *scene.people, *objects])
+        if self.surfaces:
+            world.add_model("room", self.surfaces)
         warn_of_curved_skinning(scene.people, "Gazebo")
         for name, person in scene.people.items():
             if person.grows:
                 warn_about(f"Gazebo actor {name}", "its size changes: it keeps the first one")
-            world.add_actor(name, Puppet.of_human(person))
+            world.add_actor(names[name], Puppet.of_human(person))
         for name, (mesh, track) in scene.objects.items():
+            own = names[f"{name}."]
             if track.moves or track.grows:
-                world.add_actor(name, Puppet.of_object(mesh, track))
+                world.add_actor(own, Puppet.of_object(mesh, track))
             else:
-                world.add_model(name, {name: replace(mesh, vertices=mesh.vertices * track.sizes[0])}, track)
+                world.add_model(own, {own: replace(mesh, vertices=mesh.vertices * track.sizes[0])}, track)
         for name, (camera, track) in scene.cameras.items():
             if track.moves:
                 warn_about(f"Gazebo camera {name}", "SDF moves no camera: it stands at its first pose")

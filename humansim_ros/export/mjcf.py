@@ -55,8 +55,8 @@ class MujocoWriter(AnimationWriter):
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         scene = self.animated(records)
         model = MujocoModel(scene, folder.subfolder(_ASSETS))
-        for number, mesh in enumerate(self.simulated.static_parts[0]):
-            model.add_geoms(model.world, f"surface_{number:03d}", mesh)
+        for name, mesh in self.surfaces.items():
+            model.add_geoms(model.world, name, mesh)
         model.add_light(self.simulated.environment.lighting)
         folder.write("scene.xml", model.encoded())
         folder.write("motion.npz", npz_bytes(model.motion))
@@ -88,14 +88,16 @@ class MujocoModel:
         _add(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
         warn_of_curved_skinning(scene.people, "MuJoCo")
         bones = [f"{name}.{bone}" for name, p in scene.people.items() for bone in p.human.skeleton.names]
-        self._names = identifiers([*scene.objects, *bones], _LONGEST)
+        cameras = [f"camera_{name}" for name in scene.cameras]
+        self._names = identifiers([*cameras, *(f"{name}." for name in scene.objects), *bones], _LONGEST)
         for name, person in scene.people.items():
             self._add_person(name, person)
         for name, (mesh, track) in scene.objects.items():
             if track.grows:
                 warn_about(f"MuJoCo object {name}", "its size changes: it keeps the first one")
             mesh = replace(mesh, vertices=mesh.vertices * track.sizes[0])
-            self.add_geoms(self._body(self._names[name], track), self._names[name], mesh)
+            own = self._names[f"{name}."]
+            self.add_geoms(self._body(own, track), own, mesh)
         for name, (camera, track) in scene.cameras.items():
             self._add_camera(name, camera, track)
 
@@ -145,11 +147,13 @@ class MujocoModel:
         _add(body, "geom", type="mesh", mesh=name, **look, **seen)
         for number, points in enumerate(_parts(mesh)):
             center, axes, half = _fitted_box(points)
-            if half.min() > _FLAT:
-                _add(self._asset, "mesh", name=f"{name}.{number}", vertex=_text(points), maxhullvert="64")
+            corners = _hull(points) if half.min() > _FLAT else None
+            if corners is not None:
+                _add(self._asset, "mesh", name=f"{name}.{number}", vertex=_text(corners), maxhullvert="64")
                 _add(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
                 continue
             center = center - axes[:, 2] * _HALF_THICKNESS * _facing(mesh, points, axes[:, 2])
+            half = np.maximum(half, _FLAT)
             half[2] = _HALF_THICKNESS
             place = {"pos": _text(center), "quat": _text(_wxyz(matrix_to_quaternion(axes)))}
             _add(body, "geom", type="box", size=_text(half), **place, group=_TOUCHED, mass="0")
@@ -185,7 +189,7 @@ class MujocoModel:
         (width, height), k = camera.size, camera.K
         parent, place = self.world, _pose(track)
         if track.moves:
-            parent, place = self._body(f"camera_{name}", track), {}
+            parent, place = self._body(self._names[f"camera_{name}"], track), {}
         _add(
             parent,
             "camera",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -49,7 +49,7 @@ class UsdWriter(AnimationWriter):
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         textures = TextureFiles(folder.subfolder(_TEXTURES))
         stage = UsdStage(self.animated(records), textures)
-        stage.add_surfaces(self.simulated.static_parts[0])
+        stage.add_surfaces(self.surfaces)
         stage.add_light(self.simulated.environment.lighting)
         with folder.path(_FILE) as path:
             stage.write(str(path))
@@ -98,14 +98,14 @@ class UsdStage:
         """Write the stage as a binary file; equal scenes give equal bytes."""
         self._stage.GetRootLayer().Export(path, args={"format": "usdc"})
 
-    def add_surfaces(self, meshes: Sequence[Mesh]) -> None:
-        """Add meshes in ``map`` that stand still."""
+    def add_surfaces(self, meshes: Mapping[str, Mesh]) -> None:
+        """Add meshes in ``map`` that stand still, by name."""
         from pxr import UsdGeom
 
         if meshes:
             UsdGeom.Scope.Define(self._stage, "/World/Surfaces")
-        for number, mesh in enumerate(meshes):
-            self._add_mesh(f"/World/Surfaces/surface_{number:03d}", mesh)
+        for name, mesh in meshes.items():
+            self._add_mesh(f"/World/Surfaces/{name}", mesh)
 
     def add_light(self, lighting: Lighting) -> None:
         """Add the sun, and a sky of the mean of sky and ground, as bright on a matt wall as in our images."""

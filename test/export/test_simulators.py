@@ -497,3 +497,21 @@ def test_a_library_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("humansim_ros.export.formats.find_spec", lambda name: None)
     with pytest.raises(HumansimError, match=r"pip install 'humansim_ros\[export\]'"):
         chosen_formats(["usd"])
+
+
+@pytest.mark.nightly
+def test_things_of_equal_names_stay_apart(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    names = ("anna", "camera_c", "room", "surface_000", "anna_l_hip")
+    same = Played(
+        Scene.build(
+            humans={"anna": {"motion": "walk"}},
+            objects=dict.fromkeys(names, "box"),
+            cameras={"c": Camera.look_at((3, 0, 1), (0, 0, 1))},
+        )
+    )
+    model = mujoco.MjModel.from_xml_path(str(same.write("mujoco", tmp_path) / "scene.xml"))
+    assert model.nbody == 1 + len(same.scene.actors["anna"].human.skeleton) + len(names)
+    world = ElementTree.parse(same.write("gazebo", tmp_path) / "scene.sdf")
+    found = [element.get("name") for tag in ("model", "actor") for element in world.iter(tag)]
+    assert len(found) == len(set(found)) == len(names) + 3

@@ -33,31 +33,38 @@ try:
 except ImportError:  # not among the wheels of ROS: make tf2_msgs
     TFMessage = None
 
-#: A differential drive with a rangefinder at the height of knees. Its frame is base_link, on the floor.
+#: A differential drive with three rangefinders at the height of hips. Its frame is base_link, on the floor.
 ROBOT = """
 <mujoco>
   <worldbody>
     <body name="base_link">
       <freejoint name="free"/>
-      <geom type="box" size="0.2 0.15 0.08" pos="0 0 0.14" mass="8" rgba="0.9 0.9 0.92 1"/>
+      <geom type="box" size="0.2 0.15 0.06" pos="0 0 0.12" mass="12" rgba="0.9 0.9 0.92 1"/>
       <geom type="cylinder" size="0.015 0.35" pos="-0.1 0 0.55" mass="0.3" rgba="0.2 0.2 0.2 1"/>
-      <geom type="sphere" size="0.04" pos="-0.16 0 0.04" mass="0.2" condim="1"/>
-      <site name="ahead" pos="0.21 0 0.3" zaxis="1 0 0"/>
-      <body name="left" pos="0.08 0.18 0.08">
+      <geom type="sphere" size="0.04" pos="0.16 0 0.045" mass="0.2" condim="1"/>
+      <geom type="sphere" size="0.04" pos="-0.16 0 0.045" mass="0.2" condim="1"/>
+      <site name="ahead" pos="0.21 0 0.95" zaxis="1 0 0"/>
+      <site name="to_left" pos="0.21 0.1 0.95" zaxis="1 0.25 0"/>
+      <site name="to_right" pos="0.21 -0.1 0.95" zaxis="1 -0.25 0"/>
+      <body name="left" pos="0 0.18 0.08">
         <joint name="left" axis="0 1 0" damping="0.01"/>
         <geom type="cylinder" size="0.08 0.02" zaxis="0 1 0" mass="0.5" friction="1.2"/>
       </body>
-      <body name="right" pos="0.08 -0.18 0.08">
+      <body name="right" pos="0 -0.18 0.08">
         <joint name="right" axis="0 1 0" damping="0.01"/>
         <geom type="cylinder" size="0.08 0.02" zaxis="0 1 0" mass="0.5" friction="1.2"/>
       </body>
     </body>
   </worldbody>
   <actuator>
-    <velocity name="left" joint="left" kv="2"/>
-    <velocity name="right" joint="right" kv="2"/>
+    <velocity name="left" joint="left" kv="0.5" forcerange="-0.6 0.6"/>
+    <velocity name="right" joint="right" kv="0.5" forcerange="-0.6 0.6"/>
   </actuator>
-  <sensor><rangefinder name="ahead" site="ahead"/></sensor>
+  <sensor>
+    <rangefinder name="ahead" site="ahead"/>
+    <rangefinder site="to_left"/>
+    <rangefinder site="to_right"/>
+  </sensor>
 </mujoco>
 """
 #: Radians per second of the wheels, and the distance in metres at which the robot turns away.
@@ -97,9 +104,8 @@ class World:
 
     def drive(self) -> None:
         """Go on to the next frame: straight ahead, and to the left of what is near."""
-        ahead = float(self.data.sensor("mujoco_ahead").data[0])
-        left = SLOW if 0 <= ahead < NEAR else FAST
-        self.data.ctrl[:] = left, FAST
+        seen = self.data.sensordata
+        self.data.ctrl[:] = SLOW if ((seen >= 0) & (seen < NEAR)).any() else FAST, FAST
         mujoco.mj_step(self.model, self.data, self.steps)
         mujoco.mj_forward(self.model, self.data)
 

@@ -42,6 +42,8 @@ _DRAWN, _TOUCHED = "2", "3"
 _HALF_THICKNESS = 0.01
 #: Surfaces that are thinner are flat, metres.
 _FLAT = 1e-4
+#: Most parts of a mesh that robots touch, the largest ones: a scan may have thousands of crumbs.
+_MOST_PARTS = 500
 #: Most corners of the hull of the skin of a bone.
 _CORNERS = "48"
 #: Cameras of MuJoCo look along -z with y up, optical frames along z with y down: half a turn about x, xyzw.
@@ -145,7 +147,8 @@ class MujocoModel:
         look = self._look(mesh)
         seen = {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0"}
         _add(body, "geom", type="mesh", mesh=name, **look, **seen)
-        for number, points in enumerate(_parts(mesh)):
+        parts = sorted(_parts(mesh), key=lambda points: -float(np.ptp(points, axis=0).max()))
+        for number, points in enumerate(parts[:_MOST_PARTS]):
             center, axes, half = _fitted_box(points)
             corners = _hull(points) if half.min() > _FLAT else None
             if corners is not None:

@@ -42,7 +42,7 @@ _DRAWN, _TOUCHED = "2", "3"
 _HALF_THICKNESS = 0.01
 #: Surfaces that are thinner are flat, metres.
 _FLAT = 1e-4
-#: Most parts of a mesh that robots touch, the largest ones: a scan may have thousands of crumbs.
+#: Most parts of a mesh that robots touch, the largest ones: a scan may have thousands of fragments.
 _MOST_PARTS = 500
 #: Most corners of the hull of the skin of a bone.
 _CORNERS = "48"

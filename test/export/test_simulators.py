@@ -31,6 +31,7 @@ from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, E
 from humansim_ros.scene import Frame
 from humansim_ros.scene.states import SceneStates
 
+pytestmark = pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
 RATE, FRAMES = 10.0, range(2, 6)
 #: Of the camera ``room``.
 LENS = [-0.2, 0.05, 0.001, -0.002, 0.01]
@@ -168,17 +169,23 @@ def usd(played: Played, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def model(played: Played, tmp_path_factory: pytest.TempPathFactory) -> MujocoPlayer:
+def mujoco(played: Played, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of an export for MuJoCo."""
+    return played.write("mujoco", tmp_path_factory.mktemp("mujoco"))
+
+
+@pytest.fixture(scope="module")
+def model(mujoco: Path) -> MujocoPlayer:
     pytest.importorskip("mujoco", reason="MuJoCo is not installed")
-    return MujocoPlayer(played.write("mujoco", tmp_path_factory.mktemp("mujoco")))
+    return MujocoPlayer(mujoco)
 
 
 @pytest.mark.daily("usd")
 @pytest.mark.parametrize("name", ["usd", "mujoco", "gazebo"])
-def test_equal_scenes_give_equal_bytes(name: str, played: Played, tmp_path: Path) -> None:
-    if name == "usd":
-        pytest.importorskip("pxr", reason="usd-core is not installed")
-    first, second = (played.write(name, tmp_path / part) for part in "ab")
+def test_equal_scenes_give_equal_bytes(
+    name: str, played: Played, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    first, second = request.getfixturevalue(name), played.write(name, tmp_path)
     files = sorted(path.relative_to(first) for path in first.rglob("*.*"))
     assert len(files) > 5
     assert all((first / path).read_bytes() == (second / path).read_bytes() for path in files)

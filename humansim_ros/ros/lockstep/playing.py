@@ -169,7 +169,8 @@ class LockstepPlaying(Playing):
         self._next_graph = 0.0
         #: Topic that moves the robot, if frames wait for it: a message reports when the robot has it.
         robot = player.scene.robot
-        odometry = "" if robot is None else player.resolve_topic_name(robot.config.odometry or "")
+        own = None if robot is None else robot.config.odometry
+        odometry = own and player.resolve_topic_name(own)
         self._odometry = [name for name in settings.topics if player.resolve_topic_name(name) == odometry]
         others = [name for name in settings.topics if name not in self._odometry]
         self._topics = StampedTopics(player, others, self._on_report)

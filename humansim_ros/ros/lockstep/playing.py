@@ -171,6 +171,7 @@ class LockstepPlaying(Playing):
         robot = player.scene.robot
         own = None if robot is None else robot.config.odometry
         odometry = own and player.resolve_topic_name(own)
+        #: Topics that move the robot: a message of them reports when the robot has its pose.
         self._odometry = [name for name in settings.topics if player.resolve_topic_name(name) == odometry]
         others = [name for name in settings.topics if name not in self._odometry]
         self._topics = StampedTopics(player, others, self._on_report)

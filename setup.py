@@ -88,6 +88,7 @@ EXTRAS = {
         "mkdocs-material>=9.5,<10",
         "mkdocs>=1.6,<2",
         "mkdocstrings[python]>=0.27",
+        "mujoco>=3.2",
         "mypy",
         "networkx>=2.8",
         "OpenEXR>=3.3",
@@ -104,6 +105,7 @@ EXTRAS = {
         "setuptools>=70.1,<80",
         "types-PyYAML",
         "types-defusedxml",
+        "usd-core>=24.11",
         "webdataset>=0.2",
         "xatlas>=0.0.9",
     ],
@@ -112,7 +114,7 @@ EXTRAS = {
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)
-    "export": ["OpenEXR>=3.3", "c3d>=0.6", "mcap>=1.1", "pycocotools>=2.0.7"],
+    "export": ["OpenEXR>=3.3", "c3d>=0.6", "mcap>=1.1", "pycocotools>=2.0.7", "usd-core>=24.11"],
     # recordings of Rerun (docs/export.md)
     "rerun": ["rerun-sdk>=0.41; python_version >= '3.11'"],
     # frame.plot()

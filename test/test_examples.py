@@ -19,8 +19,9 @@ from waiting import PATIENCE, end_process, wait_until
 from humansim_ros import Camera, read_bvh, write_calibration
 
 EXAMPLES = ROOT / "examples"
-#: examples/live_mocap.py runs in test/scene/test_live.py.
-TESTED_ELSEWHERE = {"live_mocap"}
+#: examples/live_mocap.py runs in test/scene/test_live.py, examples/mujoco_robot.py in
+#: test/ros/test_mujoco_robot.py.
+TESTED_ELSEWHERE = {"live_mocap", "mujoco_robot"}
 
 
 def example(name: str, *arguments: object, cwd: Path = ROOT) -> str:
@@ -41,7 +42,7 @@ def example(name: str, *arguments: object, cwd: Path = ROOT) -> str:
 def test_every_example_is_tested() -> None:
     source = Path(__file__).read_text()
     examples = {path.stem for path in EXAMPLES.glob("*.py")}
-    assert len(examples) == 9
+    assert len(examples) == 10
     assert {name for name in examples if f'"{name}"' not in source and f'"{name}.py"' not in source} == set()
 
 

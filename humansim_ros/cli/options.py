@@ -55,8 +55,8 @@ def output_option(metavar: str, help: str) -> Any:
 EXPORT_FORMATS = (
     *("images", "depth-png", "depth-exr", "depth-npy", "labels", "body-parts", "materials", "flow-flo"),
     *("flow-kitti", "coco", "yolo", "mot", "thesis", "kitti", "nuscenes", "aicity", "foxglove", "rerun"),
-    *("mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb", "webdataset"),
-    "croissant",
+    *("mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb", "usd", "mujoco"),
+    *("gazebo", "webdataset", "croissant"),
 )
 
 

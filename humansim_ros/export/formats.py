@@ -15,6 +15,7 @@ from humansim_ros.export.aicity import AiCityWriter
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
 from humansim_ros.export.foxglove import FoxgloveWriter
+from humansim_ros.export.gazebo import GazeboWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
 from humansim_ros.export.images import (
     BodyPartWriter,
@@ -29,12 +30,14 @@ from humansim_ros.export.images import (
     VideoWriter,
 )
 from humansim_ros.export.kitti import KittiWriter
+from humansim_ros.export.mjcf import MujocoWriter
 from humansim_ros.export.nuscenes import NuScenesWriter
 from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
 from humansim_ros.export.rerun import RerunWriter
 from humansim_ros.export.thesis import ThesisWriter
+from humansim_ros.export.usd import UsdWriter
 from humansim_ros.export.webdataset import WebDatasetWriter
 from humansim_ros.export.writer import FormatWriter
 from humansim_ros.render.channels import CHANNEL_TABLE
@@ -184,6 +187,9 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
         ),
         ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter, _BODIES),
         ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter, _BODIES),
+        ExportFormat("usd", "the scene over time, OpenUSD with UsdSkel", UsdWriter, _BODIES, needs=("pxr",)),
+        ExportFormat("mujoco", "the scene over time, MJCF of MuJoCo with skins", MujocoWriter, _BODIES),
+        ExportFormat("gazebo", "the scene over time, SDF world with actors", GazeboWriter, _BODIES),
         ExportFormat(
             "webdataset",
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,33 +13,23 @@ from numpy.typing import NDArray
 
 from humansim_ros import __version__
 from humansim_ros.errors import warn_about
-from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.export.animation import (
+    BONES_OF_SET,
+    AnimatedHuman,
+    AnimationWriter,
+    influences,
+    local_transforms,
+    rest_normals,
+    texture_of,
+    warn_of_curved_skinning,
+)
+from humansim_ros.export.writer import ExportFolder, Record
 from humansim_ros.humans.human import Human
-from humansim_ros.io.images import decode_srgb, encode_image
+from humansim_ros.io.images import decode_srgb
 from humansim_ros.mesh.mesh import split_seams
-from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.motion.bvh import write_bvh
 from humansim_ros.motion.posed_bones import PosedBones
-from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion, quaternion_to_matrix, transform
 from humansim_ros.types import Array
-
-#: Sizes that differ by less are the same up to rounding.
-_SAME_SIZE = 1e-6
-
-
-@dataclass(frozen=True)
-class AnimatedHuman:
-    """A human with its pose in F frames.
-
-    Attributes:
-        human: Mesh, skeleton, weights and outfit.
-        bones: Posed bone frames (F, B, 4, 4) in ``map``, as in ``HumanState.joints[:B]``.
-        sizes: Scale of the body (F,) by keyframes, as ``HumanState.size``.
-    """
-
-    human: Human
-    bones: Array
-    sizes: Array
 
 
 def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBones:
@@ -49,7 +39,7 @@ def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBon
     warning. ``frame_time``: seconds.
     """
     skeleton, size = person.human.skeleton, float(person.sizes[0])
-    if np.ptp(person.sizes) > _SAME_SIZE:
+    if person.grows:
         warn_about(
             f"{name}.bvh", f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
         )
@@ -57,32 +47,7 @@ def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBon
     return PosedBones(scaled, person.bones, frame_time)
 
 
-class PoseWriter(FormatWriter):
-    """Base of writers that need the bones of all frames."""
-
-    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Pose of each person: heads and rotations of the bones, and size."""
-        record = {}
-        for name, state in frame.frame.humans.items():
-            bones = len(self.settings.scene.humans[name].skeleton)
-            record[name] = [state.positions[:bones], state.rotations[:bones], state.size]
-        return record
-
-    def people(self, records: Iterable[tuple[int, Record]]) -> dict[str, AnimatedHuman]:
-        """People with their poses in all frames."""
-        frames: dict[str, list[list[Array]]] = {}
-        for _, record in records:
-            for name, parts in record.items():
-                frames.setdefault(name, []).append([np.asarray(part, dtype=float) for part in parts])
-        people = {}
-        for name, poses in frames.items():
-            heads, rotations, sizes = (np.array(parts) for parts in zip(*poses, strict=True))
-            bones = transform(quaternion_to_matrix(rotations), heads)
-            people[name] = AnimatedHuman(self.settings.scene.humans[name], bones, sizes)
-        return people
-
-
-class BvhWriter(PoseWriter):
+class BvhWriter(AnimationWriter):
     """A BVH file for each person: the skeleton of its body with the motion that was put on it."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
@@ -92,8 +57,6 @@ class BvhWriter(PoseWriter):
                 write_bvh(path, motion)
 
 
-#: glTF has sets of four bones and weights per vertex.
-_BONES_OF_SET = 4
 #: Translations and sizes that vary less than this are constant, metres.
 _CONSTANT = 1e-9
 _FLOAT, _UNSIGNED_BYTE, _UNSIGNED_INT = 5126, 5121, 5125
@@ -117,11 +80,7 @@ def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
 
     ``people``: one or more by name, with equal numbers of frames. ``rate``: frames per second.
     """
-    if curved := [name for name, person in people.items() if person.human.skinning != "linear"]:
-        warn_about(
-            "GLB",
-            f"glTF has no dual quaternion skinning: vertices near bent joints of {', '.join(curved)} differ",
-        )
+    warn_of_curved_skinning(people, "glTF")
     document = GlbDocument()
     frames = len(next(iter(people.values())).bones)
     times = document.accessor((np.arange(frames) / rate).astype(np.float32), bounds=True)
@@ -246,12 +205,8 @@ class GlbDocument:
     def _mesh(self, human: Human) -> int:
         """Number of the mesh of a human, added on the first call."""
         if id(human) not in self._mesh_of:
-            texture = None
-            if human.mesh.texture is not None:
-                look = human.looks.get(human.outfit)
-                image = encode_image(human.mesh.texture) if look is None or look.ndim != 1 else look
-                texture = image.tobytes()
-            material = self._material(f"{human.name} {human.outfit}", texture, 1.0, double_sided=True)
+            name = f"{human.name} {human.outfit}"
+            material = self._material(name, texture_of(human), 1.0, double_sided=True)
             triangles = split_seams(human.mesh)[2]
             self._mesh_of[id(human)] = self._add_mesh(human.name, _columns(human), triangles, material)
         return self._mesh_of[id(human)]
@@ -322,21 +277,19 @@ def _columns(human: Human) -> dict[str, NDArray[Any]]:
     """Values (V, ...) of the vertices of a human by attribute."""
     mesh = human.mesh
     original, uv, _ = split_seams(mesh)
-    normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)
-    # a vertex without triangles has no normal; glTF needs one of unit length
-    normals = np.where(normals.any(axis=-1, keepdims=True), normals, (0.0, 1.0, 0.0))
     columns: dict[str, NDArray[Any]] = {
         "POSITION": mesh.vertices.astype(np.float32)[original],
-        "NORMAL": normals.astype(np.float32)[original],
+        "NORMAL": rest_normals(mesh).astype(np.float32)[original],
         "_VERTEX": original.astype(np.float32),
     }
     if uv is not None:
         columns["TEXCOORD_0"] = _image_coordinates(uv)
     if mesh.colors is not None:
         columns["COLOR_0"] = _linear(mesh.colors)[original]
-    for number, (bones, weights) in enumerate(influences(human)):
-        columns[f"JOINTS_{number}"] = bones[original]
-        columns[f"WEIGHTS_{number}"] = weights[original]
+    bones, weights = influences(human)
+    for number, start in enumerate(range(0, bones.shape[1], BONES_OF_SET)):
+        columns[f"JOINTS_{number}"] = bones[original, start : start + BONES_OF_SET]
+        columns[f"WEIGHTS_{number}"] = weights[original, start : start + BONES_OF_SET]
     return columns
 
 
@@ -350,46 +303,7 @@ def _linear(colors: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(decode_srgb(colors / 255.0), np.float32)
 
 
-def local_transforms(person: AnimatedHuman) -> tuple[Array, Array, Array]:
-    """Translations (F, B, 3), rotations (F, B, 4) xyzw and scales (F, B, 3) of the bones in their parents.
-
-    Roots are in glTF's axes. The rotations of a bone change sign nowhere, as programs that interpolate their
-    numbers need.
-    """
-    parents = person.human.skeleton.parents
-    rotations = WORLD_FROM_BODY.T @ person.bones[..., :3, :3]
-    heads = person.bones[..., :3, 3] @ WORLD_FROM_BODY
-    is_root = parents < 0
-    above = np.where(is_root[:, None, None], np.eye(3), rotations[:, parents])
-    inverse = np.swapaxes(above, -1, -2)
-    step = heads - np.where(is_root[:, None], 0.0, heads[:, parents])
-    sizes = person.sizes[:, None]
-    translations = np.einsum("fbij,fbj->fbi", inverse, step) / np.where(is_root, 1.0, sizes)[..., None]
-    quaternions = matrix_to_quaternion(inverse @ rotations)
-    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
-    quaternions[1:] *= np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
-    scales = np.where(is_root, sizes, 1.0)[..., None] * np.ones(3)
-    return translations, quaternions, scales
-
-
-def influences(human: Human) -> Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
-    """Bones (V, 4) and weights (V, 4) in sets of four, the largest weights first; unused ones are zero."""
-    weights = human.weights.tocsr()
-    counts = np.diff(weights.indptr)
-    rows = np.repeat(np.arange(len(counts)), counts)
-    order = np.lexsort((weights.indices, -weights.data, rows))
-    column = np.arange(len(order)) - np.repeat(weights.indptr[:-1], counts)
-    width = -(-int(counts.max()) // _BONES_OF_SET) * _BONES_OF_SET
-    bones = np.zeros((len(counts), width), dtype=np.uint8)
-    values = np.zeros((len(counts), width), dtype=np.float32)
-    bones[rows, column], values[rows, column] = weights.indices[order], weights.data[order]
-    return [
-        (bones[:, start : start + _BONES_OF_SET], values[:, start : start + _BONES_OF_SET])
-        for start in range(0, width, _BONES_OF_SET)
-    ]
-
-
-class GlbWriter(PoseWriter):
+class GlbWriter(AnimationWriter):
     """All people of a scene as ``people.glb``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:

@@ -172,6 +172,7 @@ class ExportScene:
         humans: Bodies without pose by name; a bag has none.
         licenses: Licence of the body of each person whose licence is known, by name.
         license: Licence of data sets of the scene; empty if the scene states none.
+        simulated: The scene itself; None for a bag.
     """
 
     title: str
@@ -183,6 +184,7 @@ class ExportScene:
     humans: Mapping[str, Human] = field(default_factory=dict)
     licenses: Mapping[str, str] = field(default_factory=dict)
     license: str = ""
+    simulated: Scene | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> ExportScene:
@@ -206,6 +208,7 @@ class ExportScene:
             humans={name: actor.human for name, actor in scene.actors.items()},
             licenses={name: text for name, actor in scene.actors.items() if (text := actor.human.license)},
             license=scene.config.license or "",
+            simulated=scene,
         )
 
     @property

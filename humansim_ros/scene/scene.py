@@ -434,17 +434,17 @@ class Scene(Pictured):
     @cached_property
     def static_meshes(self) -> list[Mesh]:
         """Meshes of the environment and of static objects without label, in ``map``, with random looks."""
-        meshes, static = self._static
+        meshes, static = self.static_parts
         return [*meshes, *(mesh for name, mesh in static.items() if not self.objects[name].instance)]
 
     @cached_property
     def static_bodies(self) -> list[Body]:
         """Bodies of static objects with label, always the same ones."""
-        items = ((self.objects[name], mesh) for name, mesh in self._static[1].items())
+        items = ((self.objects[name], mesh) for name, mesh in self.static_parts[1].items())
         return [item.static_body(mesh) for item, mesh in items if item.instance]
 
     @cached_property
-    def _static(self) -> tuple[list[Mesh], dict[str, Mesh]]:
+    def static_parts(self) -> tuple[list[Mesh], dict[str, Mesh]]:
         """Meshes of the environment, and of static objects by name, in ``map``, with random looks."""
         static = {name: item.static_mesh() for name, item in self.objects.items() if not item.moves}
         meshes = [*self.environment.meshes, *static.values()]

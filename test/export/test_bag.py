@@ -325,7 +325,7 @@ def test_a_topic_that_is_missing_is_named_with_the_command_that_records_it(
     assert f"the format {format} needs the topic {said}" in str(caught.value)
 
 
-@pytest.mark.parametrize("format", ["thesis", "bvh", "glb"])
+@pytest.mark.parametrize("format", ["thesis", "bvh", "glb", "usd", "mujoco", "gazebo"])
 def test_formats_of_bodies_need_the_scene(format: str, tmp_path: Path, bag: Path) -> None:
     with pytest.raises(ExportError, match=f"the format {format} needs bodies .*: export the scene"):
         bag_job(tmp_path / "out", bag, format)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from keyframe_text import keyframes
 
 from humansim_ros import Scene, read_bvh
 from humansim_ros.errors import HumansimWarning
-from humansim_ros.export.glb import AnimatedHuman, BvhWriter, posed_bones
+from humansim_ros.export.animation import AnimatedHuman
+from humansim_ros.export.glb import BvhWriter, posed_bones
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.scene import Frame
@@ -37,7 +39,7 @@ def export(folder: Path, first_size: float, last_size: float) -> tuple[ExportSet
     writer, out = BvhWriter(settings), ExportFolder(folder)
     records = [(frame.index, writer.frame(ExportFrame(frame, settings), out)) for frame in frames]
     plain = [
-        (index, {name: [np.asarray(part).tolist() for part in parts] for name, parts in record.items()})
+        (index, json.loads(json.dumps(record, default=lambda value: value.tolist())))
         for index, record in records
     ]
     writer.finish(plain, out)

@@ -14,7 +14,8 @@ from texture_scenes import photograph, psnr, texture_views, undressed
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import PhotographError
-from humansim_ros.export.glb import AnimatedHuman, glb_bytes
+from humansim_ros.export.animation import AnimatedHuman
+from humansim_ros.export.glb import glb_bytes
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import read_human, write_human
 from humansim_ros.mesh.mesh import Mesh

@@ -135,6 +135,17 @@ class TestOdometryOfAnotherNode:
         second = graph.play(1)[0]
         np.testing.assert_allclose(position(pose.at(second)), [0.8, 0.52, 0.9], atol=1e-9)
 
+    def test_the_pose_of_a_stamp_holds_when_a_later_one_is_sent_again(self, start: Any) -> None:
+        graph = start(self.ROBOT)
+        pose = graph.subscribe("front/pose")
+        state = graph.node.create_publisher(Odometry, "state", 10)
+        period = round(1e9 * PERIOD)
+        first = graph.play(1)[0]
+        for frames, x in ((1, 0.1), (2, 0.3), (2, 0.3)):
+            send(graph, state, self.odometry(first + frames * period, x))
+        second = graph.play(1)[0]
+        np.testing.assert_allclose(position(pose.at(second)), [0.8, 0.2, 0.9], atol=1e-9)
+
     def test_a_jump_is_followed_and_wrong_messages_are_not(self, start: Any) -> None:
         graph = start(self.ROBOT)
         pose = graph.subscribe("front/pose")

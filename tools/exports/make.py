@@ -34,7 +34,7 @@ SCENE = {
     },
 }
 #: Formats, and the keypoint set of those that have a choice.
-FORMATS, KEYPOINTS = "anipose,bvh,c3d,glb,openpose,trc", "coco17"
+FORMATS, KEYPOINTS = "anipose,bvh,c3d,gazebo,glb,openpose,trc,usd", "coco17"
 
 
 def write_truth(scene: Scene, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Compare GLB and BVH files of an export with the truth, in Blender: vertices and joints of every frame.
+"""Compare GLB, USD, COLLADA and BVH files of an export with the truth, in Blender: vertices and joints.
 
     BLENDER_PYTHON tools/exports/with_blender.py FOLDER
 
@@ -8,10 +8,14 @@ Run it with a Python that has bpy 4.5 or later; ``tools/exports/make.py`` makes 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 import numpy as np
+
+#: Points (N, 3) in other axes.
+Axes = Callable[[np.ndarray], np.ndarray]
 
 
 def to_map(points: np.ndarray) -> np.ndarray:
@@ -30,38 +34,39 @@ def empty_scene(rate: float) -> None:
 
 
 def heads(armature: bpy.types.Object, names: list[str]) -> np.ndarray:
-    """Heads (B, 3) of the bones in ``map``."""
-    return to_map(np.array([armature.matrix_world @ armature.pose.bones[name].head for name in names]))
+    """Heads (B, 3) of the bones in the axes of Blender."""
+    moved = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return np.array([moved.matrix_world @ moved.pose.bones[name].head for name in names])
 
 
-def compare_glb(folder: Path, truth: dict[str, np.ndarray]) -> None:
-    """Vertices and heads of all people of people.glb."""
-    empty_scene(float(truth["rate"]))
-    bpy.ops.import_scene.gltf(filepath=str(folder / "export" / "glb" / "people.glb"), merge_vertices=False)
+def compare_skin(kind: str, person: str, truth: dict[str, np.ndarray], axes: Axes, root: str = "") -> None:
+    """Vertices and heads of a person of the scene that is open.
+
+    ``kind``: of the file. ``axes``: from points of Blender to ``map``. ``root``: object that the person
+    hangs on.
+    """
     scene = bpy.context.scene
-    for person in truth["people"].tolist():
-        root = scene.objects[person]
-        family = [root, *root.children_recursive]
-        mesh = next(o for o in family if o.type == "MESH" and any(m.type == "ARMATURE" for m in o.modifiers))
-        armature = next(m.object for m in mesh.modifiers if m.type == "ARMATURE")
-        vertices, joints = truth[f"{person}_vertices"], truth[f"{person}_joints"]
-        names = truth[f"{person}_bones"].tolist()
-        worst_vertex = worst_joint = 0.0
-        for frame in range(len(vertices)):
-            scene.frame_set(frame)
-            evaluated = mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
-            found = np.zeros(3 * len(evaluated.data.vertices), dtype=np.float32)
-            evaluated.data.vertices.foreach_get("co", found)
-            world = np.array(mesh.matrix_world)
-            points = to_map(found.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])[: vertices.shape[1]]
-            worst_vertex = max(worst_vertex, float(np.linalg.norm(points - vertices[frame], axis=1).max()))
-            found_heads = heads(armature, names)
-            distance = np.linalg.norm(found_heads - joints[frame, : len(names)], axis=1)
-            worst_joint = max(worst_joint, float(distance.max()))
-        print(
-            f"GLB {person}: {len(vertices)} frames, {vertices.shape[1]} vertices: "
-            f"at most {worst_vertex:.1e} m; {len(names)} joints: at most {worst_joint:.1e} m"
-        )
+    family = [scene.objects[root], *scene.objects[root].children_recursive] if root else scene.objects
+    mesh = next(o for o in family if o.type == "MESH" and any(m.type == "ARMATURE" for m in o.modifiers))
+    armature = next(m.object for m in mesh.modifiers if m.type == "ARMATURE")
+    vertices, joints = truth[f"{person}_vertices"], truth[f"{person}_joints"]
+    names = truth[f"{person}_bones"].tolist()
+    worst_vertex = worst_joint = 0.0
+    for frame in range(len(vertices)):
+        scene.frame_set(frame)
+        evaluated = mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        found = np.zeros(3 * len(evaluated.data.vertices), dtype=np.float32)
+        evaluated.data.vertices.foreach_get("co", found)
+        world = np.array(evaluated.matrix_world)
+        points = axes(found.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])[: vertices.shape[1]]
+        worst_vertex = max(worst_vertex, float(np.linalg.norm(points - vertices[frame], axis=1).max()))
+        found_heads = axes(heads(armature, names))
+        distance = np.linalg.norm(found_heads - joints[frame, : len(names)], axis=1)
+        worst_joint = max(worst_joint, float(distance.max()))
+    print(
+        f"{kind} {person}: {len(vertices)} frames, {vertices.shape[1]} vertices: "
+        f"at most {worst_vertex:.1e} m; {len(names)} joints: at most {worst_joint:.1e} m"
+    )
 
 
 def compare_bvh(folder: Path, truth: dict[str, np.ndarray], rotations: str) -> None:
@@ -77,7 +82,7 @@ def compare_bvh(folder: Path, truth: dict[str, np.ndarray], rotations: str) -> N
         worst = 0.0
         for frame in range(len(joints)):
             scene.frame_set(frame + 1)
-            distance = np.linalg.norm(heads(armature, names) - joints[frame, : len(names)], axis=1)
+            distance = np.linalg.norm(to_map(heads(armature, names)) - joints[frame, : len(names)], axis=1)
             worst = max(worst, float(distance.max()))
         print(f"BVH {person}, {rotations}: {len(joints)} frames, {len(names)} joints: at most {worst:.1e} m")
 
@@ -85,6 +90,18 @@ def compare_bvh(folder: Path, truth: dict[str, np.ndarray], rotations: str) -> N
 if __name__ == "__main__":
     exported = Path(sys.argv[-1])
     arrays = dict(np.load(exported / "truth.npz"))
-    compare_glb(exported, arrays)
+    folder, rate, people = exported / "export", float(arrays["rate"]), arrays["people"].tolist()
+    empty_scene(rate)
+    bpy.ops.import_scene.gltf(filepath=str(folder / "glb" / "people.glb"), merge_vertices=False)
+    for name in people:
+        compare_skin("GLB", name, arrays, to_map, name)
+    empty_scene(rate)
+    bpy.ops.wm.usd_import(filepath=str(folder / "usd" / "scene.usdc"))
+    for name in people:
+        compare_skin("USD", name, arrays, np.asarray, name)
+    for name in people:
+        empty_scene(rate)
+        bpy.ops.wm.collada_import(filepath=str(folder / "gazebo" / "meshes" / f"{name}.dae"))
+        compare_skin("COLLADA", name, arrays, np.asarray)
     for kind in ("QUATERNION", "NATIVE"):
         compare_bvh(exported, arrays, kind)

@@ -173,7 +173,14 @@ class LockstepPlaying(Playing):
         self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)
         self._graph = GraphWatch(player)
         self._next_graph = 0.0
-        self._topics = StampedTopics(player, settings.topics, self._on_report)
+        #: Topic that moves the robot, if frames wait for it: a message reports when the robot has it.
+        robot = player.scene.robot
+        own = None if robot is None else robot.config.odometry
+        odometry = own and player.resolve_topic_name(own)
+        #: Topics that move the robot: a message of them reports when the robot has its pose.
+        self._odometry = [name for name in settings.topics if player.resolve_topic_name(name) == odometry]
+        others = [name for name in settings.topics if name not in self._odometry]
+        self._topics = StampedTopics(player, others, self._on_report)
         #: Ids of publishers of reports, by member that has joined, as far as they are its own.
         self._reporters: dict[str, set[bytes]] = {}
         self._is_paused = False
@@ -238,6 +245,11 @@ class LockstepPlaying(Playing):
 
     def follow_rate(self) -> None:
         """Nothing: the next frame has the new period."""
+
+    def report(self, stamp: int) -> None:
+        """Take odometry of the robot as a report, if frames wait for its topic."""
+        for name in self._odometry:
+            self._on_report(name, stamp)
 
     def work(self) -> None:
         """Look at the members: send the frame again, remind, or end the wait."""

@@ -103,6 +103,9 @@ class Playing(ABC):
     def follow_rate(self) -> None:
         """Go on after a change of the frames per second."""
 
+    def report(self, stamp: int) -> None:  # noqa: B027
+        """Take note that the player has the odometry of a stamp in nanoseconds from another node."""
+
     def close(self) -> None:  # noqa: B027
         """End playing."""
 

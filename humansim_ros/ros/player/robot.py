@@ -12,7 +12,7 @@ from rclpy.qos import qos_profile_sensor_data
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError
 from humansim_ros.messages.topics import RobotTopics
-from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.player.playing import FramePlayer
 from humansim_ros.ros.qos import NEWEST
 from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene.objects import ObjectPose
@@ -34,7 +34,7 @@ class RobotPort:
         robot: The robot.
     """
 
-    def __init__(self, node: SceneNode, playback: Playback, robot: Robot) -> None:
+    def __init__(self, node: FramePlayer, playback: Playback, robot: Robot) -> None:
         self._node, self._playback, self._robot = node, playback, robot
         self._odom: Any = None
         #: Stamp and pose of the newest odometry of another node, and of the one before it.
@@ -102,7 +102,13 @@ class RobotPort:
             return
         self._playback.version += 1
         before, self._newest = self._newest, (stamp, pose)
-        self._before = before if before is not None and before[0] < stamp else None
+        if before is not None and before[0] != stamp:  # else it was sent again
+            self._before = before if before[0] < stamp else None
+        self._look_for_jump(stamp, pose)
+        self._node.playing.report(stamp)
+
+    def _look_for_jump(self, stamp: int, pose: ObjectPose) -> None:
+        """Say, and interpolate no more, if the newest odometry is far from the one before it."""
         if self._before is None:
             return
         seconds = (stamp - self._before[0]) * 1e-9

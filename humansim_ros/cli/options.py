@@ -67,7 +67,7 @@ EXPORT_FORMATS = (
         "yolo",
     ),
     *("mot", "thesis", "kitti", "mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh"),
-    *("glb", "webdataset", "croissant"),
+    *("glb", "webdataset", "huggingface", "statistics", "croissant"),
 )
 
 

@@ -14,6 +14,7 @@ from humansim_ros.errors import ExportError, did_you_mean
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
+from humansim_ros.export.huggingface import MetadataWriter
 from humansim_ros.export.images import (
     BodyPartWriter,
     DepthExrWriter,
@@ -30,6 +31,7 @@ from humansim_ros.export.kitti import KittiWriter
 from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
+from humansim_ros.export.statistics import StatisticsWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.webdataset import WebDatasetWriter
 from humansim_ros.export.writer import FormatWriter
@@ -154,6 +156,19 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",
             WebDatasetWriter,
             frozenset({"rgb", "instance", "part", KEYPOINTS, BOXES}),
+        ),
+        ExportFormat(
+            "huggingface",
+            "metadata.jsonl of image folders: camera, boxes and keypoints of people, Hugging Face",
+            MetadataWriter,
+            frozenset({KEYPOINTS, BOXES}),
+            images=True,
+        ),
+        ExportFormat(
+            "statistics",
+            "counts of people, poses, cameras and light of a data set, JSON",
+            StatisticsWriter,
+            frozenset({"rgb", BOXES}),
         ),
         # the last one: it describes the files of the others
         ExportFormat("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),

@@ -20,7 +20,9 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.humans import Human
 from humansim_ros.io.files import atomic_path, read_blocks
+from humansim_ros.render.lighting import Lighting
 from humansim_ros.scene import Frame, Scene
+from humansim_ros.scene.config import HumanConfig
 from humansim_ros.scene.timing import CameraTiming
 
 #: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
@@ -98,7 +100,7 @@ class ExportFolder:
         self._make_folder(target.parent)
         with atomic_path(target) as temporary:
             yield temporary
-            self.written[relative] = _entry(temporary)
+            self.written[relative] = file_entry(temporary)
 
     def link(self, name: str, target: str) -> None:
         """Make a symbolic link to a file or folder of the export, so that no image is written twice.
@@ -125,7 +127,8 @@ class ExportFolder:
             ) from None
 
 
-def _entry(path: Path) -> FileEntry:
+def file_entry(path: Path) -> FileEntry:
+    """Hash and size of a file. Raises ExportError if it cannot be read."""
     digest, size = hashlib.sha256(), 0
     for block in read_blocks(path, ExportError, "export"):
         digest.update(block)
@@ -169,6 +172,8 @@ class ExportScene:
         humans: Bodies without pose by name; a bag has none.
         licenses: Licence of the body of each person whose licence is known, by name.
         license: Licence of data sets of the scene; empty if the scene states none.
+        configs: Body, motion and outfit of each person as the scene names them; a bag has none.
+        lighting: Light of the scene; None for a bag.
     """
 
     title: str
@@ -180,6 +185,8 @@ class ExportScene:
     humans: Mapping[str, Human] = field(default_factory=dict)
     licenses: Mapping[str, str] = field(default_factory=dict)
     license: str = ""
+    configs: Mapping[str, HumanConfig] = field(default_factory=dict)
+    lighting: Lighting | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> ExportScene:
@@ -203,6 +210,8 @@ class ExportScene:
             humans={name: actor.human for name, actor in scene.actors.items()},
             licenses={name: text for name, actor in scene.actors.items() if (text := actor.human.license)},
             license=scene.config.license or "",
+            configs=dict(scene.config.humans),
+            lighting=scene.environment.lighting,
         )
 
     @property

@@ -45,11 +45,16 @@ def export(
     output: Annotated[
         str, output_option("DIR", "Folder, which must not exist; with --ray one that all hosts share.")
     ],
-    formats: Annotated[
-        list[str], list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
-    ],
+    context: typer.Context,
     scene: Annotated[
-        Path | None, typer.Argument(help="Scene file (YAML) or bag; the demo scene if absent.")
+        Path | None, typer.Argument(help="Scene file (YAML), recipe or bag; the demo scene if absent.")
+    ] = None,
+    formats: Annotated[
+        list[str] | None, list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
+    ] = None,
+    scenes: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Number of scenes of a recipe, instead of its own.", min=1),
     ] = None,
     frames: Annotated[
         int | None,
@@ -95,18 +100,28 @@ def export(
         typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
     ] = False,
 ) -> None:
-    """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions."""
+    """Write frames of a scene, a bag, or many scenes of a recipe, as a data set.
+
+    A recipe is a YAML file with the key ``recipe`` (docs/datasets.md).
+    """
     from humansim_ros.apps.work import export_source
     from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range
+    from humansim_ros.export.recipe import is_recipe
     from humansim_ros.jobs.frame_job import cores
     from humansim_ros.record.output import is_url
     from humansim_ros.scene import Scene
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
+    if scene is not None and is_recipe(scene):
+        _refuse_options(context)
+        _export_recipe(scene, Path(output), scenes, jobs or cores(), resume, ray)
+        return
+    if scenes is not None:
+        raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
     if frames is not None and range_ is not None:
         raise ExportError("give --frames or --range, not both", key="export")
     chosen = parse_range(range_) if range_ is not None else range(frames) if frames is not None else None
@@ -126,6 +141,57 @@ def export(
         _export(job, jobs or cores(), resume)
     else:
         _export_on_ray(job, ray, jobs, shard_frames, resume)
+
+
+#: Options that a recipe has as keys.
+_IN_RECIPE = {
+    "formats": "formats",
+    "frames": "frames",
+    "range_": "frames",
+    "keypoints": "keypoints",
+    "images": "images",
+    "license_": "about.license",
+    "shard_size": "",
+    "shard_frames": "",
+}
+
+
+def _refuse_options(context: typer.Context) -> None:
+    """Refuse options that a recipe has as keys, and those of single scenes."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if name in _IN_RECIPE and source is not None and source.name == "COMMANDLINE":
+            key = _IN_RECIPE[name]
+            text = f"the recipe has it: set its key {key}" if key else "is for a scene or bag"
+            raise ExportError(text, key=parameter.opts[0])
+
+
+def _export_recipe(
+    path: Path, output: Path, scenes: int | None, jobs: int, resume: bool, ray: str | None
+) -> None:
+    """Export many scenes of a recipe."""
+    from humansim_ros.export.data_set import DataSet, write_data_set
+    from humansim_ros.export.recipe import Recipe
+
+    recipe = Recipe.load(path, scenes)
+    data_set = DataSet.of(recipe, output.resolve() if ray is not None else output)
+    total = recipe.config.scenes
+    state = run_frames_shown(
+        "exporting",
+        0,
+        lambda show: write_data_set(data_set, jobs, resume, show, ray),
+        lambda done: f"{output}: {done} of {total} scenes are written; the same command with --resume continues",
+        "scenes",
+    )
+    images = recipe.config.frames
+    if not state.new:
+        print_text(f"{output}: all {total} scenes are written already")
+        return
+    print_text(
+        f"wrote {output}: {total} scenes of {images} frames, {state.seconds / state.new:.2f} s for each new one\n"
+        f"look at {output / 'datasheet.html'}; its index is {output / 'index.json'}"
+    )
 
 
 def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: int, resume: bool) -> None:

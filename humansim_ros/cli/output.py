@@ -175,6 +175,7 @@ def run_frames_shown(
     cameras: int,
     run: Callable[[Callable[[FrameProgress], None]], FrameProgress],
     interrupted: Callable[[int], str],
+    unit: str = "frames",
 ) -> FrameProgress:
     """Run work on frames with its progress; after a stop or a death, say what is done.
 
@@ -183,6 +184,7 @@ def run_frames_shown(
         cameras: Camera-frames for each frame.
         run: Does the work; its argument is called after each frame.
         interrupted: Text after an interruption, from the number of frames that are done.
+        unit: What is counted.
     """
     from humansim_ros.jobs.workers import WorkerDiedError
 
@@ -193,7 +195,7 @@ def run_frames_shown(
         done = progress.done
         display(progress)
 
-    with frame_progress(title, cameras) as display:
+    with frame_progress(title, cameras, unit) as display:
         try:
             return run(show)
         except WorkerDiedError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import yaml
 from humansim_ros import __version__
 from humansim_ros.errors import ExportError, HumansimError, RenderError, some_of
 from humansim_ros.export.croissant import CARD, data_set_card
-from humansim_ros.export.datasheet import DataSetSummary, datasheet, readme
+from humansim_ros.export.datasheet import DataSetSummary, datasheet, example_paths, readme
 from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.huggingface import METADATA
 from humansim_ros.export.plan import INDEX, ExportPlan, read_index
@@ -184,7 +184,7 @@ def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
 
     def renamed(name: str) -> str:
         found = found_name(recipe.path.parent, name)
-        return os.path.relpath(found, place) if found != name else name
+        return os.path.relpath(found, place) if found != name else str(name)
 
     # the configuration without the people of variety and crowd, who follow from their seeds
     config = recipe.scene(drawn.number, drawn.attempt)
@@ -337,22 +337,49 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
             scenes[name] = {
                 "split": split,
                 "people": {name: person["body"] for name, person in statistics["people"].items()},
-                "cameras": len(index["cameras"]),
+                "cameras": list(index["cameras"]),
                 "images": statistics["images"],
                 "bytes": sum(entry["bytes"] for entry in files.values()),
                 "index": files[INDEX]["sha256"],
             }
-        summary = DataSetSummary(
-            recipe.config,
-            totals,
-            parts,
-            sorted(licenses),
-            versions() | {"device": data_set.device},
-            list(scenes),
-            root,
-        )
-        texts = {
-            DATASHEET: datasheet(summary),
-            README: readme(summary),
-            CARD: json.dumps(data_set_card(summary, file_entry_of), indent=1) + "\n" if scenes else "",
-        }
+        if scenes:
+            summary = _summary(data_set, totals, parts, sorted(licenses), scenes)
+            _write_pages(summary, folder)
+            files = {name: folder.written[name] for name in sorted(folder.written)}
+            more = {"finished": True, "about": summary.card, "splits": _counts(parts)}
+            _write_index(data_set, folder, **more, failed=_named(failures), scenes=scenes, files=files)
+            entries = files | {INDEX: folder.written[INDEX]}
+            hashes.writelines(f"{entry['sha256']}  {name}\n" for name, entry in entries.items())
+
+
+def _summary(
+    data_set: DataSet,
+    totals: Totals,
+    parts: Mapping[str, Totals],
+    licenses: Sequence[str],
+    scenes: Mapping[str, Mapping[str, Any]],
+) -> DataSetSummary:
+    config, suffix = data_set.recipe.config, f".{data_set.recipe.config.images}"
+    cameras = {name: scene["cameras"] for name, scene in scenes.items()}
+    examples = example_paths(data_set.root, cameras, config.frames, suffix)
+    made_with = versions() | {"device": data_set.device}
+    return DataSetSummary(config, totals, parts, licenses, made_with, examples, suffix)
+
+
+def _write_pages(summary: DataSetSummary, folder: ExportFolder) -> None:
+    splits = [name for name, part in summary.parts.items() if part.images]
+    card = data_set_card(summary.card, splits, summary.suffix, METADATA)
+    folder.write(CARD, json.dumps(card, indent=1) + "\n")
+    folder.write(DATASHEET, datasheet(summary))
+    folder.write(README, readme(summary))
+
+
+def _counts(parts: Mapping[str, Totals]) -> dict[str, dict[str, int]]:
+    return {
+        name: {"scenes": part.scenes, "images": part.images, "people": len(part.people)}
+        for name, part in parts.items()
+    }
+
+
+def _named(failures: Mapping[int, str]) -> dict[str, str]:
+    return {f"scene_{number:06d}": failures[number] for number in sorted(failures)}

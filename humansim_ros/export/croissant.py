@@ -165,26 +165,26 @@ def data_set_card(
     sets = [
         {
             "@type": "cr:FileSet",
-            "@id": name,
-            "name": name,
+            "@id": f"{name}-files",
+            "name": f"{name}-files",
             "description": f"{name.capitalize()} of all scenes, in folders SPLIT/SCENE.",
             "encodingFormat": kinds[name],
-            "includes": [f"{split}/*/{pattern}" for split in splits],
+            "includes": f"*/scene_*/{pattern}",
         }
         for name, pattern in patterns.items()
     ]
-    path = {"fileProperty": "fullpath"}
+    # mlcroissant 1.1.1 applies the patterns of two fields of a property to each other, and those of a
+    # reference twice: there is one field of each property, and the first folder matches its own name
     images = [
-        _field("images/split", "sc:Text", "images", path, r"([^/]+)/scene_\d+/")
+        _field("images/split", "sc:Text", "images-files", {"fileProperty": "fullpath"}, r"^([^/]+)")
         | {"references": {"field": {"@id": "splits/name"}}},
-        _field("images/scene", "sc:Text", "images", path, r"(scene_\d+)/"),
-        _field("images/camera", "sc:Text", "images", path, r"images/([^/]+)/"),
-        _field("images/frame", "sc:Text", "images", {"fileProperty": "filename"}, r"^(\d+)\."),
-        _field("images/image", "sc:ImageObject", "images", {"fileProperty": "content"}),
+        _field("images/path", "sc:Text", "images-files", {"fileProperty": "filepath"}),
+        _field("images/frame", "sc:Text", "images-files", {"fileProperty": "filename"}, r"^(\d+)\."),
+        _field("images/image", "sc:ImageObject", "images-files", {"fileProperty": "content"}),
     ]
     columns = {"scene": "sc:Text", "camera": "sc:Text", "frame": "sc:Integer", "stamp": "sc:Integer"}
     columns |= {"file_name": "sc:Text", "width": "sc:Integer", "height": "sc:Integer"}
-    lines = [_field(f"metadata/{key}", kind, "metadata", {"column": key}) for key, kind in columns.items()]
+    lines = [_field(f"metadata/{key}", kind, "metadata-files", {"column": key}) for key, kind in columns.items()]
     names = [
         {"@type": "cr:Field", "@id": f"splits/{key}", "name": key, "dataType": kind}
         for key, kind in {"name": "sc:Text", "url": "sc:URL"}.items()

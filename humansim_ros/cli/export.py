@@ -181,7 +181,9 @@ def _export_recipe(
         "exporting",
         0,
         lambda show: write_data_set(data_set, jobs, resume, show, ray),
-        lambda done: f"{output}: {done} of {total} scenes are written; the same command with --resume continues",
+        lambda done: (
+            f"{output}: {done} of {total} scenes are written; the same command with --resume continues"
+        ),
         "scenes",
     )
     images = recipe.config.frames
@@ -189,7 +191,7 @@ def _export_recipe(
         print_text(f"{output}: all {total} scenes are written already")
         return
     print_text(
-        f"wrote {output}: {total} scenes of {images} frames, {state.seconds / state.new:.2f} s for each new one\n"
+        f"wrote {output}: {total} scenes, {state.seconds / state.new:.2f} s for each new one\n"
         f"look at {output / 'datasheet.html'}; its index is {output / 'index.json'}"
     )
 

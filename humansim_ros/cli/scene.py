@@ -63,9 +63,7 @@ class SceneOptions:
         source = SceneSource.of_file(path)
         with source.locating_errors():
             scene = with_variety(load_config(path), source)
-        config = map_files(
-            scene.model_dump(exclude_none=True), lambda name: found_name(source.folder, name)
-        )
+        config = map_files(scene.model_dump(exclude_none=True), lambda name: found_name(source.folder, name))
         config.setdefault("room", None)
         humans = config["humans"]
         if not humans:

@@ -184,7 +184,9 @@ def data_set_card(
     ]
     columns = {"scene": "sc:Text", "camera": "sc:Text", "frame": "sc:Integer", "stamp": "sc:Integer"}
     columns |= {"file_name": "sc:Text", "width": "sc:Integer", "height": "sc:Integer"}
-    lines = [_field(f"metadata/{key}", kind, "metadata-files", {"column": key}) for key, kind in columns.items()]
+    lines = [
+        _field(f"metadata/{key}", kind, "metadata-files", {"column": key}) for key, kind in columns.items()
+    ]
     names = [
         {"@type": "cr:Field", "@id": f"splits/{key}", "name": key, "dataType": kind}
         for key, kind in {"name": "sc:Text", "url": "sc:URL"}.items()

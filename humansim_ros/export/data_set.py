@@ -26,7 +26,7 @@ from humansim_ros.export.plan import INDEX, ExportPlan, read_index
 from humansim_ros.export.recipe import DrawnScene, Recipe
 from humansim_ros.export.source import SimulatedSource, versions
 from humansim_ros.export.statistics import STATISTICS, Totals
-from humansim_ros.export.writer import ExportFolder, FileEntry, file_entry
+from humansim_ros.export.writer import ExportFolder, file_entry
 from humansim_ros.io.files import ANY_SIZE, read_json
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult, FrameWorker
 from humansim_ros.jobs.ray_cluster import ClusterPart, PartResult, connected, run_parts
@@ -265,7 +265,7 @@ def _write_on_cluster(
     with connected(address, workers) as ray:
         _begin(data_set)
         results, reasons = run_parts(ray, [(data_set, parts)], progress, on_progress)
-    failures = {}
+    failures: dict[int, str] = {}
     for part in parts:
         result = results.get(part)
         if isinstance(result, ScenesResult):

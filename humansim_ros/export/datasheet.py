@@ -28,7 +28,7 @@ from humansim_ros.humans.makehuman.population import MONK_TONES
 _PAPER = "https://doi.org/10.1145/3458723"
 _INK, _PALE, _BAR, _LINE = "#1d2433", "#6b7385", "#2f6fab", "#dfe3ea"
 #: Size of a plot, and its margins, pixels.
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 330, 170, 12, 12, 30, 34
+_WIDTH, _HEIGHT, _MARGIN, _TOP, _BOTTOM = 330, 170, 12, 30, 34
 #: Example images, and their width in pixels.
 _EXAMPLES, _EXAMPLE_WIDTH = 8, 264
 #: Rows of a list of counts.
@@ -42,7 +42,8 @@ h1 { font-size: 30px; margin: 0 0 4px; } h2 { margin: 40px 0 10px; padding-top: 
   padding: 10px 18px; min-width: 92px; } .tile b { display: block; font-size: 22px; }
 .tile span { color: #6b7385; font-size: 13px; } .row { display: flex; flex-wrap: wrap; gap: 14px 24px; }
 .examples { display: grid; grid-template-columns: repeat(4, 1fr); gap: 8px; margin: 20px 0; }
-.examples img { width: 100%; height: auto; border-radius: 6px; } h3 { font-size: 15px; margin: 16px 0 2px; }
+.examples img { width: 100%; height: 100%; aspect-ratio: 4 / 3; object-fit: cover; border-radius: 6px; }
+h3 { font-size: 15px; margin: 16px 0 2px; }
 p { margin: 2px 0 8px; max-width: 860px; } table { border-collapse: collapse; font-size: 14px; }
 td, th { padding: 4px 22px 4px 0; text-align: left; border-bottom: 1px solid #e6e9ef; }
 th { color: #6b7385; font-weight: 600; } pre { background: #f3f5f8; border-radius: 8px; padding: 10px 16px;
@@ -97,7 +98,9 @@ class DataSetSummary:
     def card(self) -> dict[str, Any]:
         """Properties of the data card."""
         about = self.config.about
-        citation = about.citation or f"{', '.join(about.creators) or 'humansim_ros'}: {self.title}, {about.version}"
+        citation = (
+            about.citation or f"{', '.join(about.creators) or 'humansim_ros'}: {self.title}, {about.version}"
+        )
         return {
             "name": self.config.recipe,
             "description": self.description,
@@ -134,8 +137,7 @@ def _answers(summary: DataSetSummary) -> Iterator[tuple[str, list[tuple[str, str
         [
             (
                 "What do the instances represent?",
-                f"Images of virtual people in {totals.scenes} scenes of {config.frames} frames each. No image "
-                "shows a person who exists.",
+                f"Images of virtual people, {config.frames} frames of each of {totals.scenes} scenes.",
             ),
             (
                 "What does each instance have?",
@@ -157,10 +159,13 @@ def _answers(summary: DataSetSummary) -> Iterator[tuple[str, list[tuple[str, str
             ),
             (
                 "Does it identify people or sub-populations?",
-                f"{drawn} of {len(totals.people)} people are drawn by seed, with age, sex, stature and skin "
-                "tone in statistics.json of their scene. Nobody is real, so that there is no consent to ask for.",
+                f"Nobody is real. {drawn} of {len(totals.people)} people are drawn by seed; statistics.json of "
+                + "a scene has their age, sex, stature and skin tone.",
             ),
-            ("Are there errors or noise?", "The truth is computed. Images have the noise of the sensor models."),
+            (
+                "Are there errors or noise?",
+                "The truth is computed. Images have the noise of the sensor models.",
+            ),
         ],
     )
     wanted = [f"at least {require.cameras} cameras see each person"] if require.cameras else []
@@ -188,14 +193,14 @@ def _answers(summary: DataSetSummary) -> Iterator[tuple[str, list[tuple[str, str
         [
             (
                 "What is it for?",
-                "Training and tests of detectors, of pose estimators with one and many cameras, and of trackers.",
+                "Training and tests of detectors, trackers, and pose estimators with one or many cameras.",
             ),
             (
                 "What must be kept in mind?",
                 "People are rendered: skin, cloth and light are simpler than in photographs, so test on real "
-                "images as well. Statures and weights of drawn people follow a survey of the United States; "
-                "skin tones, hair and clothes are spread evenly and have no source. Motions are a small "
-                "number of recordings and built activities.",
+                + "images as well. Statures and weights of drawn people follow a survey of the United States; "
+                + "skin tones, hair and clothes are spread evenly and have no source. Motions are a small "
+                + "number of recordings and built activities.",
             ),
         ],
     )
@@ -208,7 +213,7 @@ def _answers(summary: DataSetSummary) -> Iterator[tuple[str, list[tuple[str, str
             (
                 "Which version is this?",
                 f"{about.version}{f', {about.date}' if about.date else ''}. A new version has a new number; "
-                "SHA256SUMS has the hash of each file.",
+                + "SHA256SUMS has the hash of each file.",
             ),
             *([("Where is it?", about.url)] if about.url else []),
         ],
@@ -251,23 +256,16 @@ def datasheet(summary: DataSetSummary) -> str:
         element("p", " · ".join(filter(None, ["Datasheet", *facts])), class_="lead"),
         element(
             "div",
-            *(element("div", element("b", f"{n:,}"), element("span", name), class_="tile") for name, n in tiles.items()),
+            *(
+                element("div", element("b", f"{n:,}"), element("span", name), class_="tile")
+                for name, n in tiles.items()
+            ),
             class_="tiles",
         ),
         element("div", *_examples(summary.examples), class_="examples"),
-        *(
-            section(
-                title,
-                joined(
-                    [
-                        *(joined([element("h3", question), element("p", text)]) for question, text in rows),
-                        *([table(_SPLIT_HEADER, _split_rows(summary))] if title == "Composition" else []),
-                    ]
-                ),
-            )
-            for title, rows in answers.items()
-        ),
+        *(_answered(title, answers.pop(title), summary) for title in ("Motivation", "Composition")),
         *(section(title, element("div", *shapes, class_="row")) for title, shapes in plots.items()),
+        *(_answered(title, rows, summary) for title, rows in answers.items()),
         element(
             "p",
             f"Questions after Gebru et al., Datasheets for datasets, 2021, {_PAPER}.",
@@ -276,13 +274,23 @@ def datasheet(summary: DataSetSummary) -> str:
     )
 
 
+def _answered(title: str, rows: Sequence[tuple[str, str]], summary: DataSetSummary) -> Markup:
+    """A section with questions and answers."""
+    parts = [joined([element("h3", question), element("p", text)]) for question, text in rows]
+    if title == "Composition":
+        parts.append(table(_SPLIT_HEADER, _split_rows(summary)))
+    return section(title, joined(parts))
+
+
 def _examples(paths: Iterable[Path]) -> Iterator[Markup]:
     for path in paths:
         image = cv2.imread(str(path))
         if image is not None:
             height = round(image.shape[0] * _EXAMPLE_WIDTH / image.shape[1])
             small = cv2.resize(image, (_EXAMPLE_WIDTH, height), interpolation=cv2.INTER_AREA)
-            yield picture(small[..., ::-1].astype(np.uint8), f"{path.parent.parent.parent.name} {path.parent.name}")
+            yield picture(
+                small[..., ::-1].astype(np.uint8), f"{path.parent.parent.parent.name} {path.parent.name}"
+            )
 
 
 def example_paths(root: Path, scenes: Mapping[str, Sequence[str]], frames: int, suffix: str) -> list[Path]:
@@ -312,10 +320,12 @@ def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
         "People",
         [
             _numbers("Age", "years", [person["age"] for person in people if "age" in person], 0, 10, 9),
-            _numbers("Stature", "m", [person["stature"] for person in people if "stature" in person], 0.6, 0.1, 17),
+            _numbers(
+                "Stature", "m", [person["stature"] for person in people if "stature" in person], 0.6, 0.1, 17
+            ),
             _bars("Sex", Counter(person.get("sex", "not known") for person in people)),
             _skin(Counter(person["skin"] for person in people if "skin" in person)),
-            _bars("Clothes, hair", Counter(word for person in people for word in person.get("clothes", ()))),
+            _bars("Clothes", Counter(word for person in people for word in person.get("clothes", ()))),
         ],
     )
     yield "Poses", [_bars("Motion", totals.motions), _ranges(totals)]
@@ -350,31 +360,38 @@ def _columns(
     """Columns of the bins from the first up to, but not including, the last of a span."""
     first, last = span
     most = max((counts.get(number, 0) for number in range(*span)), default=0) or 1
-    step = (_WIDTH - _LEFT - _RIGHT) / (last - first)
-    bottom = _HEIGHT - _BOTTOM
-    shapes = [element("text", title, x=_LEFT, y=16, font_size=13, font_weight=600, fill=_INK)]
-    shapes.append(element("line", x1=_LEFT, y1=bottom, x2=_WIDTH - _RIGHT, y2=bottom, stroke=_LINE))
-    for number in range(first, last):
-        count = counts.get(number, 0)
-        if count:
-            height = max(1.0, (bottom - _TOP) * count / most)
-            text = f"{low + number * width:.4g} to {low + (number + 1) * width:.4g} {unit}: {count:,}"
-            x = _LEFT + step * (number - first) + 0.5
-            bar = element("rect", x=x, y=bottom - height, width=max(step - 1, 1.0), height=height, fill=_BAR)
-            shapes.append(element("g", element("title", text), bar))
+    step, bottom = (_WIDTH - 2 * _MARGIN) / (last - first), _HEIGHT - _BOTTOM
+    shapes = [_title(title)]
+    shapes.append(element("line", x1=_MARGIN, y1=bottom, x2=_WIDTH - _MARGIN, y2=bottom, stroke=_LINE))
+    for number in (each for each in range(first, last) if counts.get(each)):
+        height = max(1.0, (bottom - _TOP) * counts[number] / most)
+        x = _MARGIN + step * (number - first) + 0.5
+        bar = element("rect", x=x, y=bottom - height, width=max(step - 1, 1.0), height=height, fill=_BAR)
+        ends = f"{low + number * width:.4g} to {low + (number + 1) * width:.4g} {unit}"
+        shapes.append(element("g", element("title", f"{ends}: {counts[number]:,}"), bar))
     is_count = width == 1 and not unit
-    every = max(1, -(-(last - first) // 6))
-    for number in range(first, last + (not is_count), every):
-        x = _LEFT + step * (number - first + 0.5 * is_count)
-        shapes.append(
-            element(
-                "text", f"{low + number * width:.4g}", x=x, y=bottom + 14, font_size=11, fill=_PALE, text_anchor="middle"
-            )
-        )
-    total = sum(counts.values())
-    note = f"{unit + ', ' if unit else ''}{total:,} in all, highest column {most:,}" if total else "no data"
-    shapes.append(element("text", note, x=_LEFT, y=_HEIGHT - 5, font_size=11, fill=_PALE))
+    for number in range(first, last + (not is_count), max(1, -(-(last - first) // 6))):
+        x = _MARGIN + step * (number - first + 0.5 * is_count)
+        shapes.append(_text(f"{low + number * width:.4g}", x, bottom + 14, "middle"))
+    shapes.append(_note(counts, most, unit))
     return svg(shapes, _WIDTH, _HEIGHT)
+
+
+def _title(text: str) -> Markup:
+    return element("text", text, x=_MARGIN, y=16, font_size=13, font_weight=600, fill=_INK)
+
+
+def _text(text: str, x: float, y: float, anchor: str = "start", color: str = _PALE) -> Markup:
+    return element(
+        "text", text, x=x, y=y, font_size=12 if color == _INK else 11, fill=color, text_anchor=anchor
+    )
+
+
+def _note(counts: Mapping[int, int], most: int, unit: str = "") -> Markup:
+    """Text below columns."""
+    total = sum(counts.values())
+    text = f"{f'{unit}, ' if unit else ''}{total:,} in all, highest column {most:,}" if total else "no data"
+    return _text(text, _MARGIN, _HEIGHT - 5)
 
 
 def _bars(title: str, counts: Mapping[str, int]) -> Markup:
@@ -383,36 +400,38 @@ def _bars(title: str, counts: Mapping[str, int]) -> Markup:
     left = sum(count for _, count in rows[_MOST_ROWS:])
     rows = rows[:_MOST_ROWS] + ([(f"{len(rows) - _MOST_ROWS} others", left)] if left else [])
     most = max((count for _, count in rows), default=0) or 1
-    shapes = [element("text", title, x=_LEFT, y=16, font_size=13, font_weight=600, fill=_INK)]
+    shapes = [_title(title)] if rows else [_title(title), _text("no data", _MARGIN, 40)]
     for number, (name, count) in enumerate(rows):
-        y = 40 + 18 * number
-        width = (_WIDTH - 190) * count / most
-        shapes.append(element("text", name[:22], x=132, y=y, font_size=12, fill=_INK, text_anchor="end"))
+        y, width = 40 + 18 * number, (_WIDTH - 190) * count / most
+        shapes.append(_text(name[:22], 132, y, "end", _INK))
         shapes.append(element("rect", x=140, y=y - 10, width=width, height=12, fill=_BAR))
-        shapes.append(element("text", f"{count:,}", x=146 + width, y=y, font_size=11, fill=_PALE))
-    if not rows:
-        shapes.append(element("text", "no data", x=_LEFT, y=40, font_size=11, fill=_PALE))
+        shapes.append(_text(f"{count:,}", 146 + width, y))
     return svg(shapes, _WIDTH, max(_HEIGHT, 40 + 18 * len(rows)))
 
 
 def _skin(counts: Mapping[int, int]) -> Markup:
     """Numbers of people by tone of the Monk scale, in its colours."""
-    most, step = max(counts.values(), default=0) or 1, (_WIDTH - _LEFT - _RIGHT) / len(MONK_TONES)
-    bottom = _HEIGHT - _BOTTOM
-    shapes = [element("text", "Skin tone, Monk scale", x=_LEFT, y=16, font_size=13, font_weight=600, fill=_INK)]
-    for number, color in enumerate(MONK_TONES, 1):
-        height = (bottom - _TOP) * counts.get(number, 0) / most
-        x, fill = _LEFT + step * (number - 1), f"rgb({color[0]},{color[1]},{color[2]})"
-        box = {"x": x + 1, "width": step - 2, "fill": fill, "stroke": _PALE, "stroke_width": 0.5}
-        if height:
-            shapes.append(element("rect", y=bottom - height, height=height, **box))
-        shapes.append(element("rect", y=bottom + 3, height=6, **box))
-        label = {"x": x + step / 2, "y": bottom + 20, "font_size": 11, "fill": _PALE, "text_anchor": "middle"}
-        shapes.append(element("text", str(number), **label))
-    total = sum(counts.values())
-    text = f"{total:,} in all, highest column {most:,}" if total else "no data"
-    shapes.append(element("text", text, x=_LEFT, y=_HEIGHT - 2, font_size=11, fill=_PALE))
-    return svg(shapes, _WIDTH, _HEIGHT)
+    most, step = max(counts.values(), default=0) or 1, (_WIDTH - 2 * _MARGIN) / len(MONK_TONES)
+    bottom = _HEIGHT - _BOTTOM - 6
+    shapes = [_title("Skin tone, Monk scale")]
+    for number, (red, green, blue) in enumerate(MONK_TONES, 1):
+        x, height = _MARGIN + step * (number - 1), (bottom - _TOP) * counts.get(number, 0) / most
+        for top, size in ((bottom - height, height), (bottom + 3, 6.0)):
+            fill = f"rgb({red},{green},{blue})"
+            shapes.append(
+                element(
+                    "rect",
+                    x=x + 1,
+                    y=top,
+                    width=step - 2,
+                    height=size,
+                    fill=fill,
+                    stroke=_PALE,
+                    stroke_width=0.5,
+                )
+            )
+        shapes.append(_text(str(number), x + step / 2, bottom + 20, "middle"))
+    return svg([*shapes, _note(counts, most)], _WIDTH, _HEIGHT)
 
 
 def _ranges(totals: Totals) -> Markup:
@@ -421,26 +440,23 @@ def _ranges(totals: Totals) -> Markup:
     scale = (width - left - right) / (high - low)
     known = [name for name in ANGLES if totals.histograms[name]]
     bottom = 34 + 22 * len(known)
-    title = "Joint angles: 5th to 95th percentile, and median"
-    shapes = [element("text", title, x=_LEFT, y=16, font_size=13, font_weight=600, fill=_INK)]
+    shapes = [_title("Joint angles: 5th to 95th percentile, and median")]
     for angle in range(low, high + 1, 30):
         x = left + scale * (angle - low)
         shapes.append(element("line", x1=x, y1=26, x2=x, y2=bottom, stroke=_LINE))
-        label = {"font_size": 11, "fill": _PALE, "text_anchor": "middle"}
-        shapes.append(element("text", f"{angle}°", x=x, y=bottom + 14, **label))
+        shapes.append(_text(f"{angle}°", x, bottom + 14, "middle"))
     for number, name in enumerate(known):
         y = 40 + 22 * number
-        first, middle, last = (
-            float(np.clip(totals.quantile(name, share), low, high)) for share in (0.05, 0.5, 0.95)
-        )
-        x = left + scale * (first - low)
-        shapes.append(element("text", ANGLES[name], x=left - 10, y=y + 4, font_size=12, fill=_INK, text_anchor="end"))
-        bar = {"y": y - 5, "height": 10, "fill": _BAR}
-        shapes.append(element("rect", x=x, width=max(scale * (last - first), 1.0), **bar))
-        middle_x = left + scale * (middle - low)
-        shapes.append(element("line", x1=middle_x, x2=middle_x, y1=y - 8, y2=y + 8, stroke=_INK, stroke_width=2))
-        text = f"{first:.0f}° to {last:.0f}°"
-        shapes.append(element("text", text, x=width - right + 8, y=y + 4, font_size=11, fill=_PALE))
+        values = (totals.quantile(name, share) for share in (0.05, 0.5, 0.95))
+        first, middle, last = (float(np.clip(value, low, high)) for value in values)
+        x, length = left + scale * (first - low), max(scale * (last - first), 1.0)
+        at = left + scale * (middle - low)
+        shapes += [
+            _text(ANGLES[name], left - 10, y + 4, "end", _INK),
+            element("rect", x=x, y=y - 5, width=length, height=10, fill=_BAR),
+            element("line", x1=at, x2=at, y1=y - 8, y2=y + 8, stroke=_INK, stroke_width=2),
+            _text(f"{first:.0f}° to {last:.0f}°", width - right + 8, y + 4),
+        ]
     return svg(shapes, width, bottom + 22)
 
 

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, StringConstraints, field_validator, model_validator
 
-from humansim_ros import __version__
 from humansim_ros.errors import (
     CameraError,
     ExportError,
@@ -34,11 +33,12 @@ from humansim_ros.errors import (
     MotionError,
     SceneError,
     did_you_mean,
+    in_section,
     located,
 )
-from humansim_ros.export.formats import EXPORT_FORMATS, ExportFormat, chosen_formats
+from humansim_ros.export.formats import ExportFormat, chosen_formats
 from humansim_ros.humans.loading import find_human
-from humansim_ros.humans.makehuman.population import is_person
+from humansim_ros.humans.makehuman.population import PeopleLimits, is_person, person_name
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.io.files import exists
 from humansim_ros.io.schema import Section, Share
@@ -48,7 +48,14 @@ from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.motion.files import find_motion
 from humansim_ros.scene import Scene, SceneConfig, Simulation, check_scene
 from humansim_ros.scene.camera_config import Vector3
-from humansim_ros.scene.config import LIVE, RoomConfig, check_config, checked_license, file_keys
+from humansim_ros.scene.config import (
+    LIVE,
+    PeopleConfig,
+    RoomConfig,
+    check_config,
+    checked_license,
+    file_keys,
+)
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.truth import BodyBox
@@ -65,6 +72,8 @@ MAX_SCENES, MAX_SCENE_FRAMES, _MAX_OPTIONS = 1_000_000, 100_000, 10_000
 _SEEDS = 2**53
 #: Frames of a scene in which ``require`` is checked, and options of a choice that are tried at the start.
 _CHECKED_FRAMES, _TRIED = 10, 50
+#: People of the pool of whom a scene draws.
+_MAX_BODIES = 200
 #: Metres of cameras of a ring from walls and ceiling.
 _FROM_WALLS = 0.3
 #: Formats that each scene of a data set has.
@@ -164,11 +173,13 @@ class NormalDraw(Section):
 class ChoiceDraw(Section):
     """One of some values, which may be distributions. ``weights``: how likely each of them is."""
 
-    choice: tuple[Any, ...] = Field(min_length=1, max_length=_MAX_OPTIONS)
+    choice: tuple[Any, ...] = Field(max_length=_MAX_OPTIONS)
     weights: tuple[Annotated[float, Field(ge=0, le=1e9)], ...] | None = None
 
     @model_validator(mode="after")
     def _has_weights(self) -> ChoiceDraw:
+        if not self.choice:
+            raise ValueError("an empty choice: nothing can be drawn")
         if self.weights is not None and len(self.weights) != len(self.choice):
             raise ValueError(f"{len(self.choice)} values need as many weights, not {len(self.weights)}")
         if self.weights is not None and not sum(self.weights) > 0:
@@ -247,14 +258,22 @@ class AboutConfig(Section):
     date: Annotated[
         str | None,
         BeforeValidator(lambda value: value.isoformat() if isinstance(value, datetime.date) else value),
-        Field(pattern=r"^\d{4}-\d{2}-\d{2}$", description="date of publication, as 2026-11-28"),
-    ] = None
-    version: Annotated[str, StringConstraints(pattern=r"^\d+\.\d+\.\d+$")] = Field(
-        default="1.0.0", description="version of the data set, as 1.0.0"
-    )
-    url: Annotated[str, StringConstraints(pattern=r"^https?://\S+$", max_length=2000)] | None = Field(
-        default=None, description="address of its page"
-    )
+        StringConstraints(pattern=r"^\d{4}-\d{2}-\d{2}$"),
+        Expected("a date, such as 2026-11-28"),
+    ] = Field(default=None, description="date of publication")
+    version: Annotated[
+        str,
+        StringConstraints(pattern=r"^\d+\.\d+\.\d+$"),
+        Expected("a text with three numbers, such as 1.0.0"),
+    ] = Field(default="1.0.0", description="version of the data set")
+    url: (
+        Annotated[
+            str,
+            StringConstraints(pattern=r"^https?://\S+$", max_length=2000),
+            Expected("an address, such as https://example.org"),
+        ]
+        | None
+    ) = Field(default=None, description="address of its page")
     license: str | None = Field(default=None, description="licence, such as CC-BY-4.0, or its address")
 
     _license_is_a_line = field_validator("license")(checked_license)
@@ -316,22 +335,32 @@ class RecipeConfig(Section):
     scenes: int = Field(ge=1, le=MAX_SCENES, description="number of scenes")
     frames: int = Field(ge=1, le=MAX_SCENE_FRAMES, description="frames of each scene, from its start")
     splits: dict[_Split, Annotated[float, Field(ge=0, le=1e9)]] = Field(
-        default_factory=lambda: {"train": 1.0}, min_length=1, max_length=20, description="shares of the scenes"
+        default_factory=lambda: {"train": 1.0},
+        min_length=1,
+        max_length=20,
+        description="shares of the scenes",
     )
     formats: tuple[str, ...] = Field(default=(), description="formats beside images (docs/export.md)")
     keypoints: str = Field(default="coco17", description="keypoint set")
-    images: str = Field(default="png", pattern="^(png|jpg)$", description="png or jpg")
+    images: Literal["png", "jpg"] = Field(default="png", description="format of the images")
+    pool: int | None = Field(
+        default=None,
+        ge=1,
+        le=_MAX_OPTIONS,
+        description="number of different people whom variety.people draws; new ones in each scene if absent",
+    )
     attempts: int = Field(default=20, ge=1, le=10_000, description="draws of a scene before it is given up")
     about: AboutConfig = AboutConfig()
     require: RequireConfig = RequireConfig()
     ring: RingConfig | None = Field(default=None, description="cameras around the people")
     scene: dict[str, Any] = Field(description="keys of a scene; each value may be a distribution")
 
-    @model_validator(mode="after")
-    def _has_splits(self) -> RecipeConfig:
-        if not sum(self.splits.values()) > 0:
-            raise ValueError("the shares of the splits sum to 0: no scene has a split")
-        return self
+    @field_validator("splits")
+    @classmethod
+    def _has_splits(cls, splits: dict[str, float]) -> dict[str, float]:
+        if not sum(splits.values()) > 0:
+            raise ValueError("the shares sum to 0: no scene has a split")
+        return splits
 
 
 @dataclass(frozen=True)
@@ -392,12 +421,17 @@ class Recipe:
         if scenes is not None:
             config = config.model_copy(update={"scenes": scenes})
         recipe = cls(Path(path).resolve(), config, tree, {})
-        with recipe._locating("formats"):
-            recipe.formats  # noqa: B018  # an unknown format is an error
-        with recipe._locating("keypoints"):
-            keypoint_set(config.keypoints)
+        for key, check in (
+            ("formats", lambda: recipe.formats),
+            ("keypoints", lambda: keypoint_set(config.keypoints)),
+        ):
+            try:
+                check()
+            except HumansimError as error:
+                raise recipe._error(key, error.message) from None
+        draws = list(recipe._draws())
         recipe = cls(recipe.path, config, tree, recipe._split_bodies())
-        recipe._check_ends()
+        recipe._check_ends(draws)
         return recipe
 
     @cached_property
@@ -477,6 +511,7 @@ class Recipe:
         if self.config.ring is not None:
             cameras = scene.get("cameras") or {}
             scene["cameras"] = {**draws.ring(self.config.ring, scene), **cameras}
+        self._share_pool(scene.get("variety"), number)
         for section in ("variety", "crowd"):
             self._share_bodies(scene.get(section), section, number)
         config = check_config(scene)
@@ -523,6 +558,27 @@ class Recipe:
         """Whether a body may be in a scene."""
         return self.split_of_body.get(body, self.splits[number]) == self.splits[number]
 
+    def _share_pool(self, variety: Any, number: int) -> None:
+        """Give a scene the people of the pool that are of its split, in place of new ones."""
+        if (
+            self.config.pool is None
+            or not isinstance(variety, dict)
+            or not isinstance(variety.get("people"), dict)
+        ):
+            return
+        with in_section("variety.people"):
+            people = validated(PeopleConfig, variety.pop("people"), SceneError)
+        splits = enumerate(_shared(self.config.splits, self.config.pool))
+        numbers = [each for each, split in splits if split == self.splits[number]]
+        if not numbers:
+            raise self._error(
+                "pool", f"no person is left for the split {self.splits[number]}: give more people"
+            )
+        shuffled = sorted(numbers, key=lambda each: _order(self.config.seed, f"{each} in scene {number}"))
+        limits = PeopleLimits(**dict(people))
+        chosen = sorted(shuffled[:_MAX_BODIES])
+        variety["bodies"] = [person_name(self.config.seed, each, limits) for each in chosen]
+
     def _share_bodies(self, section: Any, name: str, number: int) -> None:
         """Leave the bodies of a section that are of the split of a scene."""
         if self.split_of_body and isinstance(section, dict) and not section.get("people"):
@@ -542,10 +598,10 @@ class Recipe:
 
     # -- checks
 
-    def _check_ends(self) -> None:
+    def _check_ends(self, draws: Sequence[tuple[Keys, Draw]]) -> None:
         """Check the scene with each distribution at its ends. Raises ExportError with line and key."""
         self._try({})
-        for keys, draw in self._draws():
+        for keys, draw in draws:
             for value in draw.ends:
                 self._try({keys: value})
 
@@ -556,12 +612,11 @@ class Recipe:
             pending.append((("ring",), dict(self.config.ring)))
         while pending:
             keys, value = pending.pop()
-            key = ".".join(map(str, keys))
             with located(ExportError, self.path, line_of(self.tree, keys)):
                 try:
                     draw = draw_at(value)
                 except ExportError as error:
-                    raise error.within(key) from None
+                    raise error.within(".".join(map(str, keys))) from None
             if draw is not None:
                 yield keys, draw
             elif isinstance(value, dict):
@@ -616,6 +671,9 @@ class Recipe:
         require = self.config.require
         if require.clean and (findings := check_scene(scene, quick=True)):
             raise _Unmet("require.clean", str(findings[0]))
+        bodies = [str(human.body) for human in scene.config.humans.values()]
+        if twins := [body for body, count in Counter(filter(is_person, bodies)).items() if count > 1]:
+            raise _Unmet("pool", f"{twins[0]} is there twice: give a larger pool, or fewer people")
         if not require.cameras:
             return
         last = self.config.frames - 1
@@ -645,15 +703,14 @@ class Recipe:
     def _key_of(self, key: str | None) -> str:
         """Key of the recipe for a key of a drawn scene."""
         words = (key or "").split(".")
-        if self.config.ring is not None and words[0] == "cameras" and len(words) > 1:
-            inside = next(
-                (part for part in ("each", "camera") if words[2:3] and words[2] in getattr(self.config.ring, part)),
-                None,
+        given = self.config.scene.get("cameras")
+        named = given if isinstance(given, dict) else {}
+        if self.config.ring is not None and words[0] == "cameras" and words[1:] and words[1] not in named:
+            of = (
+                part for part in ("each", "camera") if set(words[2:3]) & set(getattr(self.config.ring, part))
             )
-            given = self.config.scene.get("cameras")
-            if words[1] not in (given if isinstance(given, dict) else {}):
-                return ".".join(["ring", *([inside, words[2]] if inside else [])])
-        if words[0] in ("ring",):
+            words = ["ring", *(f"{part}.{words[2]}" for part in of)][:2]
+        if words[0] == "ring":
             return ".".join(words)
         return ".".join(["scene", *filter(None, words)])
 
@@ -672,9 +729,6 @@ class Recipe:
         return ExportError(
             message, path=self.path, line=line_of(self.tree, key.split(".")), key=".".join(known) or None
         )
-
-    def _locating(self, key: str) -> Any:
-        return located(ExportError, self.path, line_of(self.tree, [key]), key)
 
 
 class _Draws:

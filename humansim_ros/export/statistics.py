@@ -98,7 +98,9 @@ class StatisticsWriter(FormatWriter):
     @cached_property
     def _limits(self) -> dict[str, JointLimits]:
         """What measures the poses of each person."""
-        return {name: load_limits(skeleton=human.skeleton) for name, human in self.settings.scene.humans.items()}
+        return {
+            name: load_limits(skeleton=human.skeleton) for name, human in self.settings.scene.humans.items()
+        }
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Values of a frame by quantity."""
@@ -164,7 +166,7 @@ def traits(config: HumanConfig, human: Human | None) -> dict[str, Any]:
         person = read_person(body)
         known |= {"age": round(person.age, 1), "sex": person.sex, "stature": round(person.stature, 3)}
         known |= {"weight": round(person.weight, 1), "skin": person.tone}
-        known["clothes"] = [person.clothes.top, person.clothes.bottom, person.clothes.hair]
+        known["clothes"] = [person.clothes.top, person.clothes.bottom]
     elif human is not None:
         heights = human.mesh.vertices[:, 1]
         known |= {"stature": round(float(heights.max() - heights.min()), 3), "clothes": [human.outfit]}

@@ -186,7 +186,6 @@ def _export_recipe(
         ),
         "scenes",
     )
-    images = recipe.config.frames
     if not state.new:
         print_text(f"{output}: all {total} scenes are written already")
         return

@@ -120,104 +120,64 @@ def _creator(name: str) -> dict[str, str]:
 # -- answers, for both pages
 
 
-def _answers(summary: DataSetSummary) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """Questions and answers by section."""
-    config, totals = summary.config, summary.totals
-    about, require = config.about, config.require
-    yield (
-        "Motivation",
-        [
-            ("For what purpose was it made?", about.description or "The recipe does not say."),
-            ("Who made it?", ", ".join(about.creators) or "The recipe does not say."),
-        ],
-    )
+#: What holds for all data sets.
+_TRUTH = "The truth is computed; images have the noise of the sensors."
+_PURPOSE = "Training and tests of detectors, trackers, and pose estimators with one or many cameras."
+_LIMITS = """People are rendered: skin, cloth and light are simpler than in photographs, so test on real
+images as well. Statures and weights of drawn people follow a survey of the United States; skin tones, hair
+and clothes are spread without a source. Motions are a small number of recordings and built activities."""
+
+
+def _answers(summary: DataSetSummary) -> dict[str, dict[str, str]]:
+    """Answers by section and question."""
+    config, totals, about = summary.config, summary.totals, summary.config.about
+    unknown, require, missing = "The recipe does not say.", config.require, config.scenes - totals.scenes
     drawn = sum("age" in person for person in totals.people.values())
-    yield (
-        "Composition",
-        [
-            (
-                "What do the instances represent?",
-                f"Images of virtual people, {config.frames} frames of each of {totals.scenes} scenes.",
-            ),
-            (
-                "What does each instance have?",
-                "A colour image, the calibration and pose of its camera, and of each visible person box, "
-                f"visible share and the keypoints {config.keypoints}"
-                + (f"; in further files {', '.join(config.formats)}." if config.formats else "."),
-            ),
-            (
-                "Is anything missing?",
-                f"{config.scenes - totals.scenes} of {config.scenes} scenes could not be drawn."
-                if config.scenes > totals.scenes
-                else "No.",
-            ),
-            (
-                "Are there splits?",
-                f"{', '.join(config.splits)}: no scene and no body is in two of them."
-                if len(config.splits) > 1
-                else "No.",
-            ),
-            (
-                "Does it identify people or sub-populations?",
-                f"Nobody is real. {drawn} of {len(totals.people)} people are drawn by seed; statistics.json of "
-                + "a scene has their age, sex, stature and skin tone.",
-            ),
-            (
-                "Are there errors or noise?",
-                "The truth is computed. Images have the noise of the sensor models.",
-            ),
-        ],
-    )
+    files = f"; in further files {', '.join(config.formats)}" if config.formats else ""
     wanted = [f"at least {require.cameras} cameras see each person"] if require.cameras else []
     wanted += ["scenes have no finding of humansim check"] if require.clean else []
-    yield (
-        "Collection",
-        [
-            (
-                "How was it made?",
-                f"Drawn from the recipe {config.recipe} with seed {config.seed}, and rendered. Versions: "
-                + ", ".join(f"{name} {value}" for name, value in summary.versions.items())
-                + ". The same recipe and versions give the same files.",
-            ),
-            (
-                "How were scenes chosen?",
-                f"All that fulfil the recipe: {'; '.join(wanted)}. Others were drawn anew, which shifts the "
-                "distributions of the recipe."
-                if wanted
-                else "As drawn, without a choice.",
-            ),
-        ],
-    )
-    yield (
-        "Uses and limits",
-        [
-            (
-                "What is it for?",
-                "Training and tests of detectors, trackers, and pose estimators with one or many cameras.",
-            ),
-            (
-                "What must be kept in mind?",
-                "People are rendered: skin, cloth and light are simpler than in photographs, so test on real "
-                + "images as well. Statures and weights of drawn people follow a survey of the United States; "
-                + "skin tones, hair and clothes are spread evenly and have no source. Motions are a small "
-                + "number of recordings and built activities.",
-            ),
-        ],
-    )
+    made_with = ", ".join(f"{name} {value}" for name, value in summary.versions.items())
     links = [name if name == url else f"{name} ({url})" for name, url in summary.license_links.items()]
-    yield (
-        "Distribution and maintenance",
-        [
-            ("Under which licence?", ", ".join(links) or "The recipe states none."),
-            ("How is it cited?", summary.card["citeAs"]),
-            (
-                "Which version is this?",
-                f"{about.version}{f', {about.date}' if about.date else ''}. A new version has a new number; "
-                + "SHA256SUMS has the hash of each file.",
-            ),
-            *([("Where is it?", about.url)] if about.url else []),
-        ],
-    )
+    return {
+        "Motivation": {
+            "For what purpose was it made?": about.description or unknown,
+            "Who made it?": ", ".join(about.creators) or unknown,
+        },
+        "Composition": {
+            "What do the instances represent?": f"Images of virtual people: {config.frames} frames of each "
+            f"of {totals.scenes} scenes, from all cameras.",
+            "What does each instance have?": "A colour image, the calibration and pose of its camera, and of "
+            f"each visible person box, visible share and the keypoints {config.keypoints}{files}.",
+            "Is anything missing?": f"{missing} of {config.scenes} scenes could not be drawn."
+            if missing
+            else "No.",
+            "Are there splits?": f"{', '.join(config.splits)}: no scene and no body is in two of them."
+            if len(config.splits) > 1
+            else "No.",
+            "Does it identify people?": f"Nobody is real. {drawn} of {len(totals.people)} people are drawn "
+            "by seed; statistics.json of a scene has their age, sex, stature and skin tone.",
+            "Are there errors or noise?": _TRUTH,
+        },
+        "Collection": {
+            "How was it made?": f"Drawn from the recipe {config.recipe} with seed {config.seed}, and "
+            f"rendered. Versions: {made_with}. The same recipe and versions give the same files.",
+            "How were scenes chosen?": f"So that {' and '.join(wanted)}. Others were drawn anew, which "
+            "shifts the distributions of the recipe."
+            if wanted
+            else "As drawn, without a choice.",
+        },
+        "Uses and limits": {
+            "What is it for?": _PURPOSE,
+            "What must be kept in mind?": " ".join(_LIMITS.split()),
+        },
+        "Distribution and maintenance": {
+            "Under which licence?": ", ".join(links) or "The recipe states none.",
+            "How is it cited?": summary.card["citeAs"],
+            "Which version is this?": f"{about.version}{f', {about.date}' if about.date else ''}. A new "
+            "version has a new number; SHA256SUMS has the hash of each file.",
+            **({"Where is it?": about.url} if about.url else {}),
+        },
+    }
 
 
 def _split_rows(summary: DataSetSummary) -> list[list[str]]:
@@ -247,7 +207,7 @@ def datasheet(summary: DataSetSummary) -> str:
         "poses": sum(totals.histograms["knee.flexion"].values()) // 2,
     }
     facts = [about.version, about.date, ", ".join(about.creators), about.license]
-    answers = dict(_answers(summary))
+    answers = _answers(summary)
     plots = dict(_plots(summary))
     return page(
         summary.title,
@@ -274,9 +234,9 @@ def datasheet(summary: DataSetSummary) -> str:
     )
 
 
-def _answered(title: str, rows: Sequence[tuple[str, str]], summary: DataSetSummary) -> Markup:
+def _answered(title: str, rows: Mapping[str, str], summary: DataSetSummary) -> Markup:
     """A section with questions and answers."""
-    parts = [joined([element("h3", question), element("p", text)]) for question, text in rows]
+    parts = [joined([element("h3", question), element("p", text)]) for question, text in rows.items()]
     if title == "Composition":
         parts.append(table(_SPLIT_HEADER, _split_rows(summary)))
     return section(title, joined(parts))
@@ -481,9 +441,9 @@ def readme(summary: DataSetSummary) -> str:
         + (f", and {', '.join(summary.config.formats)}" if summary.config.formats else "")
         + ". `sha256sum -c --quiet SHA256SUMS` checks all files."
     )
-    for title, rows_of in _answers(summary):
+    for title, answers in _answers(summary).items():
         text.append(f"## {title}")
-        text += [f"**{question}** {answer}" for question, answer in rows_of]
+        text += [f"**{question}** {answer}" for question, answer in answers.items()]
     return "\n\n".join(text) + "\n"
 
 

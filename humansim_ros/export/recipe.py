@@ -429,6 +429,7 @@ class Recipe:
                 check()
             except HumansimError as error:
                 raise recipe._error(key, error.message) from None
+        recipe._check_pool()
         draws = list(recipe._draws())
         recipe = cls(recipe.path, config, tree, recipe._split_bodies())
         recipe._check_ends(draws)
@@ -546,7 +547,7 @@ class Recipe:
         """Bodies to choose from, by key; those of drawn people are not named."""
         for section in ("variety", "crowd"):
             content = self.config.scene.get(section)
-            if isinstance(content, dict) and not content.get("people"):
+            if isinstance(content, dict) and content.get("people") is None:
                 key = (*("scene", section), *(("bodies",) if "bodies" in content else ()))
                 yield key, sorted(set(_texts(content.get("bodies") or built_in_names("humans"))))
         humans = self.config.scene.get("humans")
@@ -557,6 +558,17 @@ class Recipe:
     def is_of_split(self, body: str, number: int) -> bool:
         """Whether a body may be in a scene."""
         return self.split_of_body.get(body, self.splits[number]) == self.splits[number]
+
+    def _check_pool(self) -> None:
+        """Check that each split has somebody of the pool. Raises ExportError."""
+        if self.config.pool is None:
+            return
+        variety = self.config.scene.get("variety")
+        if not isinstance(variety, dict) or "people" not in variety:
+            raise self._error("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
+        missing = set(self.config.splits) - set(_shared(self.config.splits, self.config.pool))
+        if missing := sorted(name for name in missing if self.config.splits[name]):
+            raise self._error("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
 
     def _share_pool(self, variety: Any, number: int) -> None:
         """Give a scene the people of the pool that are of its split, in place of new ones."""
@@ -581,7 +593,7 @@ class Recipe:
 
     def _share_bodies(self, section: Any, name: str, number: int) -> None:
         """Leave the bodies of a section that are of the split of a scene."""
-        if self.split_of_body and isinstance(section, dict) and not section.get("people"):
+        if self.split_of_body and isinstance(section, dict) and section.get("people") is None:
             bodies = section.get("bodies") or built_in_names("humans")
             kept = [body for body in bodies if self.is_of_split(body, number)]
             if not kept:

@@ -227,7 +227,7 @@ def write_data_set(
             failures[each.number] = each.failure
             done = progress.new + 1
             if len(failures) >= _GIVEN_UP and len(failures) > done / 2:
-                raise ExportError(_failed_text(failures, f"{done} scenes; given up"))
+                raise ExportError(f"{_failed_text(failures, done)}, and the rest is given up")
         return each.size
 
     if numbers and ray is None:
@@ -238,14 +238,17 @@ def write_data_set(
         failures |= _write_on_cluster(data_set, numbers, ray, jobs, progress, on_progress)
     _finish(data_set, failures)
     if failures:
-        raise ExportError(_failed_text(failures, f"{data_set.recipe.config.scenes} scenes"))
+        raise ExportError(_failed_text(failures, data_set.recipe.config.scenes))
     return progress
 
 
-def _failed_text(failures: Mapping[int, str], of: str) -> str:
-    first = failures[min(failures)]
+def _failed_text(failures: Mapping[int, str], count: int) -> str:
+    """Text about scenes that failed. ``count``: number of scenes that were tried."""
     listed = some_of(sorted(failures))
-    return f"{first}\n{len(failures)} of {of} could not be written: {listed}; the others are whole"
+    return (
+        f"{failures[min(failures)]}\n{len(failures)} of {count} scenes could not be written ({listed}); the "
+        "others are whole"
+    )
 
 
 def _write_on_cluster(

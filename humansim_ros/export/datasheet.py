@@ -303,7 +303,7 @@ def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
 def _numbers(title: str, unit: str, values: Sequence[float], low: float, width: float, bins: int) -> Markup:
     """Histogram of some values."""
     numbers = np.clip(np.floor((np.array(values) - low) / width + 1e-9), 0, bins - 1).astype(int)
-    return _columns(title, unit, Counter(numbers.tolist()), low, width, (0, bins))
+    return _columns(title, unit, "people", Counter(numbers.tolist()), low, width, (0, bins))
 
 
 def _histogram(name: str, totals: Totals) -> Markup:
@@ -311,11 +311,17 @@ def _histogram(name: str, totals: Totals) -> Markup:
     row, counts = HISTOGRAMS[name], totals.histograms[name]
     used = sorted(number for number, count in counts.items() if count)
     span = (used[0], used[-1] + 1) if used else (0, 1)
-    return _columns(f"{row.title}, by {row.of}", row.unit, counts, row.low, row.width, span)
+    return _columns(row.title, row.unit, row.of, counts, row.low, row.width, span)
 
 
 def _columns(
-    title: str, unit: str, counts: Mapping[int, int], low: float, width: float, span: tuple[int, int]
+    title: str,
+    unit: str,
+    of: str,
+    counts: Mapping[int, int],
+    low: float,
+    width: float,
+    span: tuple[int, int],
 ) -> Markup:
     """Columns of the bins from the first up to, but not including, the last of a span."""
     first, last = span
@@ -333,7 +339,7 @@ def _columns(
     for number in range(first, last + (not is_count), max(1, -(-(last - first) // 6))):
         x = _MARGIN + step * (number - first + 0.5 * is_count)
         shapes.append(_text(f"{low + number * width:.4g}", x, bottom + 14, "middle"))
-    shapes.append(_note(counts, most, unit))
+    shapes.append(_note(counts, most, of, unit))
     return svg(shapes, _WIDTH, _HEIGHT)
 
 
@@ -347,18 +353,21 @@ def _text(text: str, x: float, y: float, anchor: str = "start", color: str = _PA
     )
 
 
-def _note(counts: Mapping[int, int], most: int, unit: str = "") -> Markup:
+def _note(counts: Mapping[int, int], most: int, of: str, unit: str = "") -> Markup:
     """Text below columns."""
     total = sum(counts.values())
-    text = f"{f'{unit}, ' if unit else ''}{total:,} in all, highest column {most:,}" if total else "no data"
+    text = (
+        f"{f'{unit}, ' if unit else ''}{total:,} {of}, {most:,} in the highest column" if total else "no data"
+    )
     return _text(text, _MARGIN, _HEIGHT - 5)
 
 
 def _bars(title: str, counts: Mapping[str, int]) -> Markup:
     """Bars of the most frequent words."""
     rows = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    left = sum(count for _, count in rows[_MOST_ROWS:])
-    rows = rows[:_MOST_ROWS] + ([(f"{len(rows) - _MOST_ROWS} others", left)] if left else [])
+    if len(rows) > _MOST_ROWS + 1:
+        left = sum(count for _, count in rows[_MOST_ROWS:])
+        rows = [*rows[:_MOST_ROWS], (f"{len(rows) - _MOST_ROWS} others", left)]
     most = max((count for _, count in rows), default=0) or 1
     shapes = [_title(title)] if rows else [_title(title), _text("no data", _MARGIN, 40)]
     for number, (name, count) in enumerate(rows):
@@ -366,7 +375,7 @@ def _bars(title: str, counts: Mapping[str, int]) -> Markup:
         shapes.append(_text(name[:22], 132, y, "end", _INK))
         shapes.append(element("rect", x=140, y=y - 10, width=width, height=12, fill=_BAR))
         shapes.append(_text(f"{count:,}", 146 + width, y))
-    return svg(shapes, _WIDTH, max(_HEIGHT, 40 + 18 * len(rows)))
+    return svg(shapes, _WIDTH, 48 + 18 * len(rows))
 
 
 def _skin(counts: Mapping[int, int]) -> Markup:
@@ -391,7 +400,7 @@ def _skin(counts: Mapping[int, int]) -> Markup:
                 )
             )
         shapes.append(_text(str(number), x + step / 2, bottom + 20, "middle"))
-    return svg([*shapes, _note(counts, most)], _WIDTH, _HEIGHT)
+    return svg([*shapes, _note(counts, most, "people")], _WIDTH, _HEIGHT)
 
 
 def _ranges(totals: Totals) -> Markup:

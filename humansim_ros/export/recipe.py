@@ -566,8 +566,8 @@ class Recipe:
         variety = self.config.scene.get("variety")
         if not isinstance(variety, dict) or "people" not in variety:
             raise self._error("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
-        missing = set(self.config.splits) - set(_shared(self.config.splits, self.config.pool))
-        if missing := sorted(name for name in missing if self.config.splits[name]):
+        given = set(_shared(self.config.splits, self.config.pool))
+        if missing := [name for name, share in self.config.splits.items() if share and name not in given]:
             raise self._error("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
 
     def _share_pool(self, variety: Any, number: int) -> None:

@@ -48,7 +48,7 @@ class Histogram:
     Attributes:
         title: What is counted, for people.
         unit: Its unit; empty for a share or a number.
-        of: What is counted once: ``person`` in an image, ``image``, ``camera``, ``scene`` or ``pose``.
+        of: What has it, for people.
         low: Start of the first bin; smaller values are in it.
         width: Width of a bin.
         bins: Number of bins; larger values are in the last.
@@ -76,19 +76,19 @@ class Histogram:
 
 #: All quantities by the key of the file.
 HISTOGRAMS = {
-    "people": Histogram("People with visible pixels", "", "image", 0, 1, 31),
-    "visible": Histogram("Visible share of a person", "", "person", 0, 0.05, 20),
-    "truncation": Histogram("Share of the box outside the image", "", "person", 0, 0.05, 20),
-    "height": Histogram("Height of a person in the image", "px", "person", 0, 25, 40),
-    "distance": Histogram("Distance of a person from the camera", "m", "person", 0, 0.5, 40),
-    "elevation": Histogram("Elevation of the camera, seen from the hips", "°", "person", -90, 5, 36),
-    "heading": Histogram("Side of the person: 0 front, 180 back", "°", "person", -180, 30, 12),
-    "brightness": Histogram("Mean brightness of an image", "", "image", 0, 0.05, 20),
-    "cameras": Histogram("Cameras of a scene", "", "scene", 0, 1, 33),
-    "camera_height": Histogram("Height of a camera", "m", "camera", 0, 0.25, 24),
-    "fov": Histogram("Horizontal field of view", "°", "camera", 0, 10, 18),
-    "sun": Histogram("Elevation of the sun", "°", "scene", -90, 10, 18),
-    **{name: Histogram(title, "°", "pose", -180, 5, 72) for name, title in ANGLES.items()},
+    "people": Histogram("People with visible pixels", "", "images", 0, 1, 31),
+    "visible": Histogram("Visible share of a person", "", "people in images", 0, 0.05, 20),
+    "truncation": Histogram("Share of the box outside the image", "", "people in images", 0, 0.05, 20),
+    "height": Histogram("Height of a person in the image", "px", "people in images", 0, 25, 40),
+    "distance": Histogram("Distance of a person from the camera", "m", "people in images", 0, 0.5, 40),
+    "elevation": Histogram("Elevation of the camera from the hips", "°", "people in images", -90, 5, 36),
+    "heading": Histogram("Side that is seen: 0 front, 180 back", "°", "people in images", -180, 30, 12),
+    "brightness": Histogram("Mean brightness of an image", "", "images", 0, 0.05, 20),
+    "cameras": Histogram("Cameras of a scene", "", "scenes", 0, 1, 33),
+    "camera_height": Histogram("Height of a camera", "m", "cameras", 0, 0.25, 24),
+    "fov": Histogram("Horizontal field of view", "°", "cameras", 0, 10, 18),
+    "sun": Histogram("Elevation of the sun", "°", "scenes", -90, 10, 18),
+    **{name: Histogram(title, "°", "joints", -180, 5, 72) for name, title in ANGLES.items()},
 }
 
 
@@ -166,7 +166,8 @@ def traits(config: HumanConfig, human: Human | None) -> dict[str, Any]:
         person = read_person(body)
         known |= {"age": round(person.age, 1), "sex": person.sex, "stature": round(person.stature, 3)}
         known |= {"weight": round(person.weight, 1), "skin": person.tone}
-        known["clothes"] = [person.clothes.top, person.clothes.bottom]
+        worn = (person.clothes.top, person.clothes.bottom)
+        known["clothes"] = [name for name in worn if name != "none"]
     elif human is not None:
         heights = human.mesh.vertices[:, 1]
         known |= {"stature": round(float(heights.max() - heights.min()), 3), "clothes": [human.outfit]}

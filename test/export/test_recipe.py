@@ -218,7 +218,7 @@ def test_a_recipe_that_cannot_be_met_names_the_line_to_blame(tmp_path: Path) -> 
     assert error.key == "require.pixels" and "scene 1 (test) cannot be drawn: 3 of 3 draws" in error.message
     assert error.line and "pixels" in path.read_text().splitlines()[error.line - 1]
     # more people than there is room for
-    crowded = {"count": 40, "motions": ["walk"], "area": [0, 0, 1, 1]}
+    crowded = {"count": 4, "motions": ["wave"], "area": [0, 0, 0.1, 0.1]}
     with pytest.raises(ExportError, match="2 of 2 draws") as caught:
         recipe(tmp_path, attempts=2, scene__variety=crowded).draw(0)
     assert caught.value.key == "scene.variety.count"

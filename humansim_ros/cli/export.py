@@ -45,7 +45,6 @@ def export(
     output: Annotated[
         str, output_option("DIR", "Folder, which must not exist; with --ray one that all hosts share.")
     ],
-    context: typer.Context,
     scene: Annotated[
         Path | None, typer.Argument(help="Scene file (YAML), recipe or bag; the demo scene if absent.")
     ] = None,
@@ -117,7 +116,17 @@ def export(
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
     if scene is not None and is_recipe(scene):
-        _refuse_options(context)
+        given = {
+            "--format": ("formats", bool(formats)),
+            "--frames": ("frames", frames is not None),
+            "--range": ("frames", range_ is not None),
+            "--keypoints": ("keypoints", keypoints != "coco17"),
+            "--images": ("images", images is not _ImageFormat.png),
+            "--license": ("about.license", bool(license_)),
+        }
+        for option, (key, is_given) in given.items():
+            if is_given:
+                raise ExportError(f"the recipe has it: set its key {key}", key=option)
         _export_recipe(scene, Path(output), scenes, jobs or cores(), resume, ray)
         return
     if scenes is not None:
@@ -141,30 +150,6 @@ def export(
         _export(job, jobs or cores(), resume)
     else:
         _export_on_ray(job, ray, jobs, shard_frames, resume)
-
-
-#: Options that a recipe has as keys.
-_IN_RECIPE = {
-    "formats": "formats",
-    "frames": "frames",
-    "range_": "frames",
-    "keypoints": "keypoints",
-    "images": "images",
-    "license_": "about.license",
-    "shard_size": "",
-    "shard_frames": "",
-}
-
-
-def _refuse_options(context: typer.Context) -> None:
-    """Refuse options that a recipe has as keys, and those of single scenes."""
-    for parameter in context.command.params:
-        name = parameter.name or ""
-        source = context.get_parameter_source(name)
-        if name in _IN_RECIPE and source is not None and source.name == "COMMANDLINE":
-            key = _IN_RECIPE[name]
-            text = f"the recipe has it: set its key {key}" if key else "is for a scene or bag"
-            raise ExportError(text, key=parameter.opts[0])
 
 
 def _export_recipe(

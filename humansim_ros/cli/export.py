@@ -116,7 +116,7 @@ def export(
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
     if scene is not None and is_recipe(scene):
-        given = {
+        recipe_keys = {
             "--format": ("formats", bool(formats)),
             "--frames": ("frames", frames is not None),
             "--range": ("frames", range_ is not None),
@@ -124,7 +124,7 @@ def export(
             "--images": ("images", images is not _ImageFormat.png),
             "--license": ("about.license", bool(license_)),
         }
-        for option, (key, is_given) in given.items():
+        for option, (key, is_given) in recipe_keys.items():
             if is_given:
                 raise ExportError(f"the recipe has it: set its key {key}", key=option)
         _export_recipe(scene, Path(output), scenes, jobs or cores(), resume, ray)

@@ -42,7 +42,7 @@ from humansim_ros.humans.makehuman.population import PeopleLimits, is_person, pe
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.io.files import exists
 from humansim_ros.io.schema import Section, Share
-from humansim_ros.io.schema_errors import Expected, validated
+from humansim_ros.io.schema_errors import Expected, show_value, validated
 from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.motion.files import find_motion
@@ -508,9 +508,9 @@ class Recipe:
             HumansimError: A drawn value is wrong; SceneError has the key in the scene.
         """
         draws = _Draws(self, number, attempt, given or {})
-        scene = draws.value(self.config.scene, ("scene",))
+        scene = _mapping(draws.value(self.config.scene, ("scene",)), "")
         if self.config.ring is not None:
-            cameras = scene.get("cameras") or {}
+            cameras = _mapping(scene.get("cameras") or {}, "cameras")
             scene["cameras"] = {**draws.ring(self.config.ring, scene), **cameras}
         self._share_pool(scene.get("variety"), number)
         for section in ("variety", "crowd"):
@@ -618,23 +618,24 @@ class Recipe:
                 self._try({keys: value})
 
     def _draws(self) -> Iterator[tuple[Keys, Draw]]:
-        """All distributions by key. Raises ExportError if one is wrong."""
-        pending: list[tuple[Keys, Any]] = [(("scene",), self.config.scene)]
+        """Distributions by key, without those in choices. Raises ExportError if one is wrong."""
+        pending: list[tuple[Keys, Any, bool]] = [(("scene",), self.config.scene, False)]
         if self.config.ring is not None:
-            pending.append((("ring",), dict(self.config.ring)))
+            pending.append((("ring",), dict(self.config.ring), False))
         while pending:
-            keys, value = pending.pop()
+            keys, value, is_inner = pending.pop()
             with located(ExportError, self.path, line_of(self.tree, keys)):
                 try:
                     draw = draw_at(value)
                 except ExportError as error:
                     raise error.within(".".join(map(str, keys))) from None
-            if draw is not None:
+            if draw is not None and not is_inner:
                 yield keys, draw
-            elif isinstance(value, dict):
-                pending += [((*keys, name), part) for name, part in value.items()]
+            is_inner |= draw is not None
+            if isinstance(value, dict):
+                pending += [((*keys, name), part, is_inner) for name, part in value.items()]
             elif isinstance(value, (list, tuple)):
-                pending += [((*keys, number), part) for number, part in enumerate(value)]
+                pending += [((*keys, number), part, is_inner) for number, part in enumerate(value)]
 
     def _try(self, given: Mapping[Keys, Any]) -> None:
         """Check a scene with given values, and that its files exist."""
@@ -676,7 +677,7 @@ class Recipe:
         for word in key.split("."):
             value = value.get(word) if isinstance(value, dict) else None
         words = list(value) if isinstance(value, dict) else []
-        return did_you_mean(words[0], DRAWS) if len(words) == 1 and words[0] not in DRAWS else ""
+        return did_you_mean(str(words[0]), DRAWS) if len(words) == 1 and words[0] not in DRAWS else ""
 
     def _check(self, scene: Scene) -> None:
         """Check that a scene fulfils the recipe; raises _Unmet."""
@@ -807,10 +808,17 @@ class _Draws:
             cameras[f"camera_{index + 1}"] = {
                 "position": _inside_room(point, scene),
                 "look_at": list(place.look_at),
-                **shared,
-                **drawn("each"),
+                **_mapping(shared, "ring.camera"),
+                **_mapping(drawn("each"), "ring.each"),
             }
         return cameras
+
+
+def _mapping(value: Any, key: str) -> dict[str, Any]:
+    """A drawn value that must be a mapping. Raises SceneError with a key."""
+    if not isinstance(value, dict):
+        raise SceneError(f"give a mapping of keys to values; found {show_value(value)}", key=key)
+    return value
 
 
 def _of_ring(model: type[Any], values: Mapping[str, Any]) -> Any:

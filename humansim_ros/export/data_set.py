@@ -22,7 +22,7 @@ from humansim_ros.export.croissant import CARD, data_set_card
 from humansim_ros.export.datasheet import DataSetSummary, datasheet, example_paths, readme
 from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.huggingface import METADATA
-from humansim_ros.export.plan import INDEX, ExportPlan, read_index
+from humansim_ros.export.plan import DATA_SET_KEY, INDEX, ExportPlan, read_index
 from humansim_ros.export.recipe import DrawnScene, Recipe
 from humansim_ros.export.source import SimulatedSource, versions
 from humansim_ros.export.statistics import STATISTICS, Totals
@@ -35,8 +35,8 @@ from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.source import found_name
 
-#: Key of the index of a data set, and version of its layout.
-_KEY, _LAYOUT = "humansim_data_set", 1
+#: Version of the layout of the index.
+_LAYOUT = 1
 #: Files of the whole data set: hashes for ``sha256sum -c``, page of Hugging Face, datasheet.
 HASHES, README, DATASHEET = "SHA256SUMS", "README.md", "datasheet.html"
 #: The scene in its folder.
@@ -189,7 +189,7 @@ def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
     # the configuration without the people of variety and crowd, who follow from their seeds
     config = recipe.scene(drawn.number, drawn.attempt)
     content = map_files(config.model_dump(exclude_unset=True), renamed)
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
     origin = f"scene {drawn.number} of the recipe {recipe.config.recipe} with seed {recipe.config.seed}"
     return f"# {origin}, draw {drawn.attempt + 1}\n{text}"
 
@@ -299,7 +299,7 @@ def _unwritten(data_set: DataSet, resume: bool) -> Sequence[int]:
 def read_data_set(root: Path) -> dict[str, Any]:
     """Content of the index of a data set. Raises ExportError if the folder has none."""
     index = read_json(root / INDEX, ExportError, "index", ANY_SIZE)
-    if not isinstance(index, dict) or index.get(_KEY) != _LAYOUT:
+    if not isinstance(index, dict) or index.get(DATA_SET_KEY) != _LAYOUT:
         raise ExportError("this is not the index of a data set of this version", path=root / INDEX)
     return index
 
@@ -311,7 +311,7 @@ def _begin(data_set: DataSet) -> None:
 
 
 def _write_index(data_set: DataSet, folder: ExportFolder, **more: Any) -> None:
-    folder.write(INDEX, json.dumps({_KEY: _LAYOUT, "plan": data_set.plan, **more}, indent=1) + "\n")
+    folder.write(INDEX, json.dumps({DATA_SET_KEY: _LAYOUT, "plan": data_set.plan, **more}, indent=1) + "\n")
 
 
 def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:

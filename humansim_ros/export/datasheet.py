@@ -107,14 +107,14 @@ class DataSetSummary:
             "citeAs": citation,
             "version": about.version,
             **({"license": list(self.license_links.values())} if self.license_links else {}),
-            **({"creator": [_creator(name) for name in about.creators]} if about.creators else {}),
+            **(
+                {"creator": [{"@type": "sc:Person", "name": name} for name in about.creators]}
+                if about.creators
+                else {}
+            ),
             **({"datePublished": about.date} if about.date else {}),
             **({"url": about.url} if about.url else {}),
         }
-
-
-def _creator(name: str) -> dict[str, str]:
-    return {"@type": "sc:Organization" if name.isupper() else "sc:Person", "name": name}
 
 
 # -- answers, for both pages

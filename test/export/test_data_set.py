@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from conftest import ROOT
 from test_recipe import written
 
 from humansim_ros import Scene, Simulation
@@ -27,7 +28,7 @@ from humansim_ros.errors import ExportError
 from humansim_ros.export.data_set import DataSet, SceneResult, SceneWorker, write_data_set
 from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.formats import chosen_formats
-from humansim_ros.export.plan import ExportPlan
+from humansim_ros.export.plan import ExportPlan, read_index
 from humansim_ros.export.recipe import Recipe
 from humansim_ros.export.source import SimulatedSource
 from humansim_ros.export.statistics import HISTOGRAMS, Totals
@@ -37,7 +38,13 @@ CHANGES: dict[str, Any] = {
     "splits": {"train": 2, "test": 1},
     "formats": ["trc"],
     "scene.variety.count": 1,
-    "about": {"title": "Tiny <set>", "license": "CC-BY-4.0", "creators": ["Ann Other"], "date": "2026-11-28"},
+    "about": {
+        "title": "Tiny <set>",
+        "license": "CC-BY-4.0",
+        "creators": ["Ann Other"],
+        "date": "2026-11-28",
+        "url": "https://example.org",
+    },
 }
 
 
@@ -244,6 +251,8 @@ def test_a_recipe_that_no_scene_fulfils_is_given_up(tmp_path: Path, monkeypatch:
 def test_folders_of_others_are_refused(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="this path exists"):
         write_data_set(data_set(tmp_path, whole))
+    with pytest.raises(ExportError, match=r"a data set of many scenes: .* such as train/scene_000000"):
+        read_index(whole)
     for changes, text in (
         ({"seed": 6}, "the recipe has changed; seed: 5 there, 6 now"),
         ({"frames": 3}, "recipe"),
@@ -281,6 +290,20 @@ def test_options_that_a_recipe_has_are_refused(
     monkeypatch.setattr(sys, "argv", ["humansim", "export", str(path), "-o", str(root), *words])
     assert main() == 2
     assert text in capsys.readouterr().err and not root.exists()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("judge", ["datasets", "mlcroissant"])
+def test_the_programs_of_their_fields_read_it_without_warnings(judge: str, whole: Path) -> None:
+    pytest.importorskip(judge, reason=f"{judge} is not installed")
+    tool = "tools/exports/with_huggingface.py" if judge == "datasets" else "tools/check_export.py"
+    done = subprocess.run([sys.executable, ROOT / tool, whole], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    if judge == "datasets":
+        assert lines[:2] == ["train: 8 images with 8 people", "test: 4 images with 4 people"]
+    else:
+        assert lines == ["splits: 2 records", "images: 12 records", "metadata: 12 records", "no warnings"]
 
 
 @pytest.mark.nightly

@@ -350,7 +350,14 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
             _write_pages(summary, folder)
             files = {name: folder.written[name] for name in sorted(folder.written)}
             more = {"finished": True, "about": summary.card, "splits": _counts(parts)}
-            _write_index(data_set, folder, **more, failed=_named(failures), scenes=scenes, files=files)
+            _write_index(
+                data_set,
+                folder,
+                **more,
+                failed=_named(failures, data_set.recipe.path.parent),
+                scenes=scenes,
+                files=files,
+            )
             entries = files | {INDEX: folder.written[INDEX]}
             hashes.writelines(f"{entry['sha256']}  {name}\n" for name, entry in entries.items())
 
@@ -384,5 +391,6 @@ def _counts(parts: Mapping[str, Totals]) -> dict[str, dict[str, int]]:
     }
 
 
-def _named(failures: Mapping[int, str]) -> dict[str, str]:
-    return {f"scene_{number:06d}": failures[number] for number in sorted(failures)}
+def _named(failures: Mapping[int, str], folder: Path) -> dict[str, str]:
+    """Reasons by scene, without the folder of the recipe."""
+    return {f"scene_{number:06d}": failures[number].replace(f"{folder}/", "") for number in sorted(failures)}

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from conftest import ROOT
 
 from humansim_ros.errors import ExportError
 from humansim_ros.export.recipe import DRAWS, ChoiceDraw, Recipe, draw_at, is_recipe
@@ -229,3 +231,43 @@ def test_a_drawn_scene_fulfils_the_recipe(tmp_path: Path) -> None:
     assert (
         drawn.split == "train" and drawn.scene.actors and set(drawn.scene.cameras) == {"camera_1", "camera_2"}
     )
+
+
+def test_findings_and_warnings_are_no_clean_scene(tmp_path: Path) -> None:
+    # three who walk cross each other in a square metre, which is a warning
+    crossing = {"count": 3, "motions": ["walk"], "area": [0, 0, 1, 1], "spacing": 0.1}
+    unclean = recipe(tmp_path, attempts=1, scene__variety=crossing, splits={"train": 1})
+    assert len(unclean.draw(0).scene.actors) == 3
+    clean = recipe(
+        tmp_path, attempts=1, scene__variety=crossing, splits={"train": 1}, require={"clean": True}
+    )
+    with pytest.raises(ExportError, match="variety") as caught:
+        clean.draw(0)
+    assert caught.value.key == "require.clean"
+    # a camera that sees nobody is a finding
+    away = {"attempts": 1, "ring.look_at": [90, 0, 1], "require": {"clean": True}}
+    with pytest.raises(ExportError, match="sees") as caught:
+        Recipe.load(written(tmp_path, away)).draw(0)
+    assert caught.value.key == "require.clean"
+
+
+@pytest.mark.nightly
+def test_nobody_of_a_pool_is_twice_in_a_scene(tmp_path: Path) -> None:
+    people = {"count": 2, "people": {"age": [20, 40]}, "motions": ["wave"]}
+    few = recipe(tmp_path, pool=2, scene__variety=people, attempts=2)
+    with pytest.raises(ExportError, match="is there twice") as caught:
+        few.draw(0)
+    assert caught.value.key == "pool"
+    names = {
+        str(h.body)
+        for h in recipe(tmp_path, pool=9, scene__variety=people).draw(0).scene.config.humans.values()
+    }
+    assert len(names) == 2
+
+
+def test_the_recipe_of_the_page_is_valid(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/datasets.md").read_text(), re.DOTALL)
+    path = tmp_path / "recipe.yaml"
+    path.write_text(block)
+    page = Recipe.load(path, 30)
+    assert [page.scene(number, 0).rate for number in range(30)] == 30 * [2]

@@ -53,7 +53,9 @@ def export(
     ] = None,
     scenes: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Number of scenes of a recipe, instead of its own.", min=1),
+        typer.Option(
+            metavar="N", help="Number of scenes of a recipe, instead of its own.", min=1, max=1_000_000
+        ),
     ] = None,
     frames: Annotated[
         int | None,

@@ -14,7 +14,8 @@ import yaml
 from conftest import ROOT
 
 from humansim_ros.errors import ExportError
-from humansim_ros.export.recipe import DRAWS, ChoiceDraw, Recipe, draw_at, is_recipe
+from humansim_ros.export.draws import DRAWS, ChoiceDraw, draw_at
+from humansim_ros.export.recipe import Recipe, is_recipe
 
 #: Two cameras around one or two people.
 RECIPE: dict[str, Any] = yaml.safe_load("""

@@ -686,14 +686,13 @@ def _of_ring(model: type[Any], values: Mapping[str, Any]) -> Any:
 def _inside_room(point: Sequence[float], scene: Mapping[str, Any]) -> list[float]:
     """A point that is moved away from walls and ceiling, if the scene has a room; millimetres."""
     room = scene.get("room", {})
-    size = np.array(point) * np.inf
     if isinstance(room, dict):
-        size = np.array(room.get("size", RoomConfig.model_fields["size"].default), dtype=object)
-        if size.shape != (3,) or not all(isinstance(side, (int, float)) for side in size):
+        size = room.get("size", RoomConfig.model_fields["size"].default)
+        try:
+            most = np.array(size, dtype=float) / (2, 2, 1) - _FROM_WALLS
+        except (TypeError, ValueError):
             return list(point)  # an error of the scene
-        half = np.array([size[0] / 2, size[1] / 2]) - _FROM_WALLS
-        x, y = np.clip(point[:2], -half, half).tolist()
-        point = (x, y, min(point[2], float(size[2]) - _FROM_WALLS))
+        point = np.clip(point, (-most[0], -most[1], -np.inf), most).tolist()
     return [round(value, 3) for value in point]
 
 

@@ -3,7 +3,8 @@
     humansim export --frames 60 -o walk --format mot,croissant
     python tools/check_export.py walk
 
-The truth, scored against itself, must have HOTA, MOTA and IDF1 of 1, and every image must be read. Both
+The truth, scored against itself, must have HOTA, MOTA and IDF1 of 1, every image must be read, and
+mlcroissant must find no error; its warnings are printed. The folder may be a data set of a recipe. Both
 programs may be in an environment of their own: pip install trackeval mlcroissant pillow
 """
 
@@ -63,17 +64,21 @@ def scores(root: Path) -> dict[str, dict[str, float]]:
     }
 
 
-def read_images(root: Path) -> dict[str, int]:
-    """Number of images that mlcroissant reads by record set. ``root``: folder of the export."""
+def read_records(root: Path) -> tuple[dict[str, int], list[str]]:
+    """Number of records that mlcroissant reads by record set, and its warnings.
+
+    ``root``: folder of the export.
+    """
     import mlcroissant
 
     dataset = mlcroissant.Dataset(str(root / "croissant.json"))
     sets = [row.uuid for row in dataset.metadata.record_sets]
-    return {name: sum(1 for _ in dataset.records(name)) for name in sets}
+    found = {name: sum(1 for _ in dataset.records(name)) for name in sets}
+    return found, sorted(dataset.metadata.ctx.issues.warnings)
 
 
 def main() -> None:
-    """Print the scores, and the numbers of images."""
+    """Print the scores, the numbers of records, and warnings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("export", type=Path, help="folder of the export")
     root: Path = parser.parse_args().export.resolve()
@@ -81,8 +86,10 @@ def main() -> None:
         for camera, found in scores(root).items():
             print(camera, ", ".join(f"{name} {value:.6f}" for name, value in found.items()))
     if (root / "croissant.json").exists():
-        for name, count in read_images(root).items():
-            print(f"{name}: {count} images")
+        records, warnings = read_records(root)
+        for name, count in records.items():
+            print(f"{name}: {count} records")
+        print("\n".join(warnings) or "no warnings")
 
 
 if __name__ == "__main__":

@@ -59,6 +59,7 @@ from humansim_ros.evaluate.readers.box_files import read_box_file  # noqa: E402
 from humansim_ros.evaluate.readers.detections import read_image_estimates  # noqa: E402
 from humansim_ros.evaluate.readers.estimates import ESTIMATE_SUFFIXES, read_estimates  # noqa: E402
 from humansim_ros.evaluate.readers.pose_files import ReadOptions  # noqa: E402
+from humansim_ros.export.recipe import Recipe  # noqa: E402
 from humansim_ros.humans.description import read_description  # noqa: E402
 from humansim_ros.humans.human import read_human  # noqa: E402
 from humansim_ros.humans.loading import make_human  # noqa: E402
@@ -212,6 +213,13 @@ def reading_scene(path: Path) -> None:
     assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.environment.mesh_files, *standing))
 
 
+def reading_recipe(path: Path) -> None:
+    """Read a recipe, and draw the configurations of its first scenes."""
+    recipe = Recipe.load(path, 3)
+    for number in range(3):
+        recipe.scene(number, 0)
+
+
 def reading_world(path: Path) -> None:
     """Read a mesh file of an environment."""
     for mesh in read_materials_z_up(path, None):
@@ -305,6 +313,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "colmap": (reading_colmap, "images.txt"),
     "trajectory": (reading_trajectory, "*.tum"),
     "scene": (reading_scene, "*.yaml"),
+    "recipe": (reading_recipe, "*.yaml"),
     "world obj": (reading_world, "*.obj"),
     "world glb": (reading_world, "*.glb"),
     "mtl": (reading_materials, "*.mtl"),
@@ -608,6 +617,7 @@ def as_json(*values: object) -> list[bytes]:
 
 SEEDS = {
     "scene": [SCENE],
+    "recipe": [(ROOT / "config" / "recipes" / "people.yaml").read_bytes()],
     "world obj": [OBJ],
     "world glb": [figures.glb(*figures.gltf()), figures.glb(*figures.gltf(**SHINY))],
     "mtl": [MATERIALS],
@@ -965,7 +975,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
             signal.setitimer(signal.ITIMER_PROF, 0)
             took = time.process_time() - start
             outcome.slowest = max(outcome.slowest, took)
-            allowed = _SECONDS_OF_SCENES if name in ("scene", "panorama") else _SECONDS
+            allowed = _SECONDS_OF_SCENES if name in ("scene", "recipe", "panorama") else _SECONDS
             if took > allowed + _SECONDS_PER_BYTE * len(data):
                 kind = "finding: slow"
                 outcome.findings.append((f"took {took:.1f} s for {len(data)} bytes", data))

@@ -45,11 +45,17 @@ def export(
     output: Annotated[
         str, output_option("DIR", "Folder, which must not exist; with --ray one that all hosts share.")
     ],
-    formats: Annotated[
-        list[str], list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
-    ],
     scene: Annotated[
-        Path | None, typer.Argument(help="Scene file (YAML) or bag; the demo scene if absent.")
+        Path | None, typer.Argument(help="Scene file (YAML), recipe or bag; the demo scene if absent.")
+    ] = None,
+    formats: Annotated[
+        list[str] | None, list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
+    ] = None,
+    scenes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Number of scenes of a recipe, instead of its own.", min=1, max=1_000_000
+        ),
     ] = None,
     frames: Annotated[
         int | None,
@@ -95,18 +101,38 @@ def export(
         typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
     ] = False,
 ) -> None:
-    """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions."""
+    """Write frames of a scene, a bag, or many scenes of a recipe, as a data set.
+
+    A recipe is a YAML file with the key ``recipe`` (docs/datasets.md).
+    """
     from humansim_ros.apps.work import export_source
     from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range
+    from humansim_ros.export.recipe import is_recipe
     from humansim_ros.jobs.frame_job import cores
     from humansim_ros.record.output import is_url
     from humansim_ros.scene import Scene
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
+    if scene is not None and is_recipe(scene):
+        recipe_keys = {
+            "--format": ("formats", bool(formats)),
+            "--frames": ("frames", frames is not None),
+            "--range": ("frames", range_ is not None),
+            "--keypoints": ("keypoints", keypoints != "coco17"),
+            "--images": ("images", images is not _ImageFormat.png),
+            "--license": ("about.license", bool(license_)),
+        }
+        for option, (key, is_given) in recipe_keys.items():
+            if is_given:
+                raise ExportError(f"the recipe has it: set its key {key}", key=option)
+        _export_recipe(scene, Path(output), scenes, jobs or cores(), resume, ray)
+        return
+    if scenes is not None:
+        raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
     if frames is not None and range_ is not None:
         raise ExportError("give --frames or --range, not both", key="export")
     chosen = parse_range(range_) if range_ is not None else range(frames) if frames is not None else None
@@ -126,6 +152,34 @@ def export(
         _export(job, jobs or cores(), resume)
     else:
         _export_on_ray(job, ray, jobs, shard_frames, resume)
+
+
+def _export_recipe(
+    path: Path, output: Path, scenes: int | None, jobs: int, resume: bool, ray: str | None
+) -> None:
+    """Export many scenes of a recipe."""
+    from humansim_ros.export.data_set import DataSet, write_data_set
+    from humansim_ros.export.recipe import Recipe
+
+    recipe = Recipe.load(path, scenes)
+    data_set = DataSet.of(recipe, output.resolve() if ray is not None else output)
+    total = recipe.config.scenes
+    state = run_frames_shown(
+        "exporting",
+        0,
+        lambda show: write_data_set(data_set, jobs, resume, show, ray),
+        lambda done: (
+            f"{output}: {done} of {total} scenes are written; the same command with --resume continues"
+        ),
+        "scenes",
+    )
+    if not state.new:
+        print_text(f"{output}: all {total} scenes are written already")
+        return
+    print_text(
+        f"wrote {output}: {total} scenes, {state.seconds / state.new:.2f} s for each new one\n"
+        f"look at {output / 'datasheet.html'}; its index is {output / 'index.json'}"
+    )
 
 
 def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: int, resume: bool) -> None:

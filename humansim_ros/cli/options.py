@@ -56,7 +56,7 @@ EXPORT_FORMATS = (
     *("images", "depth-png", "depth-exr", "depth-npy", "labels", "body-parts", "materials", "flow-flo"),
     *("flow-kitti", "coco", "yolo", "mot", "thesis", "kitti", "nuscenes", "aicity", "foxglove", "rerun"),
     *("mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb", "usd", "mujoco"),
-    *("gazebo", "webdataset", "croissant"),
+    *("gazebo", "webdataset", "huggingface", "statistics", "croissant"),
 )
 
 

@@ -164,7 +164,7 @@ def frame_progress(
         task = bar.add_task("", total=None, rate="starting")
 
         def show(progress: FrameProgress) -> None:
-            rate = f"{rate_text(progress, cameras)}, {time_left(progress)}"
+            rate = f"{rate_text(progress, cameras, unit)}, {time_left(progress)}"
             bar.update(task, total=progress.frames, completed=progress.done, rate=rate)
 
         yield show
@@ -175,6 +175,7 @@ def run_frames_shown(
     cameras: int,
     run: Callable[[Callable[[FrameProgress], None]], FrameProgress],
     interrupted: Callable[[int], str],
+    unit: str = "frames",
 ) -> FrameProgress:
     """Run work on frames with its progress; after a stop or a death, say what is done.
 
@@ -183,6 +184,7 @@ def run_frames_shown(
         cameras: Camera-frames for each frame.
         run: Does the work; its argument is called after each frame.
         interrupted: Text after an interruption, from the number of frames that are done.
+        unit: What is counted.
     """
     from humansim_ros.jobs.workers import WorkerDiedError
 
@@ -193,7 +195,7 @@ def run_frames_shown(
         done = progress.done
         display(progress)
 
-    with frame_progress(title, cameras) as display:
+    with frame_progress(title, cameras, unit) as display:
         try:
             return run(show)
         except WorkerDiedError as error:
@@ -220,7 +222,7 @@ def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:
         if time.monotonic() - last >= _LINE_EVERY:
             last = time.monotonic()
             done = f"{progress.done} of {progress.frames} {unit}"
-            text = f"{done}, {rate_text(progress, cameras)}, {time_left(progress)}"
+            text = f"{done}, {rate_text(progress, cameras, unit)}, {time_left(progress)}"
             print(text, file=sys.stderr, flush=True)
 
     return show
@@ -234,9 +236,16 @@ def time_left(progress: FrameProgress) -> str:
     return f"{timedelta(seconds=round(seconds))} left"
 
 
-def rate_text(progress: FrameProgress, cameras: int) -> str:
-    """Rate in words. ``cameras``: camera-frames for each frame; 0: count frames."""
+def rate_text(progress: FrameProgress, cameras: int, unit: str = "frames") -> str:
+    """Rate in words.
+
+    Args:
+        progress: State of the work.
+        cameras: Camera-frames for each frame; 0: count in units.
+        unit: What is counted: frames, or scenes, which take seconds.
+    """
     megabytes = progress.size / 1e6 / progress.seconds if progress.seconds else 0.0
     if not cameras:
-        return f"{progress.rate:.0f} frames/s, {megabytes:.0f} MB/s"
+        rate = f"{progress.rate:.0f}" if unit == "frames" else f"{progress.rate:.2g}"
+        return f"{rate} {unit}/s, {megabytes:.0f} MB/s"
     return f"{cameras * progress.rate:.0f} camera-frames/s, {megabytes:.0f} MB/s"

@@ -57,15 +57,13 @@ class SceneOptions:
 
         from humansim_ros.errors import SceneError
         from humansim_ros.scene.config import LIVE, load_config, map_files
-        from humansim_ros.scene.source import SceneSource
+        from humansim_ros.scene.source import SceneSource, found_name
         from humansim_ros.scene.variety import with_variety
 
         source = SceneSource.of_file(path)
         with source.locating_errors():
             scene = with_variety(load_config(path), source)
-        config = map_files(
-            scene.model_dump(exclude_none=True), lambda name: _absolute_in(source.folder, name)
-        )
+        config = map_files(scene.model_dump(exclude_none=True), lambda name: found_name(source.folder, name))
         config.setdefault("room", None)
         humans = config["humans"]
         if not humans:
@@ -130,18 +128,6 @@ class SceneOptions:
 
 def _begins(key: str, start: str) -> bool:
     return f"{key}.".startswith(f"{start}.")
-
-
-def _absolute_in(folder: Path, name: str) -> str:
-    """Absolute path of a file that a scene names; names of built-ins, and ``live``, stay."""
-    from humansim_ros.scene.config import LIVE
-
-    if name == LIVE:
-        return name
-    path = folder / name.split("#")[0]
-    # a folder may have the name of a built-in
-    is_path = (exists(path) and (path.is_file() or "/" in name)) or "{name}" in name
-    return str(folder / name if is_path else name)
 
 
 def _absolute(name: str) -> str:

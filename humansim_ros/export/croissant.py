@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -70,6 +70,15 @@ _MEDIA_TYPES = {
 }
 
 
+#: Kinds of splits by usual names.
+_SPLITS = {
+    "train": "cr:TrainingSplit",
+    "val": "cr:ValidationSplit",
+    "validation": "cr:ValidationSplit",
+    "test": "cr:TestSplit",
+}
+
+
 class CroissantWriter(FormatWriter):
     """A card that describes the other formats of the export."""
 
@@ -132,25 +141,87 @@ class CroissantWriter(FormatWriter):
 
 def _image_records(camera: str) -> dict[str, Any]:
     """Records of the images of a camera: number of the frame, and image."""
-    identifier = f"frames-{camera}"
+    name, files = f"frames-{camera}", f"images-{camera}"
+    fields = [
+        _field(f"{name}/frame", "sc:Text", files, {"fileProperty": "filename"}, r"^(\d+)\."),
+        _field(f"{name}/image", "sc:ImageObject", files, {"fileProperty": "content"}),
+    ]
+    return _records(name, fields, key={"@id": f"{name}/frame"})
 
-    def field(name: str, kind: str, extract: str, **more: Any) -> dict[str, Any]:
-        source = {"fileSet": {"@id": f"images-{camera}"}, "extract": {"fileProperty": extract}, **more}
-        return {
-            "@type": "cr:Field",
-            "@id": f"{identifier}/{name}",
-            "name": name,
-            "dataType": kind,
-            "source": source,
+
+def data_set_card(
+    header: Mapping[str, Any], splits: Collection[str], image_suffix: str, metadata: str
+) -> dict[str, Any]:
+    """Content of the card of many scenes.
+
+    Args:
+        header: Properties of the data set, such as ``name`` and ``license``.
+        splits: Names of the splits, whose folders have the folders of the scenes.
+        image_suffix: Suffix of the images.
+        metadata: Name of the file of a scene with a line of JSON for each image.
+    """
+    kinds = {"images": _MEDIA_TYPES[image_suffix], "metadata": "application/jsonlines"}
+    patterns = {"images": f"images/*/*{image_suffix}", "metadata": metadata}
+    sets = [
+        {
+            "@type": "cr:FileSet",
+            "@id": f"{name}-files",
+            "name": f"{name}-files",
+            "description": f"{name.capitalize()} of all scenes, in folders SPLIT/SCENE.",
+            "encodingFormat": kinds[name],
+            "includes": f"*/scene_*/{pattern}",
         }
-
+        for name, pattern in patterns.items()
+    ]
+    # mlcroissant 1.1.1 applies the patterns of two fields of a property to each other, and those of a
+    # reference twice: there is one field of each property, and the first folder matches its own name
+    images = [
+        _field("images/split", "sc:Text", "images-files", {"fileProperty": "fullpath"}, r"^([^/]+)")
+        | {"references": {"field": {"@id": "splits/name"}}},
+        _field("images/path", "sc:Text", "images-files", {"fileProperty": "filepath"}),
+        _field("images/frame", "sc:Text", "images-files", {"fileProperty": "filename"}, r"^(\d+)\."),
+        _field("images/image", "sc:ImageObject", "images-files", {"fileProperty": "content"}),
+    ]
+    columns = {"scene": "sc:Text", "camera": "sc:Text", "frame": "sc:Integer", "stamp": "sc:Integer"}
+    columns |= {"file_name": "sc:Text", "width": "sc:Integer", "height": "sc:Integer"}
+    lines = [
+        _field(f"metadata/{key}", kind, "metadata-files", {"column": key}) for key, kind in columns.items()
+    ]
+    names = [
+        {"@type": "cr:Field", "@id": f"splits/{key}", "name": key, "dataType": kind}
+        for key, kind in {"name": "sc:Text", "url": "sc:URL"}.items()
+    ]
+    data = [
+        {"splits/name": name, "splits/url": _SPLITS[name]} if name in _SPLITS else {"splits/name": name}
+        for name in splits
+    ]
     return {
-        "@type": "cr:RecordSet",
-        "@id": identifier,
-        "name": identifier,
-        "key": {"@id": f"{identifier}/frame"},
-        "field": [
-            field("frame", "sc:Text", "filename", transform={"regex": r"^(\d+)\."}),
-            field("image", "sc:ImageObject", "content"),
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        **header,
+        "distribution": sets,
+        "recordSet": [
+            _records("splits", names, dataType="cr:Split", key={"@id": "splits/name"}, data=data),
+            _records("images", images),
+            _records("metadata", lines),
         ],
     }
+
+
+def _field(
+    identifier: str, kind: str, file_set: str, extract: Mapping[str, str], regex: str = ""
+) -> dict[str, Any]:
+    """A field of records that come from the files of a set."""
+    source = {"fileSet": {"@id": file_set}, "extract": dict(extract)}
+    return {
+        "@type": "cr:Field",
+        "@id": identifier,
+        "name": identifier.rpartition("/")[2],
+        "dataType": kind,
+        "source": source | ({"transform": {"regex": regex}} if regex else {}),
+    }
+
+
+def _records(name: str, fields: Sequence[Mapping[str, Any]], **more: Any) -> dict[str, Any]:
+    return {"@type": "cr:RecordSet", "@id": name, "name": name, **more, "field": list(fields)}

@@ -10,7 +10,7 @@ import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -65,14 +65,18 @@ class WrittenFiles:
 
 @dataclass(frozen=True)
 class Export:
-    """A scene or bag, and the plan of its export to a folder: a job, which can be copied."""
+    """A scene or bag, and the plan of its export to a folder: a job, which can be copied.
+
+    ``texts``: further files of the folder, by name.
+    """
 
     source: ExportSource
     plan: ExportPlan
     root: Path
+    texts: Mapping[str, str] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.source, self.plan, self.root)
+        return type(self), (self.source, self.plan, self.root, self.texts)
 
     @property
     def formats(self) -> Sequence[ExportFormat]:
@@ -329,6 +333,8 @@ def _finish(job: Export, files_of_frames: dict[str, FileEntry]) -> None:
     if scene.cameras:
         with folder.path(CALIBRATION) as path:
             write_calibration(path, {name: each.camera for name, each in scene.cameras.items()}, "scene")
+    for name, text in job.texts.items():
+        folder.write(name, text)
     for row in job.formats:
         row.writer(job.settings).finish(FrameRecords(job, row.name), folder.subfolder(row.name))
     files = folder.written | files_of_frames

@@ -17,6 +17,7 @@ from humansim_ros.export.croissant import CroissantWriter
 from humansim_ros.export.foxglove import FoxgloveWriter
 from humansim_ros.export.gazebo import GazeboWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
+from humansim_ros.export.huggingface import MetadataWriter
 from humansim_ros.export.images import (
     BodyPartWriter,
     DepthExrWriter,
@@ -36,6 +37,7 @@ from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
 from humansim_ros.export.rerun import RerunWriter
+from humansim_ros.export.statistics import StatisticsWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.usd import UsdWriter
 from humansim_ros.export.webdataset import WebDatasetWriter
@@ -195,6 +197,19 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",
             WebDatasetWriter,
             frozenset({"rgb", "instance", "part", KEYPOINTS, BOXES}),
+        ),
+        ExportFormat(
+            "huggingface",
+            "metadata.jsonl of image folders: camera, boxes and keypoints of people, Hugging Face",
+            MetadataWriter,
+            frozenset({KEYPOINTS, BOXES}),
+            images=True,
+        ),
+        ExportFormat(
+            "statistics",
+            "counts of people, poses, cameras and light of a data set, JSON",
+            StatisticsWriter,
+            frozenset({"rgb", BOXES}),
         ),
         # the last one: it describes the files of the others
         ExportFormat("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),

@@ -17,6 +17,8 @@ from humansim_ros.scene.config import checked_license
 #: File of an export with its plan; when the export is complete, also with all files and their hashes.
 INDEX = "index.json"
 _KEY = "humansim_export"
+#: Key in the index of a data set of many scenes (``data_set.py``).
+DATA_SET_KEY = "humansim_data_set"
 #: Version of the layout of the index.
 _LAYOUT = 1
 
@@ -134,6 +136,9 @@ def read_index(folder: Path) -> dict[str, Any]:
     if not path.exists():
         raise ExportError("there is no export here", path=path)
     index = read_json(path, ExportError, "index", ANY_SIZE)
+    if isinstance(index, dict) and DATA_SET_KEY in index:
+        scenes = ", such as " + next(iter(index["scenes"])) if index.get("scenes") else ""
+        raise ExportError(f"this is a data set of many scenes: give the folder of one{scenes}", path=folder)
     if not isinstance(index, dict) or index.get(_KEY) != _LAYOUT:
         raise ExportError("this is not the index of an export of this version", path=path)
     return index

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -70,21 +70,30 @@ class ExportSource(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedSource:
-    """A scene that is simulated. ``formats``: rows. ``keypoints``: name of the keypoint set."""
+    """A scene that is simulated.
+
+    Attributes:
+        simulated: The scene.
+        formats: Rows of the formats.
+        keypoints: Name of the keypoint set.
+        title: Name in the files; the name of the scene file if empty.
+    """
 
     simulated: Scene
     formats: tuple[ExportFormat, ...]
     keypoints: str = "coco17"
+    title: str = ""
     step = "rendering and motion"
     count = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.simulated, self.formats, self.keypoints)
+        return type(self), (self.simulated, self.formats, self.keypoints, self.title)
 
     @cached_property
     def scene(self) -> ExportScene:
         """What the writers of formats know."""
-        return ExportScene.of(self.simulated)
+        scene = ExportScene.of(self.simulated)
+        return replace(scene, title=self.title) if self.title else scene
 
     @cached_property
     def hash(self) -> str:

@@ -23,6 +23,7 @@ from humansim_ros.errors import ExportError
 from humansim_ros.humans import Human
 from humansim_ros.io.files import atomic_path, read_blocks
 from humansim_ros.scene import Frame, Scene
+from humansim_ros.scene.config import HumanConfig
 from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.types import Array
 
@@ -101,7 +102,7 @@ class ExportFolder:
         self._make_folder(target.parent)
         with atomic_path(target) as temporary:
             yield temporary
-            self.written[relative] = _entry(temporary)
+            self.written[relative] = file_entry(temporary)
 
     def link(self, name: str, target: str) -> None:
         """Make a symbolic link to a file or folder of the export, so that no image is written twice.
@@ -128,7 +129,8 @@ class ExportFolder:
             ) from None
 
 
-def _entry(path: Path) -> FileEntry:
+def file_entry(path: Path) -> FileEntry:
+    """Hash and size of a file. Raises ExportError if it cannot be read."""
     digest, size = hashlib.sha256(), 0
     for block in read_blocks(path, ExportError, "export"):
         digest.update(block)
@@ -210,6 +212,11 @@ class ExportScene:
             license=scene.config.license or "",
             simulated=scene,
         )
+
+    @property
+    def configs(self) -> Mapping[str, HumanConfig]:
+        """Body, motion and outfit of each person as the scene names them; a bag has none."""
+        return {} if self.simulated is None else self.simulated.config.humans
 
     @property
     def people(self) -> list[str]:

@@ -211,3 +211,13 @@ def _camera_keys(camera: Camera) -> dict[str, Any]:
         matrix = getattr(camera, name)
         keys[name] = None if matrix is None else matrix.tolist()
     return keys
+
+
+def found_name(folder: Path, name: str) -> str:
+    """Absolute path of a file that a scene in ``folder`` names; names of built-ins, and ``live``, stay."""
+    if name == LIVE:
+        return name
+    path = folder / name.split("#")[0]
+    # a folder may have the name of a built-in
+    is_path = (exists(path) and (path.is_file() or "/" in name)) or "{name}" in name
+    return str(folder / name if is_path else name)

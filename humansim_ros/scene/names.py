@@ -19,6 +19,9 @@ from humansim_ros.scene.stereo import right_camera
 
 #: Node that plays the motions of a scene.
 PLAYER_NODE = "motion_player"
+#: Names below ``/humans`` that ROS4HRI (REP-155) has for lists of bodies, faces and so on: a human of this
+#: name would have its topics among them.
+HRI_NAMES = ("bodies", "faces", "voices", "persons", "interactions", "candidate_matches")
 #: Value of ``time.mode``.
 LOCKSTEP = "lockstep"
 
@@ -59,7 +62,15 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
 
 
 def check_node_names(humans: Iterable[str], cameras: Iterable[str], scanners: Iterable[str] = ()) -> None:
-    """Raise SceneError with the key if a camera or scanner has the name of another node of its scene."""
+    """Raise SceneError with the key if a camera or scanner has the name of another node of its scene, or a
+    human a name of :data:`HRI_NAMES`.
+    """
+    humans = list(humans)
+    if taken := [name for name in humans if name in HRI_NAMES]:
+        raise SceneError(
+            f"/humans/{taken[0]} has topics of ROS4HRI: give the human another name, such as {taken[0]}_1",
+            key=f"humans.{taken[0]}",
+        )
     nodes = {
         PLAYER_NODE: "the motion player",
         **{skinner_node(name): f"the skinner of {name}" for name in humans},

@@ -17,10 +17,11 @@ from humansim_ros.scene import HumanState
 from humansim_ros.types import Array
 
 #: Names of the angles of ROS4HRI's body detectors (hri_fullbody 2.1, jointstate.py), in their order.
-PUBLISHED_JOINTS = (
-    "waist r_head y_head p_head l_y_shoulder l_p_shoulder l_r_shoulder l_elbow r_y_shoulder r_p_shoulder "
-    "r_r_shoulder r_elbow l_y_hip l_p_hip l_r_hip l_knee r_y_hip r_p_hip r_r_hip r_knee"
-).split()
+PUBLISHED_JOINTS = [
+    *("waist", "r_head", "y_head", "p_head"),
+    *(f"{side}_{name}" for side in "lr" for name in ("y_shoulder", "p_shoulder", "r_shoulder", "elbow")),
+    *(f"{side}_{name}" for side in "lr" for name in ("y_hip", "p_hip", "r_hip", "knee")),
+]
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +129,7 @@ def test_urdf_has_the_true_lengths(walker: tuple[Human, list[HumanState]]) -> No
             ("ankle", "knee", "ankle"),
         ):
             length = np.linalg.norm(places[f"{side}_{next_one}"] - places[f"{side}_{link}"])
-            np.testing.assert_allclose(origins[f"{side}_{joint}_x"], [0, 0, -length], atol=1e-6)
+            np.testing.assert_allclose(origins[f"{side}_{joint}_x"], np.array([0, 0, -length]), atol=1e-6)
     assert len(robot.findall("link")) == len(LINKS)
     assert {joint.get("type") for joint in robot.iter("joint")} == {"revolute", "fixed"}
 
@@ -183,7 +184,9 @@ def bones_of(links: HriLinks, skeleton: Skeleton, model: dict[str, Array]) -> Ar
     moved = {
         **{f"{side}_{name}": f"{side}_{name}" for side in "lr" for name in ("hip", "knee", "ankle")},
         **{f"{side}_{name}": f"{side}_{name}" for side in "lr" for name in ("shoulder", "elbow", "wrist")},
-        **{"HumanoidRoot": "body", "vl5": "waist", "vt3": "p_head"},
+        "HumanoidRoot": "body",
+        "vl5": "waist",
+        "vt3": "p_head",
     }
     for bone, name in enumerate(skeleton.names):
         parent = int(skeleton.parents[bone])

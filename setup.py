@@ -21,6 +21,7 @@ COMMANDS = [
     "skinner_rig = humansim_ros.ros.nodes.__main__:skinner_rig",
     "evaluator = humansim_ros.ros.nodes.__main__:evaluator",
     "recorder = humansim_ros.ros.nodes.__main__:recorder",
+    "bridge = humansim_ros.ros.nodes.__main__:bridge",
 ]
 
 # The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask

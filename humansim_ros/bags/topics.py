@@ -16,6 +16,7 @@ import yaml
 
 from humansim_ros.bags import needs_libraries
 from humansim_ros.errors import BagError, warn_about
+from humansim_ros.io.assets import resource_root
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -119,7 +120,8 @@ def described(topic: BagTopic) -> BagTopic:
     """The topic with definition and hash of its type.
 
     The definition comes from rosbags' copy of the Jazzy messages, and is so the same on every machine; for
-    other types from the ``.msg`` files of installed packages. For an unknown type a HumansimWarning says so.
+    other types from the ``.msg`` files of installed packages and of ``config/interfaces``. For an unknown
+    type a HumansimWarning says so.
 
     Raises:
         HumansimError: The libraries of recording are not installed.
@@ -142,6 +144,14 @@ def message_types() -> Typestore:
     with needs_libraries():
         from rosbags.typesys import Stores, get_typestore
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+def is_defined(name: str) -> bool:
+    """Return whether :func:`message_types` has a type such as ``sensor_msgs/msg/Image``.
+
+    Types of installed packages, and of the packages in ``config/interfaces``, are added to it.
+    """
+    return _known(name, message_types())
 
 
 @cache
@@ -198,8 +208,9 @@ def _names_in(field: Any) -> list[str]:
 
 
 def _installed_file(name: str, suffix: str) -> Path | None:
-    """The file of a type in the installed packages."""
+    """The file of a type in the installed packages, or in ``config/interfaces``."""
     package, kind, base = name.split("/")
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
-    paths = (Path(prefix, "share", package, kind, f"{base}{suffix}") for prefix in prefixes)
+    folders = [*(Path(prefix, "share") for prefix in prefixes), resource_root() / "config" / "interfaces"]
+    paths = (folder / package / kind / f"{base}{suffix}" for folder in folders)
     return next((path for path in paths if path.is_file()), None)

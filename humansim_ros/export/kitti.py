@@ -10,7 +10,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.rotations import quaternion_to_matrix
-from humansim_ros.scene.actor import HumanState
+from humansim_ros.scene.standing import person_box
 from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.truth import BodyBox
 from humansim_ros.types import Array
@@ -96,23 +96,6 @@ def calibration_text(camera: Camera, sweep: Sweep) -> str:
     return "".join(
         f"{name}: {' '.join(f'{value:.12e}' for value in matrix.ravel())}\n" for name, matrix in rows.items()
     )
-
-
-def person_box(state: HumanState) -> tuple[Array, Array, float]:
-    """Upright box of a body.
-
-    Returns:
-        Middle of its bottom (3,) in ``map``; length, width and height (3,), metres; and yaw of the direction
-        that the hips face, radians from x to y.
-    """
-    names = {name: state.positions[number] for number, name in enumerate(state.joint_names)}
-    left = names["l_hip"] - names["r_hip"]
-    yaw = float(np.arctan2(-left[0], left[1]))
-    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    vertices = state.vertices @ turn.T
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    middle = np.array([*(low[:2] + high[:2]) / 2, low[2]])
-    return turn.T @ middle, high - low, yaw
 
 
 def label_line(box: tuple[Array, Array, float], seen: BodyBox, camera: Camera) -> str:

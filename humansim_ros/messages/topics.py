@@ -10,19 +10,22 @@ Names are relative: a node puts them into its namespace, a recording into ``/``.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from operator import attrgetter, methodcaller
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from numpy.typing import NDArray
 
 from humansim_ros import messages
 from humansim_ros.camera import Camera, Region
 from humansim_ros.drawing.views import color_image
+from humansim_ros.errors import SceneError
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
+from humansim_ros.messages.adapters import AdapterTopic, adapter_topics
+from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import (
     CameraInfo,
     CompressedImage,
@@ -43,7 +46,6 @@ from humansim_ros.messages.types import (
     TimeReference,
     TransformStamped,
     TwistStamped,
-    name_of,
 )
 from humansim_ros.messages.types import Mesh as MeshMessage
 from humansim_ros.motion.kinematics import JointPoses
@@ -54,7 +56,7 @@ from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import DepthCapture
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
+from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.scene.robot import Robot
@@ -66,12 +68,8 @@ from humansim_ros.sensor import DepthSensor
 from humansim_ros.truth import CameraTruth
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
-Content = TypeVar("Content")
-
 #: Topic with the scene time of each frame (sensor_msgs/TimeReference).
 SCENE_TIME = "scene_time"
-#: Messages that publishers hold: of frame data, as camera drivers do, and of messages that are sent once.
-DATA_DEPTH, LATCHED_DEPTH = 5, 1
 
 #: Last part of the name of the compressed topic of a channel, beside the topic of the channel.
 COMPRESSED = {
@@ -92,79 +90,6 @@ _SHOWN_CHANNELS = ("rgb", "depth", "part")
 #: Legends that a recording has only if they are asked for.
 _OPTIONAL_LEGENDS = ("keypoints", "body_part", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
-
-
-@dataclass(frozen=True)
-class Topic(Generic[Content]):
-    """One topic.
-
-    Attributes:
-        name: Relative name.
-        type: Message class.
-        build: Builds the message from its content and a stamp in nanoseconds.
-        content: Returns the content from a frame of a simulation.
-        latched: Late subscribers get the last message.
-        per_frame: Each frame has a message, and of a camera each frame in which it takes a picture;
-            otherwise there is one for the scene.
-        shown: ``humansim demo`` shows it.
-        camera: Name of the camera to which it belongs; empty for humans and objects.
-        channels: Channels of the view that the message is built from.
-        rectified_depth: The message needs the depth of ``image_rect``.
-        optional: A recording has it only if it is asked for.
-        explains: Others cannot be understood without it: it is recorded with them.
-        faulty: Faults of the camera change its stamp, and when and how often it is sent.
-        raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
-        scanner: Name of the laser scanner of whose sweeps it is; empty otherwise.
-    """
-
-    name: str
-    type: type[Any]
-    build: Callable[[Content, int], Any]
-    content: Callable[[Frame], Content]
-    latched: bool = False
-    per_frame: bool = True
-    shown: bool = False
-    camera: str = ""
-    channels: frozenset[str] = field(default=frozenset())
-    rectified_depth: bool = False
-    optional: bool = False
-    explains: bool = False
-    faulty: bool = False
-    raw: str = ""
-    scanner: str = ""
-
-    @property
-    def type_name(self) -> str:
-        """Name of the message type, such as ``sensor_msgs/msg/Image``."""
-        return name_of(self.type)
-
-    @property
-    def depth(self) -> int:
-        """Number of messages that the publisher holds."""
-        return LATCHED_DEPTH if self.latched else DATA_DEPTH
-
-    @property
-    def recorded(self) -> bool:
-        """Whether it is recorded unless topics are named."""
-        return self.shown or self.explains or bool(self.scanner) or (self.latched and not self.optional)
-
-    def sent(self, frame: Frame) -> list[tuple[int, Any]]:
-        """Messages of a frame of a simulation, each after the time in nanoseconds at which it is sent."""
-        if self.scanner:
-            content: Any = frame.sweeps[self.scanner]
-            return [(frame.stamp, self.build(sweep, sweep.stamp)) for sweep in content]
-        if self.per_frame and self.camera and self.camera not in frame.views:
-            return []  # the camera takes no picture in this frame
-        sent = self._faults(frame).sent
-        message = self.message(frame) if sent else None
-        return [(frame.stamp + after, message) for after in sent]
-
-    def message(self, frame: Frame) -> Any:
-        """Build the message of a frame of a simulation."""
-        return self.build(self.content(frame), self._faults(frame).stamp(frame.stamp))
-
-    def _faults(self, frame: Frame) -> FrameFaults:
-        return frame.faults[self.camera] if self.faulty else NO_FAULTS
 
 
 def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings: Any) -> Topic[None]:
@@ -855,7 +780,7 @@ class ScannerTopics:
 def scene_topics(
     scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION, png_labels: bool = False
 ) -> list[Topic[Any]]:
-    """All topics of a scene: the scene time, humans, moving objects, cameras, laser scanners.
+    """All topics of a scene: the scene time, humans, moving objects, cameras, laser scanners, adapters.
 
     Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not among them.
 
@@ -878,6 +803,17 @@ def scene_topics(
             topics += own.png_labels
     for scanner in scene.scanners.values():
         topics += ScannerTopics(scene, scanner)
+    return [*topics, *_checked_adapters(scene, {topic.name for topic in topics})]
+
+
+def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
+    """Topics of the adapters. Raises SceneError if one has the name of another topic, of ``names`` too."""
+    topics, taken = adapter_topics(scene), set(names)
+    for topic in topics:
+        if topic.name in taken:
+            text = f"there is another topic {topic.name}: give it another key 'topic'"
+            raise SceneError(text, path=scene.path, key="adapters")
+        taken.add(topic.name)
     return topics
 
 

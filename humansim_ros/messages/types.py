@@ -1,4 +1,6 @@
-"""Classes of messages: the installed ROS packages have them; without ROS, rosbags' definitions give them.
+"""Classes of messages: the installed ROS packages have them; without ROS, definitions give them.
+
+Definitions come from rosbags, and from ``config/interfaces`` for packages that rosbags does not know.
 
 ``from humansim_ros.messages.types import Image`` gives a class from either source. Both kinds have the same
 attributes and constants.
@@ -7,6 +9,8 @@ attributes and constants.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -22,10 +26,10 @@ _MAX_NAME = 255
 _PACKAGES = {
     name: package
     for package, names in {
-        "builtin_interfaces": "Time",
+        "builtin_interfaces": "Duration Time",
         "diagnostic_msgs": "DiagnosticArray DiagnosticStatus KeyValue",
-        "geometry_msgs": """Point Pose PoseStamped Quaternion Transform TransformStamped Twist TwistStamped
-            Vector3""",
+        "geometry_msgs": """Point Pose PoseStamped PoseWithCovariance Quaternion Transform TransformStamped
+            Twist TwistStamped TwistWithCovariance Vector3""",
         "nav_msgs": "Odometry",
         "sensor_msgs": """CameraInfo CompressedImage Image JointState LaserScan MultiDOFJointState
             PointCloud2 PointField TimeReference""",
@@ -77,11 +81,67 @@ def readable_type(name: str) -> Any:
     try:
         return message_type(name)
     except RosError:
-        from humansim_ros.bags.topics import message_types
+        from humansim_ros.bags.topics import is_defined
 
-        if name not in message_types().fielddefs:
+        if not _NAME.fullmatch(name) or not is_defined(name):
             raise
     return made_type(name)
+
+
+@dataclass(frozen=True)
+class MessagePackage:
+    """A package of messages that an adapter needs, and that may be absent.
+
+    Attributes:
+        name: Name of the package.
+        version: Version whose messages are written and read.
+        install: What installs it: a command, or where its source is.
+        fields: Fields that are written and read, separated by spaces, by message.
+    """
+
+    name: str
+    version: str
+    install: str
+    fields: Mapping[str, str]
+
+    def message(self, name: str) -> Any:
+        """Return the class of a message: the installed one, else one that is made from its definition.
+
+        Raises:
+            RosError: The package is neither installed nor defined, or its messages are of another version.
+        """
+        full_name = f"{self.name}/msg/{name}"
+        if not _is_message_package(self.name):
+            from humansim_ros.bags.topics import is_defined
+
+            if is_defined(full_name):
+                return made_type(full_name)
+            raise RosError(f"the message package {self.name} is not installed here: {self.install}")
+        try:
+            kind = message_type(full_name)
+        except RosError as error:
+            raise self._other_version(error.message) from None
+        known = kind.get_fields_and_field_types()
+        for field in self.fields[name].split():
+            if field not in known:
+                raise self._other_version(f"{full_name} that is installed here has no field {field}")
+        return kind
+
+    def check(self, installed: bool) -> None:
+        """Check all messages.
+
+        ``installed``: the package itself is needed, as nodes do.
+
+        Raises:
+            RosError: As of :meth:`message`.
+        """
+        if installed and not _is_message_package(self.name):
+            raise RosError(f"the message package {self.name} is not installed here: {self.install}")
+        for name in self.fields:
+            self.message(name)
+
+    def _other_version(self, text: str) -> RosError:
+        return RosError(f"{text}: version {self.version} of {self.name} is needed ({self.install})")
 
 
 def begins_with_stamp(kind: Any) -> bool:

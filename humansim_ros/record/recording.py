@@ -25,7 +25,8 @@ from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.jobs.workers import run_frames
 from humansim_ros.messages import ImageCompression
 from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.topics import SCENE_TIME_TOPIC, Topic, scene_topics
+from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.topics import SCENE_TIME_TOPIC, scene_topics
 from humansim_ros.messages.types import CompressedImage
 from humansim_ros.render import GLRenderer, PyrenderRenderer, Renderer
 from humansim_ros.render.context import OpenGLContext

@@ -24,7 +24,7 @@ from humansim_ros.ros.qos import DATA, LATCHED, offered_profile
 from humansim_ros.scene import Scene
 
 if TYPE_CHECKING:
-    from humansim_ros.messages.topics import Topic
+    from humansim_ros.messages.topic import Topic
 
 #: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: frames are few
 #: while cameras prepare their first ones.

@@ -15,7 +15,7 @@ from rclpy.qos import (
 )
 
 from humansim_ros.bags.topics import Qos
-from humansim_ros.messages.topics import DATA_DEPTH, LATCHED_DEPTH, Topic
+from humansim_ros.messages.topic import DATA_DEPTH, LATCHED_DEPTH, Topic
 from humansim_ros.messages.topics import SCENE_TIME as SCENE_TIME
 
 

@@ -30,6 +30,7 @@ from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.hand_keys import HandKey, HandPoseName, HandSide
 from humansim_ros.render.lighting import Lighting, RendererName
+from humansim_ros.scene.adapter_config import AdaptersConfig
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.robot_config import ROBOT, RobotConfig
 from humansim_ros.scene.scanner_config import ScannerConfig
@@ -828,6 +829,7 @@ class SceneConfig(Section):
         "variety": "random",
         "scanners": "lidars lidar lasers scanner laser",
         "license": "licence",
+        "adapters": "bridge bridges adapter",
     }
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
@@ -847,6 +849,9 @@ class SceneConfig(Section):
     light: LightConfig = Field(default=LightConfig.model_construct(), description="light and shadows")
     randomise: RandomiseConfig | None = Field(default=None, description="random looks")
     time: TimeConfig = Field(default=TimeConfig.model_construct(), description="real time, or lockstep")
+    adapters: AdaptersConfig = Field(
+        default=AdaptersConfig.model_construct(), description="messages for other people stacks"
+    )
     license: str | None = Field(
         default=None, description="licence of data sets of the scene, such as CC-BY-4.0"
     )

@@ -24,6 +24,8 @@ PLAYER_NODE = "motion_player"
 HRI_NAMES = ("bodies", "faces", "voices", "persons", "interactions", "candidate_matches")
 #: Value of ``time.mode``.
 LOCKSTEP = "lockstep"
+#: Node that publishes the topics of section ``adapters``.
+BRIDGE_NODE = "bridge"
 
 
 def skinner_node(human: str) -> str:
@@ -33,12 +35,15 @@ def skinner_node(human: str) -> str:
 
 @dataclass(frozen=True)
 class SceneNames:
-    """Names of humans, of all cameras with the rig, and of scanners; whether the scene plays in lockstep."""
+    """Names of humans, of all cameras with the rig, and of scanners; whether the scene plays in lockstep, and
+    whether it has adapters.
+    """
 
     humans: tuple[str, ...]
     cameras: tuple[str, ...]
     lockstep: bool = False
     scanners: tuple[str, ...] = ()
+    adapters: bool = False
 
 
 def read_names(path: str | os.PathLike[str]) -> SceneNames:
@@ -54,16 +59,26 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
     cameras = (*_rig_names(content, path), *own, *map(right_camera, pairs))
     humans = (*_section_names(content, "humans", path), *_random_names(content, path))
     scanners = _section_names(content, "scanners", path)
+    adapters = content.get("adapters")
+    has_adapters = isinstance(adapters, dict) and any(each is not None for each in adapters.values())
     with located(path=path):
-        check_node_names(humans, cameras, scanners)
+        check_node_names(humans, cameras, scanners, has_adapters)
     time = content.get("time")
     lockstep = isinstance(time, dict) and time.get("mode") == LOCKSTEP
-    return SceneNames(humans, cameras, lockstep, tuple(scanners))
+    return SceneNames(humans, cameras, lockstep, tuple(scanners), has_adapters)
 
 
-def check_node_names(humans: Iterable[str], cameras: Iterable[str], scanners: Iterable[str] = ()) -> None:
+def check_node_names(
+    humans: Iterable[str], cameras: Iterable[str], scanners: Iterable[str] = (), adapters: bool = False
+) -> None:
     """Raise SceneError with the key if a camera or scanner has the name of another node of its scene, or a
     human a name of :data:`HRI_NAMES`.
+
+    Args:
+        humans: Names of the humans.
+        cameras: Names of the cameras.
+        scanners: Names of the scanners.
+        adapters: Whether there is a node for adapters.
     """
     humans = list(humans)
     if taken := [name for name in humans if name in HRI_NAMES]:
@@ -73,6 +88,7 @@ def check_node_names(humans: Iterable[str], cameras: Iterable[str], scanners: It
         )
     nodes = {
         PLAYER_NODE: "the motion player",
+        **({BRIDGE_NODE: "the adapters"} if adapters else {}),
         **{skinner_node(name): f"the skinner of {name}" for name in humans},
     }
     for kind, names in (("camera", cameras), ("scanner", scanners)):

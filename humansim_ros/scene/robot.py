@@ -13,7 +13,12 @@ import numpy as np
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
-from humansim_ros.rotations import compose_poses, quaternion_to_matrix, rotation_vector_to_quaternion
+from humansim_ros.rotations import (
+    compose_poses,
+    multiply_quaternions,
+    quaternion_to_matrix,
+    rotation_vector_to_quaternion,
+)
 from humansim_ros.scene.camera_config import TrajectoryConfig
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.objects import ObjectPose, SceneObject
@@ -182,6 +187,15 @@ class Robot:
         """
         base = self.base_at(seconds) if base is None else base
         return base if self._vibration is None else carried(base, self._vibration.at(seconds))
+
+    def base_of(self, body: ObjectPose, seconds: float) -> ObjectPose:
+        """Pose of ``base_link`` at a scene time from the pose of its body, without velocity."""
+        if self._vibration is None:
+            return replace(body, velocity=None)
+        shaken = self._vibration.at(seconds)
+        rotation = multiply_quaternions(body.rotation, shaken.rotation * (-1, -1, -1, 1))
+        position = body.position - quaternion_to_matrix(rotation) @ shaken.position
+        return ObjectPose(position, rotation, np.ones(3))
 
     @cached_property
     def _vibration(self) -> Vibration | None:

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.topics import CameraTopics, Topic, scene_topics
+from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.topics import CameraTopics, scene_topics
 from humansim_ros.ros.qos import offered_profile
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame

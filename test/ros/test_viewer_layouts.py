@@ -13,7 +13,8 @@ from conftest import ROOT
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
 from humansim_ros.apps.viewer_layouts import foxglove_layout, rviz_layout
-from humansim_ros.messages.topics import Topic, scene_topics
+from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.topics import scene_topics
 from humansim_ros.ros.qos import offered_profile
 from humansim_ros.scene import Scene
 from humansim_ros.scene.names import SceneNames, read_names

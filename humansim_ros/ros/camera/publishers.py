@@ -20,7 +20,8 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
 from humansim_ros.errors import CameraError, HumansimError, RosError, printable
 from humansim_ros.messages import DepthCompression, ImageCompression, read_camera_info
-from humansim_ros.messages.topics import CameraTopics, Content, DepthContent, DepthSensorTopics, Topic
+from humansim_ros.messages.topic import Content, Topic
+from humansim_ros.messages.topics import CameraTopics, DepthContent, DepthSensorTopics
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.node import SceneNode

@@ -42,7 +42,8 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.player.playing import FramePlayer, Playing
 from humansim_ros.ros.processes.node_processes import TIMED_OUT, WRONG_INPUT
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
-from humansim_ros.scene.names import LOCKSTEP
+from humansim_ros.scene import Scene
+from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP
 from humansim_ros.scene.playback import ScenePoses, Tick
 
 #: Seconds between two looks at the members.
@@ -143,13 +144,18 @@ def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], des
     return value
 
 
+def _finishing(scene: Scene) -> list[str]:
+    """Names of the nodes of a scene that finish each of its frames."""
+    return [*scene.cameras, *scene.scanners, *([BRIDGE_NODE] if scene.config.adapters else [])]
+
+
 class LockstepPlaying(Playing):
     """Sends ``/clock``, then the frame, and waits until all members have finished it.
 
-    Members: the cameras and scanners of the scene, the names and topics of ``wait_for``, and everybody who
-    reports on ``frame_done``. A frame is sent at least once; the same stamp is sent again for nodes that
-    have joined. A player that is started again goes on with the frame that was in flight, or, without a file
-    for the summary, with the newest frame that a camera has finished.
+    Members: the cameras and scanners of the scene, its bridge, the names and topics of ``wait_for``, and
+    everybody who reports on ``frame_done``. A frame is sent at least once; the same stamp is sent again for
+    nodes that have joined. A player that is started again goes on with the frame that was in flight, or,
+    without a file for the summary, with the newest frame that a camera has finished.
 
     Args:
         player: The node.
@@ -161,9 +167,9 @@ class LockstepPlaying(Playing):
         self._settings = settings
         self._last_look = time.monotonic()
         self._now = 0.0
-        cameras = [*player.scene.cameras, *player.scene.scanners]
-        names = [*cameras, *(self._name(each) for each in settings.names), *settings.topics]
-        starting = [*cameras, settings.recorder] if settings.recorder else cameras
+        nodes = _finishing(player.scene)
+        names = [*nodes, *(self._name(each) for each in settings.names), *settings.topics]
+        starting = [*nodes, settings.recorder] if settings.recorder else nodes
         self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)
         self._graph = GraphWatch(player)
         self._next_graph = 0.0
@@ -352,12 +358,7 @@ class LockstepPlaying(Playing):
         cameras = scene.scene_cameras.values()
         if not cameras or any(index in camera.timing for camera in cameras):
             return ()
-        return self.state.members.keys() - {
-            *scene.cameras,
-            *scene.scanners,
-            self._settings.recorder,
-            TEST_NODE,
-        }
+        return self.state.members.keys() - {*_finishing(scene), self._settings.recorder, TEST_NODE}
 
     def _take_prepared(self, tick: Tick) -> ScenePoses:
         """Poses of a frame, which have been computed already unless something has changed since."""

@@ -36,11 +36,11 @@ def run(name: str) -> int:
 
 
 #: Functions of the installed scripts.
-motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder, evaluator = (
+motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder, evaluator, bridge = (
     partial(run, name)
     for name in (
         *("motion_player", "skinner", "skinner_rig", "camera", "camera_rig", "scanner"),
-        *("recorder", "evaluator"),
+        *("recorder", "evaluator", "bridge"),
     )
 )
 

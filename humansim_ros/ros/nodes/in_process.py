@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from humansim_ros.errors import RosError
+from humansim_ros.ros.nodes.bridge import BridgeNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.scanner import ScannerNode
@@ -17,7 +18,7 @@ from humansim_ros.scene.names import skinner_node
 
 
 class InProcessNodes:
-    """Motion player, skinners, cameras and scanners of a scene, for the executor of this process.
+    """Motion player, skinners, cameras, scanners and bridge of a scene, for the executor of this process.
 
     Args:
         scene: The scene.
@@ -39,6 +40,8 @@ class InProcessNodes:
                 self._add(CameraRigNode, None, use_sim_time=is_simulated, start_scene=False)
             for name in scene.scanners:
                 self._add(ScannerNode, name, use_sim_time=is_simulated, scanner=name, start_scene=False)
+            if scene.config.adapters:
+                self._add(BridgeNode, None, use_sim_time=is_simulated, start_scene=False)
             # last, so that all others know its topics when it sends the first frame
             self._add(MotionPlayerNode, None, **player)
         except BaseException:

@@ -37,7 +37,8 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of
 from humansim_ros.messages import header, read_frame_number, serialised_stamp, to_nanoseconds
 from humansim_ros.messages.frames import RecordedFrames
-from humansim_ros.messages.topics import TimedTopics, Topic, scene_topics
+from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.topics import TimedTopics, scene_topics
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.clock import ClockSteps

@@ -12,7 +12,7 @@ from pathlib import Path
 from humansim_ros.errors import RosError, did_you_mean
 from humansim_ros.jobs.frame_job import cores, thread_limits
 from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
-from humansim_ros.scene.names import LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
+from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
@@ -190,7 +190,7 @@ def scene_processes(
     evaluate: EvaluateOptions | None = None,
 ) -> list[NodeProcess]:
     """List the processes of a scene: motion player, processes of skinners, camera processes, one per laser
-    scanner, a recorder, an evaluator.
+    scanner, the bridge of its adapters, a recorder, an evaluator.
 
     There is at most one process of skinners for each core; they share the humans.
 
@@ -233,6 +233,8 @@ def scene_processes(
             for name in names.scanners
         ),
     ]
+    if names.adapters:
+        listed.append(NodeProcess("bridge", BRIDGE_NODE, {**of_cameras, "start_scene": False}))
     here = [process for process in listed if not chosen.isdisjoint(process.visible_nodes)]
     if record is not None:
         here.append(_recorder(record, names, scene, time.wait_for))
@@ -248,6 +250,7 @@ def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
         _SKINNERS: [skinner_node(name) for name in names.humans],
         _CAMERAS: list(names.cameras),
         _SCANNERS: list(names.scanners),
+        **({BRIDGE_NODE: [BRIDGE_NODE]} if names.adapters else {}),
     }
     nodes = {name: [name] for group in groups.values() for name in group}
     known = {**groups, **nodes}  # a camera may be called cameras: the node of a name has priority

@@ -39,7 +39,7 @@ _MAX_PACKET = 1 << 18
 #: Modules besides the scene that nodes need, and that need no ROS.
 _MODULES = ("messages.topics", "scene.capture", "scene.live", "scene.playback", "render.gl")
 #: Nodes that see nothing of the static scene.
-_NOT_SEEING = ("motion_player", "skinner", "skinner_rig", "recorder", "evaluator")
+_NOT_SEEING = ("motion_player", "skinner", "skinner_rig", "recorder", "evaluator", "bridge")
 #: Seconds between two looks for the end of a process.
 _LOOK_EVERY = 0.02
 

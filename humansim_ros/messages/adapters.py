@@ -1,0 +1,628 @@
+"""Truth in the messages of other people stacks: the table of adapters (docs/people_messages.md).
+
+A row says what an adapter needs, which topics it has, and how their messages are built from a frame. A
+simulation makes such frames, and node ``bridge`` puts them together from the topics of the other nodes: both
+give the same messages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+
+from humansim_ros.errors import RosError, SceneError, did_you_mean, some_of, within_bounds
+from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes
+from humansim_ros.messages.headers import WORLD_FRAME, header, optical_frame
+from humansim_ros.messages.people import MESSAGE_TYPES
+from humansim_ros.messages.scanners import scanner_frame
+from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.types import (
+    Duration,
+    MessagePackage,
+    Point,
+    PointCloud2,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from humansim_ros.render.renderer import Kind
+from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix
+from humansim_ros.scene import Scene
+from humansim_ros.scene.actor import HumanState
+from humansim_ros.scene.adapter_config import BoxesConfig, FramedConfig, TrackedConfig
+from humansim_ros.scene.camera import CameraPose
+from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.simulation import Frame
+from humansim_ros.scene.standing import person_box, standing
+from humansim_ros.truth import BodyBox, CameraTruth
+from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
+from humansim_ros.types import Array
+
+#: Class of all detections: its name, and its number in a LabelInfo.
+PERSON, PERSON_CLASS = "person", 0
+#: Variance of a number that is not set: spencer_tracking_msgs says so of variances above 99999.
+UNSET = 100_000.0
+#: Places of the variances on the diagonal of a covariance.
+_DIAGONAL = tuple(range(0, 36, 7))
+
+VISION_MSGS = MessagePackage(
+    "vision_msgs",
+    "4.1",
+    "sudo apt install ros-jazzy-vision-msgs",
+    {
+        "Point2D": "x y",
+        "Pose2D": "position theta",
+        "BoundingBox2D": "center size_x size_y",
+        "BoundingBox3D": "center size",
+        "ObjectHypothesis": "class_id score",
+        "ObjectHypothesisWithPose": "hypothesis pose",
+        "Detection2D": "header results bbox id",
+        "Detection3D": "header results bbox id",
+        "Detection2DArray": "header detections",
+        "Detection3DArray": "header detections",
+        "VisionClass": "class_id class_name",
+        "LabelInfo": "header class_map threshold",
+    },
+)
+PEOPLE_MSGS = MessagePackage(
+    "people_msgs",
+    "1.4",
+    "it is not released for Jazzy: git clone -b ros2 https://github.com/wg-perception/people, "
+    "colcon build --packages-select people_msgs, and source the workspace",
+    {"Person": "name position velocity reliability tagnames tags", "People": "header people"},
+)
+SPENCER_MSGS = MessagePackage(
+    "spencer_tracking_msgs",
+    "of ROS 2",
+    "it is not released for Jazzy: build it from source, and source the workspace",
+    {
+        "TrackedPerson": "track_id is_occluded is_matched detection_id age pose twist",
+        "TrackedPersons": "header tracks",
+    },
+)
+
+
+@dataclass(frozen=True)
+class AdapterTopic(Topic[Frame]):
+    """A topic of an adapter. Its content is the frame.
+
+    Attributes:
+        package: Package of its messages.
+        people: It needs joints and vertices of the humans.
+        inputs: Topics below its camera that it needs, names of :data:`CAMERA_INPUTS`.
+        posed: Camera whose pose it needs; empty for none.
+    """
+
+    package: MessagePackage = VISION_MSGS
+    people: bool = True
+    inputs: tuple[str, ...] = ()
+    posed: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        package: MessagePackage,
+        message: str,
+        name: str,
+        build: Callable[[Frame, int], Any],
+        **settings: Any,
+    ) -> AdapterTopic:
+        """Create a topic.
+
+        Args:
+            package: Package of its messages.
+            message: Name of the message in the package.
+            name: Relative name.
+            build: Builds the message from a frame and a stamp in nanoseconds.
+            settings: Other attributes.
+
+        Raises:
+            RosError: See :meth:`MessagePackage.message`.
+        """
+        kind = package.message(message)
+        return cls(name, kind, build, lambda frame: frame, package=package, shown=True, **settings)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A frame of tf.
+
+    Attributes:
+        frame_id: Its name.
+        pose: Position (3,) and quaternion (4,) xyzw in ``map`` at a frame of the scene; None for ``map``.
+        camera: Camera whose optical frame it is; empty for other frames.
+    """
+
+    frame_id: str
+    pose: Callable[[Frame], tuple[Array, Array]] | None = None
+    camera: str = ""
+
+    def at(self, frame: Frame) -> FrameAxes:
+        """Position and axes at a frame of the scene."""
+        return FrameAxes() if self.pose is None else FrameAxes(*self.pose(frame))
+
+
+@dataclass(frozen=True)
+class FrameAxes:
+    """Pose of a frame in ``map``: converts what is in ``map``.
+
+    Velocities stay velocities over the ground: they are only expressed in the axes of the frame. Its own
+    motion is not subtracted, as receivers rotate velocities, and add no motion of a frame
+    (docs/people_messages.md).
+    """
+
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
+
+    def point(self, point: Array) -> Point:
+        """Point (3,) of ``map`` as a message."""
+        x, y, z = (quaternion_to_matrix(self.rotation).T @ (point - self.position)).tolist()
+        return Point(x=x, y=y, z=z)
+
+    def vector(self, vector: Array) -> Vector3:
+        """Vector (3,) in the axes of ``map`` as a message."""
+        x, y, z = (quaternion_to_matrix(self.rotation).T @ vector).tolist()
+        return Vector3(x=x, y=y, z=z)
+
+    def pose(self, position: Array, rotation: Array) -> Pose:
+        """Pose in ``map``, position (3,) and quaternion (4,) xyzw, as a message."""
+        turned = multiply_quaternions(self.rotation * (-1, -1, -1, 1), rotation)
+        x, y, z, w = turned.tolist()
+        return Pose(position=self.point(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
+
+
+class AdapterScene:
+    """What the rows of the table need of a scene: names and frames, checked.
+
+    Args:
+        scene: The scene.
+        adapter: Name of the row.
+        frame_prefix: Text before the frames of cameras and scanners.
+    """
+
+    def __init__(self, scene: Scene, adapter: str, frame_prefix: str = "") -> None:
+        self.scene, self._adapter, self._prefix = scene, adapter, frame_prefix
+
+    def error(self, text: str, key: str) -> SceneError:
+        """Error of a key of the row."""
+        return SceneError(text, path=self.scene.path, key=f"adapters.{self._adapter}.{key}")
+
+    def camera(self, name: str, key: str) -> str:
+        """Return the name of a camera. Raises SceneError of the key if there is none."""
+        if name not in self.scene.scene_cameras:
+            known = ", ".join(self.scene.scene_cameras)
+            raise self.error(f"no camera {name!r}; the scene has {known}{did_you_mean(name, known)}", key)
+        return name
+
+    def optical(self, camera: str) -> str:
+        """Optical frame of a camera."""
+        return f"{self._prefix}{optical_frame(camera)}"
+
+    def placed(self, frame_id: str) -> Placed:
+        """Find a frame of tf. Raises SceneError if the scene has no such frame."""
+        frames = self._frames()
+        if frame_id not in frames:
+            near = did_you_mean(frame_id, frames)
+            raise self.error(f"no frame {frame_id!r}; the scene has {', '.join(frames)}{near}", "frame")
+        return frames[frame_id]
+
+    def _frames(self) -> dict[str, Placed]:
+        """Frames by the name that scenes give them, which have no prefix."""
+        scene, prefix = self.scene, self._prefix
+        frames = {WORLD_FRAME: Placed(WORLD_FRAME)}
+        if (robot := scene.robot) is not None:
+            start = robot.start.position, robot.start.rotation
+            odom, base = robot.config.odom_frame, robot.config.base_frame
+            frames[odom] = Placed(odom, lambda _: start)
+            frames[base] = Placed(base, partial(_base_pose, scene))
+        for name in scene.scene_cameras:
+            frames[optical_frame(name)] = Placed(
+                f"{prefix}{optical_frame(name)}", partial(_camera_pose, scene, name), name
+            )
+        for name in scene.scanners:
+            frames[scanner_frame(name)] = Placed(
+                f"{prefix}{scanner_frame(name)}", partial(_scanner_pose, scene, name)
+            )
+        return frames
+
+
+def _base_pose(scene: Scene, frame: Frame) -> tuple[Array, Array]:
+    """Pose of ``base_link``, which does not vibrate as the body of the robot does."""
+    robot, seconds = scene.robot, frame.scene_time * 1e-9
+    assert robot is not None
+    base = robot.base_of(frame.objects.get(ROBOT) or robot.body_at(seconds), seconds)
+    return base.position, base.rotation
+
+
+def _camera_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
+    """True pose of an optical frame, also where its calibration is wrong."""
+    camera = scene.scene_cameras[name]
+    calibrated = frame.camera_poses.get(name) or CameraPose.of(camera.camera)
+    pose = camera.true_pose(calibrated, frame.scene_time * 1e-9)
+    return pose.position, pose.rotation
+
+
+def _scanner_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
+    pose = scene.scanners[name].pose(frame.scene_time * 1e-9, frame.objects.get(ROBOT))
+    return pose.position, pose.rotation
+
+
+def _turned(yaw: float) -> Array:
+    """Quaternion (4,) xyzw of a heading in ``map``."""
+    return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
+
+
+# --- builders
+
+
+def _hypothesis(pose: Pose | None = None) -> Any:
+    """The only hypothesis of a detection: a person, for certain."""
+    certain = VISION_MSGS.message("ObjectHypothesis")(class_id=PERSON, score=1.0)
+    found = VISION_MSGS.message("ObjectHypothesisWithPose")(hypothesis=certain)
+    found.pose.pose = Pose(orientation=Quaternion(w=1.0)) if pose is None else pose
+    return found
+
+
+def detections_2d_message(boxes: Mapping[str, BodyBox], whole: bool, stamp: int, frame_id: str) -> Any:
+    """Build a vision_msgs/Detection2DArray.
+
+    A person without visible pixels, or of whole boxes nothing in the image, is not in it. Numbers have the
+    precision of ``<camera>/boxes``.
+
+    Args:
+        boxes: Boxes by person.
+        whole: Boxes of the whole bodies in place of the visible pixels.
+        stamp: Nanoseconds.
+        frame_id: Optical frame of the camera.
+    """
+    message = VISION_MSGS.message("Detection2DArray")(header=header(stamp, frame_id))
+    for name, box in boxes.items():
+        if box.truncation >= 1 if whole else not box.pixels:
+            continue
+        left, top, right, bottom = np.float32(box.whole if whole else box.visible).astype(float).tolist()
+        bounds = VISION_MSGS.message("BoundingBox2D")(size_x=right - left, size_y=bottom - top)
+        bounds.center.position.x, bounds.center.position.y = (left + right) / 2, (top + bottom) / 2
+        found = VISION_MSGS.message("Detection2D")(header=message.header, bbox=bounds, id=name)
+        found.results = [_hypothesis()]
+        message.detections.append(found)
+    return message
+
+
+def detections_3d_message(frame: Frame, placed: Placed, stamp: int) -> Any:
+    """Build a vision_msgs/Detection3DArray: the upright box of each body.
+
+    Args:
+        frame: Frame of the scene.
+        placed: Frame of the numbers.
+        stamp: Nanoseconds.
+    """
+    message = VISION_MSGS.message("Detection3DArray")(header=header(stamp, placed.frame_id))
+    axes = placed.at(frame)
+    for name, state in frame.humans.items():
+        bottom, size, yaw = person_box(state)
+        pose = axes.pose(bottom + np.array([0, 0, size[2] / 2]), _turned(yaw))
+        length, width, height = size.tolist()
+        box = VISION_MSGS.message("BoundingBox3D")(center=pose, size=Vector3(x=length, y=width, z=height))
+        found = VISION_MSGS.message("Detection3D")(header=message.header, bbox=box, id=name)
+        found.results = [_hypothesis(pose)]
+        message.detections.append(found)
+    return message
+
+
+def label_info_message(frame_id: str) -> Any:
+    """Build a vision_msgs/LabelInfo: the classes of the detections."""
+    person = VISION_MSGS.message("VisionClass")(class_id=PERSON_CLASS, class_name=PERSON)
+    return VISION_MSGS.message("LabelInfo")(header=header(0, frame_id), class_map=[person])
+
+
+def people_message(frame: Frame, placed: Placed, labels: Mapping[str, int], stamp: int) -> Any:
+    """Build a people_msgs/People: the point on the floor below the hips of each person.
+
+    A velocity that is unknown is 0, with a tag ``velocity`` that says so.
+
+    Args:
+        frame: Frame of the scene.
+        placed: Frame of the numbers.
+        labels: Instance labels by person, which are a tag.
+        stamp: Nanoseconds.
+    """
+    message = PEOPLE_MSGS.message("People")(header=header(stamp, placed.frame_id))
+    axes = placed.at(frame)
+    for name, state in frame.humans.items():
+        place = standing(state)
+        tags = {"instance": str(labels[name])} | ({"velocity": "unknown"} if place.linear is None else {})
+        person = PEOPLE_MSGS.message("Person")(
+            name=name, position=axes.point(place.position), reliability=1.0
+        )
+        speed = axes.vector(np.zeros(3) if place.linear is None else place.linear)
+        person.velocity = Point(x=speed.x, y=speed.y, z=speed.z)
+        person.tagnames, person.tags = list(tags), list(tags.values())
+        message.people.append(person)
+    return message
+
+
+def tracked_persons_message(
+    frame: Frame, placed: Placed, labels: Mapping[str, int], camera: str | None, stamp: int
+) -> Any:
+    """Build a spencer_tracking_msgs/TrackedPersons: position on the floor, heading and velocity, exact.
+
+    Args:
+        frame: Frame of the scene.
+        placed: Frame of the numbers.
+        labels: Instance labels by person, the ids of the tracks.
+        camera: Camera that sees the people: a person without visible pixels is occluded. None: all are seen.
+        stamp: Nanoseconds.
+    """
+    message = SPENCER_MSGS.message("TrackedPersons")(header=header(stamp, placed.frame_id))
+    axes, age = placed.at(frame), divmod(frame.scene_time, 1_000_000_000)
+    for name, state in frame.humans.items():
+        place = standing(state)
+        seen = camera is None or frame.truth[camera].boxes[name].pixels > 0
+        track = SPENCER_MSGS.message("TrackedPerson")(track_id=labels[name], is_occluded=not seen)
+        track.is_matched, track.detection_id = seen, labels[name] if seen else 0
+        track.age = Duration(sec=age[0], nanosec=age[1])
+        track.pose = PoseWithCovariance(pose=axes.pose(place.position, _turned(place.yaw)))
+        track.twist = TwistWithCovariance()
+        if place.linear is None or place.yaw_rate is None:
+            track.twist.covariance = _variances(UNSET)
+        else:
+            turning = axes.vector(np.array([0.0, 0.0, place.yaw_rate]))
+            track.twist.twist = Twist(linear=axes.vector(place.linear), angular=turning)
+        message.tracks.append(track)
+    return message
+
+
+def _variances(variance: float) -> Array:
+    covariance = np.zeros(36)
+    covariance[list(_DIAGONAL)] = variance
+    return covariance
+
+
+# --- frames from messages
+
+
+@dataclass(frozen=True)
+class ReceivedTruth:
+    """Truth of a camera from its topics, with the names of :class:`~humansim_ros.truth.CameraTruth`.
+
+    ``boxes``: boxes by human or labelled object.
+    """
+
+    boxes: Mapping[str, BodyBox] = field(default_factory=dict)
+
+
+def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
+    """Boxes of ``<camera>/boxes`` by name. Raises RosError unless each label of the scene has one box."""
+    names = {label: name for name, label in scene.labels.items()}
+    kinds = {number: kind for kind, number in BODY_KINDS.items()}
+    boxes: dict[str, BodyBox] = {}
+    for row in read_boxes(message):
+        name, kind = names.get(int(row["instance"])), kinds.get(int(row["kind"]))
+        if name is None or kind is None or name in boxes:
+            raise RosError(f"a box has label {row['instance']} and kind {row['kind']}, or two have one label")
+        visible, whole = (
+            np.array([row[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
+            for part in ("", "whole_")
+        )
+        pixels, truncation = int(row["pixels"]), float(row["truncation"])
+        shown = [*(visible if pixels else ()), *(whole if not truncation >= 1 else ())]
+        if not within_bounds(shown):
+            raise RosError(f"the box of {name} is not finite")
+        share = float(row["visible_fraction"])
+        boxes[name] = BodyBox(visible, whole, truncation, share, pixels, cast(Kind, kind))
+    if missing := [name for name in names.values() if name not in boxes]:
+        raise RosError(f"no box of {some_of(missing)}")
+    return boxes
+
+
+#: Topics below a camera that node ``bridge`` receives: message class, and reader of its content in a scene,
+#: which becomes an attribute of :class:`ReceivedTruth` with the name of the topic.
+CAMERA_INPUTS: dict[str, tuple[Any, Callable[[Any, Scene], Any]]] = {"boxes": (PointCloud2, _read_body_boxes)}
+
+
+def received_frame(
+    stamp: int, state: SceneState | None, cameras: Mapping[str, Mapping[str, Any]], scene: Scene
+) -> Frame:
+    """Frame from messages, as far as adapters need it.
+
+    Args:
+        stamp: Nanoseconds.
+        state: Bodies and objects; None if no topic needs them.
+        cameras: Contents of :data:`CAMERA_INPUTS` by camera and topic.
+        scene: The scene.
+
+    Raises:
+        RosError: The joints of a human do not fit its body.
+    """
+    truth = cast("dict[str, CameraTruth]", {name: ReceivedTruth(**each) for name, each in cameras.items()})
+    if state is None:
+        return Frame(0, stamp, {}, {}, truth, labels=scene.labels)
+    return Frame(
+        state.index,
+        stamp,
+        {name: _human_state(state, name) for name in state.actors},
+        {},
+        truth,
+        dict(state.objects),
+        labels=scene.labels,
+        scene_time=state.scene_time,
+        camera_poses=state.cameras,
+    )
+
+
+def _human_state(state: SceneState, name: str) -> HumanState:
+    motion = state.joints_of(name)
+    return HumanState(
+        state.actors[name].human.skeleton.joint_names,
+        motion.joints,
+        motion.linear,
+        motion.angular,
+        state.vertices[name],
+        rotations=matrix_to_quaternion(motion.joints[:, :3, :3]),
+        face=motion.face,
+        swing=motion.swing,
+    )
+
+
+# --- table
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """A row of the table.
+
+    Attributes:
+        name: Key of section ``adapters`` of a scene.
+        package: Package of its messages.
+        message: Its message.
+        topic: Usual topic, where ``<camera>`` stands for the name of a camera.
+        needs: What it is made of, in words.
+        topics: Returns its topics in a scene with the settings of its section.
+    """
+
+    name: str
+    package: MessagePackage
+    message: str
+    topic: str
+    needs: str
+    topics: Callable[[AdapterScene, Any, str], Iterator[AdapterTopic]]
+
+    @property
+    def type(self) -> str:
+        """Name of the message type, such as ``people_msgs/msg/People``."""
+        return f"{self.package.name}/msg/{self.message}"
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the evaluation reads these messages of trackers."""
+        return self.type in MESSAGE_TYPES
+
+
+def _name(config: FramedConfig, usual: str) -> str:
+    """Relative name of a topic."""
+    return usual if config.topic is None else config.topic.lstrip("/")
+
+
+def _detections_2d(scene: AdapterScene, config: BoxesConfig, usual: str) -> Iterator[AdapterTopic]:
+    whole, people = config.box == "whole", list(scene.scene.actors)
+    if config.cameras is None:
+        cameras: Sequence[str] = list(scene.scene.scene_cameras)
+    else:
+        cameras = [scene.camera(name, "cameras") for name in config.cameras]
+    for camera in cameras:
+        frame_id = scene.optical(camera)
+        name = usual.replace("<camera>", camera)
+        if config.topic is not None:
+            name = f"{camera}/{config.topic.lstrip('/')}"
+
+        def build(frame: Frame, stamp: int, camera: str = camera, frame_id: str = frame_id) -> Any:
+            boxes = frame.truth[camera].boxes
+            return detections_2d_message({each: boxes[each] for each in people}, whole, stamp, frame_id)
+
+        needed = frozenset(REQUIRED_CHANNELS["boxes"])
+        yield AdapterTopic.of(
+            *(VISION_MSGS, "Detection2DArray", name, build),
+            camera=camera,
+            channels=needed,
+            people=False,
+            inputs=("boxes",),
+        )
+        yield _label_info(name, frame_id, camera)
+
+
+def _detections_3d(scene: AdapterScene, config: FramedConfig, usual: str) -> Iterator[AdapterTopic]:
+    placed, name = scene.placed(config.frame), _name(config, usual)
+
+    def build(frame: Frame, stamp: int) -> Any:
+        return detections_3d_message(frame, placed, stamp)
+
+    yield AdapterTopic.of(VISION_MSGS, "Detection3DArray", name, build, posed=placed.camera)
+    yield _label_info(name, placed.frame_id)
+
+
+def _label_info(topic: str, frame_id: str, camera: str = "") -> AdapterTopic:
+    return AdapterTopic.of(
+        *(VISION_MSGS, "LabelInfo", f"{topic}/label_info", lambda *_: label_info_message(frame_id)),
+        camera=camera,
+        latched=True,
+        per_frame=False,
+        people=False,
+    )
+
+
+def _people(scene: AdapterScene, config: FramedConfig, usual: str) -> Iterator[AdapterTopic]:
+    placed, labels = scene.placed(config.frame), scene.scene.labels
+
+    def build(frame: Frame, stamp: int) -> Any:
+        return people_message(frame, placed, labels, stamp)
+
+    yield AdapterTopic.of(PEOPLE_MSGS, "People", _name(config, usual), build, posed=placed.camera)
+
+
+def _tracked_persons(scene: AdapterScene, config: TrackedConfig, usual: str) -> Iterator[AdapterTopic]:
+    placed, labels = scene.placed(config.frame), scene.scene.labels
+    camera = None if config.camera is None else scene.camera(config.camera, "camera")
+
+    def build(frame: Frame, stamp: int) -> Any:
+        return tracked_persons_message(frame, placed, labels, camera, stamp)
+
+    topic = AdapterTopic.of(SPENCER_MSGS, "TrackedPersons", _name(config, usual), build, posed=placed.camera)
+    if camera is not None:
+        needed = frozenset(REQUIRED_CHANNELS["boxes"])
+        topic = replace(topic, camera=camera, channels=needed, inputs=("boxes",))
+    yield topic
+
+
+#: All adapters by name.
+ADAPTERS = {
+    row.name: row
+    for row in (
+        Adapter(
+            "detections_2d",
+            VISION_MSGS,
+            "Detection2DArray",
+            "<camera>/detections_2d",
+            "boxes of the camera",
+            _detections_2d,
+        ),
+        Adapter("detections_3d", VISION_MSGS, "Detection3DArray", "detections_3d", "bodies", _detections_3d),
+        Adapter("people", PEOPLE_MSGS, "People", "people", "hips", _people),
+        Adapter(
+            "tracked_persons",
+            SPENCER_MSGS,
+            "TrackedPersons",
+            "spencer/perception/tracked_persons",
+            "hips; with a camera, its boxes",
+            _tracked_persons,
+        ),
+    )
+}
+
+
+def adapter_topics(scene: Scene, frame_prefix: str = "") -> list[AdapterTopic]:
+    """Topics of all adapters that a scene has in its section ``adapters``.
+
+    Args:
+        scene: The scene.
+        frame_prefix: Text before the frames of cameras and scanners.
+
+    Raises:
+        SceneError: A setting names no camera or frame of the scene.
+        RosError: A message package is neither installed nor defined, or of another version.
+    """
+    topics: list[AdapterTopic] = []
+    for name, row in ADAPTERS.items():
+        config = getattr(scene.config.adapters, name)
+        if config is not None:
+            row.package.check(installed=False)
+            topics += row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)
+    return topics

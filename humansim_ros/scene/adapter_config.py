@@ -1,0 +1,73 @@
+"""Settings of the messages for other people stacks in a scene file (docs/people_messages.md)."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from humansim_ros.io.schema import Section, ShortSection, TopicName
+from humansim_ros.io.schema_errors import Expected
+
+#: Name of a frame of tf.
+_Frame = Annotated[
+    str,
+    Field(pattern=r"^[A-Za-z_][A-Za-z0-9_/]*$", max_length=255),
+    Expected("a frame of tf, such as map"),
+]
+
+
+class FramedConfig(ShortSection):
+    """Messages of people in a frame of tf."""
+
+    other_words: ClassVar[dict[str, str]] = {"frame": "frame_id", "topic": "name"}
+    short_key: ClassVar[str] = "frame"
+
+    frame: _Frame = Field(
+        default="map", description="frame of the numbers: map, of a camera or scanner, or of the robot"
+    )
+    topic: TopicName | None = Field(default=None, description="topic in place of the usual one")
+
+
+class TrackedConfig(FramedConfig):
+    """Tracks of people."""
+
+    camera: str | None = Field(
+        default=None, description="camera that sees the people: others are occluded; none if absent"
+    )
+
+
+class BoxesConfig(Section):
+    """Boxes of people in images."""
+
+    other_words: ClassVar[dict[str, str]] = {"box": "boxes", "cameras": "camera", "topic": "name"}
+
+    cameras: tuple[str, ...] | None = Field(default=None, description="names of the cameras; all if absent")
+    box: Literal["visible", "whole"] = Field(
+        default="visible", description="box of the visible pixels, or of the whole body"
+    )
+    topic: TopicName | None = Field(
+        default=None, description="topic below the name of the camera in place of the usual one"
+    )
+
+
+class AdaptersConfig(Section):
+    """Messages for other people stacks; a key for each row of the table of adapters."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "detections_2d": "detection2d vision_msgs boxes",
+        "detections_3d": "detection3d",
+        "people": "people_msgs",
+        "tracked_persons": "spencer spencer_tracking_msgs",
+    }
+
+    detections_2d: BoxesConfig | None = Field(default=None, description="vision_msgs/Detection2DArray")
+    detections_3d: FramedConfig | None = Field(default=None, description="vision_msgs/Detection3DArray")
+    people: FramedConfig | None = Field(default=None, description="people_msgs/People")
+    tracked_persons: TrackedConfig | None = Field(
+        default=None, description="spencer_tracking_msgs/TrackedPersons"
+    )
+
+    def __bool__(self) -> bool:
+        """Whether the scene has any."""
+        return any(getattr(self, name) is not None for name in type(self).model_fields)

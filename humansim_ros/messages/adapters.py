@@ -253,8 +253,9 @@ class AdapterScene:
     def camera(self, name: str, key: str) -> str:
         """Return the name of a camera. Raises SceneError of the key if there is none."""
         if name not in self.scene.scene_cameras:
-            known = ", ".join(self.scene.scene_cameras)
-            raise self.error(f"no camera {name!r}; the scene has {known}{did_you_mean(name, known)}", key)
+            known = self.scene.scene_cameras
+            near = did_you_mean(name, known)
+            raise self.error(f"no camera {name!r}; the scene has {', '.join(known)}{near}", key)
         return name
 
     def optical(self, camera: str) -> str:

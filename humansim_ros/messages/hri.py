@@ -360,7 +360,10 @@ def _face_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Itera
 
 
 def _person_topics(name: str) -> Iterator[HriTopic]:
-    """Topics of a person. An empty id says that there is no body or face now."""
+    """Topics of a person. An empty id says that there is no body or face now.
+
+    All are latched but ``location_confidence``: libhri subscribes to it as volatile.
+    """
     contents: dict[str, tuple[type[Any], Callable[[HriPerson], Any]]] = {
         "anonymous": (Bool, lambda _: False),
         "face_id": (String, lambda person: face_id(name) if person.has_face else ""),
@@ -374,7 +377,9 @@ def _person_topics(name: str) -> Iterator[HriTopic]:
         ) -> list[Any]:
             return [kind(data=value(frame.people[name]))]
 
-        yield HriTopic(f"humans/persons/{name}/{path}", kind, build, latched=True)
+        volatile = path == "location_confidence"
+        root = f"humans/persons/{name}"
+        yield HriTopic(f"{root}/{path}", kind, build, latched=not volatile, repeated=volatile)
 
 
 # --- messages

@@ -11,7 +11,7 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
 
 try:
-    from tf2_msgs.msg import TFMessage
+    from tf2_msgs.msg import TFMessage as TFMessage
 except ImportError:  # not on PyPI
     TFMessage = None
 

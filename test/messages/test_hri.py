@@ -316,7 +316,7 @@ def test_ids_that_collide_are_refused() -> None:
 
 def test_an_unknown_camera_is_named() -> None:
     with pytest.raises(
-        SceneError, match=r"no camera 'frint'; the scene has front; did you mean front"
+        SceneError, match=r"no camera 'frint'; the scene has front; did you mean 'front'"
     ) as caught:
         adapter_topics(scene(adapters={"hri": {"camera": "frint"}}))
     assert caught.value.key == "adapters.hri.camera"

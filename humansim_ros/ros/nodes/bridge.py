@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from humansim_ros import messages
-from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.errors import HumansimError, SceneError, some_of
 from humansim_ros.messages.adapters import CAMERA_INPUTS, AdapterTopic, adapter_topics, received_frame
 from humansim_ros.messages.frames import Frames
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -88,7 +88,7 @@ class BridgeNode(SceneNode):
         self._has_sent = False
         if self._again:
             self.create_timer(_AGAIN_EVERY, self._send_again, clock=self._steady_clock)
-        self.get_logger().info(f"publishing {', '.join(topic.name for topic in topics)}")
+        self.get_logger().info(f"publishing {some_of([topic.name for topic in topics])}")
 
     def adapters(self) -> AdaptersConfig:
         """Return the adapters to publish."""

@@ -10,7 +10,7 @@ import signal
 import sys
 from collections import defaultdict
 from collections.abc import Generator, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -299,27 +299,46 @@ def ros() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session")
-def built_interfaces() -> Path:
-    """Folder with the Python package simulation_interfaces, which is not on PyPI."""
+@functools.cache
+def built_package(name: str) -> Path:
+    """Folder with a Python package of messages that is not on PyPI; the test is skipped without compiler."""
     spec = importlib.util.spec_from_file_location("build_interfaces", ROOT / "tools" / "build_interfaces.py")
     assert spec is not None and spec.loader is not None
     build_interfaces = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build_interfaces)
     try:
-        return Path(build_interfaces.built_interfaces("simulation_interfaces"))
+        return Path(build_interfaces.built_interfaces(name))
     except build_interfaces.BuildError as reason:
         pytest.skip(f"interfaces cannot be built here: {reason}")
+
+
+@contextmanager
+def importable(*packages: str) -> Iterator[None]:
+    """Context in which built packages of messages can be imported."""
+    from humansim_ros.messages import types
+
+    folders = [str(built_package(name)) for name in packages]
+    sys.path[:0] = folders
+    types._is_message_package.cache_clear()
+    yield
+    for folder in folders:
+        sys.path.remove(folder)
+    for name in [name for name in sys.modules if name.partition(".")[0] in packages]:
+        del sys.modules[name]
+    types._is_message_package.cache_clear()
+
+
+@pytest.fixture(scope="session")
+def built_interfaces() -> Path:
+    """Folder with the Python package simulation_interfaces."""
+    return built_package("simulation_interfaces")
 
 
 @pytest.fixture(scope="module")
 def interfaces(built_interfaces: Path) -> Iterator[Path]:
     """The built package can be imported, in the tests of one file."""
-    sys.path.insert(0, str(built_interfaces))
-    yield built_interfaces
-    sys.path.remove(str(built_interfaces))
-    for name in [name for name in sys.modules if name.partition(".")[0] == "simulation_interfaces"]:
-        del sys.modules[name]
+    with importable("simulation_interfaces"):
+        yield built_interfaces
 
 
 @pytest.fixture

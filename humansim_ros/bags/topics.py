@@ -146,6 +146,31 @@ def message_types() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
+@lru_cache(maxsize=64)
+def types_of(name: str, definition: str) -> Typestore:
+    """Types that read the messages of a topic.
+
+    A type that is not one of ROS itself has the definition that the bag has: versions differ.
+
+    Args:
+        name: Name of the type.
+        definition: Its definition in the bag; may be empty.
+    """
+    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if name in store.fielddefs or not definition:
+        is_defined(name)
+        return message_types()
+    try:
+        found = get_types_from_msg(definition, name)
+        store.register({each: parts for each, parts in found.items() if each not in store.fielddefs})
+    except TypesysError:  # the definition is in another language
+        is_defined(name)
+        return message_types()
+    return store
+
+
 def is_defined(name: str) -> bool:
     """Return whether :func:`message_types` has a type such as ``sensor_msgs/msg/Image``.
 

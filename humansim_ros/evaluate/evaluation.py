@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from humansim_ros.evaluate.alignment import (
     pair_distances,
     pair_frames,
 )
-from humansim_ros.evaluate.joint_names import limbs_of, pair_joints
+from humansim_ros.evaluate.joint_names import body_joint, limbs_of, pair_joints
 from humansim_ros.evaluate.metrics import (
     Detections,
     acceleration_errors,
@@ -34,6 +34,8 @@ from humansim_ros.evaluate.metrics import (
 )
 from humansim_ros.evaluate.pose_sequence import PoseSequence, Timing, timing
 from humansim_ros.evaluate.tracking import TrackedFrame, TrackingScores, similarity, tracking_scores
+from humansim_ros.messages.people import GROUND
+from humansim_ros.scene.standing import HIPS
 from humansim_ros.types import Array, Indices
 
 #: Greatest mean joint distance of a person who counts as found, metres, as for the recall of [Tu 2020].
@@ -44,6 +46,8 @@ PCK_THRESHOLD = 0.15
 AP_THRESHOLDS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15)
 #: Number of the worst poses that are listed.
 WORST = 10
+#: Matrix that puts positions on the floor.
+_ON_FLOOR = np.diag([1.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -256,7 +260,12 @@ def evaluate_poses(
 def _with_common_joints(
     truth: PoseSequence, estimate: PoseSequence, names: Mapping[str, str] | None
 ) -> tuple[PoseSequence, PoseSequence]:
-    """Both with the joints that both have, under the names of the truth."""
+    """Both with the joints that both have, under the names of the truth.
+
+    An estimate of one point a person is compared on the floor.
+    """
+    if estimate.names == (GROUND,):
+        truth, estimate = _below_hips(truth), estimate.mapped(_ON_FLOOR)
     common = pair_joints(truth.names, estimate.names, names)
     joints = tuple(truth.names[t] for t, _ in common)
     truth = truth.with_joints([t for t, _ in common], joints)
@@ -264,6 +273,22 @@ def _with_common_joints(
     if not any(estimate.people):
         raise EvaluationError("none of the common joints has a finite position", path=estimate.source)
     return truth, estimate
+
+
+def _below_hips(truth: PoseSequence) -> PoseSequence:
+    """The truth with one point: on the floor below the middle of the hips."""
+    hips = [number for number, name in enumerate(truth.names) if body_joint(name) in HIPS]
+    if len(hips) != len(HIPS):
+        raise EvaluationError(
+            "the estimate has one point a person, and the truth no hips to compare it with: choose a "
+            "keypoint set with hips, or none",
+            path=truth.source,
+        )
+    middle = [
+        {name: pose[hips].mean(axis=0, keepdims=True) for name, pose in people.items()}
+        for people in truth.people
+    ]
+    return replace(truth, names=(GROUND,), people=middle).mapped(_ON_FLOOR)
 
 
 @dataclass(frozen=True)

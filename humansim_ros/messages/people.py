@@ -23,6 +23,13 @@ MAX_PEOPLE = 1000
 #: Greatest coordinate; millimetres are still allowed.
 MAX_POSITION = MAX_COORDINATE * 1000
 
+#: Name of the only point of people who have no joints: it counts as the point on the floor below the hips.
+GROUND = "ground"
+#: Classes of detections that are people, in small letters: names, and the number of YOLO's models.
+_PERSON_CLASSES = frozenset({"person", "people", "pedestrian", "human", "0"})
+#: Variance from which a number of spencer_tracking_msgs is not set.
+_UNSET = 99_999
+
 #: Names of points in their order; None if nobody has given them.
 PointNames = tuple[str, ...] | None
 
@@ -50,6 +57,17 @@ class PoseFrame:
     frame_id: str
     people: Sequence[Pose]
 
+    def moved(self, matrix: Array, frame_id: str) -> PoseFrame:
+        """The people in another frame.
+
+        Args:
+            matrix: (4, 4) pose of the frame of the message in the other one.
+            frame_id: Name of the other frame.
+        """
+        turn, shift = matrix[:3, :3], matrix[:3, 3]
+        people = [pose._replace(positions=pose.positions @ turn.T + shift) for pose in self.people]
+        return PoseFrame(self.stamp, frame_id, people)
+
 
 def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
     """Read the people of a message.
@@ -66,6 +84,9 @@ def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
         people = list(islice(_READERS[kind](message, names), MAX_PEOPLE + 1))
     except EvaluationError:
         raise
+    except AttributeError as reason:
+        text = printable(str(reason))
+        raise EvaluationError(f"{kind} is of a version that is not known here: {text}") from None
     except Exception as reason:  # contents come from other programs: offsets of a point cloud, types of names
         text = printable(f"{type(reason).__name__}: {reason}")
         raise EvaluationError(f"a message cannot be read: {text}") from None
@@ -190,12 +211,47 @@ def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
         )
 
 
+def _point(person: object, point: Any, score: float | None = None) -> Pose:
+    """Person of whom a message has one point."""
+    positions = np.array([[point.x, point.y, point.z]], dtype=float)
+    known = score is not None and math.isfinite(score)
+    return Pose(str(person) if person != "" else None, (GROUND,), positions, score if known else None)
+
+
+def _people(message: Any, _: PointNames) -> Iterator[Pose]:
+    for person in message.people:
+        yield _point(person.name, person.position, float(person.reliability))
+
+
+def _tracked_persons(message: Any, _: PointNames) -> Iterator[Pose]:
+    for track in message.tracks:
+        pose = _point(track.track_id, track.pose.pose.position)
+        if max(track.pose.covariance[0], track.pose.covariance[7]) > _UNSET:
+            pose.positions[:] = np.nan
+        yield pose
+
+
+def _detections_3d(message: Any, _: PointNames) -> Iterator[Pose]:
+    for found in message.detections:
+        best = max((each.hypothesis for each in found.results), key=lambda each: each.score, default=None)
+        if best is None or str(best.class_id).lower() in _PERSON_CLASSES:
+            yield _point(found.id, found.bbox.center.position, None if best is None else float(best.score))
+
+
 _MARKERS = "visualization_msgs/msg/MarkerArray"
 _READERS: dict[str, Callable[[Any, PointNames], Iterator[Pose]]] = {
     "sensor_msgs/msg/MultiDOFJointState": _multi_dof,
     "geometry_msgs/msg/PoseArray": _pose_array,
     _MARKERS: _markers,
     "sensor_msgs/msg/PointCloud2": _point_cloud,
+    "vision_msgs/msg/Detection3DArray": _detections_3d,
+    "people_msgs/msg/People": _people,
+    "spencer_tracking_msgs/msg/TrackedPersons": _tracked_persons,
 }
 #: Types of messages that hold poses of people.
 MESSAGE_TYPES = tuple(_READERS)
+
+
+def has_one_point(kind: str) -> bool:
+    """Whether messages of a type have one point for each person, and no joints."""
+    return _READERS[kind] in (_detections_3d, _people, _tracked_persons)

@@ -11,14 +11,18 @@ from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 
 from humansim_ros.errors import HumansimError, RosError, printable
-from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
+from humansim_ros.evaluate.readers.estimates import in_world, topic_pattern, topic_person
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
+from humansim_ros.messages.adapters import ADAPTERS
 from humansim_ros.messages.cdr import deserialised
-from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
+from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
+from humansim_ros.messages.transforms import Transforms
 from humansim_ros.messages.types import message_type
 from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
-from humansim_ros.ros.qos import subscription_profile
+from humansim_ros.ros.qos import LATCHED, subscription_profile
+from humansim_ros.ros.transforms import TFMessage
 
 #: Seconds between two looks for topics and publishers.
 _DISCOVERY_EVERY = 0.25
@@ -65,6 +69,9 @@ class PoseTopics:
         self._pattern = topic_pattern(self.topic)
         #: By topic: type, profile and subscription.
         self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
+        #: Transforms, and subscriptions to them, once a message is not in ``map``.
+        self._transforms: Transforms | None = None
+        self._tf: list[Any] = []
         node.create_timer(_DISCOVERY_EVERY, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.discover()
 
@@ -84,6 +91,9 @@ class PoseTopics:
             (each.topic_type, each.qos_profile) for each in self._node.get_publishers_info_by_topic(name)
         ]
         known = [kind for kind, _ in offers if kind in MESSAGE_TYPES]
+        for row in ADAPTERS.values():
+            if row.type in known:
+                row.package.check(installed=True)
         if not known:
             if offers:
                 listed = ", ".join(printable(kind, 80) for kind in types[:3])
@@ -115,10 +125,26 @@ class PoseTopics:
         try:
             limit = None if kind.endswith("PointCloud2") else _MAX_BYTES
             message = deserialised(data, message_type(kind), limit)
-            self._on_frame(read_people(kind, message, self._options.names), name, person)
+            frame = read_people(kind, message, self._options.names)
+            if frame.frame_id not in ("", WORLD_FRAME):
+                frame = in_world(frame, self._known_transforms(), has_one_point(kind))
+            self._on_frame(frame, name, person)
         except HumansimError:
             self.ignored += 1
             raise
+
+    def _known_transforms(self) -> Transforms:
+        """Transforms of tf; from the first call on, those that arrive are added."""
+        if self._transforms is None:
+            self._transforms = Transforms()
+            for name, profile in (("/tf_static", LATCHED), ("/tf", subscription_profile([]))):
+                if TFMessage is not None:  # the package is not on PyPI
+                    self._tf.append(
+                        self._node.create_subscription(
+                            TFMessage, name, self._transforms.add, profile, raw=True, max_bytes=ANY_SIZE
+                        )
+                    )
+        return self._transforms
 
     def _warn(self, text: str) -> None:
         self._node.get_logger().warn(text, throttle_duration_sec=_LINE_EVERY)
@@ -131,5 +157,7 @@ class PoseTopics:
     def close(self) -> None:
         """End all subscriptions."""
         for *_, subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        for subscription in self._tf:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()

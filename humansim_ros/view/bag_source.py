@@ -22,10 +22,11 @@ from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.humans import Human
 from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.people import PoseFrame
+from humansim_ros.messages.transforms import Transforms
 from humansim_ros.messages.types import begins_with_stamp, readable_type
 from humansim_ros.types import Indices
 from humansim_ros.view.picking import PIXEL_CHANNELS
-from humansim_ros.view.seen_topics import SeenTopics, Transforms, seen_topics
+from humansim_ros.view.seen_topics import SeenTopics, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,

@@ -27,13 +27,14 @@ from humansim_ros.humans import Human
 from humansim_ros.messages.cdr import check_serialised, deserialised
 from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.people import read_people
+from humansim_ros.messages.transforms import TF
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.view.picking import PIXEL_CHANNELS
-from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
+from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, SeenTopics, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,

@@ -19,7 +19,9 @@ from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.cdr import deserialised
+from humansim_ros.messages.headers import WORLD_FRAME
 from humansim_ros.messages.people import Pose, read_people
+from humansim_ros.messages.transforms import Transforms
 from humansim_ros.messages.types import (
     CameraInfo,
     CompressedImage,
@@ -40,7 +42,7 @@ from humansim_ros.truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Array, Float32Array
 from humansim_ros.types import Image as Picture
 from humansim_ros.view.picking import PIXEL_CHANNELS, JointsInImage, near_joint_values, surface_values
-from humansim_ros.view.seen_topics import IMAGE, WORLD, SeenCamera, SeenTopics, Transforms, spaced
+from humansim_ros.view.seen_topics import IMAGE, SeenCamera, SeenTopics, spaced
 from humansim_ros.view.source import (
     IMAGE_WIDTH,
     JOINTS,
@@ -284,8 +286,8 @@ class TopicFrames:
                 f"{name} has no pose, neither on {name}/extrinsics nor on tf: it is shown at the origin"
             )
             return None
-        if found[1] != WORLD:
-            self.note(f"tf has no frame {WORLD}: {found[1]} is taken for it")
+        if found[1] != WORLD_FRAME:
+            self.note(f"tf has no frame {WORLD_FRAME}: {found[1]} is taken for it")
         return found[0]
 
     # --- frames

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import BagTopic, message_types
-from humansim_ros.errors import EvaluationError, did_you_mean, printable, warn_about
+from humansim_ros.bags.topics import BagTopic, message_types, types_of
+from humansim_ros.errors import EvaluationError, RosError, did_you_mean, printable, warn_about
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.evaluate.readers.pose_files import ReadOptions, read_c3d, read_csv, read_json_3d, read_trc
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.io.files import missing_file
-from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
+from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
+from humansim_ros.messages.transforms import TF, Transforms
 
 _Reader = Callable[[Path, ReadOptions], PoseSequence]
 #: By suffix: the reader, and the axes of files of that format.
@@ -35,6 +36,8 @@ _BAG_SUFFIXES = (".mcap", ".db3")
 _SAME_CLOCK = 3600 * 10**9
 #: Frame of all positions.
 _WORLD = "map"
+#: Type of the poses of cameras and scanners.
+_EXTRINSICS = "geometry_msgs/msg/TransformStamped"
 
 
 def split_topic(text: str) -> tuple[str, str | None]:
@@ -153,10 +156,14 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
             _check_type(reader.topics[index], path)
         stream = EstimateStream(source)
         frames = set[str]()
+        transforms: Transforms | None = None
         for message in reader.messages([reader.topics[index].name for index in people]):
             kind = reader.topics[message.topic]
             try:
-                content = _read_message(message.data, kind.type, options)
+                content = _read_message(message.data, kind, options)
+                if content.frame_id not in ("", _WORLD):
+                    transforms = transforms or _transforms(path)
+                    content = in_world(content, transforms, is_needed=has_one_point(kind.type))
                 latency = _latency(content.stamp, message.stamp)
                 stream.add(content, kind.name, message.stamp, people[message.topic], latency)
             except EvaluationError as error:
@@ -167,12 +174,56 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
     return stream
 
 
-def _read_message(data: Any, kind: str, options: ReadOptions) -> PoseFrame:
+def _read_message(data: Any, topic: BagTopic, options: ReadOptions) -> PoseFrame:
+    kind = topic.type
     try:
-        content = message_types().deserialize_cdr(bytes(data), kind)
+        content = types_of(kind, topic.definition).deserialize_cdr(bytes(data), kind)
     except Exception as reason:  # rosbags documents no exceptions for damaged messages
         raise EvaluationError(f"a message cannot be read: {type(reason).__name__}: {reason}") from None
     return read_people(kind, content, options.names)
+
+
+def _transforms(path: str | os.PathLike[str]) -> Transforms:
+    """Transforms of tf, and poses of cameras and scanners, of a bag."""
+    found = Transforms()
+    with BagReader(path) as reader:
+        kinds = {each.name: each.type for each in reader.topics if each.type in (TF, _EXTRINSICS)}
+        names = [each.name for each in reader.topics]
+        for message in reader.messages(list(kinds)):
+            name = names[message.topic]
+            try:
+                if kinds[name] == TF:
+                    found.add(bytes(message.data))
+                else:
+                    found.add_transform(message_types().deserialize_cdr(bytes(message.data), _EXTRINSICS))
+            except RosError as error:
+                raise EvaluationError(error.message, path=path, key=name) from None
+            except Exception as reason:  # rosbags documents no exceptions for damaged messages
+                text = f"a message cannot be read: {type(reason).__name__}: {reason}"
+                raise EvaluationError(text, path=path, key=name) from None
+    return found
+
+
+def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseFrame:
+    """The people of a message in ``map``.
+
+    Args:
+        frame: The message.
+        transforms: Transforms that are known.
+        is_needed: Refuse a frame without transform; else it is returned as it is.
+
+    Raises:
+        EvaluationError: There is no transform.
+    """
+    found = None if frame.stamp is None else transforms.pose(frame.frame_id, frame.stamp)
+    if found is not None and found[1] == _WORLD:
+        return frame.moved(found[0], _WORLD)
+    if is_needed and frame.stamp is not None:
+        raise EvaluationError(
+            f"frame_id is '{printable(frame.frame_id, 80)}', and tf has no transform from it to {_WORLD}: "
+            f"publish positions in {_WORLD}, or with the topics /tf and /tf_static"
+        )
+    return frame
 
 
 def _latency(stamp: int | None, logged: int) -> float | None:

@@ -140,8 +140,10 @@ def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -
     """Raise EvaluationError if people of the truth and of the estimate differ in size."""
     sizes = [_size(people.values()) for people in _frames(truth, pairs.truth)]
     own = [_size(people.values()) for people in _frames(estimate, pairs.estimate)]
+    if not np.isfinite(sizes).any() or not np.isfinite(own).any():
+        return  # people of one point have no size
     with np.errstate(invalid="ignore", divide="ignore"):
-        factor = float(np.nanmedian([*sizes, np.nan]) / np.nanmedian([*own, np.nan]))
+        factor = float(np.nanmedian(sizes) / np.nanmedian(own))
     if not np.isfinite(factor) or 1 / _UNIT_FACTOR < factor < _UNIT_FACTOR:
         return
     power = 10.0 ** round(np.log10(factor))

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from humansim_ros.bags.topics import message_types
+from humansim_ros.bags.topics import is_defined, message_types
 from humansim_ros.errors import RosError
 from humansim_ros.messages.types import is_made, name_of, set_unchecked
 
@@ -58,6 +58,7 @@ def _numbers(name: str) -> list[tuple[tuple[str, ...], str | None]]:
     """
     from rosbags.interfaces import Nodetype
 
+    is_defined(name)  # which adds it to the known types
     found: list[tuple[tuple[str, ...], str | None]] = []
     for attribute, description in message_types().get_msgdef(name).fields:
         node: Any = description[0]

@@ -1,0 +1,232 @@
+"""Trackers that publish one point a person: vision_msgs, people_msgs and SPENCER, without any adapter."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humansim_ros import Scene, evaluate, messages
+from humansim_ros.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.bags.topics import BagTopic, described
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.errors import EvaluationError
+from humansim_ros.messages.adapters import adapter_topics
+from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.types import made_type
+from humansim_ros.scene.simulation import Frame
+
+FRAMES = 12
+SCENE: dict[str, Any] = {
+    "rate": 20,
+    "room": None,
+    "humans": {
+        "anna": {"motion": {"file": "walk", "position": [0, -1.0]}},
+        "ben": {"motion": {"file": "walk_straight", "position": [-0.5, 1.0]}},
+    },
+    "robot": {"path": {"points": [[-2, 0], [2, 0.3]], "speed": 1.5}},
+    "cameras": {"ahead": {"size": [64, 48], "mount": "robot", "position": [0, 0, 1], "look_at": [1, 0, 0.9]}},
+}
+
+
+def scene_with(path: Path, adapters: dict[str, Any]) -> Scene:
+    path.write_text(json.dumps({**SCENE, "adapters": adapters}))
+    return Scene.load(path)
+
+
+def frame_of(scene: Scene, index: int) -> Frame:
+    """Frame of a scene without images."""
+    time = scene.frame_time(index)
+    humans = {name: actor.at(time * 1e-9) for name, actor in scene.actors.items()}
+    robot = scene.objects["robot"].pose_at
+    assert robot is not None and scene.robot is not None
+    return Frame(
+        index,
+        1 + time,
+        humans,
+        {},
+        objects={"robot": robot(time * 1e-9)},
+        labels=scene.labels,
+        scene_time=time,
+        robot=scene.robot.base_at(time * 1e-9),
+        camera_poses={
+            name: camera.pose(time * 1e-9) for name, camera in scene.scene_cameras.items() if camera.moves
+        },
+    )
+
+
+def write(folder: Path, topics: dict[str, str], rows: Sequence[tuple[str, int, Any]]) -> Path:
+    """Write a bag. ``rows``: topic, stamp and message."""
+    names = list(topics)
+    with BagWriter(folder, [described(BagTopic(name, kind)) for name, kind in topics.items()]) as writer:
+        for topic, stamp, message in sorted(rows, key=lambda row: row[1]):
+            data = BagMessage(names.index(topic), stamp, serialised(message, topics[topic]))
+            writer.append(encode_chunk([data], "none"))
+    return folder
+
+
+def bag_of(
+    scene: Scene, folder: Path, change: Callable[[int, Any], Any] = lambda _, message: message, tf: str = ""
+) -> Path:
+    """Bag of the only adapter of a scene, as of a tracker. ``tf``: topics of tf, in which the robot is."""
+    (topic,) = (each for each in adapter_topics(scene) if each.per_frame)
+    topics, rows = {"/tracker": topic.type_name}, []
+    for index in range(FRAMES):
+        frame = frame_of(scene, index)
+        rows.append(("/tracker", frame.stamp, change(index, topic.message(frame))))
+        base = frame.robot
+        if tf and base is not None:
+            pose = messages.transform_message(base.position, base.rotation, frame.stamp, "map", "base_link")
+            rows.append((tf, frame.stamp, made_type("tf2_msgs/msg/TFMessage")(transforms=[pose])))
+            topics[tf] = "tf2_msgs/msg/TFMessage"
+    return write(folder, topics, rows)
+
+
+@pytest.mark.parametrize("adapter", ["people", "tracked_persons"])
+@pytest.mark.parametrize("frame_id", ["map", "base_link"])
+def test_the_truth_as_an_estimate_has_no_error(tmp_path: Path, adapter: str, frame_id: str) -> None:
+    scene = scene_with(tmp_path / "scene.yaml", {adapter: frame_id})
+    bag = bag_of(scene, tmp_path / "bag", tf="" if frame_id == "map" else "/tf")
+    data = evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker").data
+    assert data["position"]["mpjpe"] < 1e-9 and list(data["by_joint"]) == ["ground"]
+    assert data["people"] == {
+        "present": 2 * FRAMES,
+        "found": 2 * FRAMES,
+        "missed": 0,
+        "false": 0,
+        "recall": 1.0,
+        "precision": 1.0,
+    }
+    assert {key: data["tracking"][key] for key in ("hota", "mota", "idf1", "switches")} == pytest.approx(
+        {"hota": 1.0, "mota": 1.0, "idf1": 1.0, "switches": 0}
+    )
+
+
+def test_boxes_are_compared_at_their_middle(tmp_path: Path) -> None:
+    """The error is the distance from the hips to the middle of the box, whatever the height."""
+    scene = scene_with(tmp_path / "scene.yaml", {"detections_3d": {}})
+
+    def higher(_: int, message: Any) -> Any:
+        for found in message.detections:
+            found.bbox.center.position.z += 5.0
+        return message
+
+    bag = bag_of(scene, tmp_path / "bag", higher)
+    data = evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker").data
+    distances = []
+    for index in range(FRAMES):
+        for state in frame_of(scene, index).humans.values():
+            joints = dict(zip(state.joint_names, state.positions, strict=True))
+            across = (joints["l_hip"] - joints["r_hip"])[:2]
+            axes = np.array([[across[1], -across[0]], across]) / np.linalg.norm(across)
+            spread = state.vertices[:, :2] @ axes.T
+            middle = axes.T @ (spread.min(axis=0) + spread.max(axis=0)) / 2
+            distances.append(np.linalg.norm(middle - (joints["l_hip"] + joints["r_hip"])[:2] / 2))
+    assert data["position"]["mpjpe"] == pytest.approx(np.mean(distances), abs=1e-6)
+    assert 0.01 < data["position"]["mpjpe"] < 0.3 and data["tracking"]["idf1"] == 1.0
+
+
+def test_errors_swaps_and_losses_are_counted(tmp_path: Path) -> None:
+    scene = scene_with(tmp_path / "scene.yaml", {"people": {}})
+
+    def worse(index: int, message: Any) -> Any:
+        for person in message.people:
+            person.position.x += 0.03
+        if index >= FRAMES // 2:  # the names are changed
+            first, second = message.people
+            first.name, second.name = second.name, first.name
+        if index == 3:
+            del message.people[1]
+        if index == 4:
+            message.people[1].position.y += 9.0
+        return message
+
+    bag = bag_of(scene, tmp_path / "bag", worse)
+    data = evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker").data
+    assert data["position"]["mpjpe"] == pytest.approx(0.03, abs=1e-9)
+    assert (data["people"]["missed"], data["people"]["false"]) == (2, 1)
+    assert data["tracking"]["switches"] == 2
+    assert data["tracking"]["mota"] == pytest.approx(1 - (2 + 1 + 2) / (2 * FRAMES))
+
+
+def test_a_frame_that_tf_does_not_know_is_refused(tmp_path: Path) -> None:
+    scene = scene_with(tmp_path / "scene.yaml", {"people": "base_link"})
+    bag = bag_of(scene, tmp_path / "bag")
+    with pytest.raises(EvaluationError, match="frame_id is 'base_link', and tf has no transform") as caught:
+        evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker")
+    assert caught.value.key == "/tracker"
+
+
+def test_damaged_transforms_are_refused(tmp_path: Path) -> None:
+    scene = scene_with(tmp_path / "scene.yaml", {"people": "base_link"})
+    bag_of(scene, tmp_path / "bag")
+    bad = messages.transform_message(np.full(3, np.nan), np.array([0, 0, 0, 1.0]), 1, "map", "base_link")
+    (topic,) = adapter_topics(scene)
+    rows = [
+        ("/tracker", 2, topic.message(frame_of(scene, 0))),
+        ("/tf_static", 1, made_type("tf2_msgs/msg/TFMessage")(transforms=[bad])),
+    ]
+    topics = {"/tracker": topic.type_name, "/tf_static": "tf2_msgs/msg/TFMessage"}
+    with pytest.raises(EvaluationError, match="a transform is not finite"):
+        evaluate(tmp_path / "scene.yaml", f"{write(tmp_path / 'other', topics, rows)}:/tracker")
+
+
+def test_positions_in_the_frame_of_a_camera_of_a_recording(tmp_path: Path) -> None:
+    """``<camera>/extrinsics``, which recordings have, is a transform, too."""
+    scene = scene_with(tmp_path / "scene.yaml", {"people": "ahead_optical_frame"})
+    (topic,) = adapter_topics(scene)
+    topics = {"/tracker": topic.type_name, "/ahead/extrinsics": "geometry_msgs/msg/TransformStamped"}
+    rows = []
+    for index in range(FRAMES):
+        frame = frame_of(scene, index)
+        camera = scene.scene_cameras["ahead"].camera_at(frame.camera_poses["ahead"])
+        pose = messages.extrinsics_message(camera, frame.stamp, "ahead_optical_frame")
+        rows += [("/tracker", frame.stamp, topic.message(frame)), ("/ahead/extrinsics", frame.stamp, pose)]
+    bag = write(tmp_path / "bag", topics, rows)
+    data = evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker").data
+    assert data["position"]["mpjpe"] < 1e-9 and data["people"]["found"] == 2 * FRAMES
+
+
+def test_a_truth_without_hips_is_refused(tmp_path: Path) -> None:
+    scene = scene_with(tmp_path / "scene.yaml", {"people": {}})
+    bag = bag_of(scene, tmp_path / "bag")
+    with pytest.raises(EvaluationError, match="the truth no hips to compare it with"):
+        evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker", keypoints="left_hand21")
+
+
+def test_keypoints_with_hips_are_a_truth_too(tmp_path: Path) -> None:
+    """The hips of COCO are the hip joints of the body."""
+    scene = scene_with(tmp_path / "scene.yaml", {"people": {}})
+    bag = bag_of(scene, tmp_path / "bag")
+    data = evaluate(tmp_path / "scene.yaml", f"{bag}:/tracker", keypoints="coco17").data
+    assert data["position"]["mpjpe"] < 1e-6
+
+
+def test_a_topic_with_another_version_of_the_message_is_refused(tmp_path: Path) -> None:
+    """vision_msgs 2 has other detections; the definition in the bag says so."""
+    old = "std_msgs/Header header\nDetection3D[] detections\n" + "=" * 80 + "\n"
+    old += "MSG: vision_msgs/Detection3D\nstd_msgs/Header header\nstring tracking_id\n"
+    topic = BagTopic("/tracker", "vision_msgs/msg/Detection3DArray", (), old, "RIHS01_" + "0" * 64)
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(
+        {
+            name: fields
+            for name, fields in get_types_from_msg(old, topic.type).items()
+            if name not in store.fielddefs
+        }
+    )
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](0, 1), "map")
+    found = store.types["vision_msgs/msg/Detection3D"](header, "7")
+    message = store.types[topic.type](header, [found])
+    data = BagMessage(0, 1, memoryview(store.serialize_cdr(message, topic.type)))
+    with BagWriter(tmp_path / "bag", [topic]) as writer:
+        writer.append(encode_chunk([data], "none"))
+    scene_with(tmp_path / "scene.yaml", {})
+    with pytest.raises(EvaluationError, match="Detection3DArray is of a version that is not known here"):
+        evaluate(tmp_path / "scene.yaml", f"{tmp_path / 'bag'}:/tracker")

@@ -1,0 +1,195 @@
+"""Node ``bridge``: the live messages are those of a simulation, and trackers' messages are evaluated live."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import ros_support
+from conftest import ROOT, built_package, importable
+from waiting import PATIENCE
+
+from humansim_ros import Scene, Simulation, messages
+from humansim_ros.errors import RosError, SceneError
+from humansim_ros.messages.adapters import adapter_topics
+from humansim_ros.messages.cdr import serialised
+from humansim_ros.testing import SceneGraph
+
+#: Packages of the adapters; the tests of each day build one of them only.
+ALL = ("vision_msgs", "people_msgs", "spencer_tracking_msgs")
+SCENE: dict[str, Any] = {
+    "rate": 20,
+    "room": None,
+    "humans": {
+        "anna": {"motion": {"file": "walk", "position": [0, -1.0]}},
+        "ben": {"body": "child", "motion": {"file": "wave", "position": [-0.5, 1.0]}},
+    },
+    "robot": {"path": {"points": [[-2, 0], [2, 0.3]], "speed": 1.5}, "vibration": 0.002},
+    "cameras": {
+        "left": {"size": [64, 48], "position": [4, 0, 2], "look_at": [0, 0, 1], "fov_deg": 60},
+        "ahead": {
+            "size": [64, 48],
+            "mount": "robot",
+            "position": [0, 0, 1],
+            "look_at": [1, 0, 0.9],
+            "rate": 10,
+        },
+    },
+}
+ADAPTERS = {
+    "detections_2d": {},
+    "detections_3d": "ahead_optical_frame",
+    "people": "base_link",
+    "tracked_persons": {"frame": "odom", "camera": "ahead"},
+}
+
+
+def write(folder: Path, adapters: dict[str, Any]) -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(json.dumps({**SCENE, "adapters": adapters}))
+    return path
+
+
+@pytest.fixture
+def people_msgs() -> Iterator[None]:
+    with importable("people_msgs"):
+        yield
+
+
+@pytest.fixture
+def all_packages() -> Iterator[None]:
+    with importable(*ALL):
+        yield
+
+
+def expected(scene: Scene, frames: int) -> dict[str, list[bytes]]:
+    """Serialised messages of the first frames of a simulation by topic."""
+    found: dict[str, list[bytes]] = {}
+    with Simulation(scene, ("instance", "amodal")) as simulation:
+        for index in range(frames):
+            frame = simulation.frame(index)
+            for topic in adapter_topics(scene):
+                for _, message in topic.sent(frame) if topic.per_frame or not index else ():
+                    data = bytes(serialised(message, topic.type_name))
+                    found.setdefault(topic.name, []).append(data)
+    return found
+
+
+def check_live_messages(scene: Scene, frames: int) -> None:
+    """Compare live messages with those of a simulation, but for the first stamps."""
+    theirs = expected(scene, frames)
+    topics = {topic.name: topic for topic in adapter_topics(scene)}
+    with SceneGraph(scene) as graph:
+        received = {name: graph.subscribe(name, every_frame=False) for name in topics}
+        graph.play(frames)
+        for name in topics:
+            graph.spin_until(lambda name=name: len(received[name]) >= len(theirs[name]), name)
+        for name, topic in topics.items():
+            ours = {}
+            for message in received[name][:]:  # a frame may be sent twice
+                ours[messages.to_nanoseconds(message.header.stamp)] = message
+            assert [bytes(serialised(message, topic.type_name)) for message in ours.values()] == theirs[name]
+
+
+@pytest.mark.slow
+def test_live_people_are_those_of_a_simulation(people_msgs: None, tmp_path: Path) -> None:
+    check_live_messages(Scene.load(write(tmp_path, {"people": "base_link"})), 4)
+
+
+@pytest.mark.nightly
+def test_all_live_messages_are_those_of_a_simulation(all_packages: None, tmp_path: Path) -> None:
+    """Also of a camera that moves, and takes a picture in each second frame only."""
+    check_live_messages(Scene.load(write(tmp_path, ADAPTERS)), 6)
+
+
+def make_bridge(scene: Path) -> Any:
+    from rclpy.parameter import Parameter
+
+    from humansim_ros.ros.nodes.bridge import BridgeNode
+
+    return BridgeNode(parameter_overrides=[Parameter("scene", value=str(scene))])
+
+
+def test_a_scene_without_adapters_is_refused(ros: None, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="the scene has no adapters") as caught:
+        make_bridge(write(tmp_path, {}))
+    assert caught.value.key == "adapters"
+
+
+@pytest.mark.parametrize(
+    ("adapter", "line"),
+    [
+        ("detections_2d", "sudo apt install ros-jazzy-vision-msgs"),
+        ("people", "not released for Jazzy: git clone -b ros2 https://github.com/wg-perception/people"),
+        ("tracked_persons", "not released for Jazzy: build it from source"),
+    ],
+)
+def test_an_absent_package_is_refused(ros: None, tmp_path: Path, adapter: str, line: str) -> None:
+    with pytest.raises(RosError, match=f"is not installed here: (it is )?{line}"):
+        make_bridge(write(tmp_path, {adapter: {}}))
+
+
+@pytest.mark.nightly
+def test_a_run_without_the_package_ends_with_code_2(ros: None, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "humansim_ros", "run", str(write(tmp_path, {"people": {}})), "--lockstep"],
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "the message package people_msgs is not installed here" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.nightly
+def test_a_run_records_the_adapters_and_the_evaluation_reads_them(ros: None, tmp_path: Path) -> None:
+    """Processes in lockstep: the bag has each frame, and the same messages as ``humansim record``."""
+    from humansim_ros import evaluate
+
+    scene, paths = write(tmp_path, {"people": "map"}), [str(ROOT), str(built_package("people_msgs"))]
+    done = subprocess.run(
+        [sys.executable, "-m", "humansim_ros", "run", str(scene), "--lockstep", "--frames", "12",
+         "--record", str(tmp_path / "bag"), "--topics", "/people"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    data = evaluate(scene, f"{tmp_path / 'bag'}:/people").data
+    assert data["people"]["found"] == 24 and data["position"]["mpjpe"] < 1e-9
+    assert data["live"]["frames"] == 12
+
+
+@pytest.mark.nightly
+def test_a_people_tracker_is_evaluated_live(people_msgs: None, tmp_path: Path) -> None:
+    """The bridge is the tracker."""
+    from test_evaluator import compute, make_evaluator
+
+    scene = Scene.load(write(tmp_path, {"people": "map"}))
+    with SceneGraph(scene) as graph:
+        node = make_evaluator(topic="/people", use_sim_time=True, scene=str(scene.path))
+        graph.add_node(node)
+        graph.play(8)
+        graph.spin_until(lambda: len(node.evaluation.estimate) >= 5)
+        compute(node)
+        result = node._results["total"]
+        assert result.position.mpjpe < 1e-9 and result.people.found >= 10
+        assert result.tracking is not None and result.tracking.idf1 == 1.0
+
+
+@pytest.mark.nightly
+def test_hostile_boxes_leave_the_node_running(all_packages: None, ros: None, tmp_path: Path) -> None:
+    from sensor_msgs.msg import PointCloud2
+
+    node = make_bridge(write(tmp_path, {"detections_2d": {"cameras": ["left"]}}))
+    try:
+        ros_support.deliver(node, "/left/boxes", PointCloud2(header=messages.header(5, "left")))
+        ros_support.deliver(node, "/left/boxes", PointCloud2(width=2**31, height=2**31))
+        assert node._counts["drops"] == 2
+    finally:
+        node.close()
+        node.destroy_node()

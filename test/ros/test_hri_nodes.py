@@ -5,20 +5,26 @@ Names, types and quality of service of the subscriptions are those of libhri 2.9
 
 from __future__ import annotations
 
+import random
+import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import importable
+from conftest import ROOT, importable
 from ros_support import deliver
 
 from humansim_ros import Scene, Simulation, messages
-from humansim_ros.errors import RosError, SceneError
+from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.messages import hri, types
 from humansim_ros.messages.adapters import adapter_topics
+from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.testing import SceneGraph
-from humansim_ros.types import Array
+
+sys.path.append(str(ROOT / "tools"))
+from message_mutations import mutated
 
 SCENE = {
     "rate": 10,
@@ -158,6 +164,29 @@ def test_latched_messages_are_sent_when_they_change(graph: SceneGraph) -> None:
     before = urdf.arrived
     graph.play(3)
     assert urdf.arrived == before == 1
+
+
+def test_hostile_messages_are_refused_and_the_next_frame_is_published(
+    graph: SceneGraph, frame: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """300 messages with changed fields, as tools/fuzz_nodes.py sends them."""
+    crop = graph.subscribe("/humans/bodies/b_anna/cropped", every_frame=False)
+    tracked = graph.subscribe("/humans/bodies/tracked", every_frame=False)
+    graph.spin_until(lambda: graph.node.count_subscribers("/lab/front/image_raw") == 1)
+    (node,) = (node for node in graph._running.nodes if node.get_name() == "bridge")  # type: ignore[union-attr]
+    unforeseen: list[str] = []
+    monkeypatch.setattr(
+        GuardedNode, "_log_fault", lambda _, source, text, unexpected: unexpected and unforeseen.append(text)
+    )
+    source = random.Random(4)
+    for _ in range(100):
+        for topic, message in frame.items():
+            with suppress(HumansimError):  # as the guard of callbacks does
+                deliver(node, topic, mutated(message, source))
+    assert unforeseen == []
+    (stamp,) = graph.play()
+    graph.spin_until(lambda: stamp_of(tracked[-1]) == stamp == stamp_of(crop[-1]))
+    assert tracked[-1].ids == ["b_anna"]
 
 
 # --- one node alone

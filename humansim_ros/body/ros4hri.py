@@ -128,6 +128,8 @@ _BALLS = (
 _STRAIGHT = 0.1
 #: Radius of limbs and head of the picture, metres.
 _LIMB_RADIUS, _HEAD_RADIUS = 0.03, 0.1
+#: In place of the id of a body.
+_ID = "@"
 #: Origin of the head's link without eyes: share of the way from the base of the neck to the top of the head.
 _EYE_HEIGHT = 0.55
 
@@ -241,11 +243,20 @@ class HriLinks:
             body: Id of the body.
             size: Scale of the person, see :meth:`size`.
         """
-        robot = ElementTree.Element("robot", name=f"human_{body}")
+        text = self._unscaled if size == 1.0 else self._urdf_of(size)
+        return text.replace(_ID, body)
+
+    @cached_property
+    def _unscaled(self) -> str:
+        return self._urdf_of(1.0)
+
+    def _urdf_of(self, size: float) -> str:
+        """URDF of a scale, with :data:`_ID` in place of the id."""
+        robot = ElementTree.Element("robot", name=f"human_{_ID}")
         color = ElementTree.SubElement(ElementTree.SubElement(robot, "material", name="skin"), "color")
         color.set("rgba", "0.9 0.65 0.5 1")
         for link in LINKS:
-            element = ElementTree.SubElement(robot, "link", name=f"{link}_{body}")
+            element = ElementTree.SubElement(robot, "link", name=f"{link}_{_ID}")
             if link == "head":
                 _visual(element, ElementTree.Element("sphere", radius=_text(size * _HEAD_RADIUS)))
             for joint in URDF_JOINTS:
@@ -253,9 +264,9 @@ class HriLinks:
                     _segment(element, size * self.origins[joint.child], size * _LIMB_RADIUS)
         for joint in URDF_JOINTS:
             kind = "fixed" if joint.axis is None else "revolute"
-            element = ElementTree.SubElement(robot, "joint", name=f"{joint.name}_{body}", type=kind)
-            ElementTree.SubElement(element, "parent", link=f"{joint.parent}_{body}")
-            ElementTree.SubElement(element, "child", link=f"{joint.child}_{body}")
+            element = ElementTree.SubElement(robot, "joint", name=f"{joint.name}_{_ID}", type=kind)
+            ElementTree.SubElement(element, "parent", link=f"{joint.parent}_{_ID}")
+            ElementTree.SubElement(element, "child", link=f"{joint.child}_{_ID}")
             ElementTree.SubElement(element, "origin", xyz=_text(*(size * self.origins[joint.child])))
             if joint.axis is not None:
                 ElementTree.SubElement(element, "axis", xyz=_text(*joint.axis))

@@ -162,7 +162,7 @@ def hri_person(
     sellion = optical[keys.index(_SELLION)]
     if found.roi is not None and seen >= _FACE_SEEN and np.isfinite(sellion).all():
         found = replace(found, landmarks=shares[face], face_roi=_bounds(pixels[face], image_size))
-    if links is None:
+    if links is None or found.roi is None:
         return found
     joints, links_at = state.joints, links.poses(state.joints)
     found = replace(

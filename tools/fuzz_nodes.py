@@ -32,6 +32,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -41,6 +42,7 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "test"), str(ROOT / "tools")]
 
+from build_interfaces import built_interfaces  # noqa: E402
 from geometry_msgs.msg import TwistStamped  # noqa: E402
 from message_mutations import STRINGS, mutated, mutated_bytes  # noqa: E402
 from rcl_interfaces.msg import Parameter as ParameterMessage  # noqa: E402
@@ -62,6 +64,7 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from humansim_ros import messages  # noqa: E402
 from humansim_ros.ros.guarded_node import GuardedNode  # noqa: E402
+from humansim_ros.ros.nodes.bridge import BridgeNode  # noqa: E402
 from humansim_ros.ros.nodes.camera import CameraNode  # noqa: E402
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode  # noqa: E402
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode  # noqa: E402
@@ -82,7 +85,11 @@ cameras:
   moving: {size: [64, 48], trajectory: way.txt, sensor: {exposure_time: 0.01, samples: 2}}
 scanners:
   lidar: {pattern: {columns: 180}, rate: 20, range: [0.1, 20], position: [2, 0, 1]}
+adapters:
+  {detections_2d: {}, detections_3d: moving_optical_frame, people: {}, tracked_persons: {camera: left}, hri: left}
 """
+#: Packages of the adapters, which are not on PyPI.
+PACKAGES = ("vision_msgs", "people_msgs", "spencer_tracking_msgs", "hri_msgs", "tf2_msgs")
 STATIC_SCENE = "cameras: {still: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}}"
 MOVES = """\
 <animation startframe="0" endframe="20" rate="10"><object name="box">
@@ -95,14 +102,19 @@ LIMIT_MS = 100.0
 #: Megabytes by which the process may grow after the first tenth of the messages.
 LIMIT_GROWTH = 100.0
 #: Images that are rendered, as if somebody subscribed to them.
-_RENDERED = ("image_raw", "depth/image", "flow/image")
+_RENDERED = ("image_raw", "depth/image", "flow/image", "cropped")
 _PERIOD = 50_000_000
 #: Seconds in which a camera must be able to show valid frames again.
 _RECOVERY = 5.0
 #: Share of messages to a camera that come within an otherwise valid frame, and of timers that are called.
 _IN_FRAMES, _TIMERS = 0.15, 0.03
 #: Nodes that join the messages of a frame.
-_OF_FRAMES = ("camera", "camera_rig", "static_camera", "scanner")
+_OF_FRAMES = ("camera", "camera_rig", "static_camera", "scanner", "bridge")
+#: Topics of the bridge.
+_BRIDGED = (
+    *("/left/detections_2d", "/detections_3d", "/people", "/spencer/perception/tracked_persons"),
+    *("/humans/bodies/tracked", "/humans/bodies/b_anna/skeleton2d"),
+)
 #: Topics and services that all nodes have, and that rclpy handles alone.
 _OF_RCLPY = ("/parameter_events", "/rosout", "/clock")
 #: Texts for parameters.
@@ -308,6 +320,7 @@ class Stage:
             "camera_rig": _node(CameraRigNode, scene, cameras=["left", "moving"]),
             "static_camera": _node(CameraNode, static, "still", camera="still"),
             "scanner": _node(ScannerNode, scene, "lidar", scanner="lidar"),
+            "bridge": _node(BridgeNode, scene),
         }
         for node in self.all_nodes():
             self.executor.add_node(node)
@@ -356,7 +369,7 @@ class Stage:
 
     def valid(self, topic: str, stamp: int | None = None) -> Any:
         """Valid message of a topic with a stamp, by default the present one."""
-        message = self.seeds[topic]
+        message = self.seeds[topic] if topic in self.seeds else self.watcher.newest[topic]
         stamp = self.stamp if stamp is None else stamp
         if isinstance(message, Header):
             message.stamp = messages.to_time(stamp)
@@ -463,12 +476,13 @@ class Stage:
         for each in node.nodes:
             _reset(each)
         cameras = [each.get_name() for each in node.nodes if isinstance(each, CameraNode)]
+        answers = [f"/{camera}/image_raw" for camera in cameras] if name != "bridge" else list(_BRIDGED)
         end = time.monotonic() + _RECOVERY
         while True:
             stamp = self.send_frame(name)
-            waiting = [c for c in cameras if self.watcher.stamps.get(f"/{c}/image_raw") != stamp]
+            waiting = [topic for topic in answers if self.watcher.stamps.get(topic) != stamp]
             if not waiting or time.monotonic() > end:
-                return f"no image of a valid frame from {', '.join(waiting)}" if waiting else ""
+                return f"no message of a valid frame on {', '.join(waiting)}" if waiting else ""
             time.sleep(0.01)
 
     def _check_player(self) -> str:
@@ -711,7 +725,10 @@ def _resident() -> float:
 
 @contextmanager
 def running_stage() -> Iterator[Stage]:
-    """Context manager with all nodes."""
+    """Context manager with all nodes. Packages of messages that are missing are built."""
+    for package in PACKAGES:
+        if find_spec(package) is None:
+            sys.path.insert(0, str(built_interfaces(package)))
     watcher = Watcher()
     if not rclpy.ok():
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

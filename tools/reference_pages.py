@@ -183,6 +183,7 @@ cameras:
 scanners:
   scanner: {model: velodyne_vlp16, trajectory: way.txt}
   plane: {model: hokuyo_utm30lx, trajectory: way.txt}
+adapters: {detections_2d: {}, detections_3d: {}, people: {}, tracked_persons: {}}
 """
 _MOVES = """<animation startframe="0" endframe="10" rate="10"><object name="object">
 <frame number="0"><position x="0" y="0" z="1"/></frame>

@@ -120,7 +120,7 @@ PEOPLE_MSGS = MessagePackage(
 SPENCER_MSGS = MessagePackage(
     "spencer_tracking_msgs",
     "of ROS 2",
-    "it is not released for Jazzy: build it from source, and source the workspace",
+    "it is not released for Jazzy: docs/people_messages.md says how to build it",
     {
         "TrackedPerson": "track_id is_occluded is_matched detection_id age pose twist",
         "TrackedPersons": "header tracks",
@@ -487,10 +487,11 @@ def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
         name, kind = names.get(int(row["instance"])), kinds.get(int(row["kind"]))
         if name is None or kind is None or name in boxes:
             raise RosError(f"a box has label {row['instance']} and kind {row['kind']}, or two have one label")
-        visible, whole = (
-            np.array([row[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
-            for part in ("", "whole_")
-        )
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            visible, whole = (
+                np.array([row[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
+                for part in ("", "whole_")
+            )
         pixels, truncation = int(row["pixels"]), float(row["truncation"])
         shown = [*(visible if pixels else ()), *(whole if not truncation >= 1 else ())]
         if not within_bounds(shown):
@@ -512,8 +513,9 @@ def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
         own = rows[rows["human"] == actor.instance]
         if not np.array_equal(own["joint"], np.arange(count)):
             raise RosError(f"{len(own)} keypoints of {name}, which are not the {count} of {HRI_KEYPOINTS}")
-        pixels = np.stack([own["u"], own["v"]], axis=1).astype(float)
-        optical = np.stack([own[axis] for axis in "xyz"], axis=1).astype(float)
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            pixels = np.stack([own["u"], own["v"]], axis=1).astype(float)
+            optical = np.stack([own[axis] for axis in "xyz"], axis=1).astype(float)
         if not (within_bounds(np.nan_to_num(pixels)) and within_bounds(np.nan_to_num(optical))):
             raise RosError(f"a keypoint of {name} is far away")
         if (own["visible"] > VISIBLE).any() or not np.isfinite(pixels[own["visible"] > OUTSIDE]).all():

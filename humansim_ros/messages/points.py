@@ -88,9 +88,9 @@ def point_rows(message: Any) -> NDArray[Any]:
     """
     order = ">" if message.is_bigendian else "<"
     fields = [field for field in message.fields if field.count == 1 and field.datatype in _DATATYPES]
-    for field in fields:  # NumPy does not see offsets at the end of 31 bits, and reads beyond the data
+    for field in fields:  # NumPy takes great offsets for negative ones, and reads beside the data
         if field.offset + np.dtype(_DATATYPES[field.datatype]).itemsize > message.point_step:
-            raise ValueError(f"a field is at byte {field.offset} of points of {message.point_step}")
+            raise ValueError(f"field {field.name} ends after byte {message.point_step} of a point")
     dtype = np.dtype(
         {
             "names": [str(field.name) for field in fields],

@@ -217,7 +217,7 @@ def test_a_field_at_the_end_of_31_bits_is_refused() -> None:
         PointField(name="x", datatype=PointField.FLOAT32, count=1),
         PointField(name="kind", offset=2**31 - 1, datatype=PointField.UINT8, count=1),
     ]
-    with pytest.raises(RosError, match="a field is at byte 2147483647 of points of 12"):
+    with pytest.raises(RosError, match="field kind ends after byte 12 of a point"):
         messages.read_points(vertices(fields=fields), ("x",))
 
 

@@ -127,7 +127,7 @@ def test_a_scene_without_adapters_is_refused(ros: None, tmp_path: Path) -> None:
     [
         ("detections_2d", "sudo apt install ros-jazzy-vision-msgs"),
         ("people", "not released for Jazzy: git clone -b ros2 https://github.com/wg-perception/people"),
-        ("tracked_persons", "not released for Jazzy: build it from source"),
+        ("tracked_persons", "not released for Jazzy: docs/people_messages.md says"),
     ],
 )
 def test_an_absent_package_is_refused(ros: None, tmp_path: Path, adapter: str, line: str) -> None:

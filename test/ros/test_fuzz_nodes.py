@@ -10,19 +10,28 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, importable
 
 sys.path.append(str(ROOT / "tools"))
 
 import fuzz_nodes
 import message_mutations
 
-NODES = ("motion_player", "skinner", "live_skinner", "camera", "camera_rig", "static_camera", "scanner")
+NODES = (
+    "motion_player",
+    "skinner",
+    "live_skinner",
+    "camera",
+    "camera_rig",
+    "static_camera",
+    "scanner",
+    "bridge",
+)
 
 
 @pytest.fixture(scope="module")
 def stage(ros: None) -> Iterator[Any]:
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, importable(*fuzz_nodes.PACKAGES):
         patch.setenv("ROS_HOME", "")  # the fuzzer sets it
         with fuzz_nodes.running_stage() as made:
             yield made

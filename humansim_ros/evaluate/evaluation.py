@@ -277,18 +277,33 @@ def _with_common_joints(
 
 def _below_hips(truth: PoseSequence) -> PoseSequence:
     """The truth with one point: on the floor below the middle of the hips."""
-    hips = [number for number, name in enumerate(truth.names) if body_joint(name) in HIPS]
+    try:
+        people = [
+            {name: below_hips(truth.names, pose) for name, pose in people.items()} for people in truth.people
+        ]
+    except EvaluationError as error:
+        raise EvaluationError(error.message, path=truth.source) from None
+    return replace(truth, names=(GROUND,), people=people)
+
+
+def below_hips(names: Sequence[str], positions: Array) -> Array:
+    """Point (1, 3) on the floor below the middle of the hips, in ``map``.
+
+    Args:
+        names: Names of joints or keypoints.
+        positions: (J, 3) metres.
+
+    Raises:
+        EvaluationError: There are no hips among them.
+    """
+    hips = [number for number, name in enumerate(names) if body_joint(name) in HIPS]
     if len(hips) != len(HIPS):
         raise EvaluationError(
             "the estimate has one point a person, and the truth no hips to compare it with: choose a "
-            "keypoint set with hips, or none",
-            path=truth.source,
+            "keypoint set with hips, or none"
         )
-    middle = [
-        {name: pose[hips].mean(axis=0, keepdims=True) for name, pose in people.items()}
-        for people in truth.people
-    ]
-    return replace(truth, names=(GROUND,), people=middle).mapped(_ON_FLOOR)
+    middle: Array = positions[hips].mean(axis=0, keepdims=True) @ _ON_FLOOR
+    return middle
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,8 @@ class ExportTruth:
             plan = self._index["plan"]
             self.formats: tuple[str, ...] = tuple(plan["formats"])
             self.keypoints: KeypointSet = keypoint_set(plan["keypoints"])
-            self.period, self.start = round(1e9 / float(self._index["rate"])), FIRST_STAMP
+            self.rate = float(self._index["rate"])
+            self.period, self.start = round(1e9 / self.rate), FIRST_STAMP
             self._files: dict[str, dict[str, Any]] = dict(self._index["files"])
         except (KeyError, TypeError, ValueError, ZeroDivisionError) as reason:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
@@ -203,6 +204,7 @@ class SceneImages:
 
     def __init__(self, scene: Scene, keypoints: KeypointSet) -> None:
         self.scene, self.keypoints = scene, keypoints
+        self.rate = scene.config.rate
 
     @property
     def cameras(self) -> Sequence[str]:

@@ -40,7 +40,7 @@ from humansim_ros.messages.hri import (
     hri_topics,
 )
 from humansim_ros.messages.images import read_image
-from humansim_ros.messages.people import MESSAGE_TYPES
+from humansim_ros.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.messages.scanners import scanner_frame
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import (
@@ -629,7 +629,7 @@ class Adapter:
     @property
     def is_read(self) -> bool:
         """Whether the evaluation reads these messages of trackers."""
-        return self.type in MESSAGE_TYPES
+        return self.type in (*MESSAGE_TYPES, DETECTIONS_2D)
 
 
 def _name(config: FramedConfig, usual: str) -> str:

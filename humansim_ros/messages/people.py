@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humansim_ros.errors import MAX_COORDINATE, EvaluationError, printable
+from humansim_ros.errors import MAX_COORDINATE, EvaluationError, printable, within_bounds
 from humansim_ros.messages.points import point_rows
 from humansim_ros.types import Array
 
@@ -27,6 +27,8 @@ MAX_POSITION = MAX_COORDINATE * 1000
 GROUND = "ground"
 #: Classes of detections that are people, in small letters: names, and the number of YOLO's models.
 _PERSON_CLASSES = frozenset({"person", "people", "pedestrian", "human", "0"})
+#: Type of the messages with boxes in images.
+DETECTIONS_2D = "vision_msgs/msg/Detection2DArray"
 #: Variance from which a number of spencer_tracking_msgs is not set.
 _UNSET = 99_999
 
@@ -231,11 +233,44 @@ def _tracked_persons(message: Any, _: PointNames) -> Iterator[Pose]:
         yield pose
 
 
-def _detections_3d(message: Any, _: PointNames) -> Iterator[Pose]:
+def _detected_people(message: Any) -> Iterator[tuple[Any, float | None]]:
+    """Detections of people of a message of vision_msgs, each with its score; None without a hypothesis."""
     for found in message.detections:
         best = max((each.hypothesis for each in found.results), key=lambda each: each.score, default=None)
         if best is None or str(best.class_id).lower() in _PERSON_CLASSES:
-            yield _point(found.id, found.bbox.center.position, None if best is None else float(best.score))
+            yield found, None if best is None else float(best.score)
+
+
+def _detections_3d(message: Any, _: PointNames) -> Iterator[Pose]:
+    for found, score in _detected_people(message):
+        yield _point(found.id, found.bbox.center.position, score)
+
+
+def read_boxes_2d(message: Any) -> list[tuple[float, float, float, float, float]]:
+    """Read the boxes of people of a vision_msgs/Detection2DArray: left, top, right, bottom, and score.
+
+    The centre of the first pixel is (0, 0). A box without a score has 1.
+
+    Raises:
+        EvaluationError: The message is of another version, a box is rotated, or a number is not finite.
+    """
+    boxes: list[tuple[float, float, float, float, float]] = []
+    try:
+        for found, score in _detected_people(message):
+            if len(boxes) == MAX_PEOPLE:
+                raise EvaluationError(f"a message has more than {MAX_PEOPLE} people")
+            box, place = found.bbox, found.bbox.center.position
+            width, height = float(box.size_x) / 2, float(box.size_y) / 2
+            row = (place.x - width, place.y - height, place.x + width, place.y + height)
+            boxes.append((*row, 1.0 if score is None else score))
+            if not within_bounds(boxes[-1]) or min(width, height) < 0:
+                raise EvaluationError("a box is not finite, or has a negative size")
+            if box.center.theta:
+                raise EvaluationError("a box is rotated: only boxes along the axes of the image are read")
+    except AttributeError as reason:
+        text = printable(str(reason))
+        raise EvaluationError(f"{DETECTIONS_2D} is of a version that is not known here: {text}") from None
+    return boxes
 
 
 _MARKERS = "visualization_msgs/msg/MarkerArray"

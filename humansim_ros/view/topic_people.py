@@ -15,6 +15,7 @@ from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import EvaluationError, printable
 from humansim_ros.evaluate.alignment import axes_matrix, match_people, pair_distances
+from humansim_ros.evaluate.evaluation import below_hips
 from humansim_ros.evaluate.joint_names import pair_joints
 from humansim_ros.evaluate.live import LiveOptions, check_world
 from humansim_ros.evaluate.pose_sequence import PoseSequence
@@ -24,7 +25,7 @@ from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import MAX_BONES
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.messages.people import Pose, PoseFrame
+from humansim_ros.messages.people import GROUND, Pose, PoseFrame
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.rotations import fit_similarity, from_y_axis, quaternion_to_matrix, transform
 from humansim_ros.types import Array, Indices
@@ -443,8 +444,12 @@ def beside_truth(
     for row, name in enumerate(names):
         known, positions = truth[name]
         for column, pose in enumerate(estimate):
-            pairs = np.array(pair_joints(known, pose.names, options.table))
-            found = pair_distances([positions[pairs[:, 0]]], [pose.positions[pairs[:, 1]]])
+            if pose.names == (GROUND,):
+                own = np.array([[*pose.positions[0, :2], 0.0]])
+                found = pair_distances([below_hips(known, positions)], [own])
+            else:
+                pairs = np.array(pair_joints(known, pose.names, options.table))
+                found = pair_distances([positions[pairs[:, 0]]], [pose.positions[pairs[:, 1]]])
             distances[row, column] = found[0, 0]
     matched = {column: row for row, column in match_people(distances, options.gate)} if distances.size else {}
     points: dict[str, Array] = {}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humansim_ros import Scene, evaluate, messages
+from humansim_ros import Scene, Simulation, evaluate, messages
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.bags.topics import BagTopic, described
 from humansim_ros.bags.writer import BagWriter
@@ -31,6 +31,9 @@ SCENE: dict[str, Any] = {
     "robot": {"path": {"points": [[-2, 0], [2, 0.3]], "speed": 1.5}},
     "cameras": {"ahead": {"size": [64, 48], "mount": "robot", "position": [0, 0, 1], "look_at": [1, 0, 0.9]}},
 }
+
+
+LEFT = {"size": [96, 72], "position": [4, 0, 2], "look_at": [0, 0, 1], "fov_deg": 60}
 
 
 def scene_with(path: Path, adapters: dict[str, Any]) -> Scene:
@@ -206,6 +209,70 @@ def test_keypoints_with_hips_are_a_truth_too(tmp_path: Path) -> None:
     assert data["position"]["mpjpe"] < 1e-6
 
 
+def boxes_of(tmp_path: Path, topic: str, change: Callable[[Any], Any], box: str = "visible") -> str:
+    """Bag with the boxes of camera ``left`` in three frames, as of a detector; returns its topic."""
+    content = {**SCENE, "cameras": {**SCENE["cameras"], "left": {**LEFT}}}
+    content["adapters"] = {"detections_2d": {"cameras": ["left"], "box": box}}
+    (tmp_path / "scene.yaml").write_text(json.dumps(content))
+    scene = Scene.load(tmp_path / "scene.yaml")
+    (row, _) = adapter_topics(scene)
+    rows = []
+    with Simulation(scene, ("instance", "amodal")) as simulation:
+        for frame in simulation.frames(3):
+            rows.append((topic, frame.stamp, change(row.message(frame))))
+    return f"{write(tmp_path / 'bag', {topic: row.type_name}, rows)}:{topic}"
+
+
+def test_boxes_in_images_are_compared_with_the_images_of_a_scene(tmp_path: Path) -> None:
+    """The second person is lost in each message, and there is one false box with a low score."""
+
+    def worse(message: Any) -> Any:
+        assert len(message.detections) == 2
+        false = message.detections[1]
+        false.bbox.center.position.x += 40.0
+        false.results[0].hypothesis.score = 0.1
+        return message
+
+    topic = boxes_of(tmp_path, "/left/detector", worse)
+    data = evaluate(tmp_path / "scene.yaml", topic).data["boxes"]["all"]
+    assert (data["present"], data["found"], data["false"]) == (6, 3, 3)
+    assert data["similarity"] == pytest.approx(0.5)
+    assert data["precision"]["ap"] == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "text"),
+    [
+        (
+            "/detector",
+            lambda m: with_frame(m, "elsewhere"),
+            "no camera of frame_id 'elsewhere'",
+        ),
+        ("/left/detector", lambda m: turned(m), "a box is rotated"),
+        ("/left/detector", lambda m: turned(m, size_x=-1.0), "has a negative size"),
+        ("/left/detector", lambda m: turned(m, size_y=float("nan")), "a box is not finite"),
+    ],
+)
+def test_boxes_in_images_that_cannot_be_read_are_refused(
+    tmp_path: Path, topic: str, change: Callable[[Any], Any], text: str
+) -> None:
+    with pytest.raises(EvaluationError, match=text) as caught:
+        evaluate(tmp_path / "scene.yaml", boxes_of(tmp_path, topic, change))
+    assert caught.value.key == topic
+
+
+def with_frame(message: Any, frame_id: str) -> Any:
+    message.header.frame_id = frame_id
+    return message
+
+
+def turned(message: Any, **values: float) -> Any:
+    box = message.detections[0].bbox
+    for key, value in (values or {"theta": 0.3}).items():
+        setattr(box.center if key == "theta" else box, key, value)
+    return message
+
+
 def test_a_topic_with_another_version_of_the_message_is_refused(tmp_path: Path) -> None:
     """vision_msgs 2 has other detections; the definition in the bag says so."""
     old = "std_msgs/Header header\nDetection3D[] detections\n" + "=" * 80 + "\n"
@@ -230,3 +297,21 @@ def test_a_topic_with_another_version_of_the_message_is_refused(tmp_path: Path) 
     scene_with(tmp_path / "scene.yaml", {})
     with pytest.raises(EvaluationError, match="Detection3DArray is of a version that is not known here"):
         evaluate(tmp_path / "scene.yaml", f"{tmp_path / 'bag'}:/tracker")
+
+
+def test_the_page_matches_people_of_one_point(tmp_path: Path) -> None:
+    from humansim_ros.evaluate.live import LiveOptions
+    from humansim_ros.messages.people import read_people
+    from humansim_ros.view.topic_people import beside_truth
+
+    scene = scene_with(tmp_path / "scene.yaml", {"detections_3d": {}, "people": {}})
+    topic = next(each for each in adapter_topics(scene) if each.name == "people")
+    frame = frame_of(scene, 3)
+    message = topic.message(frame)
+    for person in message.people:
+        person.name, person.position.x = f"track_{person.name}", person.position.x + 0.04
+    truth = {name: (state.joint_names, state.positions) for name, state in frame.humans.items()}
+    estimate = read_people(topic.type_name, message, None).people
+    points, errors = beside_truth(estimate, truth, LiveOptions.of("", "", 1.0, "", 0.5))
+    assert points.keys() == errors.keys() == {"anna", "ben"}
+    assert list(errors.values()) == pytest.approx([40.0, 40.0])

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation, messages
@@ -131,6 +132,13 @@ def test_all_fields_that_are_written_are_defined(package: types.MessagePackage) 
 def test_a_row_for_each_key_of_the_section() -> None:
     assert list(ADAPTERS) == list(AdaptersConfig.model_fields)
     assert all(row.is_read for row in ADAPTERS.values() if row.name not in ("detections_2d", "hri"))
+
+
+def test_the_documents_have_all_rows() -> None:
+    page = (ROOT / "docs" / "people_messages.md").read_text()
+    for row in ADAPTERS.values():
+        assert f"| `{row.name}` | `/{row.topic}` | {row.type.replace('/msg/', '/')}" in page
+        assert f"| {row.needs} | yes" in page
 
 
 def test_an_absent_package_is_refused_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import random
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,10 +17,13 @@ import ros_support
 from conftest import ROOT, built_package, importable
 from waiting import PATIENCE
 
+sys.path.append(str(ROOT / "tools"))
+
 from humansim_ros import Scene, Simulation, messages
-from humansim_ros.errors import RosError, SceneError
+from humansim_ros.errors import EvaluationError, RosError, SceneError
 from humansim_ros.messages.adapters import adapter_topics
 from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.people import read_boxes_2d, read_people
 from humansim_ros.testing import SceneGraph
 
 #: Packages of the adapters; the tests of each day build one of them only.
@@ -193,3 +198,35 @@ def test_hostile_boxes_leave_the_node_running(all_packages: None, ros: None, tmp
     finally:
         node.close()
         node.destroy_node()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("adapter", list(ADAPTERS))
+def test_hostile_messages_of_trackers_are_refused_or_finite(
+    all_packages: None, tmp_path: Path, adapter: str
+) -> None:
+    from message_mutations import mutated, mutated_bytes
+    from rclpy.serialization import serialize_message
+
+    from humansim_ros.messages.cdr import deserialised
+
+    scene = Scene.load(write(tmp_path, {adapter: {}}))
+    topic = next(each for each in adapter_topics(scene) if each.per_frame)
+    with Simulation(scene, ("instance", "amodal")) as simulation:
+        message = topic.message(simulation.frame(4))
+    source, refused = random.Random(adapter), 0
+    for _ in range(500):
+        data = serialize_message(mutated(message, source))
+        if source.random() < 0.3:
+            data = mutated_bytes(data, source)
+        try:
+            content = deserialised(data, topic.type)
+            if adapter == "detections_2d":
+                numbers = [value for row in read_boxes_2d(content) for value in row]
+            else:
+                people = read_people(topic.type_name, content, None).people
+                numbers = [value for pose in people for value in pose.positions.ravel() if value == value]
+            assert all(abs(value) <= 1e9 or math.isinf(value) for value in numbers)
+        except (EvaluationError, RosError):
+            refused += 1
+    assert 20 < refused < 480

@@ -90,6 +90,12 @@ SCENE: dict[str, Any] = {
     "light": {"strength": 0.9},
     "randomise": {"camera_jitter": {"position": 0.1}},
     "time": {"wait_for": [{"topic": "/tracker/poses"}]},
+    "adapters": {
+        "detections_2d": {"cameras": ["left"]},
+        "detections_3d": {"frame": "odom"},
+        "people": {"frame": "map"},
+        "tracked_persons": {"camera": "left"},
+    },
 }
 FILE_KEYS = (
     "humans.anna.body",

@@ -13,14 +13,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import MAX_COORDINATE, EvaluationError
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.errors import MAX_COORDINATE, EvaluationError, RosError, printable
 from humansim_ros.evaluate.images import KEYS, Detections2D
-from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
+from humansim_ros.evaluate.readers.estimates import deserialised_message, is_bag, split_topic
 from humansim_ros.evaluate.readers.pose_files import MAX_BYTES, load_json
+from humansim_ros.evaluate.truth import FIRST_STAMP
 from humansim_ros.export.coco import encoded_mask, joined_keypoints
 from humansim_ros.io.files import open_file, read_bytes, read_json
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.keypoints import KeypointSet
+from humansim_ros.messages.headers import to_nanoseconds
+from humansim_ros.messages.people import DETECTIONS_2D, read_boxes_2d
+from humansim_ros.scene.config import frame_at
 
 #: Files that are looked at to find the kind of a folder.
 _LOOKED_AT = 200
@@ -33,7 +38,7 @@ _PERSON = 1
 
 
 class ImageNumbers(Protocol):
-    """Images of a truth: their cameras, numbers and sizes, and the set of its keypoints."""
+    """Images of a truth: their cameras, numbers, sizes and rate, and the set of its keypoints."""
 
     @property
     def cameras(self) -> Sequence[str]:
@@ -42,6 +47,10 @@ class ImageNumbers(Protocol):
     @property
     def keypoints(self) -> KeypointSet:
         """Set of the keypoints."""
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
 
     def number(self, camera: str, frame: int) -> int | None:
         """Number of the image of a camera in a frame; None if there is none."""
@@ -103,7 +112,9 @@ def is_of_images(text: str) -> bool:
     """
     name, topic = split_topic(text)
     path = Path(name)
-    if topic is not None or is_bag(path) or not path.exists():
+    if topic is not None:
+        return path.exists() and has_boxes(path, topic)
+    if is_bag(path) or not path.exists():
         return False
     if path.is_dir():
         return _has_label_images(path) or _has_2d_keypoints(path)
@@ -141,7 +152,7 @@ def read_image_estimates(texts: Sequence[str], images: ImageNumbers) -> Detectio
         EvaluationError: A file is missing, of another kind, empty or damaged, or of images that the truth
             has not.
     """
-    parts = [_read(Path(text), images) for text in texts]
+    parts = [_read(text, images) for text in texts]
     if len(parts) == 1:
         return parts[0]
     searched = [part.images for part in parts]
@@ -153,8 +164,54 @@ def read_image_estimates(texts: Sequence[str], images: ImageNumbers) -> Detectio
     )
 
 
-def _read(path: Path, images: ImageNumbers) -> Detections2D:
-    if not is_of_images(str(path)):
+def has_boxes(path: Path, topic: str) -> bool:
+    """Whether a topic of a bag has boxes of vision_msgs. Raises BagError if the bag cannot be read."""
+    with BagReader(path) as reader:
+        return any(each.name == topic and each.type == DETECTIONS_2D for each in reader.topics)
+
+
+def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
+    """Read vision_msgs/Detection2DArray on a topic of a bag.
+
+    The camera is a part of the name of the topic, or the optical frame of the messages has its name. The
+    frame follows from the stamp, as lockstep and ``Simulation`` give it.
+
+    Raises:
+        EvaluationError: A message is damaged, or of no camera or no image of the truth.
+        BagError: The bag cannot be read.
+    """
+    results: list[_Record] = []
+    numbers: set[int] = set()
+    parts = [part for part in topic.split("/") if part in images.cameras]
+    with BagReader(path) as reader:
+        (kind,) = (each for each in reader.topics if each.name == topic)
+        for message in reader.messages([topic]):
+            try:
+                content = deserialised_message(message.data, kind)
+                stamp, frame_id = to_nanoseconds(content.header.stamp), str(content.header.frame_id)
+                boxes = read_boxes_2d(content)
+            except (EvaluationError, RosError) as error:
+                raise EvaluationError(error.message, path=path, key=topic) from None
+            camera = parts[-1] if parts else frame_id.rpartition("/")[2].removesuffix("_optical_frame")
+            frame = frame_at(stamp - FIRST_STAMP, images.rate)
+            number = images.number(camera, frame) if camera in images.cameras else None
+            if number is None:
+                what = f"frame {frame} (stamp {stamp} ns)" if camera in images.cameras else "camera"
+                text = f"the truth has no {what} of frame_id '{printable(frame_id, 80)}' on this topic"
+                raise EvaluationError(text, path=path, key=topic)
+            numbers.add(number)
+            for left, top, right, bottom, score in boxes:
+                box = [left + 0.5, top + 0.5, right - left, bottom - top]  # COCO counts from corners
+                results.append({"image_id": number, "category_id": _PERSON, "score": score, "bbox": box})
+    return Detections2D(results, frozenset(numbers), f"{path}:{topic}")
+
+
+def _read(text: str, images: ImageNumbers) -> Detections2D:
+    name, topic = split_topic(text)
+    path = Path(text if topic is None else name)
+    if topic is not None and has_boxes(path, topic):
+        return read_boxes(path, topic, images)
+    if topic is not None or not is_of_images(text):
         raise EvaluationError(
             "these are no detections in images, but another estimate is: evaluate them one after the other",
             path=path,

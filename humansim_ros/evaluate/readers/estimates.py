@@ -160,7 +160,7 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
         for message in reader.messages([reader.topics[index].name for index in people]):
             kind = reader.topics[message.topic]
             try:
-                content = _read_message(message.data, kind, options)
+                content = read_people(kind.type, deserialised_message(message.data, kind), options.names)
                 if content.frame_id not in ("", _WORLD):
                     transforms = transforms or _transforms(path)
                     content = in_world(content, transforms, is_needed=has_one_point(kind.type))
@@ -174,13 +174,12 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
     return stream
 
 
-def _read_message(data: Any, topic: BagTopic, options: ReadOptions) -> PoseFrame:
-    kind = topic.type
+def deserialised_message(data: Any, topic: BagTopic) -> Any:
+    """Read a message of a bag. Raises EvaluationError if it is damaged."""
     try:
-        content = types_of(kind, topic.definition).deserialize_cdr(bytes(data), kind)
+        return types_of(topic.type, topic.definition).deserialize_cdr(bytes(data), topic.type)
     except Exception as reason:  # rosbags documents no exceptions for damaged messages
         raise EvaluationError(f"a message cannot be read: {type(reason).__name__}: {reason}") from None
-    return read_people(kind, content, options.names)
 
 
 def _transforms(path: str | os.PathLike[str]) -> Transforms:

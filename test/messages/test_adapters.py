@@ -28,6 +28,7 @@ from humansim_ros.messages.adapters import (
     received_frame,
 )
 from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.hri import HRI_MESSAGES
 from humansim_ros.messages.people import GROUND, read_people
 from humansim_ros.messages.topics import scene_topics
 from humansim_ros.scene.adapter_config import AdaptersConfig
@@ -121,7 +122,7 @@ def test_definitions_have_the_hashes_of_ros(name: str, expected: str) -> None:
     assert message_types().hash_rihs01(f"vision_msgs/msg/{name}") == f"RIHS01_{expected}"
 
 
-@pytest.mark.parametrize("package", [VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS])
+@pytest.mark.parametrize("package", [VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS, HRI_MESSAGES])
 def test_all_fields_that_are_written_are_defined(package: types.MessagePackage) -> None:
     for name, fields in package.fields.items():
         assert is_defined(f"{package.name}/msg/{name}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import Frame, Scene, Simulation
+from humansim_ros import Frame, Scene, Simulation, record
 from humansim_ros.errors import RosError, SceneError
 from humansim_ros.messages import hri, types
 from humansim_ros.messages.adapters import adapter_topics
@@ -370,3 +371,22 @@ def test_a_face_is_seen_with_three_of_its_five_points(seen: Seen) -> None:
             *(replace(keypoints, visible=visible), np.eye(4), (320, 240)),
         )
         assert person.has_face == face
+
+
+def test_a_recording_without_ros_has_messages_and_definitions(tmp_path: Path) -> None:
+    """rosbags, which does not know hri_msgs, reads the messages by the definitions in the bag."""
+    highlevel = pytest.importorskip("rosbags.highlevel", reason="the extra record is not installed")
+    only_anna = {"humans": {"anna": HUMANS["anna"]}, "cameras": {"front": {**FRONT, "size": [64, 48]}}}
+    del only_anna["cameras"]["front"]["K"], only_anna["cameras"]["front"]["distortion"]
+    record(scene(**only_anna), tmp_path / "bag", frames=2, topics=["/humans/bodies/*", "/tf"])
+    with highlevel.AnyReader([tmp_path / "bag"]) as reader:
+        read = [
+            (connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+        ]
+    skeletons = [message for topic, message in read if topic == "/humans/bodies/b_anna/skeleton2d"]
+    assert [len(message.skeleton) for message in skeletons] == [18, 18]
+    assert [message.ids for topic, message in read if topic == "/humans/bodies/tracked"] == [["b_anna"]] * 2
+    crops = [message for topic, message in read if topic == "/humans/bodies/b_anna/cropped"]
+    assert len(crops) == 2 and crops[0].header.frame_id == "front_optical_frame"
+    assert sum(topic == "/tf" for topic, _ in read) == 2

@@ -12,10 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import ros_support
 from conftest import ROOT, built_package, importable
-from waiting import PATIENCE
+from waiting import PATIENCE, wait_until
 
 sys.path.append(str(ROOT / "tools"))
 
@@ -230,3 +231,44 @@ def test_hostile_messages_of_trackers_are_refused_or_finite(
         except (EvaluationError, RosError):
             refused += 1
     assert 20 < refused < 480
+
+
+@pytest.mark.nightly
+def test_live_estimates_in_a_frame_of_tf_are_converted(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the transform arrives, messages are refused with the name of the frame."""
+    import rclpy
+
+    from humansim_ros.evaluate.readers.pose_files import ReadOptions
+    from humansim_ros.ros import estimate_topics
+    from humansim_ros.ros.guarded_node import GuardedNode
+
+    with importable("people_msgs", "tf2_msgs"):
+        from people_msgs.msg import People, Person
+        from tf2_msgs.msg import TFMessage
+
+        monkeypatch.setattr(estimate_topics, "TFMessage", TFMessage)
+        sender, node = rclpy.create_node("tracker"), GuardedNode("reader")
+        publisher = sender.create_publisher(People, "/tracker", 1)
+        found: list[Any] = []
+        try:
+            topics = estimate_topics.PoseTopics(
+                node, "/tracker", ReadOptions(), lambda frame, *_: found.append(frame)
+            )
+            assert wait_until(lambda: topics.discover() or topics.found)
+            message = People(header=messages.header(7, "laser"), people=[Person(name="a")])
+            message.people[0].position.x = 2.0
+            ros_support.deliver(node, "/tracker", message)
+            assert topics.ignored == 1 and not found
+            quarter = np.array([0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4)])
+            pose = messages.transform_message(np.array([1.0, 0.0, 0.3]), quarter, 5, "map", "laser")
+            ros_support.deliver(node, "/tf_static", TFMessage(transforms=[pose]))
+            ros_support.deliver(node, "/tracker", message)
+            ((person,),) = (frame.people for frame in found)
+            np.testing.assert_allclose(person.positions, [[1.0, 2.0, 0.3]], atol=1e-12)
+            assert found[0].frame_id == "map" and publisher is not None
+            topics.close()
+        finally:
+            node.destroy_node()
+            sender.destroy_node()

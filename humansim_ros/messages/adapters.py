@@ -759,6 +759,7 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
             absolute=True,
             repeated=topic.repeated,
             on_demand=image,
+            sparse=topic.sparse,
         )
 
 

@@ -229,6 +229,7 @@ class HriTopic:
         latched: Late subscribers get the last message.
         has_image: It needs the image of the camera.
         repeated: It is sent again while there are no frames, since subscriptions of ROS4HRI are volatile.
+        sparse: A frame may have no message of it, or several.
     """
 
     name: str
@@ -237,6 +238,7 @@ class HriTopic:
     latched: bool = False
     has_image: bool = False
     repeated: bool = False
+    sparse: bool = True
 
 
 def check_ids(people: Sequence[str]) -> None:
@@ -261,7 +263,6 @@ def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]
     Raises:
         RosError: See :meth:`~humansim_ros.messages.types.MessagePackage.message`.
     """
-    yield from _lists(people, frame_id)
     transforms = TF_MESSAGES.message("TFMessage")
     yield HriTopic(
         "tf", transforms, lambda frame, stamp: [transforms(transforms=_transforms(frame, stamp, frame_id))]
@@ -273,6 +274,7 @@ def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]
         yield from _body_topics(name, frame_id)
         yield from _face_topics(name, frame_id, image_size)
         yield from _person_topics(name)
+    yield from _lists(people, frame_id)  # last: a recording that has them has the others of their frame
 
 
 def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
@@ -289,7 +291,7 @@ def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
             found = [id_of(frame.people[name]) for name in people]
             return [kind(header=header(stamp, frame_id), ids=[each for each in found if each])]
 
-        yield HriTopic(f"humans/{path}", kind, build, repeated=True)
+        yield HriTopic(f"humans/{path}", kind, build, repeated=True, sparse=False)
 
 
 def _body_topics(name: str, frame_id: str) -> Iterator[HriTopic]:

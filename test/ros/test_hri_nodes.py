@@ -22,6 +22,7 @@ from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.messages import hri, types
 from humansim_ros.messages.adapters import adapter_topics
 from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.nodes.recorder import has_message_per_frame
 from humansim_ros.testing import SceneGraph
 
 sys.path.append(str(ROOT / "tools"))
@@ -288,6 +289,14 @@ def test_images_that_are_no_colours_are_refused(ros: None, frame: dict[str, Any]
         read("front/image_raw", CAMERA_INPUTS["image_raw"].read, image)
     assert node._counts["drops"] == 3
     node.destroy_node()
+
+
+def test_a_recording_in_lockstep_waits_for_the_lists_only() -> None:
+    """People who are not seen have no messages: a frame would never be whole."""
+    topics = adapter_topics(loaded(True))
+    awaited = [topic.name for topic in topics if has_message_per_frame(topic)]
+    lists = ["bodies/tracked", "faces/tracked", "persons/tracked", "persons/known"]
+    assert awaited == [f"humans/{name}" for name in lists] == [topic.name for topic in topics[-4:]]
 
 
 def test_a_scene_without_adapters_is_published_by_the_parameter(ros: None) -> None:

@@ -4,7 +4,7 @@
 # make check   lint, and the quick tests: all but those that need ROS, start processes or are slow
 # make test-all  the tests and the nightly ones: browser, cluster, hosts, packages, fuzzers, benchmarks, tools
 # make tf2_msgs   build the messages of /tf, which are not on PyPI, into .venv; so do make simulation_interfaces, vision_msgs,
-#                 people_msgs and spencer_tracking_msgs
+#                 people_msgs, spencer_tracking_msgs and hri_msgs
 # make bench   every benchmark, one after the other
 # make docs    the documentation as a site in site/
 # make dist    wheel and sdist in dist/, checked, installed and run in fresh environments (docs/releasing.md)
@@ -24,7 +24,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo check test test-all lint bench docs dist tf2_msgs simulation_interfaces vision_msgs people_msgs \
-	spencer_tracking_msgs clean env env-test env-bench env-docs
+	spencer_tracking_msgs hri_msgs clean env env-test env-bench env-docs
 
 demo: env
 	$(BIN)/humansim demo
@@ -53,7 +53,7 @@ docs: env-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "Look at it: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site 8000, then http://127.0.0.1:8000"
 
-tf2_msgs simulation_interfaces vision_msgs people_msgs spencer_tracking_msgs: env
+tf2_msgs simulation_interfaces vision_msgs people_msgs spencer_tracking_msgs hri_msgs: env
 	$(BIN)/python tools/build_interfaces.py $@ --install
 
 dist:

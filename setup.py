@@ -22,6 +22,7 @@ COMMANDS = [
     "evaluator = humansim_ros.ros.nodes.__main__:evaluator",
     "recorder = humansim_ros.ros.nodes.__main__:recorder",
     "bridge = humansim_ros.ros.nodes.__main__:bridge",
+    "hri_bridge = humansim_ros.ros.nodes.__main__:hri_bridge",
 ]
 
 # The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask

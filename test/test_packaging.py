@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
 EXECUTABLES = {
     *("humansim", "motion_player", "skinner", "skinner_rig", "camera", "camera_rig", "scanner"),
-    *("recorder", "evaluator", "bridge"),
+    *("recorder", "evaluator", "bridge", "hri_bridge"),
 }
 SOURCES = ("LICENSES", "humansim_ros", "resource", *SHARED_FOLDERS)
 SOURCE_FILES = (

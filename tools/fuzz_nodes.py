@@ -80,29 +80,34 @@ humans:
 objects:
   box: {size: [0.2, 0.4, 0.5], position: [0.5, 0, 0.3], keyframes: moves.xml}
 cameras:
-  alone: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}
-  left: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}
+  alone: {size: [64, 48], position: [3.2, 0, 1.4], look_at: [0, 0, 1]}
+  left: {size: [64, 48], position: [3.2, 0, 1.4], look_at: [0, 0, 1]}
   moving: {size: [64, 48], trajectory: way.txt, sensor: {exposure_time: 0.01, samples: 2}}
 scanners:
   lidar: {pattern: {columns: 180}, rate: 20, range: [0.1, 20], position: [2, 0, 1]}
 adapters:
-  {detections_2d: {}, detections_3d: moving_optical_frame, people: {}, tracked_persons: {camera: left}}
+  detections_2d: {}
+  detections_3d: moving_optical_frame
+  people: {}
+  tracked_persons: {camera: left}
+  hri: left
 """
 #: Packages of the adapters, which are not on PyPI.
-PACKAGES = ("vision_msgs", "people_msgs", "spencer_tracking_msgs")
+PACKAGES = ("vision_msgs", "people_msgs", "spencer_tracking_msgs", "hri_msgs", "tf2_msgs")
 STATIC_SCENE = "cameras: {still: {size: [64, 48], position: [4, 0, 1.4], look_at: [0, 0, 1]}}"
 MOVES = """\
 <animation startframe="0" endframe="20" rate="10"><object name="box">
 <frame number="0"><position x="0" y="-1" z="0"/></frame>
 <frame number="20"><position x="0" y="1" z="0"/></frame></object></animation>
 """
-WAY = "0 4 0 1.4 0.5 0.5 -0.5 -0.5\n2 4 1 1.4 0.5 0.5 -0.5 -0.5\n"
+#: Within the room, as all cameras: they see the people.
+WAY = "0 3.2 0 1.4 0.5 0.5 -0.5 -0.5\n2 3.2 1 1.4 0.5 0.5 -0.5 -0.5\n"
 #: Milliseconds of processor time of the node's thread for one message.
 LIMIT_MS = 100.0
 #: Megabytes by which the process may grow after the first tenth of the messages.
 LIMIT_GROWTH = 100.0
 #: Images that are rendered, as if somebody subscribed to them.
-_RENDERED = ("image_raw", "depth/image", "flow/image")
+_RENDERED = ("image_raw", "depth/image", "flow/image", "cropped")
 _PERIOD = 50_000_000
 #: Seconds in which a camera must be able to show valid frames again.
 _RECOVERY = 5.0
@@ -111,7 +116,10 @@ _IN_FRAMES, _TIMERS = 0.15, 0.03
 #: Nodes that join the messages of a frame.
 _OF_FRAMES = ("camera", "camera_rig", "static_camera", "scanner", "bridge")
 #: Topics of the bridge.
-_BRIDGED = ("/left/detections_2d", "/detections_3d", "/people", "/spencer/perception/tracked_persons")
+_BRIDGED = (
+    *("/left/detections_2d", "/detections_3d", "/people", "/spencer/perception/tracked_persons"),
+    *("/humans/bodies/tracked", "/humans/bodies/b_anna/skeleton2d", "/humans/bodies/b_anna/cropped"),
+)
 #: Topics and services that all nodes have, and that rclpy handles alone.
 _OF_RCLPY = ("/parameter_events", "/rosout", "/clock")
 #: Texts for parameters.

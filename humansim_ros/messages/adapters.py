@@ -11,18 +11,41 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from humansim_ros.errors import RosError, SceneError, did_you_mean, some_of, within_bounds
-from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes
+from humansim_ros.body.ros4hri import HriLinks
+from humansim_ros.errors import (
+    KeypointError,
+    RosError,
+    SceneError,
+    did_you_mean,
+    located,
+    some_of,
+    within_bounds,
+)
+from humansim_ros.keypoints import keypoint_set
+from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes, read_joint_view
 from humansim_ros.messages.headers import WORLD_FRAME, header, optical_frame
+from humansim_ros.messages.hri import (
+    HRI_KEYPOINTS,
+    HRI_MESSAGES,
+    TF_MESSAGES,
+    HriFrame,
+    HriTopic,
+    check_ids,
+    hri_person,
+    hri_topics,
+)
+from humansim_ros.messages.images import read_image
 from humansim_ros.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.messages.scanners import scanner_frame
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import (
     Duration,
+    Image,
     MessagePackage,
     Point,
     PointCloud2,
@@ -33,17 +56,31 @@ from humansim_ros.messages.types import (
     TwistWithCovariance,
     Vector3,
 )
+from humansim_ros.render import View
+from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.renderer import Kind
-from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix
+from humansim_ros.rotations import (
+    invert_rigid,
+    matrix_to_quaternion,
+    multiply_quaternions,
+    quaternion_to_matrix,
+    transform,
+)
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
-from humansim_ros.scene.adapter_config import BoxesConfig, FramedConfig, TrackedConfig
+from humansim_ros.scene.adapter_config import (
+    AdaptersConfig,
+    BoxesConfig,
+    FramedConfig,
+    HriConfig,
+    TrackedConfig,
+)
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.capture import SceneState
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.scene.standing import standing
-from humansim_ros.truth import BodyBox, CameraTruth
+from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, CameraTruth, JointView
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 from humansim_ros.types import Array
 
@@ -100,12 +137,18 @@ class AdapterTopic(Topic[Frame]):
         people: It needs joints and vertices of the humans.
         inputs: Topics below its camera that it needs, names of :data:`CAMERA_INPUTS`.
         posed: Camera whose pose it needs; empty for none.
+        absolute: Its name does not depend on the namespace of the node.
+        repeated: It is sent again while there are no frames: its subscriptions are volatile.
+        on_demand: Its inputs are received only while it has subscribers.
     """
 
     package: MessagePackage = VISION_MSGS
     people: bool = True
     inputs: tuple[str, ...] = ()
     posed: str = ""
+    absolute: bool = False
+    repeated: bool = False
+    on_demand: bool = False
 
     @classmethod
     def of(
@@ -130,6 +173,17 @@ class AdapterTopic(Topic[Frame]):
         """
         kind = package.message(message)
         return cls(name, kind, build, lambda frame: frame, package=package, shown=True, **settings)
+
+    def messages(self, frame: Frame, stamp: int) -> list[Any]:
+        """Build the messages of a frame: most topics have one, some a list of any length."""
+        built = self.build(frame, stamp)
+        return built if isinstance(built, list) else [built]
+
+    def sent(self, frame: Frame) -> list[tuple[int, Any]]:
+        """Messages of a frame of a simulation, each with the time in nanoseconds at which it is sent."""
+        if self.per_frame and self.camera and self.camera not in frame.views:
+            return []
+        return [(frame.stamp, message) for message in self.messages(frame, frame.stamp)]
 
 
 @dataclass(frozen=True)
@@ -199,8 +253,9 @@ class AdapterScene:
     def camera(self, name: str, key: str) -> str:
         """Return the name of a camera. Raises SceneError of the key if there is none."""
         if name not in self.scene.scene_cameras:
-            known = ", ".join(self.scene.scene_cameras)
-            raise self.error(f"no camera {name!r}; the scene has {known}{did_you_mean(name, known)}", key)
+            known = self.scene.scene_cameras
+            near = did_you_mean(name, known)
+            raise self.error(f"no camera {name!r}; the scene has {', '.join(known)}{near}", key)
         return name
 
     def optical(self, camera: str) -> str:
@@ -394,10 +449,33 @@ def _variances(variance: float) -> Array:
 class ReceivedTruth:
     """Truth of a camera from its topics, with the names of :class:`~humansim_ros.truth.CameraTruth`.
 
-    ``boxes``: boxes by human or labelled object.
+    ``boxes``: boxes by human or labelled object. ``openpose``: keypoints of :data:`HRI_KEYPOINTS` by human.
+    ``image``: pixels and encoding of its colours.
     """
 
     boxes: Mapping[str, BodyBox] = field(default_factory=dict)
+    openpose: Mapping[str, JointView] = field(default_factory=dict)
+    image: tuple[NDArray[Any], str] | None = None
+
+    def keypoints(self, set_name: str) -> Mapping[str, JointView]:
+        """Keypoints by human. Raises KeypointError for another set than :data:`HRI_KEYPOINTS`."""
+        if set_name != HRI_KEYPOINTS:
+            raise KeypointError(f"the keypoints of {set_name} are not received")
+        return self.openpose
+
+
+class CameraInput(NamedTuple):
+    """A topic below a camera that node ``bridge`` receives.
+
+    Attributes:
+        type: Message class.
+        read: Reads the content of a message in a scene; RosError if it does not fit the scene.
+        field: Attribute of :class:`ReceivedTruth` for the content.
+    """
+
+    type: Any
+    read: Callable[[Any, Scene], Any]
+    field: str
 
 
 def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
@@ -425,9 +503,47 @@ def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
     return boxes
 
 
-#: Topics below a camera that node ``bridge`` receives: message class, and reader of its content in a scene,
-#: which becomes an attribute of :class:`ReceivedTruth` with the name of the topic.
-CAMERA_INPUTS: dict[str, tuple[Any, Callable[[Any, Scene], Any]]] = {"boxes": (PointCloud2, _read_body_boxes)}
+def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
+    """Keypoints of ``<camera>/keypoints/openpose137`` by human. Raises RosError unless each human has each
+    point once.
+    """
+    rows = read_joint_view(message)
+    count, out = len(keypoint_set(HRI_KEYPOINTS)), {}
+    for name, actor in scene.actors.items():
+        own = rows[rows["human"] == actor.instance]
+        if not np.array_equal(own["joint"], np.arange(count)):
+            raise RosError(f"{len(own)} keypoints of {name}, which are not the {count} of {HRI_KEYPOINTS}")
+        with np.errstate(invalid="ignore"):  # signalling NaN
+            pixels = np.stack([own["u"], own["v"]], axis=1).astype(float)
+            optical = np.stack([own[axis] for axis in "xyz"], axis=1).astype(float)
+        if not (within_bounds(np.nan_to_num(pixels)) and within_bounds(np.nan_to_num(optical))):
+            raise RosError(f"a keypoint of {name} is far away")
+        if (own["visible"] > VISIBLE).any() or not np.isfinite(pixels[own["visible"] > OUTSIDE]).all():
+            raise RosError(f"a keypoint of {name} is visible, but not in the image")
+        nothing = np.zeros(count)
+        out[name] = JointView(
+            *(optical, pixels, own["visible"].astype(np.uint8)),
+            *(nothing.astype(np.uint8), nothing.astype(np.uint16), nothing.astype(np.float32)),
+        )
+    if len(rows) != count * len(out):
+        raise RosError(f"{len(rows)} keypoints; {len(out)} people have {count * len(out)}")
+    return out
+
+
+def _read_colours(message: Image, _: Scene) -> tuple[NDArray[Any], str]:
+    """Pixels and encoding of ``<camera>/image_raw``. Raises RosError if they are no colours."""
+    pixels = read_image(message)
+    if pixels.dtype != np.uint8:
+        raise RosError(f"images of encoding {message.encoding!r} have no colours")
+    return pixels, message.encoding
+
+
+#: Topics below a camera that node ``bridge`` receives.
+CAMERA_INPUTS: dict[str, CameraInput] = {
+    "boxes": CameraInput(PointCloud2, _read_body_boxes, "boxes"),
+    f"keypoints/{HRI_KEYPOINTS}": CameraInput(PointCloud2, _read_openpose, "openpose"),
+    CHANNEL_TABLE["rgb"].topic: CameraInput(Image, _read_colours, "image"),
+}
 
 
 def received_frame(
@@ -444,16 +560,24 @@ def received_frame(
     Raises:
         RosError: The joints of a human do not fit its body.
     """
-    truth = cast("dict[str, CameraTruth]", {name: ReceivedTruth(**each) for name, each in cameras.items()})
+    received = {
+        name: ReceivedTruth(**{CAMERA_INPUTS[topic].field: content for topic, content in each.items()})
+        for name, each in cameras.items()
+    }
+    truth = cast("dict[str, CameraTruth]", received)
+    images = {name: each.image for name, each in received.items() if each.image is not None}
+    views = {name: View(rgb=image) for name, (image, _) in images.items()}
+    encodings = {name: encoding for name, (_, encoding) in images.items()}
     if state is None:
-        return Frame(0, stamp, {}, {}, truth, labels=scene.labels)
+        return Frame(0, stamp, {}, views, truth, labels=scene.labels, encodings=encodings)
     return Frame(
         state.index,
         stamp,
         {name: _human_state(state, name) for name in state.actors},
-        {},
+        views,
         truth,
         dict(state.objects),
+        encodings=encodings,
         labels=scene.labels,
         scene_time=state.scene_time,
         camera_poses=state.cameras,
@@ -583,6 +707,62 @@ def _tracked_persons(scene: AdapterScene, config: TrackedConfig, usual: str) -> 
     yield topic
 
 
+def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopic]:
+    camera, actors = scene.camera(config.camera, "camera"), scene.scene.actors
+    placed, size = scene.placed(optical_frame(camera)), scene.scene.scene_cameras[camera].camera.size
+    with located(path=scene.scene.path):
+        check_ids(list(actors))
+    TF_MESSAGES.check(installed=False)
+    links = {name: HriLinks.of(actor.human.skeleton) for name, actor in actors.items()}
+    newest: list[tuple[Frame, HriFrame]] = []
+
+    def described(frame: Frame) -> HriFrame:
+        """People in a frame, described once for all topics."""
+        if not newest or newest[0][0] is not frame:
+            axes = placed.at(frame)
+            to_camera = invert_rigid(transform(quaternion_to_matrix(axes.rotation), axes.position))
+            truth = frame.truth[camera]
+            keypoints = truth.keypoints(HRI_KEYPOINTS)
+            people = {
+                name: hri_person(
+                    *(name, links[name], frame.humans[name], truth.boxes[name].visible),
+                    *(keypoints[name], to_camera, size),
+                )
+                for name in actors
+            }
+            newest[:] = [
+                (
+                    frame,
+                    HriFrame(people, to_camera, lambda: (frame.views[camera].rgb, frame.encodings[camera])),
+                )
+            ]
+        return newest[0][1]
+
+    channels = frozenset((*REQUIRED_CHANNELS["boxes"], *REQUIRED_CHANNELS["joints"]))
+    inputs = ("boxes", f"keypoints/{HRI_KEYPOINTS}")
+    for topic in hri_topics(list(actors), placed.frame_id, size):
+        image = topic.has_image
+
+        def build(frame: Frame, stamp: int, topic: HriTopic = topic) -> list[Any]:
+            return topic.build(described(frame), stamp)
+
+        yield AdapterTopic(
+            *(topic.name, topic.type, build, lambda frame: frame),
+            latched=topic.latched,
+            shown=not image,
+            camera=camera,
+            channels=channels | {"rgb"} if image else channels,
+            optional=image,
+            package=TF_MESSAGES if topic.name == "tf" else HRI_MESSAGES,
+            inputs=(*inputs, CHANNEL_TABLE["rgb"].topic) if image else inputs,
+            posed=camera,
+            absolute=True,
+            repeated=topic.repeated,
+            on_demand=image,
+            sparse=topic.sparse,
+        )
+
+
 #: All adapters by name.
 ADAPTERS = {
     row.name: row
@@ -605,16 +785,27 @@ ADAPTERS = {
             "hips; with a camera, its boxes",
             _tracked_persons,
         ),
+        Adapter(
+            "hri",
+            HRI_MESSAGES,
+            "IdsList",
+            "humans/bodies/tracked",
+            "joints; boxes, keypoints and image of a camera",
+            _hri,
+        ),
     )
 }
 
 
-def adapter_topics(scene: Scene, frame_prefix: str = "") -> list[AdapterTopic]:
-    """Topics of all adapters that a scene has in its section ``adapters``.
+def adapter_topics(
+    scene: Scene, frame_prefix: str = "", adapters: AdaptersConfig | None = None
+) -> list[AdapterTopic]:
+    """Topics of adapters.
 
     Args:
         scene: The scene.
         frame_prefix: Text before the frames of cameras and scanners.
+        adapters: The adapters; None: those of section ``adapters`` of the scene.
 
     Raises:
         SceneError: A setting names no camera or frame of the scene.
@@ -622,7 +813,7 @@ def adapter_topics(scene: Scene, frame_prefix: str = "") -> list[AdapterTopic]:
     """
     topics: list[AdapterTopic] = []
     for name, row in ADAPTERS.items():
-        config = getattr(scene.config.adapters, name)
+        config = getattr(scene.config.adapters if adapters is None else adapters, name)
         if config is not None:
             row.package.check(installed=False)
             topics += row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)

@@ -37,6 +37,7 @@ class Topic(Generic[Content]):
         faulty: Faults of the camera change its stamp, and when and how often it is sent.
         raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
         scanner: Name of the laser scanner of whose sweeps it is; empty otherwise.
+        sparse: A frame may have no message of it, or several: recordings in lockstep do not wait for it.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Topic(Generic[Content]):
     faulty: bool = False
     raw: str = ""
     scanner: str = ""
+    sparse: bool = False
 
     @property
     def type_name(self) -> str:

@@ -28,13 +28,13 @@ _PACKAGES = {
     for package, names in {
         "builtin_interfaces": "Duration Time",
         "diagnostic_msgs": "DiagnosticArray DiagnosticStatus KeyValue",
-        "geometry_msgs": """Point Pose PoseStamped PoseWithCovariance Quaternion Transform TransformStamped
-            Twist TwistStamped TwistWithCovariance Vector3""",
+        "geometry_msgs": """Point PointStamped Pose PoseStamped PoseWithCovariance Quaternion Transform
+            TransformStamped Twist TwistStamped TwistWithCovariance Vector3""",
         "nav_msgs": "Odometry",
         "sensor_msgs": """CameraInfo CompressedImage Image JointState LaserScan MultiDOFJointState
             PointCloud2 PointField TimeReference""",
         "shape_msgs": "Mesh MeshTriangle",
-        "std_msgs": "ColorRGBA Float64MultiArray Header MultiArrayDimension String",
+        "std_msgs": "Bool ColorRGBA Float32 Float64MultiArray Header MultiArrayDimension String",
         "visualization_msgs": "ImageMarker Marker MarkerArray",
     }.items()
     for name in names.split()

@@ -51,6 +51,15 @@ class BoxesConfig(Section):
     )
 
 
+class HriConfig(ShortSection):
+    """People as a camera sees them, for ROS4HRI."""
+
+    other_words: ClassVar[dict[str, str]] = {"camera": "cameras name"}
+    short_key: ClassVar[str] = "camera"
+
+    camera: str = Field(description="camera that sees the people")
+
+
 class AdaptersConfig(Section):
     """Messages for other people stacks; a key for each row of the table of adapters."""
 
@@ -59,6 +68,7 @@ class AdaptersConfig(Section):
         "detections_3d": "detection3d",
         "people": "people_msgs",
         "tracked_persons": "spencer spencer_tracking_msgs",
+        "hri": "ros4hri hri_msgs",
     }
 
     detections_2d: BoxesConfig | None = Field(default=None, description="vision_msgs/Detection2DArray")
@@ -67,6 +77,7 @@ class AdaptersConfig(Section):
     tracked_persons: TrackedConfig | None = Field(
         default=None, description="spencer_tracking_msgs/TrackedPersons"
     )
+    hri: HriConfig | None = Field(default=None, description="topics and frames of ROS4HRI")
 
     def __bool__(self) -> bool:
         """Whether the scene has any."""

@@ -19,6 +19,9 @@ from humansim_ros.scene.stereo import right_camera
 
 #: Node that plays the motions of a scene.
 PLAYER_NODE = "motion_player"
+#: Names below ``/humans`` that ROS4HRI (REP-155) has for lists of bodies, faces and so on: a human of this
+#: name would have its topics among them.
+HRI_NAMES = ("bodies", "faces", "voices", "persons", "interactions", "candidate_matches")
 #: Value of ``time.mode``.
 LOCKSTEP = "lockstep"
 #: Node that publishes the topics of section ``adapters``.
@@ -68,7 +71,8 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
 def check_node_names(
     humans: Iterable[str], cameras: Iterable[str], scanners: Iterable[str] = (), adapters: bool = False
 ) -> None:
-    """Raise SceneError with the key if a camera or scanner has the name of another node of its scene.
+    """Raise SceneError with the key if a camera or scanner has the name of another node of its scene, or a
+    human a name of :data:`HRI_NAMES`.
 
     Args:
         humans: Names of the humans.
@@ -76,6 +80,12 @@ def check_node_names(
         scanners: Names of the scanners.
         adapters: Whether there is a node for adapters.
     """
+    humans = list(humans)
+    if taken := [name for name in humans if name in HRI_NAMES]:
+        raise SceneError(
+            f"/humans/{taken[0]} has topics of ROS4HRI: give the human another name, such as {taken[0]}_1",
+            key=f"humans.{taken[0]}",
+        )
     nodes = {
         PLAYER_NODE: "the motion player",
         **({BRIDGE_NODE: "the adapters"} if adapters else {}),

@@ -141,7 +141,8 @@ def seen_topics(
     """
     cameras = _cameras(types)
     images = {name for name, kind in types.items() if kind in (IMAGE, COMPRESSED_IMAGE)}
-    shown = [f"{camera.info.rpartition('/')[0]}/" for camera in cameras.values()]
+    # crops of ROS4HRI belong to bodies and faces
+    shown = ["/humans/", *(f"{camera.info.rpartition('/')[0]}/" for camera in cameras.values())]
     pattern = topic_pattern(estimate) if estimate else None
     poses = [name for name, kind in types.items() if kind in MESSAGE_TYPES] if pattern is not None else []
     found = {name: match for name in poses if pattern is not None and (match := pattern.fullmatch(name))}

@@ -28,6 +28,7 @@ from humansim_ros.messages.adapters import (
     received_frame,
 )
 from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.hri import HRI_MESSAGES
 from humansim_ros.messages.people import GROUND, read_people
 from humansim_ros.messages.topics import scene_topics
 from humansim_ros.scene.adapter_config import AdaptersConfig
@@ -121,7 +122,7 @@ def test_definitions_have_the_hashes_of_ros(name: str, expected: str) -> None:
     assert message_types().hash_rihs01(f"vision_msgs/msg/{name}") == f"RIHS01_{expected}"
 
 
-@pytest.mark.parametrize("package", [VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS])
+@pytest.mark.parametrize("package", [VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS, HRI_MESSAGES])
 def test_all_fields_that_are_written_are_defined(package: types.MessagePackage) -> None:
     for name, fields in package.fields.items():
         assert is_defined(f"{package.name}/msg/{name}")
@@ -131,14 +132,14 @@ def test_all_fields_that_are_written_are_defined(package: types.MessagePackage) 
 
 def test_a_row_for_each_key_of_the_section() -> None:
     assert list(ADAPTERS) == list(AdaptersConfig.model_fields)
-    assert all(row.is_read for row in ADAPTERS.values() if row.name != "detections_2d")
+    assert all(row.is_read for row in ADAPTERS.values() if row.name not in ("detections_2d", "hri"))
 
 
 def test_the_documents_have_all_rows() -> None:
     page = (ROOT / "docs" / "people_messages.md").read_text()
     for row in ADAPTERS.values():
         assert f"| `{row.name}` | `/{row.topic}` | {row.type.replace('/msg/', '/')}" in page
-        assert f"| {row.needs} | yes" in page
+        assert f"| {row.needs} | {'no' if row.name == 'hri' else 'yes'}" in page
 
 
 def test_an_absent_package_is_refused_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:

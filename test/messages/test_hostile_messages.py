@@ -209,6 +209,18 @@ def test_point_clouds_with_impossible_fields_are_refused() -> None:
             messages.read_points(vertices(**changes), ("x",))
 
 
+def test_a_field_at_the_end_of_31_bits_is_refused() -> None:
+    """NumPy 2.4 accepts a byte there as within the point, and reads memory of others when a row is taken."""
+    from sensor_msgs.msg import PointField
+
+    fields = [
+        PointField(name="x", datatype=PointField.FLOAT32, count=1),
+        PointField(name="kind", offset=2**31 - 1, datatype=PointField.UINT8, count=1),
+    ]
+    with pytest.raises(RosError, match="field kind ends after byte 12 of a point"):
+        messages.read_points(vertices(fields=fields), ("x",))
+
+
 @pytest.mark.parametrize(
     ("part", "value"),
     [

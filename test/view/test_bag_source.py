@@ -370,6 +370,10 @@ def test_a_robot_with_tf_other_names_and_other_stamps(tmp_path: Path) -> None:
             ),
             (topic("/odd/image_raw", image), [(stamps[0], image_message(depth, "mono16", 5, "x"))]),
             (
+                topic("/humans/bodies/b_a/cropped", image),
+                [(stamps[0], image_message(depth, "mono16", 5, "x"))],
+            ),
+            (
                 topic("/tf_static", "tf2_msgs/msg/TFMessage"),
                 [
                     (stamps[0], tf("base", "robot_cam", (1.0, 0, 0), (0, 0, half, half))),
@@ -385,6 +389,7 @@ def test_a_robot_with_tf_other_names_and_other_stamps(tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.cameras["cam/color"].center, (0, 1, 2), atol=1e-9)
     np.testing.assert_allclose(frame.cameras["cam/color"].R, np.diag([-1, -1, 1]), atol=1e-9)
     assert "/odd/image_raw is not shown: there is no camera_info beside it" in source.messages
+    assert not any("cropped" in text for text in source.messages)  # of ROS4HRI
     source.frame(0)
     found = source.describe("cam/depth", 3, 2)
     assert found.values["depth"] == "2.0000 m"

@@ -1,3 +1,3 @@
 """The executables of the package: motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder,
-evaluator and bridge.
+evaluator, bridge and hri_bridge.
 """

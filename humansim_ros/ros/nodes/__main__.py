@@ -36,11 +36,11 @@ def run(name: str) -> int:
 
 
 #: Functions of the installed scripts.
-motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder, evaluator, bridge = (
+motion_player, skinner, skinner_rig, camera, camera_rig, scanner, recorder, evaluator, bridge, hri_bridge = (
     partial(run, name)
     for name in (
         *("motion_player", "skinner", "skinner_rig", "camera", "camera_rig", "scanner"),
-        *("recorder", "evaluator", "bridge"),
+        *("recorder", "evaluator", "bridge", "hri_bridge"),
     )
 )
 

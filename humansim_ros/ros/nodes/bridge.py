@@ -3,17 +3,21 @@
 A scene says in its section ``adapters`` which (docs/people_messages.md). The node subscribes to what they are
 made of: joints and vertices of the humans, and topics of cameras such as ``<camera>/boxes``, also of a bag
 that is played. It joins them by exact stamp, and publishes with that stamp. Messages without subscribers are
-not built.
+not built, but for latched ones, which are sent when they change. Images are received only while a topic that
+needs them has subscribers. Lists of ROS4HRI are sent each second while there are no frames.
+
+Node ``hri_bridge`` publishes ROS4HRI alone (docs/ros4hri.md), also for a scene without ``adapters``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 from humansim_ros import messages
-from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.errors import HumansimError, SceneError, some_of
 from humansim_ros.messages.adapters import CAMERA_INPUTS, AdapterTopic, adapter_topics, received_frame
 from humansim_ros.messages.frames import Frames
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -21,12 +25,15 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
+from humansim_ros.scene.adapter_config import AdaptersConfig
 from humansim_ros.scene.capture import SceneState
 
 #: In place of a topic: bodies and objects of a frame.
 _STATE = "state"
 #: Frames that wait for a topic of a camera, and nanoseconds by which a stamp goes back in a new run.
 _MAX_FRAMES, _NEW_RUN = 16, 10**9
+#: Seconds between two looks for subscribers of crops, and until lists are sent again.
+_LOOK_EVERY, _AGAIN_EVERY = 0.2, 1.0
 
 
 class _Join(NamedTuple):
@@ -38,33 +45,57 @@ class _Join(NamedTuple):
 
 
 class BridgeNode(SceneNode):
-    """Publishes the topics of the adapters of a scene."""
+    """Publishes the topics of the adapters of a scene.
 
-    def __init__(self, scene: Scene | None = None, **options: Any) -> None:
-        super().__init__("bridge", scene, **options)
+    Args:
+        scene: Scene of its parameter, if it is loaded already.
+        name: Name of the node.
+        options: Options of the node.
+    """
+
+    def __init__(self, scene: Scene | None = None, name: str = "bridge", **options: Any) -> None:
+        super().__init__(name, scene, **options)
         description = "Text before the frames of cameras and scanners, such as lab/"
-        topics = adapter_topics(self.scene, self.text_parameter("frame_prefix", "", description))
+        topics = adapter_topics(
+            self.scene, self.text_parameter("frame_prefix", "", description), self.adapters()
+        )
         if not topics:
             text = "the scene has no adapters: name them in a section 'adapters', such as people: {}"
             raise SceneError(text, path=self.scene.path, key="adapters")
         for topic in topics:
             topic.package.check(installed=True)
         per_frame = [topic for topic in topics if topic.per_frame]
-        self._senders = {topic.name: self.topic_publisher(topic) for topic in per_frame}
+        self._senders = {topic.name: self._sender(topic) for topic in per_frame}
         for topic in topics:
             if not topic.per_frame:
                 self.publish_latched(topic.build(received_frame(0, None, {}, self.scene), 0), topic.name)
+        #: Newest messages of topics that are latched or sent again, by topic.
+        self._newest: dict[str, list[Any]] = {}
         #: By what their topics are made of.
         self._joins: dict[tuple[str, ...], _Join] = {}
         for topic in per_frame:
             self._join(topic)
-        for name in dict.fromkeys(name for needed in self._joins for name in needed if name != _STATE):
-            self._subscribe(name)
+        #: Subscriptions to topics of cameras.
+        self._inputs: dict[str, Any] = {}
+        self._update_inputs()
         posed = dict.fromkeys(topic.posed for topic in topics if topic.posed)
         moving = [name for name in posed if self.scene.scene_cameras[name].moves]
         # also without a topic of people: frames in lockstep wait for its reports
         self._synchronizer = FrameSynchronizer(self, self._on_state, [self], moving)
-        self.get_logger().info(f"publishing {', '.join(topic.name for topic in topics)}")
+        if any(topic.on_demand for topic in per_frame):
+            self.create_timer(_LOOK_EVERY, self._update_inputs, clock=self._steady_clock)
+        self._again = [topic.name for topic in per_frame if topic.repeated]
+        self._has_sent = False
+        if self._again:
+            self.create_timer(_AGAIN_EVERY, self._send_again, clock=self._steady_clock)
+        self.get_logger().info(f"publishing {some_of([topic.name for topic in topics])}")
+
+    def adapters(self) -> AdaptersConfig:
+        """Return the adapters to publish."""
+        return self.scene.config.adapters
+
+    def _sender(self, topic: AdapterTopic) -> Any:
+        return self.topic_publisher(replace(topic, name=f"/{topic.name}") if topic.absolute else topic)
 
     def _join(self, topic: AdapterTopic) -> None:
         needed = (*((_STATE,) if topic.people else ()), *(f"{topic.camera}/{each}" for each in topic.inputs))
@@ -73,11 +104,25 @@ class BridgeNode(SceneNode):
             self._joins[needed] = _Join(topic.camera, [], frames)
         self._joins[needed].topics.append(topic)
 
-    def _subscribe(self, name: str) -> None:
-        """Subscribe to a topic of a camera, with a long queue: frames in lockstep do not wait for it."""
-        message_type, read = CAMERA_INPUTS[name.partition("/")[2]]
-        receive: Callable[[Any], None] = partial(self._on_message, name, read)
-        self.create_subscription(message_type, name, receive, subscription_profile([]))
+    def _update_inputs(self) -> None:
+        """Receive the topics of cameras that something is made of."""
+        needed = dict.fromkeys(
+            name
+            for names, join in self._joins.items()
+            if any(not topic.on_demand or self._has_subscribers(topic) for topic in join.topics)
+            for name in names
+            if name != _STATE
+        )
+        for name in needed.keys() - self._inputs.keys():
+            kind, read, _ = CAMERA_INPUTS[name.partition("/")[2]]
+            receive: Callable[[Any], None] = partial(self._on_message, name, read)
+            # a long queue: frames in lockstep do not wait for it
+            self._inputs[name] = self.create_subscription(kind, name, receive, subscription_profile([]))
+        for name in self._inputs.keys() - needed.keys():
+            self.destroy_subscription(self._inputs.pop(name))
+
+    def _has_subscribers(self, topic: AdapterTopic) -> bool:
+        return bool(self._senders[topic.name].get_subscription_count())
 
     def _on_message(self, name: str, read: Callable[[Any, Scene], Any], message: Any) -> None:
         try:
@@ -100,16 +145,32 @@ class BridgeNode(SceneNode):
 
     def _publish(self, join: _Join, stamp: int, needed: Sequence[str]) -> None:
         found = join.frames.pop(stamp)
-        wanted = [topic for topic in join.topics if self._senders[topic.name].get_subscription_count()]
+        wanted = [
+            topic for topic in join.topics if topic.latched or topic.repeated or self._has_subscribers(topic)
+        ]
         if not wanted:
             return
         of_camera = {name.partition("/")[2]: found[name] for name in needed if name != _STATE}
         cameras = {join.camera: of_camera} if of_camera else {}
         frame = received_frame(stamp, found.get(_STATE), cameras, self.scene)
         for topic in wanted:
-            self._senders[topic.name].publish(topic.build(frame, stamp))
+            sent = topic.messages(frame, stamp)
+            if topic.latched and sent == self._newest.get(topic.name):
+                continue
+            if topic.latched or topic.repeated:
+                self._newest[topic.name] = sent
+            for message in sent:
+                self._senders[topic.name].publish(message)
+        self._has_sent = True
         self.count("frames")
         self.report_lateness(stamp)
+
+    def _send_again(self) -> None:
+        """Send the newest lists again, unless frames have arrived since the last call."""
+        for name in () if self._has_sent else self._again:
+            for message in self._newest.get(name, ()):
+                self._senders[name].publish(message)
+        self._has_sent = False
 
 
 def main(scene: Scene | None = None) -> int:

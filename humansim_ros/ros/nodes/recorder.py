@@ -427,10 +427,11 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
     """Whether a topic has exactly one message for each frame when the frame has been shown.
 
     Not those that compare a frame with the next or the previous one, because a camera that was started again
-    lacks that; nor those without a stamp, those that a camera with faults may lose, and sweeps of scanners.
+    lacks that; nor those without a stamp, those that a camera with faults may lose, sweeps of scanners, and
+    people who may not be seen.
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
-    of_frames = topic.per_frame and not topic.scanner and not topic.faulty
+    of_frames = topic.per_frame and not (topic.scanner or topic.faulty or topic.sparse)
     return of_frames and not compared and begins_with_stamp(topic.type)
 
 

@@ -1,0 +1,38 @@
+"""Node ``hri_bridge``: publishes the people of a scene as ROS4HRI has them (docs/ros4hri.md).
+
+It is node ``bridge`` with one adapter: ``hri`` of the scene, or that of parameter ``camera``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from humansim_ros.errors import SceneError
+from humansim_ros.ros.nodes.bridge import BridgeNode
+from humansim_ros.ros.runtime import run_node
+from humansim_ros.scene import Scene
+from humansim_ros.scene.adapter_config import AdaptersConfig, HriConfig
+
+
+class HriBridgeNode(BridgeNode):
+    """Publishes ROS4HRI. ``scene``: scene of its parameter, if it is loaded already."""
+
+    def __init__(self, scene: Scene | None = None, **options: Any) -> None:
+        super().__init__(scene, "hri_bridge", **options)
+
+    def adapters(self) -> AdaptersConfig:
+        """Return the adapter of the scene, or of the parameter. Raises SceneError without a camera."""
+        camera = self.text_parameter("camera", "", "Camera that sees the people; empty: adapters.hri.camera")
+        config = self.scene.config.adapters.hri
+        if camera:
+            config = HriConfig(camera=camera)
+        if config is None:
+            known = ", ".join(self.scene.scene_cameras)
+            text = f"name the camera that sees the people: --ros-args -p camera:=NAME ({known})"
+            raise SceneError(text, path=self.scene.path, key="adapters.hri.camera")
+        return AdaptersConfig(hri=config)
+
+
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: HriBridgeNode(scene=scene))

@@ -90,7 +90,7 @@ adapters:
   detections_3d: moving_optical_frame
   people: {}
   tracked_persons: {camera: left}
-  hri: left
+hri: {camera: left}
 """
 #: Packages of the adapters, which are not on PyPI.
 PACKAGES = ("vision_msgs", "people_msgs", "spencer_tracking_msgs", "hri_msgs", "tf2_msgs")

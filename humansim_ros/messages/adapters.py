@@ -26,6 +26,7 @@ from humansim_ros.errors import (
     some_of,
     within_bounds,
 )
+from humansim_ros.io.schema import Section
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes, read_joint_view
 from humansim_ros.messages.headers import WORLD_FRAME, header, optical_frame
@@ -69,7 +70,6 @@ from humansim_ros.rotations import (
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.adapter_config import (
-    AdaptersConfig,
     BoxesConfig,
     FramedConfig,
     HriConfig,
@@ -244,11 +244,13 @@ class AdapterScene:
     """
 
     def __init__(self, scene: Scene, adapter: str, frame_prefix: str = "") -> None:
-        self.scene, self._adapter, self._prefix = scene, adapter, frame_prefix
+        self.scene, self._prefix = scene, frame_prefix
+        # ROS4HRI has a section of its own
+        self._key = adapter if adapter == "hri" else f"adapters.{adapter}"
 
     def error(self, text: str, key: str) -> SceneError:
         """Error of a key of the row."""
-        return SceneError(text, path=self.scene.path, key=f"adapters.{self._adapter}.{key}")
+        return SceneError(text, path=self.scene.path, key=f"{self._key}.{key}")
 
     def camera(self, name: str, key: str) -> str:
         """Return the name of a camera. Raises SceneError of the key if there is none."""
@@ -798,23 +800,23 @@ ADAPTERS = {
 
 
 def adapter_topics(
-    scene: Scene, frame_prefix: str = "", adapters: AdaptersConfig | None = None
+    scene: Scene, frame_prefix: str = "", adapters: Mapping[str, Section] | None = None
 ) -> list[AdapterTopic]:
     """Topics of adapters.
 
     Args:
         scene: The scene.
         frame_prefix: Text before the frames of cameras and scanners.
-        adapters: The adapters; None: those of section ``adapters`` of the scene.
+        adapters: Settings of the adapters by name; None: those of the scene.
 
     Raises:
         SceneError: A setting names no camera or frame of the scene.
         RosError: A message package is neither installed nor defined, or of another version.
     """
     topics: list[AdapterTopic] = []
+    settings = scene.config.adapter_settings if adapters is None else adapters
     for name, row in ADAPTERS.items():
-        config = getattr(scene.config.adapters if adapters is None else adapters, name)
-        if config is not None:
+        if (config := settings.get(name)) is not None:
             row.package.check(installed=False)
             topics += row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)
     return topics

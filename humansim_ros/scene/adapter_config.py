@@ -61,14 +61,13 @@ class HriConfig(ShortSection):
 
 
 class AdaptersConfig(Section):
-    """Messages for other people stacks; a key for each row of the table of adapters."""
+    """Messages for other people stacks; a key for each row of the table of adapters but ``hri``."""
 
     other_words: ClassVar[dict[str, str]] = {
         "detections_2d": "detection2d vision_msgs boxes",
         "detections_3d": "detection3d",
         "people": "people_msgs",
         "tracked_persons": "spencer spencer_tracking_msgs",
-        "hri": "ros4hri hri_msgs",
     }
 
     detections_2d: BoxesConfig | None = Field(default=None, description="vision_msgs/Detection2DArray")
@@ -77,8 +76,3 @@ class AdaptersConfig(Section):
     tracked_persons: TrackedConfig | None = Field(
         default=None, description="spencer_tracking_msgs/TrackedPersons"
     )
-    hri: HriConfig | None = Field(default=None, description="topics and frames of ROS4HRI")
-
-    def __bool__(self) -> bool:
-        """Whether the scene has any."""
-        return any(getattr(self, name) is not None for name in type(self).model_fields)

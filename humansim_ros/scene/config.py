@@ -30,7 +30,7 @@ from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.hand_keys import HandKey, HandPoseName, HandSide
 from humansim_ros.render.lighting import Lighting, RendererName
-from humansim_ros.scene.adapter_config import AdaptersConfig
+from humansim_ros.scene.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.robot_config import ROBOT, RobotConfig
 from humansim_ros.scene.scanner_config import ScannerConfig
@@ -830,6 +830,7 @@ class SceneConfig(Section):
         "scanners": "lidars lidar lasers scanner laser",
         "license": "licence",
         "adapters": "bridge bridges adapter",
+        "hri": "ros4hri hri_msgs",
     }
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
@@ -852,11 +853,18 @@ class SceneConfig(Section):
     adapters: AdaptersConfig = Field(
         default=AdaptersConfig.model_construct(), description="messages for other people stacks"
     )
+    hri: HriConfig | None = Field(default=None, description="topics and frames of ROS4HRI")
     license: str | None = Field(
         default=None, description="licence of data sets of the scene, such as CC-BY-4.0"
     )
 
     _license_is_a_line = field_validator("license")(checked_license)
+
+    @property
+    def adapter_settings(self) -> dict[str, Section]:
+        """Settings of the rows of the table of adapters that the scene has, by name."""
+        settings = {name: getattr(self.adapters, name) for name in type(self.adapters).model_fields}
+        return {name: each for name, each in {**settings, "hri": self.hri}.items() if each is not None}
 
     @model_validator(mode="after")
     def _has_cameras_and_labels(self) -> SceneConfig:

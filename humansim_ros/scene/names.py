@@ -24,7 +24,7 @@ PLAYER_NODE = "motion_player"
 HRI_NAMES = ("bodies", "faces", "voices", "persons", "interactions", "candidate_matches")
 #: Value of ``time.mode``.
 LOCKSTEP = "lockstep"
-#: Node that publishes the topics of section ``adapters``.
+#: Node that publishes the topics of the sections ``adapters`` and ``hri``.
 BRIDGE_NODE = "bridge"
 
 
@@ -60,7 +60,8 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
     humans = (*_section_names(content, "humans", path), *_random_names(content, path))
     scanners = _section_names(content, "scanners", path)
     adapters = content.get("adapters")
-    has_adapters = isinstance(adapters, dict) and any(each is not None for each in adapters.values())
+    rows = list(adapters.values()) if isinstance(adapters, dict) else []
+    has_adapters = any(each is not None for each in (*rows, content.get("hri")))
     with located(path=path):
         check_node_names(humans, cameras, scanners, has_adapters)
     time = content.get("time")

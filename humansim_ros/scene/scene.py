@@ -344,7 +344,7 @@ class Scene(Pictured):
             for name, camera in build_cameras(config, source, robot).items()
         }
         scanners = build_scanners(config, source, robot)
-        check_node_names(actors, cameras, scanners, bool(config.adapters))
+        check_node_names(actors, cameras, scanners, bool(config.adapter_settings))
         if config.randomise is not None:
             cameras = random_cameras(cameras, config.randomise)
         if config.randomise is not None and config.randomise.clutter:

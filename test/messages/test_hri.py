@@ -39,7 +39,7 @@ Seen = tuple[Frame, dict[str, list[Any]]]
 
 
 def scene(**changes: Any) -> Scene:
-    sections = {"humans": HUMANS, "cameras": {"front": FRONT}, "adapters": {"hri": "front"}, **changes}
+    sections = {"humans": HUMANS, "cameras": {"front": FRONT}, "hri": "front", **changes}
     return Scene.from_dict({"rate": 10, "room": None, **sections})
 
 
@@ -319,8 +319,8 @@ def test_an_unknown_camera_is_named() -> None:
     with pytest.raises(
         SceneError, match=r"no camera 'frint'; the scene has front; did you mean 'front'"
     ) as caught:
-        adapter_topics(scene(adapters={"hri": {"camera": "frint"}}))
-    assert caught.value.key == "adapters.hri.camera"
+        adapter_topics(scene(hri={"camera": "frint"}))
+    assert caught.value.key == "hri.camera"
 
 
 def test_messages_of_another_version_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

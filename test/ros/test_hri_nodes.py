@@ -37,7 +37,7 @@ SCENE = {
     },
     "cameras": {"front": {"size": [160, 120], "position": [2.4, 0.6, 1.5], "look_at": [0, 0, 1.0]}},
 }
-HRI = {**SCENE, "adapters": {"hri": "front"}}
+HRI = {**SCENE, "hri": "front"}
 CHANNELS = ("rgb", "depth", "instance", "part", "amodal")
 
 

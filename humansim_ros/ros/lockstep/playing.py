@@ -146,7 +146,7 @@ def _choice(node: SceneNode, name: str, default: str, values: Sequence[str], des
 
 def _finishing(scene: Scene) -> list[str]:
     """Names of the nodes of a scene that finish each of its frames."""
-    return [*scene.cameras, *scene.scanners, *([BRIDGE_NODE] if scene.config.adapters else [])]
+    return [*scene.cameras, *scene.scanners, *([BRIDGE_NODE] if scene.config.adapter_settings else [])]
 
 
 class LockstepPlaying(Playing):

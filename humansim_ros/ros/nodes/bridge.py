@@ -6,7 +6,7 @@ that is played. It joins them by exact stamp, and publishes with that stamp. Mes
 not built, but for latched ones, which are sent when they change. Images are received only while a topic that
 needs them has subscribers. Lists of ROS4HRI are sent each second while there are no frames.
 
-Node ``hri_bridge`` publishes ROS4HRI alone (docs/ros4hri.md), also for a scene without ``adapters``.
+Node ``hri_bridge`` publishes ROS4HRI alone (docs/ros4hri.md), also for a scene without ``hri``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError, SceneError, some_of
+from humansim_ros.io.schema import Section
 from humansim_ros.messages.adapters import CAMERA_INPUTS, AdapterTopic, adapter_topics, received_frame
 from humansim_ros.messages.frames import Frames
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -25,7 +26,6 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
-from humansim_ros.scene.adapter_config import AdaptersConfig
 from humansim_ros.scene.capture import SceneState
 
 #: In place of a topic: bodies and objects of a frame.
@@ -90,9 +90,9 @@ class BridgeNode(SceneNode):
             self.create_timer(_AGAIN_EVERY, self._send_again, clock=self._steady_clock)
         self.get_logger().info(f"publishing {some_of([topic.name for topic in topics])}")
 
-    def adapters(self) -> AdaptersConfig:
-        """Return the adapters to publish."""
-        return self.scene.config.adapters
+    def adapters(self) -> dict[str, Section]:
+        """Return the settings of the adapters to publish, by name."""
+        return self.scene.config.adapter_settings
 
     def _sender(self, topic: AdapterTopic) -> Any:
         return self.topic_publisher(replace(topic, name=f"/{topic.name}") if topic.absolute else topic)

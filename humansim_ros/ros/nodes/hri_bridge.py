@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import Any
 
 from humansim_ros.errors import SceneError
+from humansim_ros.io.schema import Section
 from humansim_ros.ros.nodes.bridge import BridgeNode
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
-from humansim_ros.scene.adapter_config import AdaptersConfig, HriConfig
+from humansim_ros.scene.adapter_config import HriConfig
 
 
 class HriBridgeNode(BridgeNode):
@@ -20,17 +21,17 @@ class HriBridgeNode(BridgeNode):
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(scene, "hri_bridge", **options)
 
-    def adapters(self) -> AdaptersConfig:
+    def adapters(self) -> dict[str, Section]:
         """Return the adapter of the scene, or of the parameter. Raises SceneError without a camera."""
-        camera = self.text_parameter("camera", "", "Camera that sees the people; empty: adapters.hri.camera")
-        config = self.scene.config.adapters.hri
+        camera = self.text_parameter("camera", "", "Camera that sees the people; empty: hri.camera")
+        config = self.scene.config.hri
         if camera:
             config = HriConfig(camera=camera)
         if config is None:
             known = ", ".join(self.scene.scene_cameras)
             text = f"name the camera that sees the people: --ros-args -p camera:=NAME ({known})"
-            raise SceneError(text, path=self.scene.path, key="adapters.hri.camera")
-        return AdaptersConfig(hri=config)
+            raise SceneError(text, path=self.scene.path, key="hri.camera")
+        return {"hri": config}
 
 
 def main(scene: Scene | None = None) -> int:

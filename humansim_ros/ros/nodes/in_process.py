@@ -40,7 +40,7 @@ class InProcessNodes:
                 self._add(CameraRigNode, None, use_sim_time=is_simulated, start_scene=False)
             for name in scene.scanners:
                 self._add(ScannerNode, name, use_sim_time=is_simulated, scanner=name, start_scene=False)
-            if scene.config.adapters:
+            if scene.config.adapter_settings:
                 self._add(BridgeNode, None, use_sim_time=is_simulated, start_scene=False)
             # last, so that all others know its topics when it sends the first frame
             self._add(MotionPlayerNode, None, **player)

@@ -54,14 +54,6 @@ EXTRAS = {
         # filters of simulation_interfaces
         "google-re2>=1.1",
     ],
-    # the same nodes on Kilted: in an environment of its own, without constraints.txt (docs/ros_versions.md)
-    "kilted": [
-        "ros-kilted-rclpy[fastrtps]==9.1.2",
-        "ros-kilted-common-interfaces==5.5.1",
-        "mcap>=1.1",
-        "rosbags>=0.10.6",
-        "google-re2>=1.1",
-    ],
     # writing and reading of bags; mcap brings zstandard and lz4
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
     # estimates in C3D files, in bags, and in images

@@ -96,6 +96,7 @@ SCENE: dict[str, Any] = {
         "people": {"frame": "map"},
         "tracked_persons": {"camera": "left"},
     },
+    "hri": {"camera": "left"},
 }
 FILE_KEYS = (
     "humans.anna.body",

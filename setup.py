@@ -105,7 +105,9 @@ EXTRAS = {
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)
-    "export": ["OpenEXR>=3.3", "c3d>=0.6", "pycocotools>=2.0.7"],
+    "export": ["OpenEXR>=3.3", "c3d>=0.6", "mcap>=1.1", "pycocotools>=2.0.7"],
+    # recordings of Rerun (docs/export.md)
+    "rerun": ["rerun-sdk>=0.41; python_version >= '3.11'"],
     # frame.plot()
     "plot": ["matplotlib>=3.8"],
     # tests with the fixtures of humansim_ros.testing

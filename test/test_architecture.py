@@ -68,8 +68,9 @@ PUBLIC = {
     "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera
         SceneConfig SceneObject Simulation check_scene""",
     "sensor": "ChromaticAberration DepthSensor DepthSensorConfig Noise Sensor SensorConfig Vignetting",
-    "truth": """BodyBox CameraTruth JointView KeypointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING VISIBLE
-        joint_surfaces part_u_v rest_points view_boxes view_joints view_keypoints visible_vertices""",
+    "truth": """BodyBox CameraTruth JointView KeypointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING
+        UprightBox VISIBLE joint_surfaces part_u_v rest_points upright_box view_boxes view_joints
+        view_keypoints visible_vertices""",
 }
 
 

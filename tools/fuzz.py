@@ -55,6 +55,7 @@ from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
+from humansim_ros.evaluate.readers.box_files import read_box_file  # noqa: E402
 from humansim_ros.evaluate.readers.detections import read_image_estimates  # noqa: E402
 from humansim_ros.evaluate.readers.estimates import ESTIMATE_SUFFIXES, read_estimates  # noqa: E402
 from humansim_ros.evaluate.readers.pose_files import ReadOptions  # noqa: E402
@@ -312,6 +313,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "joint table": (reading_joint_table, "*.table"),
     "joint limits": (load_limits, "*.limits"),
     "image size": (image_size, "*.png"),
+    "boxes": (read_box_file, "*.txt"),
     "detections": (reading_detections, "*.json"),
     "openpose": (reading_openpose, "*.json"),
     "points": (reading_points, "*.json"),
@@ -639,6 +641,9 @@ SEEDS = {
     "estimate trc": [MOTIONS[".trc"]],
     "estimate c3d": [MOTIONS[".c3d"]],
     "estimate json": as_json(*POSES_3D),
+    "boxes": [
+        b"0 0 1 0 1.0 2.0 0.9 0.4 0.6 1.8 0.1\n0 0 2 0 -1 2 0.9 0.4 0.6 1.8 3.1\n0 1 2 1 0 0 1 1 1 1 0\n"
+    ],
     "detections": as_json([RESULT], BOXES),
     "openpose": as_json(PEOPLE_2D),
     "points": as_json(PEOPLE_2D, COCO_2D, OWN_POINTS, [RESULT]),

@@ -48,19 +48,23 @@ def evaluate(
     offset: float | Literal["auto"] = 0.0,
     gate: float | None = None,
     min_score: float | None = None,
+    radius: float | None = None,
 ) -> Comparison:
-    """Compare estimated 3D poses of people, or detections in images, with the truth.
+    """Compare poses or boxes of people, detections in images, or the path of a robot, with the truth.
 
     Args:
         truth: Scene file, bag with the topics ``/humans/<id>/joints``, or folder of an export.
-        estimate: File or folder of poses or detections, or ``BAG:TOPIC``; or several of them.
+        estimate: File or folder of poses, boxes or detections, or ``BAG:TOPIC``; or several of them. A topic
+            with the pose of a robot is judged by docs/social_navigation.md.
         keypoints: Keypoint set of the estimate, such as ``coco17``; None: as its names say.
         names: YAML file: name of a joint in the truth by name in the estimate.
         scale: Metres of a unit of the estimate.
         axes: Axes of the estimate, such as ``y-up``; None: the axes of ``map``.
         offset: Seconds by which the stamps of the estimate are late, or ``"auto"`` to measure them.
-        gate: Largest mean joint distance at which a person counts as found, metres; None: 0.5.
+        gate: Largest mean joint distance at which a person counts as found, metres; None: 0.5. Of boxes:
+            of their centres on the floor; None: 1.
         min_score: Detections in images with a lower score count for average precision only.
+        radius: Radius of the robot whose path is the estimate, metres; None: that of the scene's robot.
 
     Raises:
         HumansimError: A file cannot be read, or truth and estimate cannot be compared.
@@ -82,6 +86,7 @@ def evaluate(
         axes=axes,
         offset=offset,
         gate=gate,
+        radius=radius,
     )
     return compared
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,18 +25,34 @@ _DEFAULTS = {"scale": 1, "offset": 0}
 
 def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **options: Any) -> Comparison:
     """Compare an estimate with the truth; all parameters as of :func:`humansim_ros.apps.api.evaluate`."""
+    from humansim_ros.evaluate.readers.box_files import is_box_file
     from humansim_ros.evaluate.readers.detections import is_of_images
+    from humansim_ros.evaluate.readers.robot_paths import is_robot_path
 
+    radius = options.pop("radius")
+    if any(map(is_robot_path, estimate)):
+        _refuse({**options, "min-score": min_score}, "the path of a robot")
+        return _navigation(truth, estimate, radius)
+    if radius is not None:
+        raise EvaluationError("is for paths of robots; the estimate is none", key="--radius")
+    if any(map(is_box_file, estimate)):
+        gate = options.pop("gate")
+        _refuse({**options, "min-score": min_score}, "upright boxes")
+        return _boxes(truth, estimate, gate)
     if any(map(is_of_images, estimate)):
         keypoints = options.pop("keypoints")
-        for name, value in options.items():
-            if value != _DEFAULTS.get(name):
-                text = "is for 3D poses; the estimate is detections in images"
-                raise EvaluationError(text, key=f"--{name}")
+        _refuse(options, "detections in images")
         return _images(truth, estimate, keypoints, min_score)
     if min_score is not None:
         raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
     return _poses(truth, estimate, **options)
+
+
+def _refuse(options: Mapping[str, Any], content: str) -> None:
+    """Raise EvaluationError for options of 3D poses that are given with other estimates."""
+    for name, value in options.items():
+        if value != _DEFAULTS.get(name):
+            raise EvaluationError(f"is for 3D poses; the estimate is {content}", key=f"--{name}")
 
 
 def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
@@ -100,6 +116,60 @@ def _poses(
             return html_report(result)
 
     return Comparison(to_data(result), show(result), page)
+
+
+def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparison:
+    """Compare upright boxes."""
+    from humansim_ros.evaluate.boxes import DEFAULT_GATE, evaluate_boxes
+    from humansim_ros.evaluate.export_truth import open_box_truth
+    from humansim_ros.evaluate.html import table_html_report
+    from humansim_ros.evaluate.readers.box_files import read_box_file
+    from humansim_ros.evaluate.report import BOX_HEADER, box_rows, box_summary, show_boxes, to_data
+
+    if len(estimate) > 1:
+        raise EvaluationError("give one file of boxes", key="--estimate")
+    found = read_box_file(Path(estimate[0]))
+    result = evaluate_boxes(open_box_truth(truth, found), found, DEFAULT_GATE if gate is None else gate)
+
+    def page() -> str:
+        return table_html_report(result, box_summary(result), BOX_HEADER, box_rows(result))
+
+    return Comparison(to_data(result), show_boxes(result), page)
+
+
+def _navigation(truth: Path, estimate: Sequence[str], radius: float | None) -> Comparison:
+    """Compare the path of a robot with the people of the truth."""
+    from humansim_ros.evaluate.export_truth import is_export
+    from humansim_ros.evaluate.html import table_html_report
+    from humansim_ros.evaluate.navigation import DEFAULT_RADIUS, evaluate_navigation
+    from humansim_ros.evaluate.nearby import bag_nearby, robot_size, scene_nearby
+    from humansim_ros.evaluate.readers.estimates import is_bag
+    from humansim_ros.evaluate.readers.robot_paths import read_robot_path
+    from humansim_ros.evaluate.report import (
+        CLOSENESS_HEADER,
+        closeness_rows,
+        navigation_summary,
+        show_navigation,
+        to_data,
+    )
+    from humansim_ros.scene import Scene
+
+    if len(estimate) > 1:
+        raise EvaluationError("give the path of one robot", key="--estimate")
+    if is_export(truth):
+        raise EvaluationError("the truth around a robot is a scene or a bag", path=truth, key="--truth")
+    scene = None if is_bag(truth) else Scene.load(truth)
+    path = read_robot_path(estimate[0], scene)
+    nearby = bag_nearby(truth, path) if scene is None else scene_nearby(scene, path)
+    size = None if scene is None else robot_size(scene)
+    if radius is None:
+        radius = DEFAULT_RADIUS if size is None else size[0]
+    result = evaluate_navigation(nearby, path.source, radius)
+
+    def page() -> str:
+        return table_html_report(result, navigation_summary(result), CLOSENESS_HEADER, closeness_rows(result))
+
+    return Comparison(to_data(result), show_navigation(result), page)
 
 
 def _images(

@@ -224,13 +224,16 @@ class McapFile:
         )
 
     @classmethod
-    def create(cls, path: Path, topics: Sequence[BagTopic]) -> McapFile:
-        """Create a file with its header and topics; it gets its name when these are whole."""
+    def create(cls, path: Path, topics: Sequence[BagTopic], profile: str = "ros2") -> McapFile:
+        """Create a file with its header and topics; it gets its name when these are whole.
+
+        ``profile``: profile of the file; empty for one that no ROS program reads.
+        """
         file = cls(path)
         temporary = path.with_name(f".{path.name}.new")
         try:
             file._descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
-            header = Header(profile="ros2", library=f"humansim_ros {__version__}")
+            header = Header(profile=profile, library=f"humansim_ros {__version__}")
             file._write(MAGIC + _encoded(header))
             for topic in topics:
                 file.add_topic(topic)
@@ -324,9 +327,11 @@ class McapFile:
         channel = Channel(
             id=len(self._channels) + 1,
             topic=topic.name,
-            message_encoding="cdr",
+            message_encoding=topic.serialization,
             schema_id=schema.id,
-            metadata={"offered_qos_profiles": qos_text(topic), "topic_type_hash": topic.type_hash},
+            metadata={}
+            if topic.serialization == "json"
+            else {"offered_qos_profiles": qos_text(topic), "topic_type_hash": topic.type_hash},
         )
         self._write(_encoded(*new, channel))
         self._schemas[topic.type] = schema

@@ -67,6 +67,8 @@ class BagTopic:
 
     ``type`` is a full name such as ``sensor_msgs/msg/Image``. ``definition`` is the text of the message type
     with all types that it contains, ``type_hash`` its hash (RIHS01); both are empty if unknown.
+    ``serialization`` is ``cdr``, or ``json`` in MCAP files for other programs, whose definition is a JSON
+    schema.
     """
 
     name: str
@@ -74,10 +76,13 @@ class BagTopic:
     qos: tuple[Qos, ...] = ()
     definition: str = ""
     type_hash: str = ""
+    serialization: str = "cdr"
 
     @property
     def encoding(self) -> str:
         """How the definition is written, as bags say it; empty without a known type."""
+        if self.serialization == "json":
+            return "jsonschema"
         return "ros2msg" if self.definition or self.type_hash else ""
 
 

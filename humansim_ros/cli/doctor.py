@@ -42,7 +42,7 @@ _CLEAN_SHARED_MEMORY = "stop all ROS programs, then: rm -f /dev/shm/fastrtps_* /
 #: Modules of each extra.
 EXTRAS = {
     "evaluate": ("c3d", "mcap", "pycocotools", "rosbags"),
-    "export": ("OpenEXR", "c3d", "pycocotools"),
+    "export": ("OpenEXR", "c3d", "mcap", "pycocotools"),
     "exr": ("OpenEXR",),
     "meshes": ("DracoPy", "lxml", "networkx", "collada"),
     "photographs": ("xatlas",),
@@ -50,6 +50,7 @@ EXTRAS = {
     "pytest": ("pytest",),
     "ray": ("fsspec", "mcap", "ray", "rosbags"),
     "record": ("mcap", "rosbags"),
+    "rerun": ("rerun",),
     "view": ("ruamel.yaml", "viser"),
 }
 

@@ -39,8 +39,8 @@ def evaluate(
         list_option(
             "--estimate",
             "PATH",
-            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json) or a folder of "
-            "files; several, such as one file a person.",
+            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json, .txt) or a "
+            "folder of files; several, such as one file a person.",
         ),
     ],
     keypoints: KeypointsOption = None,
@@ -58,7 +58,8 @@ def evaluate(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Largest mean joint distance at which a person counts as found, metres; 0.5 if absent.",
+            help="Largest mean joint distance at which a person counts as found, metres; 0.5 if absent. Of "
+            "boxes: of their centres on the floor; 1 if absent.",
             min=0.001,
             max=1000,
         ),
@@ -70,6 +71,15 @@ def evaluate(
             help="Detections in images with a lower score count for average precision only.",
         ),
     ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Radius of the robot whose path is the estimate; of the scene's robot, or 0.3, if absent.",
+            min=0.0,
+            max=100,
+        ),
+    ] = None,
     as_json: JsonOption = False,
     output: Annotated[Path | None, output_option("FILE", "Write the result to this JSON file.")] = None,
     report: Annotated[
@@ -77,7 +87,7 @@ def evaluate(
         typer.Option(metavar="FILE", help="Write tables, plots and the worst frames to this HTML file."),
     ] = None,
 ) -> None:
-    """Compare estimated 3D poses of people, or detections in images, with the truth."""
+    """Compare poses or boxes of people, detections in images, or the path of a robot, with the truth."""
     from humansim_ros.apps import api
 
     for path in (output, report):
@@ -94,6 +104,7 @@ def evaluate(
         offset=_seconds(offset),
         gate=gate,
         min_score=min_score,
+        radius=radius,
     )
     if output is not None:
         write_file(output, to_json(result.data) + "\n")

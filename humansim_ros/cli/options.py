@@ -53,21 +53,10 @@ def output_option(metavar: str, help: str) -> Any:
 
 #: Export formats: their own table loads OpenCV and moderngl, for which a shell would wait.
 EXPORT_FORMATS = (
-    *(
-        "images",
-        "depth-png",
-        "depth-exr",
-        "depth-npy",
-        "labels",
-        "body-parts",
-        "materials",
-        "flow-flo",
-        "flow-kitti",
-        "coco",
-        "yolo",
-    ),
-    *("mot", "thesis", "kitti", "mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh"),
-    *("glb", "webdataset", "croissant"),
+    *("images", "depth-png", "depth-exr", "depth-npy", "labels", "body-parts", "materials", "flow-flo"),
+    *("flow-kitti", "coco", "yolo", "mot", "thesis", "kitti", "nuscenes", "aicity", "foxglove", "rerun"),
+    *("mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb", "webdataset"),
+    "croissant",
 )
 
 

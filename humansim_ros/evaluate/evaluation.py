@@ -454,8 +454,8 @@ class _Comparison:
             found,
             missed,
             self.false,
-            _share(found, found + missed),
-            _share(found, estimated),
+            share(found, found + missed),
+            share(found, estimated),
         )
 
     def _counted_errors(self) -> Array:
@@ -523,7 +523,7 @@ class _Comparison:
             if own_total:
                 by_person[name] = own_right / own_total
         return PartScores(
-            all=_share(sum(right.values()), sum(total.values())),
+            all=share(sum(right.values()), sum(total.values())),
             by_limb={group: right[group] / total[group] for group in total if total[group]},
             by_person=by_person,
             mean_of_people=float(np.mean(list(by_person.values()))) if by_person else None,
@@ -578,7 +578,8 @@ class _Comparison:
         ]
 
 
-def _share(part: int, whole: int) -> float | None:
+def share(part: int, whole: int) -> float | None:
+    """A part of a whole; None of nothing."""
     return part / whole if whole else None
 
 

@@ -13,12 +13,15 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import EvaluationError, located
+from humansim_ros.evaluate.boxes import BoxTracks, scene_boxes
 from humansim_ros.evaluate.images import ImageTruth, image_table
 from humansim_ros.evaluate.pictures import ScenePictures
 from humansim_ros.evaluate.pose_sequence import PoseSequence
+from humansim_ros.evaluate.readers.box_files import read_box_file
 from humansim_ros.evaluate.readers.estimates import is_bag, read_estimates
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.truth import FIRST_STAMP
+from humansim_ros.export.aicity import TRUTH_FILE
 from humansim_ros.export.coco import CHANNELS, CocoWriter, coco_document, scene_categories
 from humansim_ros.export.plan import INDEX, read_index
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
@@ -62,8 +65,13 @@ class ExportTruth:
             plan = self._index["plan"]
             self.formats: tuple[str, ...] = tuple(plan["formats"])
             self.keypoints: KeypointSet = keypoint_set(plan["keypoints"])
+<<<<<<< HEAD
             self.rate = float(self._index["rate"])
             self.period, self.start = round(1e9 / self.rate), FIRST_STAMP
+=======
+            self.period, self.start = round(1e9 / float(self._index["rate"])), FIRST_STAMP
+            self._frames = range(plan["first"], plan["end"])
+>>>>>>> main
             self._files: dict[str, dict[str, Any]] = dict(self._index["files"])
         except (KeyError, TypeError, ValueError, ZeroDivisionError) as reason:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
@@ -109,6 +117,21 @@ class ExportTruth:
             self.keypoints,
             str(self.folder),
         )
+
+    def boxes(self) -> BoxTracks:
+        """Upright boxes of people in all frames. Raises EvaluationError if it has none."""
+        name = f"aicity/{TRUTH_FILE}"
+        if name not in self._files:
+            raise EvaluationError(
+                "the export has no boxes in map: export it with --format aicity, or give its scene",
+                path=self.folder,
+                key="--truth",
+            )
+        self._check(name)
+        found = read_box_file(self.folder / name)
+        frames = {index: found.at(index) for index in self._frames}
+        names = dict(enumerate(self._index.get("humans", ()), 1))
+        return BoxTracks(frames, str(self.folder), names)
 
     def pictures(self) -> ExportPictures:
         """Images of the export."""
@@ -301,3 +324,20 @@ def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneIm
             key="--truth",
         )
     return SceneImages(Scene.load(path), keypoint_set(keypoints or "coco17"))
+
+
+def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
+    """Truth of boxes: of an export with the format ``aicity``, or of a scene in the frames of the estimate.
+
+    Raises:
+        HumansimError: The scene or export is wrong, is a bag, or has no boxes.
+    """
+    if is_export(path):
+        return ExportTruth(path).boxes()
+    if is_bag(path) or path.is_dir():
+        raise EvaluationError(
+            "the truth of boxes is a scene, or a folder of humansim export with the format aicity",
+            path=path,
+            key="--truth",
+        )
+    return scene_boxes(Scene.load(path), range(min(estimate.frames), max(estimate.frames) + 1))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from humansim_ros.drawing.markup import Markup, element, joined, page, picture, polyline, section, svg, table
+from humansim_ros.evaluate.boxes import BoxEvaluation
 from humansim_ros.evaluate.evaluation import Evaluation, WorstPose
 from humansim_ros.evaluate.images import ImageEvaluation, WorstImage
 from humansim_ros.evaluate.joint_names import body_joint
 from humansim_ros.evaluate.metrics import AUC_THRESHOLDS, pck
+from humansim_ros.evaluate.navigation import NavigationEvaluation
 from humansim_ros.evaluate.pictures import (
     ESTIMATE_COLOR,
     TRUTH_COLOR,
@@ -23,6 +25,7 @@ from humansim_ros.evaluate.pictures import (
 from humansim_ros.evaluate.report import (
     PART_HEADER,
     TITLES,
+    AnyEvaluation,
     camera_count_rows,
     camera_header,
     camera_rows,
@@ -203,7 +206,25 @@ def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str
     )
 
 
-def _page(evaluation: Evaluation | ImageEvaluation, *content: str) -> str:
+def table_html_report(
+    evaluation: BoxEvaluation | NavigationEvaluation,
+    metrics: Iterable[Sequence[str]],
+    header: Sequence[str],
+    people: Iterable[Sequence[str]],
+) -> str:
+    """A page of two tables.
+
+    Args:
+        evaluation: The result.
+        metrics: Rows of the metrics.
+        header: Names of the columns of the people.
+        people: Rows of the people.
+    """
+    figures = section("Metrics", table((), metrics)), section("People", table(header, people))
+    return _page(evaluation, element("div", *figures, class_="row"))
+
+
+def _page(evaluation: AnyEvaluation, *content: str) -> str:
     return page(
         "Evaluation",
         _STYLE,

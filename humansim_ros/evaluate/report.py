@@ -7,17 +7,22 @@ from dataclasses import asdict, fields, is_dataclass
 from itertools import groupby
 from typing import Any
 
+from humansim_ros.evaluate.boxes import BoxEvaluation
 from humansim_ros.evaluate.evaluation import Evaluation
 from humansim_ros.evaluate.images import ImageEvaluation, ImageScores, KindScores
+from humansim_ros.evaluate.navigation import NavigationEvaluation
 from humansim_ros.evaluate.pose_sequence import Timing
+from humansim_ros.evaluate.tracking import TrackingScores
 
+#: A result of any comparison.
+AnyEvaluation = Evaluation | ImageEvaluation | BoxEvaluation | NavigationEvaluation
 #: Version of the keys in JSON.
 JSON_VERSION = 1
 #: Words for the kinds of detections, and for their similarity.
 TITLES = {"keypoints": ("keypoints", "OKS"), "boxes": ("boxes", "IoU"), "masks": ("masks", "IoU")}
 
 
-def to_data(evaluation: Evaluation | ImageEvaluation) -> dict[str, Any]:
+def to_data(evaluation: AnyEvaluation) -> dict[str, Any]:
     """The result with the keys of its class, for JSON: without the poses."""
     data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
     return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
@@ -35,6 +40,16 @@ def _plain(value: Any) -> Any:
 def millimetres(value: float | None) -> str:
     """Length in millimetres, or a dash."""
     return "–" if value is None else f"{thousand(value)} mm"
+
+
+def metres(value: float | None) -> str:
+    """Length in metres, or a dash."""
+    return "–" if value is None else f"{value:.3f} m"
+
+
+def seconds(value: float | None) -> str:
+    """Time in seconds, or a dash."""
+    return "–" if value is None else f"{value:.2f} s"
 
 
 def thousand(value: float) -> str:
@@ -83,11 +98,44 @@ def summary(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
     yield "detection", "mean AP", percent(e.detection.mean_ap)
     yield "detection", "recall at 500 mm", percent(e.detection.recall["500"])
     if e.tracking is not None:
-        t = e.tracking
-        yield "identity", "HOTA (DetA, AssA)", f"{percent(t.hota)} ({percent(t.deta)}, {percent(t.assa)})"
-        yield "identity", "MOTA", percent(t.mota)
-        yield "identity", "IDF1", percent(t.idf1)
-        yield "identity", "switches, fragments", f"{t.switches}, {t.fragments}"
+        yield from _tracking_rows("identity", e.tracking)
+
+
+def _tracking_rows(group: str, t: TrackingScores) -> Iterator[tuple[str, str, str]]:
+    yield group, "HOTA (DetA, AssA)", f"{percent(t.hota)} ({percent(t.deta)}, {percent(t.assa)})"
+    yield group, "MOTA", percent(t.mota)
+    yield group, "IDF1", percent(t.idf1)
+    yield group, "switches, fragments", f"{t.switches}, {t.fragments}"
+
+
+def box_summary(evaluation: BoxEvaluation) -> Iterator[tuple[str, str, str]]:
+    """Rows of the main table: group, name, value."""
+    people, errors = evaluation.people, evaluation.errors
+    yield "frames", "compared", str(evaluation.frames)
+    yield "people", "found", f"{people.found} of {people.present} ({percent(people.recall)})"
+    yield "people", "missed", str(people.missed)
+    yield "people", "false", str(people.false)
+    yield "boxes", "error of the centre", millimetres(errors.center)
+    sizes = (None,) * 3 if errors.size is None else errors.size
+    yield "boxes", "error of length, width, height", ", ".join(map(millimetres, sizes))
+    yield "boxes", "error of the yaw", "–" if errors.yaw_deg is None else f"{errors.yaw_deg:.1f}°"
+    yield "boxes", "mean 3D IoU", percent(errors.overlap)
+    yield from _tracking_rows("3D IoU", evaluation.tracking["iou"])
+    yield from _tracking_rows("distance", evaluation.tracking["distance"])
+
+
+BOX_HEADER = ("person", "found", "error of the centre")
+
+
+def box_rows(evaluation: BoxEvaluation) -> Iterator[tuple[str, str, str]]:
+    """A row for each person."""
+    for name, own in evaluation.by_person.items():
+        yield name, f"{own.found} of {own.present}", millimetres(own.center)
+
+
+def show_boxes(evaluation: BoxEvaluation) -> str:
+    """Tables for a terminal: all metrics, and people."""
+    return _terminal_text(box_summary(evaluation), ("", BOX_HEADER, box_rows(evaluation)))
 
 
 def _timing_rows(timing: Timing) -> Iterator[tuple[str, str, str]]:
@@ -248,3 +296,46 @@ def show_images(evaluation: ImageEvaluation) -> str:
             (title, ("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores)),
         ]
     return _terminal_text(image_summary(evaluation), *tables)
+
+
+def navigation_summary(evaluation: NavigationEvaluation) -> Iterator[tuple[str, str, str]]:
+    """Rows of the main table: group, name, value."""
+    frames, path, nearest = evaluation.frames, evaluation.path, evaluation.nearest
+    yield "frames", "compared", str(frames.compared)
+    yield "frames", "without a pose of the robot", str(frames.without_pose)
+    yield "path", "time, length", f"{path.seconds:.2f} s, {path.length:.2f} m"
+    yield "path", "mean speed", per_second("m/s")(path.speed)
+    yield "path", "irregularity", "–" if path.irregularity is None else f"{path.irregularity:.3f} rad/m"
+    yield "people", "least distance", metres(nearest.distance)
+    yield "people", "least clearance of bodies", metres(nearest.clearance)
+    yield "people", "collisions", "–" if nearest.collisions is None else str(nearest.collisions)
+    yield "people", "in contact", seconds(nearest.contact)
+    yield "people", "least time to collision", seconds(nearest.time_to_collision)
+    for name, value in nearest.spaces.items():
+        yield "nearest person", f"in {name} space", seconds(value)
+    yield "nearest person", "farther than 0.5 m", percent(nearest.compliance)
+
+
+CLOSENESS_HEADER = (
+    *("person", "distance", "clearance", "collisions", "time to collision", "intimate", "personal"),
+    *("social", "public"),
+)
+
+
+def closeness_rows(evaluation: NavigationEvaluation) -> Iterator[tuple[str, ...]]:
+    """A row for each person: least distance, clearance, collisions, time to collision, times in spaces."""
+    for name, own in evaluation.by_person.items():
+        collisions = "–" if own.collisions is None else str(own.collisions)
+        yield (
+            name,
+            metres(own.distance),
+            metres(own.clearance),
+            collisions,
+            seconds(own.time_to_collision),
+            *map(seconds, own.spaces.values()),
+        )
+
+
+def show_navigation(evaluation: NavigationEvaluation) -> str:
+    """Tables for a terminal: all metrics, and people."""
+    return _terminal_text(navigation_summary(evaluation), ("", CLOSENESS_HEADER, closeness_rows(evaluation)))

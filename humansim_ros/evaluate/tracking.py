@@ -19,6 +19,8 @@ ALPHAS: Array = np.arange(0.05, 0.99, 0.05)
 _EPSILON = float(np.finfo(float).eps)
 #: Similarity from which a pair can be a match for MOTA and IDF1.
 _MATCH = 0.5
+#: Distance by which corners that lie on a side may be outside because of rounding, metres.
+_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,82 @@ class TrackingScores:
 def similarity(distances: Array, gate: float) -> Array:
     """Similarity of people from mean joint distances: 1 at no distance, 0.5 at ``gate``, both in metres."""
     return np.clip(1.0 - distances / (2.0 * gate), 0.0, 1.0)
+
+
+def box_overlap(truth: Array, estimate: Array) -> Array:
+    """3D IoU (T, E) of upright boxes (T, 7) and (E, 7).
+
+    A box is its centre x, y, z, its sizes along its own axes, metres, and the yaw of its x axis, radians.
+    """
+    a, b = truth[:, None, :], estimate[None, :, :]
+    low = np.maximum(a[..., 2] - a[..., 5] / 2, b[..., 2] - b[..., 5] / 2)
+    high = np.minimum(a[..., 2] + a[..., 5] / 2, b[..., 2] + b[..., 5] / 2)
+    height = np.maximum(high - low, 0.0)
+    reach = np.hypot(a[..., 3], a[..., 4]) / 2 + np.hypot(b[..., 3], b[..., 4]) / 2
+    near = (height > 0) & (np.hypot(*np.moveaxis(a[..., :2] - b[..., :2], -1, 0)) < reach)
+    rows, columns = np.nonzero(near)
+    common = np.zeros(near.shape)
+    common[rows, columns] = _common_area(truth[rows], estimate[columns]) * height[rows, columns]
+    return common / (np.prod(a[..., 3:6], axis=-1) + np.prod(b[..., 3:6], axis=-1) - common)
+
+
+def _common_area(a: Array, b: Array) -> Array:
+    """Area (N,) that the rectangles of boxes (N, 7) have in common on the floor.
+
+    Its corners are the corners of each rectangle in the other one, and the points where their sides cross.
+    """
+    half = a[:, None, 3:5] / 2
+    other = _corners(b[:, :2] - a[:, :2], b[:, 3:5], b[:, 6], -a[:, 6])  # in the frame of a
+    own = _corners(np.zeros((len(a), 2)), a[:, 3:5], np.zeros(len(a)), np.zeros(len(a)))
+    back = _corners(a[:, :2] - b[:, :2], a[:, 3:5], a[:, 6], -b[:, 6])  # corners of a in the frame of b
+    points = [other, own]
+    inside = [
+        (np.abs(other) <= half + _TOLERANCE).all(axis=2),
+        (np.abs(back) <= b[:, None, 3:5] / 2 + _TOLERANCE).all(axis=2),
+    ]
+    sides = np.roll(other, -1, axis=1) - other
+    for axis in (0, 1):
+        for sign in (-1.0, 1.0):
+            line = sign * half[..., axis]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = (line - other[..., axis]) / sides[..., axis]
+            crosses = (share >= 0) & (share <= 1)
+            point = other + np.where(crosses, share, 0.0)[..., None] * sides
+            points.append(point)
+            inside.append(crosses & (np.abs(point[..., 1 - axis]) <= half[..., 1 - axis] + _TOLERANCE))
+    polygon, known = np.concatenate(points, axis=1), np.concatenate(inside, axis=1)
+    count = known.sum(axis=1)
+    middle = (polygon * known[..., None]).sum(axis=1) / np.maximum(count, 1)[:, None]
+    polygon = np.where(known[..., None], polygon - middle[:, None], 0.0)
+    angle = np.where(known, np.arctan2(polygon[..., 1], polygon[..., 0]), np.inf)
+    order = np.argsort(angle, axis=1)
+    polygon = np.take_along_axis(polygon, order[..., None], axis=1)
+    # those that are no corners come last: they repeat the first corner
+    spare = np.arange(polygon.shape[1]) >= count[:, None]
+    polygon = np.where(spare[..., None], polygon[:, :1], polygon)
+    following = np.roll(polygon, -1, axis=1)
+    area = (polygon[..., 0] * following[..., 1] - polygon[..., 1] * following[..., 0]).sum(axis=1) / 2
+    return np.asarray(area)
+
+
+def _corners(offset: Array, sizes: Array, yaw: Array, turn: Array) -> Array:
+    """Corners (N, 4, 2) of rectangles.
+
+    Args:
+        offset: (N, 2) of their centres.
+        sizes: (N, 2) along their axes.
+        yaw: (N,) of their x axes, radians.
+        turn: (N,) rotation of the result about the origin, radians.
+    """
+    own = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * sizes[:, None] / 2
+    return _turned(own, yaw + turn) + _turned(offset[:, None], turn)
+
+
+def _turned(points: Array, angle: Array) -> Array:
+    """Points (N, P, 2) turned by angles (N,), radians."""
+    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def tracking_scores(frames: Sequence[TrackedFrame]) -> TrackingScores:

@@ -85,6 +85,14 @@ def scene_truth(
     return truth_at(scene, times, FIRST_STAMP + times, keypoints)
 
 
+def check_motions(scene: Scene) -> None:
+    """Raise EvaluationError if a scene has nobody, or somebody whose motion it does not know."""
+    live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
+    if live or not scene.actors:
+        reason = f"{live[0]} is moved live" if live else "there are no people in it"
+        raise EvaluationError(f"{reason}: record a bag, and give it as truth", path=scene.path, key="--truth")
+
+
 def truth_at(
     scene: Scene,
     times: NDArray[np.int64],
@@ -102,10 +110,7 @@ def truth_at(
     Raises:
         EvaluationError: The scene has nobody whose motion it knows.
     """
-    live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
-    if live or not scene.actors:
-        reason = f"{live[0]} is moved live" if live else "there are no people in it"
-        raise EvaluationError(f"{reason}: record a bag, and give it as truth", path=scene.path, key="--truth")
+    check_motions(scene)
     if keypoints is None:
         paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
         joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}

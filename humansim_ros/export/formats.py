@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from humansim_ros.errors import ExportError, did_you_mean
+from humansim_ros.export.aicity import AiCityWriter
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
+from humansim_ros.export.foxglove import FoxgloveWriter
 from humansim_ros.export.glb import BvhWriter, GlbWriter
 from humansim_ros.export.images import (
     BodyPartWriter,
@@ -27,9 +29,11 @@ from humansim_ros.export.images import (
     VideoWriter,
 )
 from humansim_ros.export.kitti import KittiWriter
+from humansim_ros.export.nuscenes import NuScenesWriter
 from humansim_ros.export.openpose import AniposeWriter, OpenPoseWriter
 from humansim_ros.export.people_boxes import MotWriter, YoloWriter
 from humansim_ros.export.positions import C3dWriter, Human36mWriter, PanopticWriter, TrcWriter
+from humansim_ros.export.rerun import RerunWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.webdataset import WebDatasetWriter
 from humansim_ros.export.writer import FormatWriter
@@ -39,8 +43,9 @@ from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 #: The format that writes the tree of colour images; others that name images need it.
 IMAGES = "images"
 #: What formats may need of a frame beside channels: boxes of bodies, keypoints in the images, keypoints in
-#: ``map``, bodies with vertices and bones, and sweeps of laser scanners.
+#: ``map``, bodies with vertices and bones, sweeps of laser scanners, and sweeps if the scene has scanners.
 BOXES, KEYPOINTS, POSITIONS, BODIES, SWEEPS = "boxes", "keypoints", "positions", "bodies", "sweeps"
+ANY_SWEEPS = "any sweeps"
 #: Channels that a renderer needs for them.
 _CHANNELS_OF = {BOXES: REQUIRED_CHANNELS["boxes"], KEYPOINTS: REQUIRED_CHANNELS["joints"]}
 
@@ -54,10 +59,11 @@ class ExportFormat:
         title: One line for people.
         writer: Class of its writer.
         content: What it needs of a frame: channels of all cameras, and of :data:`BOXES`, :data:`KEYPOINTS`,
-            :data:`POSITIONS`, :data:`BODIES` and :data:`SWEEPS`.
+            :data:`POSITIONS`, :data:`BODIES`, :data:`SWEEPS` and :data:`ANY_SWEEPS`.
         keypoints: Keypoint set that it always has; empty if there is a choice.
         images: Its files name colour images: the tree of images is written, too.
         needs: Python modules that it needs beyond the dependencies of the package.
+        extra: Extra of the package that brings them.
     """
 
     name: str
@@ -67,6 +73,7 @@ class ExportFormat:
     keypoints: str = ""
     images: bool = False
     needs: tuple[str, ...] = ()
+    extra: str = "export"
 
     @property
     def channels(self) -> frozenset[str]:
@@ -128,6 +135,34 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             frozenset({BOXES, BODIES, SWEEPS}),
             images=True,
         ),
+        ExportFormat(
+            "nuscenes",
+            "sweeps, images, poses and 3D boxes of people, nuScenes",
+            NuScenesWriter,
+            frozenset({BOXES, BODIES, ANY_SWEEPS}),
+            images=True,
+        ),
+        ExportFormat(
+            "aicity",
+            "3D boxes of people in all cameras together, AI City Challenge",
+            AiCityWriter,
+            frozenset({BOXES, BODIES}),
+        ),
+        ExportFormat(
+            "foxglove",
+            "images, cameras, people and lasers, MCAP of Foxglove",
+            FoxgloveWriter,
+            frozenset({"rgb", BOXES, KEYPOINTS, POSITIONS, BODIES, ANY_SWEEPS}),
+            needs=("mcap",),
+        ),
+        ExportFormat(
+            "rerun",
+            "images, cameras, bodies and lasers, recording of Rerun",
+            RerunWriter,
+            frozenset({"rgb", BOXES, KEYPOINTS, POSITIONS, BODIES, ANY_SWEEPS}),
+            needs=("rerun",),
+            extra="rerun",
+        ),
         ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
         ExportFormat(
             "openpose", "OpenPose JSON in a project of Pose2Sim", OpenPoseWriter, frozenset({KEYPOINTS})
@@ -184,7 +219,7 @@ def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
         if missing := [module for module in row.needs if find_spec(module) is None]:
             raise ExportError(
                 f"the format {row.name} needs {', '.join(missing)}; "
-                "install it: pip install 'humansim_ros[export]'",
+                f"install it: pip install 'humansim_ros[{row.extra}]'",
                 key="--format",
             )
     return rows

@@ -1,27 +1,38 @@
-"""Sweeps of laser scanners with boxes of people, as the 3D benchmark of KITTI has them [Geiger 2012]."""
+"""Sweeps of laser scanners with boxes of people, as the 3D benchmark of KITTI has them [Geiger 2012].
+
+Labels of points are those of SemanticKITTI [Behley 2019].
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.rotations import quaternion_to_matrix
+<<<<<<< HEAD
 from humansim_ros.scene.standing import person_box
+=======
+>>>>>>> main
 from humansim_ros.scene.sweeps import Sweep
-from humansim_ros.truth import BodyBox
+from humansim_ros.truth import BodyBox, UprightBox
 from humansim_ros.types import Array
 
 #: Least visible share of people that are fully visible, and partly occluded; the others are largely occluded.
 _VISIBLE, _PARTLY = 0.9, 0.5
 _UP = np.array([0.0, 0.0, 1.0])
+#: Classes of points of SemanticKITTI: a person who moves or stands, another labelled object, and all others.
+_MOVING_PERSON, _PERSON, _OBJECT, _UNLABELED = 254, 30, 99, 0
+#: Speed of the hips from which a person moves, m/s.
+MOVING_SPEED = 0.1
 
 
 class KittiWriter(FormatWriter):
-    """``<scanner>/velodyne``, and by camera ``image_2``, ``calib`` and ``label_2``.
+    """``<scanner>/velodyne`` and ``labels``, and by camera ``image_2``, ``calib`` and ``label_2``.
 
     A file is of the frame with which a sweep ends, or of the first frame after it. Labels are those of this
     frame. The list of frames has those with images of all cameras, which may have rates of their own.
@@ -38,16 +49,27 @@ class KittiWriter(FormatWriter):
             sweep, name = sweeps[-1], frame.name
             cloud = np.column_stack([sweep.points, np.minimum(sweep.returns.intensities, 1.0)])
             folder.write(f"{scanner}/velodyne/{name}.bin", cloud.astype("<f4").tobytes())
+            folder.write(f"{scanner}/labels/{name}.label", self._point_labels(frame, sweep).tobytes())
             for camera, posed in frame.frame.cameras.items():
                 root = f"{scanner}/{camera}"
                 folder.write(f"{root}/calib/{name}.txt", calibration_text(posed, sweep))
                 folder.write(f"{root}/label_2/{name}.txt", self._labels(frame, camera, posed))
         return [scanner for scanner, sweeps in frame.frame.sweeps.items() if sweeps]
 
+    def _point_labels(self, frame: ExportFrame, sweep: Sweep) -> NDArray[np.uint32]:
+        """Instance label << 16 | class of each point."""
+        scene = self.settings.scene
+        classes = np.full(1 << 16, _UNLABELED, np.uint32)
+        for name, label in scene.labels.items():
+            classes[label] = _OBJECT
+            if (state := frame.frame.humans.get(name)) is not None:
+                classes[label] = _MOVING_PERSON if state.speed > MOVING_SPEED else _PERSON
+        return np.asarray(sweep.instances.astype("<u4") << 16 | classes[sweep.instances], dtype="<u4")
+
     def _labels(self, frame: ExportFrame, camera: str, posed: Camera) -> str:
         boxes = frame.frame.truth[camera].boxes
         return "".join(
-            label_line(person_box(state), boxes[name], posed)
+            label_line(state.upright_box, boxes[name], posed)
             for name, state in frame.frame.humans.items()
             if boxes[name].truncation < 1 and boxes[name].pixels
         )
@@ -98,18 +120,22 @@ def calibration_text(camera: Camera, sweep: Sweep) -> str:
     )
 
 
+<<<<<<< HEAD
 def label_line(box: tuple[Array, Array, float], seen: BodyBox, camera: Camera) -> str:
+=======
+def label_line(box: UprightBox, seen: BodyBox, camera: Camera) -> str:
+>>>>>>> main
     """Line of ``label_2`` for a person.
 
     Args:
-        box: See :func:`person_box`.
+        box: Box of the body.
         seen: Box in the image.
         camera: The camera at its pose.
     """
-    middle, (length, width, height), yaw = box
+    length, width, height = box.size
     level = levelled(camera)
-    x, y, z = level @ (middle - camera.center)
-    ahead = level @ (np.cos(yaw), np.sin(yaw), 0.0)
+    x, y, z = level @ (box.bottom - camera.center)
+    ahead = level @ (np.cos(box.yaw), np.sin(box.yaw), 0.0)
     # about y, which points down, from x towards -z
     rotation = float(np.arctan2(-ahead[2], ahead[0]))
     alpha = float(np.mod(rotation - np.arctan2(x, z) + np.pi, 2 * np.pi) - np.pi)

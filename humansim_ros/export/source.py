@@ -13,7 +13,7 @@ import numpy as np
 
 from humansim_ros import __version__
 from humansim_ros.errors import ExportError
-from humansim_ros.export.formats import SWEEPS, ExportFormat, needed_channels
+from humansim_ros.export.formats import ANY_SWEEPS, SWEEPS, ExportFormat, needed_channels
 from humansim_ros.export.writer import ExportScene
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Frame, Scene, Simulation
@@ -104,7 +104,8 @@ class SimulatedSource:
         sweeping = [row.name for row in self.formats if SWEEPS in row.content]
         if sweeping and not self.simulated.scanners:
             raise ExportError(f"{sweeping[0]} needs a laser scanner, and the scene has none", key="--format")
-        return _SimulatedFrames(self.simulated, needed_channels(self.formats), None if sweeping else ())
+        wanted = sweeping or any(ANY_SWEEPS in row.content for row in self.formats)
+        return _SimulatedFrames(self.simulated, needed_channels(self.formats), None if wanted else ())
 
     def provenance(self, frames: range) -> dict[str, Any]:
         """Scene, seeds, versions, and the faults of cameras that have any."""

@@ -16,12 +16,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict
 
+import numpy as np
+
 from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.humans import Human
 from humansim_ros.io.files import atomic_path, read_blocks
 from humansim_ros.scene import Frame, Scene
 from humansim_ros.scene.timing import CameraTiming
+from humansim_ros.types import Array
 
 #: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
 TEMPORARY = ".frames"
@@ -209,6 +212,15 @@ class ExportScene:
     def people(self) -> list[str]:
         """Names of the people."""
         return [name for name in self.labels if name not in self.objects]
+
+
+#: From pixels whose first has its centre at 0 to pixels whose first begins at 0.
+FROM_CORNER = 0.5
+
+
+def corner_matrix(camera: Camera) -> Array:
+    """Camera matrix (3, 3) for pixels that count from the corner of the image."""
+    return np.array([[1, 0, FROM_CORNER], [0, 1, FROM_CORNER], [0, 0, 1]]) @ camera.K
 
 
 #: What a frame leaves for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as

@@ -41,6 +41,7 @@ from humansim_ros.rotations import (
 )
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
+from humansim_ros.truth.upright_boxes import UprightBox, upright_box
 from humansim_ros.types import Array
 
 _NO_HANDS_MOVE = "moves nothing: the body has no fingers, or the motion moves them all"
@@ -80,6 +81,18 @@ class HumanState:
     def positions(self) -> Array:
         """(J, 3) joint positions."""
         return self.joints[:, :3, 3]
+
+    @property
+    def speed(self) -> float:
+        """Speed of the left hip on the floor, m/s; NaN if the motion has no velocities."""
+        if self.linear is None:
+            return float("nan")
+        return float(np.hypot(*self.linear[self.joint_names.index("l_hip"), :2]))
+
+    @property
+    def upright_box(self) -> UprightBox:
+        """Upright box along the direction that the hips face."""
+        return upright_box(self.vertices, self.joint_names, self.positions)
 
 
 @dataclass(frozen=True)

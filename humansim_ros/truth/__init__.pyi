@@ -16,3 +16,5 @@ from humansim_ros.truth.camera_truth import view_boxes as view_boxes
 from humansim_ros.truth.camera_truth import view_joints as view_joints
 from humansim_ros.truth.camera_truth import view_keypoints as view_keypoints
 from humansim_ros.truth.camera_truth import visible_vertices as visible_vertices
+from humansim_ros.truth.upright_boxes import UprightBox as UprightBox
+from humansim_ros.truth.upright_boxes import upright_box as upright_box

@@ -68,7 +68,12 @@ def test_points_of_a_person_are_in_its_box_and_in_its_pixels(tmp_path: Path) -> 
     (sweep,) = frame.sweeps["lidar"]
     cloud = np.fromfile(root / "velodyne" / "000004.bin", np.float32).reshape(-1, 4)
     np.testing.assert_allclose(cloud[:, :3], sweep.points, atol=1e-6)
+    # as semantic-kitti-api reads labels
+    labels = np.fromfile(root / "labels" / "000004.label", np.uint32)
     anna = sweep.instances == 1
+    np.testing.assert_array_equal(labels >> 16, sweep.instances)
+    assert set(labels[anna] & 0xFFFF) == {254}  # moving-person
+    assert not (labels[~anna] & 0xFFFF).any()
     # fired near the end of the sweep, when she is where the frame shows her
     late = anna & (sweep.times > 0.6e8)
     assert anna.sum() > 80

@@ -1,0 +1,183 @@
+"""People of the truth around the path of a robot, from a scene or a bag."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.bags.topics import message_types
+from humansim_ros.errors import EvaluationError, RosError, printable
+from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
+from humansim_ros.evaluate.truth import FIRST_STAMP, bag_truth, check_motions, frames_of
+from humansim_ros.messages.headers import to_nanoseconds
+from humansim_ros.messages.humans import read_vertices
+from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.states import SceneStates
+from humansim_ros.types import Array
+
+#: Longest time between two poses of a robot between which it is known where it is, nanoseconds.
+MAX_GAP = 500_000_000
+_VERTICES = "/humans/*/vertices"
+_HIPS = ("l_hip", "r_hip")
+
+
+@dataclass(frozen=True, repr=False)
+class RobotPath:
+    """Where a robot was: times (P,) int64 nanoseconds, increasing; x, y and yaw (P, 3) in ``map``, without
+    jumps of the yaw by a turn.
+    """
+
+    times: NDArray[np.int64]
+    places: Array
+    source: str
+
+    @classmethod
+    def of(cls, times: NDArray[np.int64], matrices: Array, source: str) -> RobotPath:
+        """The path of poses (P, 4, 4) in ``map``. Of poses with one stamp the last holds."""
+        last = np.append(np.diff(times) > 0, True)
+        yaw = np.unwrap(np.arctan2(matrices[last, 1, 0], matrices[last, 0, 0]))
+        return cls(times[last], np.column_stack([matrices[last, :2, 3], yaw]), source)
+
+    def at(self, times: NDArray[np.int64]) -> Array:
+        """Places (F, 3) at some times, between the poses around each; NaN where these are too far apart."""
+        after = np.clip(np.searchsorted(self.times, times), 1, max(len(self.times) - 1, 1))
+        after = np.minimum(after, len(self.times) - 1)
+        before = np.maximum(after - 1, 0)
+        span = self.times[after] - self.times[before]
+        share = (times - self.times[before]) / np.maximum(span, 1)
+        places = self.places[before] + share[:, None] * (self.places[after] - self.places[before])
+        known = (span <= MAX_GAP) & (share >= 0) & (share <= 1)
+        exact = np.isin(times, self.times)
+        places[exact] = self.places[np.searchsorted(self.times, times[exact])]
+        places[~(known | exact)] = np.nan
+        return np.asarray(places)
+
+
+@dataclass(frozen=True, repr=False)
+class PeopleNearby:
+    """People of the truth around a robot.
+
+    Attributes:
+        times: (F,) int64 stamps, nanoseconds, increasing.
+        places: Places of the robot (F, 3): x, y, yaw; NaN where it is not known.
+        people: Middle of the hips on the floor (F, 2) by person; NaN in frames without the person.
+        nearest: Distance (F,) on the floor from the middle of the robot to the nearest vertex of a person
+            that is not above the robot, by person; None where bodies are not known.
+        source: Where the people come from, for messages.
+    """
+
+    times: NDArray[np.int64]
+    places: Array
+    people: Mapping[str, Array]
+    nearest: Mapping[str, Array] | None
+    source: str
+
+
+def robot_size(scene: Scene) -> tuple[float, float] | None:
+    """Radius of the disc around ``base_link`` that holds the robot of a scene, and its height, metres.
+
+    None if the scene has no robot.
+    """
+    if scene.robot is None:
+        return None
+    item = scene.objects[ROBOT]
+    vertices = item.mesh.vertices * item.initial_pose.size
+    return float(np.hypot(vertices[:, 0], vertices[:, 1]).max()), float(vertices[:, 2].max())
+
+
+def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
+    """People of a scene in its frames while a robot drives; nothing is rendered.
+
+    Raises:
+        EvaluationError: The scene has nobody whose motion it knows, or no frame in this time.
+    """
+    check_motions(scene)
+    size = robot_size(scene)
+    height = np.inf if size is None else size[1]
+    first, last = frames_of(scene, (int(path.times[0]), int(path.times[-1])), 0.0)
+    stamps = FIRST_STAMP + np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
+    inside = np.flatnonzero((stamps >= path.times[0]) & (stamps <= path.times[-1]))
+    places, states = path.at(stamps[inside]), SceneStates(scene)
+    people: dict[str, list[Array]] = {name: [] for name in scene.actors}
+    nearest: dict[str, list[float]] = {name: [] for name in scene.actors}
+    for index, place in zip((first + inside).tolist(), places, strict=True):
+        for name, state in states.at(index).humans.items():
+            people[name].append(_ground(state.joint_names, state.positions))
+            nearest[name].append(_nearest_vertex(state.vertices, place, height))
+    return PeopleNearby(
+        stamps[inside],
+        places,
+        {name: np.array(rows).reshape(-1, 2) for name, rows in people.items()},
+        {name: np.array(rows) for name, rows in nearest.items()},
+        str(scene.path or "the scene"),
+    )
+
+
+def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
+    """People of a bag while a robot drives; their bodies if the bag has the topics of their vertices.
+
+    Raises:
+        EvaluationError: The bag has no people, or a message cannot be read.
+        BagError: The bag cannot be read.
+    """
+    joints = bag_truth(bag)
+    inside = (joints.times >= path.times[0]) & (joints.times <= path.times[-1])
+    times = joints.times[inside]
+    if not len(times):
+        raise EvaluationError("the people of the truth are at other times than the robot", path=bag)
+    places = path.at(times)
+    frames = [joints.people[index] for index in np.flatnonzero(inside).tolist()]
+    names = list(dict.fromkeys(name for frame in joints.people for name in frame))
+    absent = np.full((len(joints.names), 3), np.nan)
+    people = {
+        name: np.array([_ground(joints.names, frame.get(name, absent)) for frame in frames]) for name in names
+    }
+    return PeopleNearby(times, places, people, _bag_bodies(bag, times, places, names), str(bag))
+
+
+def _bag_bodies(
+    bag: Path, times: NDArray[np.int64], places: Array, people: Sequence[str]
+) -> dict[str, Array] | None:
+    """Distances (F,) of the nearest vertices by person, inf without a message; None without topics."""
+    rows = {time: row for row, time in enumerate(times.tolist())}
+    pattern = topic_pattern(_VERTICES)
+    nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
+    with BagReader(bag) as reader:
+        names = [each.name for each in reader.topics if pattern.fullmatch(each.name)]
+        for message in reader.messages(names) if names else ():
+            topic = reader.topics[message.topic]
+            match = pattern.fullmatch(topic.name)
+            assert match is not None
+            try:
+                content: Any = message_types().deserialize_cdr(bytes(message.data), topic.type)
+                vertices, stamp = read_vertices(content), to_nanoseconds(content.header.stamp)
+            except RosError as error:
+                raise EvaluationError(error.message, path=bag, key=topic.name) from None
+            except Exception as reason:  # rosbags documents no exceptions for damaged messages
+                text = printable(f"a message cannot be read: {type(reason).__name__}: {reason}")
+                raise EvaluationError(text, path=bag, key=topic.name) from None
+            row = rows.get(stamp)
+            if row is not None:
+                nearest[topic_person(match) or ""][row] = _nearest_vertex(vertices, places[row], np.inf)
+    return {name: nearest[name] for name in people} if names else None
+
+
+def _ground(names: Sequence[str], positions: Array) -> Array:
+    """Middle (2,) of the hips on the floor; of all joints where there are no hips."""
+    rows = [names.index(name) for name in _HIPS if name in names]
+    chosen = positions[rows] if rows else positions[np.isfinite(positions).all(axis=1)]
+    return np.asarray(chosen[:, :2].mean(axis=0)) if len(chosen) else np.full(2, np.nan)
+
+
+def _nearest_vertex(vertices: NDArray[np.floating], place: Array, height: float) -> float:
+    """Distance on the floor from a place to the nearest vertex (V, 3) up to a height; inf without any."""
+    own = vertices[vertices[:, 2] <= height]
+    return float(np.hypot(*(own[:, :2] - place[:2]).T).min()) if len(own) else np.inf

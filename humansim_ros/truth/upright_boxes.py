@@ -1,0 +1,52 @@
+"""Upright boxes of bodies in ``map``, as benchmarks of 3D detection have them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from humansim_ros.types import Array, Float32Array
+
+
+@dataclass(frozen=True)
+class UprightBox:
+    """A box whose height is along z of ``map``.
+
+    Attributes:
+        center: Centre (3,) in ``map``, metres.
+        size: Length ahead, width from side to side and height (3,), metres.
+        yaw: Angle of the direction ahead, radians from x to y.
+    """
+
+    center: Array
+    size: Array
+    yaw: float
+
+    @property
+    def bottom(self) -> Array:
+        """Middle (3,) of the lower side in ``map``, metres."""
+        return self.center - (0.0, 0.0, self.size[2] / 2)
+
+    @property
+    def quaternion(self) -> Array:
+        """Rotation (4,) xyzw from the axes of the box (ahead, left, up) to ``map``."""
+        return np.array([0.0, 0.0, np.sin(self.yaw / 2), np.cos(self.yaw / 2)])
+
+
+def upright_box(vertices: Array | Float32Array, joint_names: Sequence[str], positions: Array) -> UprightBox:
+    """Smallest upright box of a body, along the direction that the hips face.
+
+    Args:
+        vertices: (V, 3) in ``map``, metres.
+        joint_names: Names of J joints; ``l_hip`` and ``r_hip`` are among them.
+        positions: (J, 3) of the joints in ``map``, metres.
+    """
+    left, right = (positions[joint_names.index(name)] for name in ("l_hip", "r_hip"))
+    across = left - right
+    yaw = float(np.arctan2(-across[0], across[1]))
+    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    turned = vertices @ turn.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return UprightBox(turn.T @ ((low + high) / 2), high - low, yaw)

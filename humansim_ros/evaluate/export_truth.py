@@ -65,13 +65,9 @@ class ExportTruth:
             plan = self._index["plan"]
             self.formats: tuple[str, ...] = tuple(plan["formats"])
             self.keypoints: KeypointSet = keypoint_set(plan["keypoints"])
-<<<<<<< HEAD
             self.rate = float(self._index["rate"])
             self.period, self.start = round(1e9 / self.rate), FIRST_STAMP
-=======
-            self.period, self.start = round(1e9 / float(self._index["rate"])), FIRST_STAMP
             self._frames = range(plan["first"], plan["end"])
->>>>>>> main
             self._files: dict[str, dict[str, Any]] = dict(self._index["files"])
         except (KeyError, TypeError, ValueError, ZeroDivisionError) as reason:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None

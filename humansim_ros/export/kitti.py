@@ -14,10 +14,6 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
 from humansim_ros.rotations import quaternion_to_matrix
-<<<<<<< HEAD
-from humansim_ros.scene.standing import person_box
-=======
->>>>>>> main
 from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.truth import BodyBox, UprightBox
 from humansim_ros.types import Array
@@ -120,11 +116,7 @@ def calibration_text(camera: Camera, sweep: Sweep) -> str:
     )
 
 
-<<<<<<< HEAD
-def label_line(box: tuple[Array, Array, float], seen: BodyBox, camera: Camera) -> str:
-=======
 def label_line(box: UprightBox, seen: BodyBox, camera: Camera) -> str:
->>>>>>> main
     """Line of ``label_2`` for a person.
 
     Args:

@@ -79,7 +79,7 @@ from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.capture import SceneState
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.simulation import Frame
-from humansim_ros.scene.standing import person_box, standing
+from humansim_ros.scene.standing import standing
 from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, CameraTruth, JointView
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 from humansim_ros.types import Array
@@ -137,7 +137,6 @@ class AdapterTopic(Topic[Frame]):
         people: It needs joints and vertices of the humans.
         inputs: Topics below its camera that it needs, names of :data:`CAMERA_INPUTS`.
         posed: Camera whose pose it needs; empty for none.
-        absolute: Its name does not depend on the namespace of the node.
         repeated: It is sent again while there are no frames: its subscriptions are volatile.
         on_demand: Its inputs are received only while it has subscribers.
     """
@@ -146,7 +145,6 @@ class AdapterTopic(Topic[Frame]):
     people: bool = True
     inputs: tuple[str, ...] = ()
     posed: str = ""
-    absolute: bool = False
     repeated: bool = False
     on_demand: bool = False
 
@@ -363,9 +361,9 @@ def detections_3d_message(frame: Frame, placed: Placed, stamp: int) -> Any:
     message = VISION_MSGS.message("Detection3DArray")(header=header(stamp, placed.frame_id))
     axes = placed.at(frame)
     for name, state in frame.humans.items():
-        bottom, size, yaw = person_box(state)
-        pose = axes.pose(bottom + np.array([0, 0, size[2] / 2]), _turned(yaw))
-        length, width, height = size.tolist()
+        upright = state.upright_box
+        pose = axes.pose(upright.center, upright.quaternion)
+        length, width, height = upright.size.tolist()
         box = VISION_MSGS.message("BoundingBox3D")(center=pose, size=Vector3(x=length, y=width, z=height))
         found = VISION_MSGS.message("Detection3D")(header=message.header, bbox=box, id=name)
         found.results = [_hypothesis(pose)]

@@ -37,6 +37,7 @@ class Topic(Generic[Content]):
         faulty: Faults of the camera change its stamp, and when and how often it is sent.
         raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
         scanner: Name of the laser scanner of whose sweeps it is; empty otherwise.
+        absolute: Its name does not depend on the namespace of the node.
     """
 
     name: str
@@ -54,6 +55,11 @@ class Topic(Generic[Content]):
     faulty: bool = False
     raw: str = ""
     scanner: str = ""
+    absolute: bool = False
+
+    def in_namespace(self, namespace: str) -> str:
+        """Absolute name of the topic of nodes in a namespace."""
+        return f"/{self.name}" if self.absolute else f"{namespace.rstrip('/')}/{self.name}"
 
     @property
     def type_name(self) -> str:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
+from humansim_ros.messages.topic import Topic
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.scene.simulation import Frame
 
 try:
     from tf2_msgs.msg import TFMessage as TFMessage
@@ -30,10 +33,16 @@ class TransformSender:
         if TFMessage is not None:
             self._dynamic.publish(TFMessage(transforms=transforms))
 
-    def send_static(self, *transforms: TransformStamped) -> None:
-        """Publish all static transforms of the node: late subscribers get the last call."""
+    def send_static(self, parts: Iterable[Topic[Any]], stamp: int) -> None:
+        """Publish all static transforms of the node: late subscribers get the last call.
+
+        Args:
+            parts: Their topics, whose content does not depend on the frame.
+            stamp: Nanoseconds.
+        """
         if TFMessage is not None:
-            self._static.publish(TFMessage(transforms=transforms))
+            start = Frame(0, stamp, {}, {})
+            self._static.publish(TFMessage(transforms=[part.message(start) for part in parts]))
 
     @cached_property
     def _dynamic(self) -> Any:

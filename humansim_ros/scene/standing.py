@@ -1,4 +1,4 @@
-"""Where a person is, for programs that know no joints: a point on the floor, a heading and an upright box."""
+"""Where a person is, for programs that know no joints: a point on the floor and a heading."""
 
 from __future__ import annotations
 
@@ -49,19 +49,3 @@ def standing(state: HumanState) -> Standing:
 def _yaw(across: Array) -> float:
     """Heading of hips. ``across``: vector (3,) from the right one to the left one."""
     return float(np.arctan2(-across[0], across[1]))
-
-
-def person_box(state: HumanState) -> tuple[Array, Array, float]:
-    """Upright box of a body.
-
-    Returns:
-        Middle of its bottom (3,) in ``map``; length, width and height (3,), metres; and yaw of the direction
-        that the hips face, radians from x to y.
-    """
-    left, right = (state.joint_names.index(name) for name in HIPS)
-    yaw = _yaw(state.positions[left] - state.positions[right])
-    turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    vertices = state.vertices @ turn.T
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    middle = np.array([*(low[:2] + high[:2]) / 2, low[2]])
-    return turn.T @ middle, high - low, yaw

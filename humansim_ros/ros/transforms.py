@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -22,18 +22,25 @@ except ImportError:  # not on PyPI
 class TransformSender:
     """Publishes transforms on ``/tf`` and ``/tf_static``, or nowhere without the package tf2_msgs.
 
-    ``node``: the node that publishes.
+    Args:
+        node: The node that publishes.
+        parts: Topics of its transforms. Those that have no message per frame are published at once.
+        stamp: Stamp of these, nanoseconds.
     """
 
-    def __init__(self, node: SceneNode) -> None:
+    def __init__(self, node: SceneNode, parts: Sequence[Topic[Any]], stamp: int) -> None:
         self._node = node
+        if TFMessage is not None and any(part.per_frame for part in parts):
+            _ = self._dynamic  # subscribers find it before the first frame
+        if fixed := [part for part in parts if not part.per_frame]:
+            self.send_static(fixed, stamp)
 
     def send(self, *transforms: TransformStamped) -> None:
         """Publish transforms of one stamp."""
         if TFMessage is not None:
             self._dynamic.publish(TFMessage(transforms=transforms))
 
-    def send_static(self, parts: Iterable[Topic[Any]], stamp: int) -> None:
+    def send_static(self, parts: Sequence[Topic[Any]], stamp: int) -> None:
         """Publish all static transforms of the node: late subscribers get the last call.
 
         Args:

@@ -83,13 +83,11 @@ class CameraPosePublisher:
         if self._true_extrinsics is not None:
             self._true_publisher = node.topic_publisher(self._true_extrinsics)
             self._publish_true(CameraPose.of(camera.camera), node.now())
-        self._transforms = TransformSender(node)
         stamp = node.now()
         self._publish(self._last, stamp)
+        self._transforms = TransformSender(node, topics.transforms, stamp)
         if not camera.moves:
             node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
-        if resting := [part for part in topics.transforms if not part.per_frame]:
-            self._transforms.send_static(resting, stamp)
 
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""

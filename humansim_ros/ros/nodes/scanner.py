@@ -48,11 +48,9 @@ class ScannerNode(SceneNode):
             topic: self.topic_publisher(topic) for topic in (self._topics.points, self._topics.truth)
         }
         self._extrinsics = self.topic_publisher(self._topics.extrinsics)
-        self._transforms = TransformSender(self)
         stamp = self.now()
         self._publish_pose(self._scanner.pose(0.0), stamp)
-        if not self._topics.transform.per_frame:
-            self._transforms.send_static([self._topics.transform], stamp)
+        self._transforms = TransformSender(self, [self._topics.transform], stamp)
         for legend in self._topics.legends:
             self.publish_latched(legend.build(None, 0), legend.name)
         self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self])

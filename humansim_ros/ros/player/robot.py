@@ -49,8 +49,7 @@ class RobotPort:
             node.create_subscription(kind, config.cmd_vel, self._on_command, NEWEST)
         self._topics = RobotTopics(robot)
         self._odom = node.topic_publisher(self._topics.odom)
-        self._transforms = TransformSender(node)
-        self._transforms.send_static([self._topics.start], node.now())
+        self._transforms = TransformSender(node, [self._topics.start, self._topics.base], node.now())
 
     def placed(self, tick: Tick, shown: ScenePoses) -> ScenePoses:
         """Poses of a frame with the robot where the odometry of another node has it."""

@@ -137,7 +137,6 @@ class AdapterTopic(Topic[Frame]):
         people: It needs joints and vertices of the humans.
         inputs: Topics below its camera that it needs, names of :data:`CAMERA_INPUTS`.
         posed: Camera whose pose it needs; empty for none.
-        absolute: Its name does not depend on the namespace of the node.
         repeated: It is sent again while there are no frames: its subscriptions are volatile.
         on_demand: Its inputs are received only while it has subscribers.
     """
@@ -146,7 +145,6 @@ class AdapterTopic(Topic[Frame]):
     people: bool = True
     inputs: tuple[str, ...] = ()
     posed: str = ""
-    absolute: bool = False
     repeated: bool = False
     on_demand: bool = False
 

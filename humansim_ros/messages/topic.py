@@ -38,6 +38,7 @@ class Topic(Generic[Content]):
         raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
         scanner: Name of the laser scanner of whose sweeps it is; empty otherwise.
         sparse: A frame may have no message of it, or several: recordings in lockstep do not wait for it.
+        absolute: Its name does not depend on the namespace of the node.
     """
 
     name: str
@@ -56,6 +57,11 @@ class Topic(Generic[Content]):
     raw: str = ""
     scanner: str = ""
     sparse: bool = False
+    absolute: bool = False
+
+    def in_namespace(self, namespace: str) -> str:
+        """Absolute name of the topic of nodes in a namespace."""
+        return f"/{self.name}" if self.absolute else f"{namespace.rstrip('/')}/{self.name}"
 
     @property
     def type_name(self) -> str:

@@ -26,6 +26,7 @@ from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
 from humansim_ros.messages.adapters import AdapterTopic, adapter_topics
 from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.transforms import TF, TF_STATIC_TOPIC, TF_TOPIC, fixed_transform, transform_topics
 from humansim_ros.messages.types import (
     CameraInfo,
     CompressedImage,
@@ -255,7 +256,13 @@ class ObjectTopics:
 class RobotTopics:
     """Topics of the robot: ``odom``. Its body has the topics of a moving object.
 
-    ``robot``: one that no other node moves.
+    Args:
+        robot: One that no other node moves.
+
+    Attributes:
+        odom: Pose of ``base_link`` since its start, and its velocity.
+        start: Transform from ``map`` to the frame of its odometry.
+        base: Transform from there to ``base_link``, with the same content as ``odom``.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -266,6 +273,14 @@ class RobotTopics:
             lambda frame: frame.robot,  # type: ignore[arg-type,return-value]  # the scene has a robot
             shown=True,
         )
+        odom_frame, base_frame = robot.config.odom_frame, robot.config.base_frame
+        self.start = fixed_transform(robot.start, messages.WORLD_FRAME, odom_frame)
+
+        def moved(base: ObjectPose, stamp: int) -> TransformStamped:
+            pose = messages.in_odometry(robot, base)
+            return messages.transform_message(pose.position, pose.rotation, stamp, odom_frame, base_frame)
+
+        self.base = replace(self.start, name=TF_TOPIC, build=moved, content=self.odom.content, per_frame=True)
 
     def __iter__(self) -> Iterator[Topic[Any]]:
         return iter((self.odom,))
@@ -296,6 +311,7 @@ class CameraTopics:
         extrinsics: Pose as its calibration says; for each frame if the camera moves.
         true_extrinsics: True pose of a camera with a wrong calibration.
         projection: Projection matrix; for each frame if the camera moves.
+        transforms: Its transforms on tf: ``extrinsics``, or its place on the robot, and its depth sensor.
         pose: Pose of a camera with a trajectory.
         twist: Velocity of a camera with a trajectory.
     """
@@ -376,7 +392,10 @@ class CameraTopics:
                 f"{name}/{path}",
                 kind,
                 build,
-                lambda simulated: simulated.published_cameras[name],
+                # also of a camera that is not rendered: tf has all
+                lambda simulated: camera.published_at(
+                    simulated.camera_poses.get(name) or CameraPose.of(camera.camera)
+                ),
                 latched=True,
                 per_frame=camera.moves,
                 camera=name,
@@ -399,6 +418,12 @@ class CameraTopics:
         self.projection = posed(
             "projection", Float64MultiArray, lambda camera, _: messages.projection_message(camera)
         )
+        self.transforms: list[Topic[Any]] = [self.extrinsics]
+        if camera.mount is not None:
+            place, robot = camera.mount
+            self.transforms = [fixed_transform(place, robot.config.base_frame, frame)]
+        if self.depth_sensor is not None:
+            self.transforms.append(self.depth_sensor.extrinsics)
         self.twist, self.pose = moving_camera_topics(name)
 
     def compressed(self, settings: ImageCompression) -> Topic[View]:
@@ -733,6 +758,7 @@ class ScannerTopics:
         points: Points, or a LaserScan.
         truth: Ground truth of each point.
         extrinsics: Pose of its frame in ``map``; for each frame of the scene if it moves.
+        transform: Its transform on tf: ``extrinsics``, or its place on the robot.
         legends: Meaning of the labels of the truth.
     """
 
@@ -768,6 +794,10 @@ class ScannerTopics:
             latched=True,
             per_frame=scanner.moves,
         )
+        self.transform: Topic[ObjectPose] = self.extrinsics
+        if scanner.mount is not None:
+            place, base = scanner.route.at(0.0), scanner.mount.config.base_frame
+            self.transform = fixed_transform(place, base, frame)
         self.legends = [
             _sent_once(f"{name}/{kind}/legend", String, build)
             for kind, build in _label_legends(scene).items()
@@ -780,7 +810,7 @@ class ScannerTopics:
 def scene_topics(
     scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION, png_labels: bool = False
 ) -> list[Topic[Any]]:
-    """All topics of a scene: the scene time, humans, moving objects, cameras, laser scanners, adapters.
+    """All topics of a scene: its time, humans, moving objects, cameras, laser scanners, adapters, tf.
 
     Topics about the nodes themselves (``/diagnostics``, ``frame_done``) are not among them.
 
@@ -790,26 +820,37 @@ def scene_topics(
         png_labels: With the topics of label images as PNG, which no node publishes.
     """
     topics: list[Topic[Any]] = [SCENE_TIME_TOPIC]
+    transforms: list[Topic[Any]] = []
     for name, actor in scene.actors.items():
         topics += HumanTopics(actor, scene.config.humans[name].motion.file == LIVE)
     for item in scene.moving_objects.values():
         topics += ObjectTopics(item)
     if scene.robot is not None and scene.robot.config.odometry is None:
-        topics += RobotTopics(scene.robot)
+        robot = RobotTopics(scene.robot)
+        topics += robot
+        transforms += [robot.start, robot.base]
     for camera in scene.scene_cameras.values():
         own = CameraTopics(scene, camera)
         topics += own.all(compression)
+        transforms += own.transforms
         if png_labels:
             topics += own.png_labels
     for scanner in scene.scanners.values():
-        topics += ScannerTopics(scene, scanner)
-    return [*topics, *_checked_adapters(scene, {topic.name for topic in topics})]
+        lidar = ScannerTopics(scene, scanner)
+        topics += lidar
+        transforms.append(lidar.transform)
+    adapters = _checked_adapters(scene, {*(topic.name for topic in topics), TF_TOPIC, TF_STATIC_TOPIC})
+    transforms += [topic for topic in adapters if topic.type_name == TF]
+    topics += [topic for topic in adapters if topic.type_name != TF]
+    return [*topics, *transform_topics(scene, transforms)]
 
 
 def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
     """Topics of the adapters. Raises SceneError if one has the name of another topic, of ``names`` too."""
     topics, taken = adapter_topics(scene), set(names)
     for topic in topics:
+        if topic.type_name == TF:
+            continue  # a part of it
         if topic.name in taken:
             text = f"there is another topic {topic.name}: give it another key 'topic'"
             raise SceneError(text, path=scene.path, key="adapters")
@@ -826,15 +867,15 @@ class TimedTopics:
 
     Args:
         scene: The scene.
-        named: Function that gives a topic of the scene its absolute name.
+        namespace: Namespace of its nodes.
     """
 
-    def __init__(self, scene: Scene, named: Callable[[str], str]) -> None:
+    def __init__(self, scene: Scene, namespace: str) -> None:
         self._timings = {name: camera.timing for name, camera in scene.scene_cameras.items()}
         #: Camera by topic of the scene; empty for topics of no camera.
         self._cameras: dict[str, str] = {}
         if self:
-            self._cameras = {named(topic.name): topic.camera for topic in scene_topics(scene)}
+            self._cameras = {topic.in_namespace(namespace): topic.camera for topic in scene_topics(scene)}
 
     def __bool__(self) -> bool:
         """Whether there are such topics."""

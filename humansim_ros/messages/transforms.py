@@ -1,16 +1,24 @@
-"""Transforms of tf by time, and the pose of a frame in ``map``."""
+"""Transforms of tf: the topics ``/tf`` and ``/tf_static`` of a scene, and the pose of a frame by time."""
 
 from __future__ import annotations
 
 from bisect import bisect_right, insort
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from humansim_ros.bags.topics import message_types
 from humansim_ros.errors import RosError, within_bounds
+from humansim_ros.messages.cameras import transform_message
 from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.topic import Topic
+from humansim_ros.messages.types import TransformStamped
 from humansim_ros.rotations import quaternion_to_matrix, transform
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.simulation import Frame
 from humansim_ros.types import Array
 
 #: Type of the messages of tf.
@@ -18,6 +26,81 @@ TF = "tf2_msgs/msg/TFMessage"
 #: Longest message, bytes, most frames, and most transforms of a frame that are kept.
 _MAX_BYTES, _MAX_FRAMES, _MAX_KEPT = 1 << 20, 2000, 20_000
 _MAX_NAME = 256
+#: Topics of transforms that hold for a stamp, and of those that hold for all times.
+TF_TOPIC, TF_STATIC_TOPIC = "tf", "tf_static"
+
+
+def fixed_transform(pose: ObjectPose, parent: str, child: str) -> Topic[ObjectPose]:
+    """Transform that never changes, as a part of ``/tf_static``.
+
+    Args:
+        pose: Pose of the child frame in the parent frame.
+        parent: The parent frame.
+        child: The child frame.
+    """
+    return Topic(
+        TF_STATIC_TOPIC,
+        TransformStamped,
+        lambda pose, stamp: transform_message(pose.position, pose.rotation, stamp, parent, child),
+        lambda _: pose,
+        per_frame=False,
+    )
+
+
+@dataclass(frozen=True)
+class TransformTopic(Topic[Frame]):
+    """``/tf`` or ``/tf_static``: the transforms of all nodes in one message; none without transforms."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether it is recorded unless topics are named."""
+        return True
+
+    def sent(self, frame: Frame) -> list[tuple[int, Any]]:
+        """Messages of a frame of a simulation, each after the time in nanoseconds at which it is sent."""
+        message = self.message(frame)
+        return [(frame.stamp, message)] if message.transforms else []
+
+
+def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[TransformTopic]:
+    """Topics ``/tf_static`` and ``/tf`` of a scene, if they have a transform.
+
+    A camera that has a rate of its own has a transform in its frames only.
+
+    Args:
+        scene: The scene.
+        parts: Topics of all its transforms: of a TransformStamped, or of a list of TFMessages. Those that
+            have a message per frame are parts of ``/tf``.
+    """
+    from humansim_ros.messages.types import TFMessage  # needs rosbags without tf2_msgs
+
+    def message_of(own: Sequence[Topic[Any]]) -> Callable[[Frame, int], Any]:
+        def build(frame: Frame, stamp: int) -> Any:
+            transforms: list[TransformStamped] = []
+            for part in own:
+                camera = scene.scene_cameras.get(part.camera)
+                if part.per_frame and camera is not None and frame.index not in camera.timing:
+                    continue
+                built = part.build(part.content(frame), stamp)
+                if part.type is TFMessage:
+                    transforms += [each for message in built for each in message.transforms]
+                else:
+                    transforms.append(built)
+            return TFMessage(transforms=transforms)
+
+        return build
+
+    for name, moves in ((TF_STATIC_TOPIC, False), (TF_TOPIC, True)):
+        if own := [part for part in parts if part.per_frame == moves]:
+            yield TransformTopic(
+                *(name, TFMessage, message_of(own), lambda frame: frame),
+                latched=not moves,
+                per_frame=moves,
+                # transforms of people are made of the truth of a camera
+                camera=next((part.camera for part in own if part.channels), ""),
+                channels=frozenset[str]().union(*(part.channels for part in own)),
+                absolute=True,
+            )
 
 
 class Transforms:

@@ -35,6 +35,7 @@ _PACKAGES = {
             PointCloud2 PointField TimeReference""",
         "shape_msgs": "Mesh MeshTriangle",
         "std_msgs": "Bool ColorRGBA Float32 Float64MultiArray Header MultiArrayDimension String",
+        "tf2_msgs": "TFMessage",
         "visualization_msgs": "ImageMarker Marker MarkerArray",
     }.items()
     for name in names.split()

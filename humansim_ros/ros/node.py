@@ -134,7 +134,8 @@ class SuiteNode(GuardedNode):
 
     def topic_publisher(self, topic: Topic[Any]) -> Any:
         """Create a publisher of a topic of the table."""
-        return self.create_publisher(topic.type, topic.name, offered_profile(topic))
+        name = f"/{topic.name}" if topic.absolute else topic.name
+        return self.create_publisher(topic.type, name, offered_profile(topic))
 
     def publish_latched(self, message: Any, topic: str) -> None:
         """Publish a message that late joiners get, too."""

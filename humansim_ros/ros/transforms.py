@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
+from humansim_ros.messages.topic import Topic
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.scene.simulation import Frame
 
 try:
     from tf2_msgs.msg import TFMessage as TFMessage
@@ -19,21 +22,34 @@ except ImportError:  # not on PyPI
 class TransformSender:
     """Publishes transforms on ``/tf`` and ``/tf_static``, or nowhere without the package tf2_msgs.
 
-    ``node``: the node that publishes.
+    Args:
+        node: The node that publishes.
+        parts: Topics of its transforms. Those that have no message per frame are published at once.
+        stamp: Stamp of these, nanoseconds.
     """
 
-    def __init__(self, node: SceneNode) -> None:
+    def __init__(self, node: SceneNode, parts: Sequence[Topic[Any]], stamp: int) -> None:
         self._node = node
+        if TFMessage is not None and any(part.per_frame for part in parts):
+            _ = self._dynamic  # subscribers find it before the first frame
+        if fixed := [part for part in parts if not part.per_frame]:
+            self.send_static(fixed, stamp)
 
     def send(self, *transforms: TransformStamped) -> None:
         """Publish transforms of one stamp."""
         if TFMessage is not None:
             self._dynamic.publish(TFMessage(transforms=transforms))
 
-    def send_static(self, *transforms: TransformStamped) -> None:
-        """Publish all static transforms of the node: late subscribers get the last call."""
+    def send_static(self, parts: Sequence[Topic[Any]], stamp: int) -> None:
+        """Publish all static transforms of the node: late subscribers get the last call.
+
+        Args:
+            parts: Their topics, whose content does not depend on the frame.
+            stamp: Nanoseconds.
+        """
         if TFMessage is not None:
-            self._static.publish(TFMessage(transforms=transforms))
+            start = Frame(0, stamp, {}, {})
+            self._static.publish(TFMessage(transforms=[part.message(start) for part in parts]))
 
     @cached_property
     def _dynamic(self) -> Any:

@@ -88,7 +88,7 @@ class SceneGraph:
         self._stack.enter_context(running_rclpy())
         self._context = rclpy.get_default_context()
         self.node = rclpy.create_node(TEST_NODE, namespace=self._namespace, start_parameter_services=False)
-        self._timed = TimedTopics(scene, self.node.resolve_topic_name)
+        self._timed = TimedTopics(scene, self.node.get_namespace())
         self._executors: dict[Any, Any] = {}
         self.add_node(self.node)
         self.node.create_subscription(TimeReference, SCENE_TIME, self._on_frame, DATA)
@@ -352,7 +352,7 @@ class SceneGraph:
     def _offer(self, name: str, kind: Any) -> tuple[Any, QoSProfile]:
         """Type and quality of service of a subscription that gets all messages of a topic."""
         for topic in scene_topics(self.scene):
-            if self.node.resolve_topic_name(topic.name) == name:
+            if topic.in_namespace(self.node.get_namespace()) == name:
                 return kind or topic.type, subscription_profile([offered_profile(topic)])
         if kind is None:
             self._spin_until(lambda: self._publishers(name), lambda: self._silence(name))

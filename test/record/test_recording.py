@@ -195,6 +195,7 @@ def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scen
                 *("image_raw", "depth/image", "part/image", "camera_info", "joints"),
             )
         ),
+        "/tf_static",
     )
 
 

@@ -207,7 +207,7 @@ def simulated(scene: Path, frames: Sequence[int] = range(FRAMES)) -> field_hashe
 
     def sent() -> Iterator[tuple[str, Any]]:
         with Simulation(Scene.load(scene), ALL_CHANNELS) as simulation:
-            topics = scene_topics(simulation.scene)
+            topics = [topic for topic in scene_topics(simulation.scene) if not topic.absolute]
             for index in frames:
                 frame = simulation.frame(index, rectified_depth=["lens"])
                 for topic in topics:
@@ -248,7 +248,8 @@ class Listener:
         self.others: list[str] = []
         self.is_member, self.reported = is_member, 0
         self.reports = self.client.node.create_publisher(Header, f"/{namespace}/frame_done", 10)
-        topics = list(scene_topics(loaded(scene)))
+        # tf is of no namespace, and of all nodes together: test_transforms.py
+        topics = [topic for topic in scene_topics(loaded(scene)) if not topic.absolute]
         # flow first: a camera that sends the image of frame 0 knows then that it needs its flow to frame 1
         for topic in sorted(topics, key=lambda topic: "/flow" not in topic.name):
             name = f"/{namespace}/{topic.name}"

@@ -12,7 +12,6 @@ Node ``hri_bridge`` publishes ROS4HRI alone (docs/ros4hri.md), also for a scene 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -65,7 +64,7 @@ class BridgeNode(SceneNode):
         for topic in topics:
             topic.package.check(installed=True)
         per_frame = [topic for topic in topics if topic.per_frame]
-        self._senders = {topic.name: self._sender(topic) for topic in per_frame}
+        self._senders = {topic.name: self.topic_publisher(topic) for topic in per_frame}
         for topic in topics:
             if not topic.per_frame:
                 self.publish_latched(topic.build(received_frame(0, None, {}, self.scene), 0), topic.name)
@@ -93,9 +92,6 @@ class BridgeNode(SceneNode):
     def adapters(self) -> dict[str, Section]:
         """Return the settings of the adapters to publish, by name."""
         return self.scene.config.adapter_settings
-
-    def _sender(self, topic: AdapterTopic) -> Any:
-        return self.topic_publisher(replace(topic, name=f"/{topic.name}") if topic.absolute else topic)
 
     def _join(self, topic: AdapterTopic) -> None:
         needed = (*((_STATE,) if topic.people else ()), *(f"{topic.camera}/{each}" for each in topic.inputs))

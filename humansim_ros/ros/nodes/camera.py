@@ -77,27 +77,17 @@ class CameraPosePublisher:
         self._start = self._last = CameraPose.of(camera.camera)
         self._last_stamp = self._last_motion = 0
         self._extrinsics, self._projection = map(node.topic_publisher, (topics.extrinsics, topics.projection))
-        #: Transforms that never change: from the camera to its depth sensor.
-        self._fixed: list[TransformStamped] = []
         if (depth := topics.depth_sensor) is not None:
-            self._fixed.append(depth.extrinsics.build(depth.optics, node.now()))
-            node.publish_latched(self._fixed[0], depth.extrinsics.name)
+            node.publish_latched(depth.extrinsics.build(depth.optics, node.now()), depth.extrinsics.name)
         self._true_extrinsics = topics.true_extrinsics
         if self._true_extrinsics is not None:
             self._true_publisher = node.topic_publisher(self._true_extrinsics)
             self._publish_true(CameraPose.of(camera.camera), node.now())
-        self._transforms = TransformSender(node)
-        transform = self._publish(self._last, node.now())
+        stamp = node.now()
+        self._publish(self._last, stamp)
+        self._transforms = TransformSender(node, topics.transforms, stamp)
         if not camera.moves:
             node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
-        resting = [] if camera.moves else [transform]
-        if camera.mount is not None:
-            place, robot = camera.mount
-            frames = robot.config.base_frame, transform.child_frame_id
-            stamp = node.now()
-            self._fixed.append(messages.transform_message(place.position, place.rotation, stamp, *frames))
-        if resting or self._fixed:
-            self._transforms.send_static(*resting, *self._fixed)
 
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
@@ -121,7 +111,7 @@ class CameraPosePublisher:
         if self._camera.moves or self._poses:
             # a lookup in tf at the stamp of a frame needs a transform with that stamp
             transform = self._publish(pose, state.stamp)
-            if self._camera.mount is None:
+            if self._topics.extrinsics in self._topics.transforms:
                 self._transforms.send(transform)
         if self._camera.moves or self._poses or self._camera.drifts:
             self._publish_true(exposure.pose_at(0.0), state.stamp)
@@ -167,7 +157,9 @@ class CameraPosePublisher:
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
         if not self._poses:
-            self._transforms.send_static(*self._fixed)  # late joiners must not get the old pose
+            # late joiners must not get the old pose
+            fixed = [part for part in self._topics.transforms if part is not self._topics.extrinsics]
+            self._transforms.send_static(fixed, self._node.now())
         if self._poses and stamp <= self._poses[-1][0]:
             self._start = self._last
             self._poses.clear()  # the clock was set back

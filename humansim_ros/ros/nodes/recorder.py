@@ -42,7 +42,7 @@ from humansim_ros.messages.topics import TimedTopics, scene_topics
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.clock import ClockSteps
-from humansim_ros.ros.graph import TopicChoice, absolute, similar
+from humansim_ros.ros.graph import TopicChoice, similar
 from humansim_ros.ros.guarded_node import ANY_SIZE
 from humansim_ros.ros.node import SuiteNode, loaded_scene
 from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME, recorded_qos, subscription_profile
@@ -150,21 +150,21 @@ class RecorderNode(SuiteNode):
         space = self.get_namespace()
         topics = scene_topics(scene) if path and scene else []
         if topics and not names:
-            names = [*(topic.name for topic in topics if topic.recorded), "/clock"]
+            names = [*(topic.in_namespace(space) for topic in topics if topic.recorded), "/clock"]
         self._choice = TopicChoice.of([*names, *awaited], space)
         #: Types of the topics of the scene.
-        self._types = {absolute(topic.name, space): topic.type_name for topic in topics}
+        self._types = {topic.in_namespace(space): topic.type_name for topic in topics}
         self._frames: RecordedFrames | None = None
         self._timed: TimedTopics | None = None
         self._copies = ImageCopies({})
         if lockstep:
-            per_frame = [absolute(topic.name, space) for topic in topics if has_message_per_frame(topic)]
+            per_frame = [topic.in_namespace(space) for topic in topics if has_message_per_frame(topic)]
             chosen = [topic for topic in (*per_frame, "/clock") if self._choice.has(topic)]
             if scene is not None:
-                self._copies = _copies(scene, {absolute(topic.name, space): topic for topic in topics})
+                self._copies = _copies(scene, {topic.in_namespace(space): topic for topic in topics})
             awaited = TopicChoice.of(awaited, space).patterns
             if scene is not None:
-                self._timed = TimedTopics(scene, lambda name: absolute(name, space))
+                self._timed = TimedTopics(scene, space)
             self._frames = RecordedFrames(chosen, awaited, self._copies)
         self._done = self.create_publisher(Header, FRAME_DONE, DONE) if lockstep else None
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)

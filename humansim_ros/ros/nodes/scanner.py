@@ -15,7 +15,6 @@ from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
-from humansim_ros import messages
 from humansim_ros.errors import SceneError
 from humansim_ros.messages.topics import ScannerTopics
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -49,13 +48,9 @@ class ScannerNode(SceneNode):
             topic: self.topic_publisher(topic) for topic in (self._topics.points, self._topics.truth)
         }
         self._extrinsics = self.topic_publisher(self._topics.extrinsics)
-        self._transforms = TransformSender(self)
-        transform = self._publish_pose(self._scanner.pose(0.0), self.now())
-        if self._scanner.mount is not None:
-            place, base = self._scanner.route.at(0.0), self._scanner.mount.config.base_frame
-            transform = messages.transform_message(place.position, place.rotation, self.now(), base, frame)
-        if self._scanner.mount is not None or not self._scanner.moves:
-            self._transforms.send_static(transform)
+        stamp = self.now()
+        self._publish_pose(self._scanner.pose(0.0), stamp)
+        self._transforms = TransformSender(self, [self._topics.transform], stamp)
         for legend in self._topics.legends:
             self.publish_latched(legend.build(None, 0), legend.name)
         self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self])
@@ -70,7 +65,7 @@ class ScannerNode(SceneNode):
         if self._scanner.moves:
             pose = self._scanner.pose(state.scene_time * 1e-9, state.objects.get(ROBOT))
             transform = self._publish_pose(pose, state.stamp)
-            if self._scanner.mount is None:
+            if self._topics.transform.per_frame:
                 self._transforms.send(transform)
         wanted = [
             topic for topic, sender in self._sweep_publishers.items() if sender.get_subscription_count()

@@ -47,14 +47,9 @@ class RobotPort:
         if robot.takes_commands:
             kind = TwistStamped if config.stamped else Twist
             node.create_subscription(kind, config.cmd_vel, self._on_command, NEWEST)
-        self._topic = RobotTopics(robot).odom
-        self._odom = node.topic_publisher(self._topic)
-        self._transforms = TransformSender(node)
-        start = robot.start
-        frames = messages.WORLD_FRAME, config.odom_frame
-        self._transforms.send_static(
-            messages.transform_message(start.position, start.rotation, node.now(), *frames)
-        )
+        self._topics = RobotTopics(robot)
+        self._odom = node.topic_publisher(self._topics.odom)
+        self._transforms = TransformSender(node, [self._topics.start, self._topics.base], node.now())
 
     def placed(self, tick: Tick, shown: ScenePoses) -> ScenePoses:
         """Poses of a frame with the robot where the odometry of another node has it."""
@@ -73,10 +68,8 @@ class RobotPort:
         base = shown.robot
         if self._odom is None or base is None:
             return
-        self._odom.publish(self._topic.build(base, stamp))
-        config, pose = self._robot.config, messages.in_odometry(self._robot, base)
-        frames = config.odom_frame, config.base_frame
-        self._transforms.send(messages.transform_message(pose.position, pose.rotation, stamp, *frames))
+        self._odom.publish(self._topics.odom.build(base, stamp))
+        self._transforms.send(self._topics.base.build(base, stamp))
 
     def _base_at(self, stamp: int) -> ObjectPose:
         """Pose of ``base_link`` at a stamp, from the odometry around it."""

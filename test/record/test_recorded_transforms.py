@@ -44,7 +44,7 @@ SCENE: dict[str, Any] = {
         "roof": {"model": "hokuyo_utm30lx", "mount": "robot", "position": [0, 0, 1]},
     },
 }
-PERSON = {"adapters": {"hri": {"camera": "slow"}}}
+PERSON = {"hri": {"camera": "slow"}}
 
 
 def loaded(folder: Path, **others: Any) -> Scene:

@@ -117,4 +117,6 @@ class RobotConfig(Section):
             raise ValueError(
                 f"position and yaw_deg are of a robot without {ways[0]}, which has its own start"
             )
+        if len({"map", self.odom_frame, self.base_frame}) < 3:
+            raise ValueError("odom_frame and base_frame must differ from each other and from map")
         return self

@@ -205,6 +205,8 @@ class TestMessages:
         ({"robot": {"path": {"points": [[0, 0], [0, 0]]}}}, "point 2 is the point before it"),
         ({"robot": {"path": {"points": [[0, 0]]}}}, "path.points"),
         ({"robot": {"speed": 1}}, "max_speed"),
+        ({"robot": {"odom_frame": "map"}}, "must differ from each other and from map"),
+        ({"robot": {"base_frame": "odom"}}, "must differ from each other and from map"),
         ({"robot": {"mesh": "no_robot.glb"}}, "no_robot.glb"),
         ({"robot": {"trajectory": "no_way.txt"}}, "no_way.txt"),
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +235,60 @@ def test_paths_that_have_no_place_are_refused(tmp_path: Path) -> None:
     bag = bag_of(tmp_path / "three", ("/tf", 1, tf(1, "map", "camera", 0, 0)))
     with pytest.raises(EvaluationError, match="no pose of base_link"):
         read_robot_path(f"{bag}:/tf", None)
+
+
+def test_transforms_in_a_loop_are_refused(tmp_path: Path) -> None:
+    bag = bag_of(
+        tmp_path / "loop",
+        ("/odom", 1, odometry(1, 0.0, 0.0)),
+        ("/tf", 1, tf(1, "base_link", "odom", 0, 0)),
+        ("/tf", 2, tf(1, "odom", "base_link", 0, 0)),
+    )
+    for topic in ("/odom", "/tf"):
+        with pytest.raises(EvaluationError, match="no transforms lead from 'base_link' to map"):
+            read_robot_path(f"{bag}:{topic}", None)
+
+
+HOSTILE = (
+    b"\xff" * 8,
+    b"\0" * 8,
+    np.float64(np.inf).tobytes(),
+    np.float64(1e300).tobytes(),
+    b"\xff\xff\xff\x7f",
+)
+
+
+@pytest.mark.parametrize("topic", ["/odom", "/tf"])
+def test_damaged_paths_are_refused_or_finite(tmp_path: Path, topic: str) -> None:
+    dice, errors = random.Random(f"{topic}3"), list[EvaluationError]()
+    whole = [
+        ("/tf_static", tf(0, "base_footprint", "base_link", 0.1, 0.0)),
+        ("/tf", tf(1, "/map", "odom", 10.0, 0.0, np.pi / 2)),
+        ("/tf", tf(SECOND, "odom", "base_footprint", 1.0, 0.0)),
+        ("/odom", odometry(1, 1.0, 0.0)),
+        ("/odom", odometry(SECOND, 2.0, 0.0)),
+    ]
+    names = ["/tf_static", "/tf", "/odom"]
+    kinds = {name: content.__msgtype__ for name, content in whole}
+    for number in range(150):
+        bag = tmp_path / str(number)
+        with BagWriter(bag, [BagTopic(name, kinds[name]) for name in names]) as writer:
+            for log, (name, content) in enumerate(whole):
+                data = bytearray(message_types().serialize_cdr(content, kinds[name]))
+                if dice.random() < 0.3:
+                    at, value = dice.randrange(4, len(data)), dice.choice(HOSTILE)
+                    data[at : at + len(value)] = value
+                if dice.random() < 0.05:
+                    del data[dice.randrange(len(data)) :]
+                writer.append(encode_chunk([BagMessage(names.index(name), log, bytes(data))], "none"))
+        try:
+            path = read_robot_path(f"{bag}:{topic}", None)
+        except EvaluationError as error:
+            errors.append(error)
+        else:
+            assert np.isfinite(path.places).all() and (np.diff(path.times) > 0).all()
+    assert 30 < len(errors) < 120
+    assert all(error.path is not None and error.key in names for error in errors)
 
 
 @pytest.mark.nightly

@@ -35,9 +35,6 @@ class Transforms:
         self._stamps: dict[str, list[int]] = {}
         self._above: dict[str, dict[int, tuple[str, Array]]] = {}
 
-    def __len__(self) -> int:
-        return len(self._above)
-
     def add(self, data: bytes) -> None:
         """Add a serialised TFMessage.
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from conftest import ROOT
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +23,9 @@ from humansim_ros.evaluate.navigation import evaluate_navigation
 from humansim_ros.evaluate.nearby import PeopleNearby, RobotPath
 from humansim_ros.evaluate.readers.robot_paths import is_robot_path, read_robot_path
 from humansim_ros.types import Array
+
+sys.path.append(str(ROOT / "tools"))
+from message_mutations import mutated_bytes
 
 SECOND = 1_000_000_000
 
@@ -116,7 +121,7 @@ SCENE: dict[str, Any] = {
 
 def test_bodies_of_a_scene_are_those_of_the_simulation(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
-    file.write_text(yaml.safe_dump(SCENE))
+    file.write_text(yaml.safe_dump({**SCENE, "rate": 5}))
     compared = evaluate(file, f"{file}:/odom", radius=0.2)
     result, scene = compared.data, Scene.load(file)
     with Simulation(scene, channels=()) as simulation:
@@ -139,7 +144,7 @@ def test_bodies_of_a_scene_are_those_of_the_simulation(tmp_path: Path) -> None:
         touching = np.array(clearances) <= 0
         assert own["collisions"] == (np.diff(touching.astype(int), prepend=0) > 0).sum()
     assert result["nearest"]["collisions"] >= 1
-    assert result["path"]["length"] == pytest.approx(2.4 + 0.9 + np.hypot(2.4, 0.9), abs=0.16)
+    assert result["path"]["length"] == pytest.approx(2.4 + 0.9 + np.hypot(2.4, 0.9), abs=1.6 / 5)
     assert result["radius"] == 0.2
     assert "collisions" in compared.table and "collisions" in compared.page()
 
@@ -249,15 +254,6 @@ def test_transforms_in_a_loop_are_refused(tmp_path: Path) -> None:
             read_robot_path(f"{bag}:{topic}", None)
 
 
-HOSTILE = (
-    b"\xff" * 8,
-    b"\0" * 8,
-    np.float64(np.inf).tobytes(),
-    np.float64(1e300).tobytes(),
-    b"\xff\xff\xff\x7f",
-)
-
-
 @pytest.mark.parametrize("topic", ["/odom", "/tf"])
 def test_damaged_paths_are_refused_or_finite(tmp_path: Path, topic: str) -> None:
     dice, errors = random.Random(f"{topic}3"), list[EvaluationError]()
@@ -274,13 +270,10 @@ def test_damaged_paths_are_refused_or_finite(tmp_path: Path, topic: str) -> None
         bag = tmp_path / str(number)
         with BagWriter(bag, [BagTopic(name, kinds[name]) for name in names]) as writer:
             for log, (name, content) in enumerate(whole):
-                data = bytearray(message_types().serialize_cdr(content, kinds[name]))
-                if dice.random() < 0.3:
-                    at, value = dice.randrange(4, len(data)), dice.choice(HOSTILE)
-                    data[at : at + len(value)] = value
-                if dice.random() < 0.05:
-                    del data[dice.randrange(len(data)) :]
-                writer.append(encode_chunk([BagMessage(names.index(name), log, bytes(data))], "none"))
+                data = message_types().serialize_cdr(content, kinds[name])
+                if dice.random() < 0.2:
+                    data = mutated_bytes(data, dice)
+                writer.append(encode_chunk([BagMessage(names.index(name), log, data)], "none"))
         try:
             path = read_robot_path(f"{bag}:{topic}", None)
         except EvaluationError as error:

@@ -43,7 +43,7 @@ CHANNELS = ("rgb", "depth", "instance", "part", "amodal")
 
 @pytest.mark.nightly
 def test_a_camera_on_a_robot_sees_people_as_in_the_simulation() -> None:
-    """The camera moves and has its own rate. Runs before the graph of the others: one /clock a domain."""
+    """The camera moves and has a rate of its own. Runs before the graph of the others: one /clock a domain."""
     camera = {
         "size": [160, 120],
         "mount": "robot",

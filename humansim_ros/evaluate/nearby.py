@@ -104,6 +104,8 @@ def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
     first, last = frames_of(scene, (int(path.times[0]), int(path.times[-1])), 0.0)
     stamps = FIRST_STAMP + np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
     inside = np.flatnonzero((stamps >= path.times[0]) & (stamps <= path.times[-1]))
+    if not len(inside):
+        raise EvaluationError("the frames of the truth are at other times than the robot", path=scene.path)
     places, states = path.at(stamps[inside]), SceneStates(scene)
     people: dict[str, list[Array]] = {name: [] for name in scene.actors}
     nearest: dict[str, list[float]] = {name: [] for name in scene.actors}

@@ -20,7 +20,7 @@ from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import EvaluationError, HumansimWarning
 from humansim_ros.evaluate.navigation import evaluate_navigation
-from humansim_ros.evaluate.nearby import PeopleNearby, RobotPath
+from humansim_ros.evaluate.nearby import PeopleNearby, RobotPath, scene_nearby
 from humansim_ros.evaluate.readers.robot_paths import is_robot_path, read_robot_path
 from humansim_ros.types import Array
 
@@ -234,6 +234,8 @@ def test_paths_that_have_no_place_are_refused(tmp_path: Path) -> None:
         read_robot_path(f"{bag}:/odom", None)
     scene = Scene.from_dict(SCENE)
     np.testing.assert_allclose(read_robot_path(f"{bag}:/odom", scene).places, [[-1.2, 0, 0]], atol=1e-12)
+    with pytest.raises(EvaluationError, match="at other times than the robot"):
+        scene_nearby(scene, RobotPath.of(np.array([SECOND // 2]), np.eye(4)[None], "between two frames"))
     bag = bag_of(tmp_path / "two", ("/odom", 1, odometry(1, 0.0, 0.0, "map", length=2.0)))
     with pytest.raises(EvaluationError, match="its quaternion has not length 1"):
         read_robot_path(f"{bag}:/odom", None)

@@ -34,7 +34,8 @@ def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **opt
         _refuse({**options, "min-score": min_score}, "the path of a robot")
         return _navigation(truth, estimate, radius)
     if radius is not None:
-        raise EvaluationError("is for paths of robots; the estimate is none", key="--radius")
+        text = f"is for paths of robots; {', '.join(estimate)} is not there, or is none"
+        raise EvaluationError(text, key="--radius")
     if any(map(is_box_file, estimate)):
         gate = options.pop("gate")
         _refuse({**options, "min-score": min_score}, "upright boxes")

@@ -33,7 +33,7 @@ from humansim_ros.cli.options import (
     output_option,
 )
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
-from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
+from humansim_ros.cli.scene import SceneOptions, check_adapters, warn_about_mistakes
 from humansim_ros.errors import MAX_FRAMES, HumansimError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.lockstep.settings import SETTINGS
@@ -167,6 +167,7 @@ def run(
         from humansim_ros.ros.processes.supervisor import Supervisor
         from humansim_ros.ros.runtime import prepare_transport
         from humansim_ros.scene import Scene
+        from humansim_ros.scene.names import BRIDGE_NODE
 
         _check_machine()
         loaded = options.load(given_path, path) if options else Scene.load(path)
@@ -194,6 +195,7 @@ def run(
         )
         transport = prepare_transport(len(node_processes) + 1, network)
         names = [name for process in node_processes for name in process.visible_nodes]
+        check_adapters(loaded, installed=BRIDGE_NODE in names)
         cameras = [name for name in loaded.cameras if name in names]
         first = FirstImages(cameras, list(loaded.actors), start, namespace)
         helpers = [("humansim_ros.apps.first_images", first.to_argument())] if cameras else []

@@ -144,6 +144,7 @@ def check(
     from humansim_ros.scene import Scene, check_scene
 
     loaded = Scene.load(scene)
+    check_adapters(loaded)
     findings = check_scene(loaded)
     if as_json:
         data: dict[str, Any] = {"scene": str(loaded.path), "findings": [each.to_dict() for each in findings]}
@@ -168,6 +169,25 @@ def warn_about_mistakes(scene: Scene, options: SceneOptions | None = None) -> No
     for finding in check_scene(scene, quick=True):
         option = None if options is None else options.option(human, finding.key)
         print_warning(str(finding) if option is None else f"{option}: {finding.text}")
+
+
+def check_adapters(scene: Scene, installed: bool = False) -> None:
+    """Check the sections ``adapters`` and ``hri``: node ``bridge`` does it when others have started.
+
+    Args:
+        scene: The scene.
+        installed: The message packages that the node needs are checked, too.
+
+    Raises:
+        SceneError: A setting names no camera or frame of the scene, or the topic of something else.
+        RosError: See :func:`~humansim_ros.messages.adapters.adapter_topics`.
+    """
+    if scene.config.adapter_settings:
+        from humansim_ros.messages.adapters import adapter_topics
+        from humansim_ros.messages.topics import scene_topics
+
+        scene_topics(scene)
+        adapter_topics(scene, installed=installed)
 
 
 def _count(number: int, word: str) -> str:

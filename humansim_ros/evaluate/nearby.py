@@ -6,27 +6,26 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import message_types
-from humansim_ros.errors import EvaluationError, RosError, printable
-from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
+from humansim_ros.errors import EvaluationError, located
+from humansim_ros.evaluate.readers.estimates import deserialised_message, topic_pattern, topic_person
 from humansim_ros.evaluate.truth import FIRST_STAMP, bag_truth, check_motions, frames_of
 from humansim_ros.messages.headers import to_nanoseconds
 from humansim_ros.messages.humans import read_vertices
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.standing import HIPS
 from humansim_ros.scene.states import SceneStates
 from humansim_ros.types import Array
 
 #: Longest time between two poses of a robot between which it is known where it is, nanoseconds.
 MAX_GAP = 500_000_000
 _VERTICES = "/humans/*/vertices"
-_HIPS = ("l_hip", "r_hip")
+_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,6 +104,8 @@ def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
     first, last = frames_of(scene, (int(path.times[0]), int(path.times[-1])), 0.0)
     stamps = FIRST_STAMP + np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
     inside = np.flatnonzero((stamps >= path.times[0]) & (stamps <= path.times[-1]))
+    if not len(inside):
+        raise EvaluationError("the frames of the truth are at other times than the robot", path=scene.path)
     places, states = path.at(stamps[inside]), SceneStates(scene)
     people: dict[str, list[Array]] = {name: [] for name in scene.actors}
     nearest: dict[str, list[float]] = {name: [] for name in scene.actors}
@@ -151,19 +152,14 @@ def _bag_bodies(
     pattern = topic_pattern(_VERTICES)
     nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
     with BagReader(bag) as reader:
-        names = [each.name for each in reader.topics if pattern.fullmatch(each.name)]
+        names = [each.name for each in reader.topics if each.type == _CLOUD and pattern.fullmatch(each.name)]
         for message in reader.messages(names) if names else ():
             topic = reader.topics[message.topic]
             match = pattern.fullmatch(topic.name)
             assert match is not None
-            try:
-                content: Any = message_types().deserialize_cdr(bytes(message.data), topic.type)
+            with located(EvaluationError, bag, key=topic.name):
+                content = deserialised_message(message.data, topic)
                 vertices, stamp = read_vertices(content), to_nanoseconds(content.header.stamp)
-            except RosError as error:
-                raise EvaluationError(error.message, path=bag, key=topic.name) from None
-            except Exception as reason:  # rosbags documents no exceptions for damaged messages
-                text = printable(f"a message cannot be read: {type(reason).__name__}: {reason}")
-                raise EvaluationError(text, path=bag, key=topic.name) from None
             row = rows.get(stamp)
             if row is not None:
                 nearest[topic_person(match) or ""][row] = _nearest_vertex(vertices, places[row], np.inf)
@@ -172,7 +168,7 @@ def _bag_bodies(
 
 def _ground(names: Sequence[str], positions: Array) -> Array:
     """Middle (2,) of the hips on the floor; of all joints where there are no hips."""
-    rows = [names.index(name) for name in _HIPS if name in names]
+    rows = [names.index(name) for name in HIPS if name in names]
     chosen = positions[rows] if rows else positions[np.isfinite(positions).all(axis=1)]
     return np.asarray(chosen[:, :2].mean(axis=0)) if len(chosen) else np.full(2, np.nan)
 

@@ -22,7 +22,6 @@ from humansim_ros.errors import (
     RosError,
     SceneError,
     did_you_mean,
-    located,
     some_of,
     within_bounds,
 )
@@ -248,7 +247,7 @@ class AdapterScene:
 
     def error(self, text: str, key: str) -> SceneError:
         """Error of a key of the row."""
-        return SceneError(text, path=self.scene.path, key=f"{self._key}.{key}")
+        return SceneError(text, key=f"{self._key}.{key}")
 
     def camera(self, name: str, key: str) -> str:
         """Return the name of a camera. Raises SceneError of the key if there is none."""
@@ -642,7 +641,7 @@ def _detections_2d(scene: AdapterScene, config: BoxesConfig, usual: str) -> Iter
     if config.cameras is None:
         cameras: Sequence[str] = list(scene.scene.scene_cameras)
     else:
-        cameras = [scene.camera(name, "cameras") for name in config.cameras]
+        cameras = [scene.camera(name, "cameras") for name in dict.fromkeys(config.cameras)]
     for camera in cameras:
         frame_id = scene.optical(camera)
         name = usual.replace("<camera>", camera)
@@ -710,9 +709,7 @@ def _tracked_persons(scene: AdapterScene, config: TrackedConfig, usual: str) -> 
 def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopic]:
     camera, actors = scene.camera(config.camera, "camera"), scene.scene.actors
     placed, size = scene.placed(optical_frame(camera)), scene.scene.scene_cameras[camera].camera.size
-    with located(path=scene.scene.path):
-        check_ids(list(actors))
-    TF_MESSAGES.check(installed=False)
+    check_ids(list(actors))
     links = {name: HriLinks.of(actor.human.skeleton) for name, actor in actors.items()}
     newest: list[tuple[Frame, HriFrame]] = []
 
@@ -798,7 +795,10 @@ ADAPTERS = {
 
 
 def adapter_topics(
-    scene: Scene, frame_prefix: str = "", adapters: Mapping[str, Section] | None = None
+    scene: Scene,
+    frame_prefix: str = "",
+    adapters: Mapping[str, Section] | None = None,
+    installed: bool = False,
 ) -> list[AdapterTopic]:
     """Topics of adapters.
 
@@ -806,15 +806,19 @@ def adapter_topics(
         scene: The scene.
         frame_prefix: Text before the frames of cameras and scanners.
         adapters: Settings of the adapters by name; None: those of the scene.
+        installed: The message packages themselves are needed, as nodes do.
 
     Raises:
-        SceneError: A setting names no camera or frame of the scene.
+        SceneError: A setting names no camera or frame of the scene; with file, line and key.
         RosError: A message package is neither installed nor defined, or of another version.
     """
     topics: list[AdapterTopic] = []
     settings = scene.config.adapter_settings if adapters is None else adapters
     for name, row in ADAPTERS.items():
         if (config := settings.get(name)) is not None:
-            row.package.check(installed=False)
-            topics += row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)
+            row.package.check(installed)
+            with scene.source.locating_errors():
+                topics += row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)
+    for package in {topic.package.name: topic.package for topic in topics}.values():
+        package.check(installed)
     return topics

@@ -853,7 +853,8 @@ def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic
             continue  # a part of it
         if topic.name in taken:
             text = f"there is another topic {topic.name}: give it another key 'topic'"
-            raise SceneError(text, path=scene.path, key="adapters")
+            with scene.source.locating_errors():
+                raise SceneError(text, key="adapters")
         taken.add(topic.name)
     return topics
 

@@ -23,7 +23,7 @@ from humansim_ros.types import Array
 
 #: Type of the messages of tf.
 TF = "tf2_msgs/msg/TFMessage"
-#: Longest message, bytes, most frames, and most transforms of a frame that are kept.
+#: Longest message, bytes, most frames, and most transforms of a frame that a running program keeps.
 _MAX_BYTES, _MAX_FRAMES, _MAX_KEPT = 1 << 20, 2000, 20_000
 _MAX_NAME = 256
 #: Topics of transforms that hold for a stamp, and of those that hold for all times.
@@ -107,15 +107,16 @@ class Transforms:
     """Tree of the transforms of tf.
 
     Between two frames, the last transform up to a time counts, or else the first one.
+
+    Args:
+        kept: Number of the newest transforms of a frame that are kept; None: all, as of a bag.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kept: int | None = _MAX_KEPT) -> None:
+        self._kept = kept
         #: By frame: stamps, and parent and matrix by stamp.
         self._stamps: dict[str, list[int]] = {}
         self._above: dict[str, dict[int, tuple[str, Array]]] = {}
-
-    def __len__(self) -> int:
-        return len(self._above)
 
     def add(self, data: bytes) -> None:
         """Add a serialised TFMessage.
@@ -151,7 +152,7 @@ class Transforms:
         if stamp not in above:
             insort(stamps, stamp)
         above[stamp] = parent, transform(quaternion_to_matrix(rotation), position)
-        if len(stamps) > _MAX_KEPT:
+        if self._kept is not None and len(stamps) > self._kept:
             del above[stamps.pop(0)]
 
     def pose(self, frame: str, stamp: int) -> tuple[Array, str] | None:

@@ -16,6 +16,7 @@ from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.messages.adapters import ADAPTERS
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.hri import TF_MESSAGES
 from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
 from humansim_ros.messages.transforms import Transforms
 from humansim_ros.messages.types import message_type
@@ -137,13 +138,15 @@ class PoseTopics:
         """Transforms of tf; from the first call on, those that arrive are added."""
         if self._transforms is None:
             self._transforms = Transforms()
+            if TFMessage is None:
+                self._warn(f"/tf is not received: tf2_msgs is not installed here: {TF_MESSAGES.install}")
+                return self._transforms
             for name, profile in (("/tf_static", LATCHED), ("/tf", subscription_profile([]))):
-                if TFMessage is not None:  # the package is not on PyPI
-                    self._tf.append(
-                        self._node.create_subscription(
-                            TFMessage, name, self._transforms.add, profile, raw=True, max_bytes=ANY_SIZE
-                        )
+                self._tf.append(
+                    self._node.create_subscription(
+                        TFMessage, name, self._transforms.add, profile, raw=True, max_bytes=ANY_SIZE
                     )
+                )
         return self._transforms
 
     def _warn(self, text: str) -> None:

@@ -42,7 +42,9 @@ class BoxesConfig(Section):
 
     other_words: ClassVar[dict[str, str]] = {"box": "boxes", "cameras": "camera", "topic": "name"}
 
-    cameras: tuple[str, ...] | None = Field(default=None, description="names of the cameras; all if absent")
+    cameras: tuple[str, ...] | None = Field(
+        default=None, min_length=1, description="names of the cameras; all if absent"
+    )
     box: Literal["visible", "whole"] = Field(
         default="visible", description="box of the visible pixels, or of the whole body"
     )

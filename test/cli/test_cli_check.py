@@ -68,6 +68,23 @@ def test_json_has_the_fields_of_each_finding(
     assert all(each["path"] == str(path) and each["text"] for each in data["findings"])
 
 
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("hri: {camera: fromt}", "hri.camera: no camera 'fromt'; the scene has front"),
+        ("adapters: {people: base_link}", "adapters.people.frame: no frame 'base_link'; the scene has map"),
+    ],
+)
+def test_adapters_of_what_is_not_in_the_scene_exit_with_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str, error: str
+) -> None:
+    path = tmp_path / "adapters.yaml"
+    path.write_text(f"{SOUND}{text}\n")
+    assert run(monkeypatch, "check", path) == 2
+    line = len(SOUND.splitlines()) + 1
+    assert capsys.readouterr().err.startswith(f"error: {path}:{line}: {error}")
+
+
 @pytest.mark.parametrize("text", ["cameras: {front: {size: 640}}", "- a", "", "cameras: {front: {fov: 3}}"])
 def test_a_scene_that_cannot_be_loaded_exits_with_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import random
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from conftest import ROOT
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -17,9 +20,12 @@ from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import EvaluationError, HumansimWarning
 from humansim_ros.evaluate.navigation import evaluate_navigation
-from humansim_ros.evaluate.nearby import PeopleNearby, RobotPath
+from humansim_ros.evaluate.nearby import PeopleNearby, RobotPath, scene_nearby
 from humansim_ros.evaluate.readers.robot_paths import is_robot_path, read_robot_path
 from humansim_ros.types import Array
+
+sys.path.append(str(ROOT / "tools"))
+from message_mutations import mutated_bytes
 
 SECOND = 1_000_000_000
 
@@ -115,7 +121,7 @@ SCENE: dict[str, Any] = {
 
 def test_bodies_of_a_scene_are_those_of_the_simulation(tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
-    file.write_text(yaml.safe_dump(SCENE))
+    file.write_text(yaml.safe_dump({**SCENE, "rate": 5}))
     compared = evaluate(file, f"{file}:/odom", radius=0.2)
     result, scene = compared.data, Scene.load(file)
     with Simulation(scene, channels=()) as simulation:
@@ -138,7 +144,7 @@ def test_bodies_of_a_scene_are_those_of_the_simulation(tmp_path: Path) -> None:
         touching = np.array(clearances) <= 0
         assert own["collisions"] == (np.diff(touching.astype(int), prepend=0) > 0).sum()
     assert result["nearest"]["collisions"] >= 1
-    assert result["path"]["length"] == pytest.approx(2.4 + 0.9 + np.hypot(2.4, 0.9), abs=0.16)
+    assert result["path"]["length"] == pytest.approx(2.4 + 0.9 + np.hypot(2.4, 0.9), abs=1.6 / 5)
     assert result["radius"] == 0.2
     assert "collisions" in compared.table and "collisions" in compared.page()
 
@@ -228,12 +234,56 @@ def test_paths_that_have_no_place_are_refused(tmp_path: Path) -> None:
         read_robot_path(f"{bag}:/odom", None)
     scene = Scene.from_dict(SCENE)
     np.testing.assert_allclose(read_robot_path(f"{bag}:/odom", scene).places, [[-1.2, 0, 0]], atol=1e-12)
+    with pytest.raises(EvaluationError, match="at other times than the robot"):
+        scene_nearby(scene, RobotPath.of(np.array([SECOND // 2]), np.eye(4)[None], "between two frames"))
     bag = bag_of(tmp_path / "two", ("/odom", 1, odometry(1, 0.0, 0.0, "map", length=2.0)))
     with pytest.raises(EvaluationError, match="its quaternion has not length 1"):
         read_robot_path(f"{bag}:/odom", None)
     bag = bag_of(tmp_path / "three", ("/tf", 1, tf(1, "map", "camera", 0, 0)))
     with pytest.raises(EvaluationError, match="no pose of base_link"):
         read_robot_path(f"{bag}:/tf", None)
+
+
+def test_transforms_in_a_loop_are_refused(tmp_path: Path) -> None:
+    bag = bag_of(
+        tmp_path / "loop",
+        ("/odom", 1, odometry(1, 0.0, 0.0)),
+        ("/tf", 1, tf(1, "base_link", "odom", 0, 0)),
+        ("/tf", 2, tf(1, "odom", "base_link", 0, 0)),
+    )
+    for topic in ("/odom", "/tf"):
+        with pytest.raises(EvaluationError, match="no transforms lead from 'base_link' to map"):
+            read_robot_path(f"{bag}:{topic}", None)
+
+
+@pytest.mark.parametrize("topic", ["/odom", "/tf"])
+def test_damaged_paths_are_refused_or_finite(tmp_path: Path, topic: str) -> None:
+    dice, errors = random.Random(f"{topic}3"), list[EvaluationError]()
+    whole = [
+        ("/tf_static", tf(0, "base_footprint", "base_link", 0.1, 0.0)),
+        ("/tf", tf(1, "/map", "odom", 10.0, 0.0, np.pi / 2)),
+        ("/tf", tf(SECOND, "odom", "base_footprint", 1.0, 0.0)),
+        ("/odom", odometry(1, 1.0, 0.0)),
+        ("/odom", odometry(SECOND, 2.0, 0.0)),
+    ]
+    names = ["/tf_static", "/tf", "/odom"]
+    kinds = {name: content.__msgtype__ for name, content in whole}
+    for number in range(150):
+        bag = tmp_path / str(number)
+        with BagWriter(bag, [BagTopic(name, kinds[name]) for name in names]) as writer:
+            for log, (name, content) in enumerate(whole):
+                data = message_types().serialize_cdr(content, kinds[name])
+                if dice.random() < 0.2:
+                    data = mutated_bytes(data, dice)
+                writer.append(encode_chunk([BagMessage(names.index(name), log, data)], "none"))
+        try:
+            path = read_robot_path(f"{bag}:{topic}", None)
+        except EvaluationError as error:
+            errors.append(error)
+        else:
+            assert np.isfinite(path.places).all() and (np.diff(path.times) > 0).all()
+    assert 30 < len(errors) < 120
+    assert all(error.path is not None and error.key in names for error in errors)
 
 
 @pytest.mark.nightly

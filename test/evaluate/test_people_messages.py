@@ -17,6 +17,7 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import EvaluationError
 from humansim_ros.messages.adapters import adapter_topics
 from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.transforms import Transforms
 from humansim_ros.messages.types import made_type
 from humansim_ros.scene.simulation import Frame
 
@@ -176,6 +177,21 @@ def test_damaged_transforms_are_refused(tmp_path: Path) -> None:
     topics = {"/tracker": topic.type_name, "/tf_static": "tf2_msgs/msg/TFMessage"}
     with pytest.raises(EvaluationError, match="a transform is not finite"):
         evaluate(tmp_path / "scene.yaml", f"{write(tmp_path / 'other', topics, rows)}:/tracker")
+
+
+def test_transforms_of_a_bag_are_all_kept_and_a_loop_leads_nowhere() -> None:
+    here = np.array([0.0, 0, 0, 1])
+    for kept, first in ((2, 1.0), (None, 0.0)):
+        transforms = Transforms(kept)
+        for second in range(3):
+            place = np.array([second, 0.0, 0.0])
+            transforms.add_transform(messages.transform_message(place, here, second * 10**9, "map", "a"))
+        for stamp, x in ((-(10**18), first), (0, first), (2 * 10**9 - 1, 1.0), (10**18, 2.0)):
+            found = transforms.pose("/a", stamp)
+            assert found is not None and (found[0][0, 3], found[1]) == (x, "map")
+    for parent, child in (("b", "c"), ("c", "b")):
+        transforms.add_transform(messages.transform_message(np.zeros(3), here, 0, parent, child))
+    assert transforms.pose("b", 0) is None and transforms.pose("d", 0) is None
 
 
 def test_positions_in_the_frame_of_a_camera_of_a_recording(tmp_path: Path) -> None:

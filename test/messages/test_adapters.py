@@ -189,6 +189,7 @@ def test_another_version_is_refused(lacks: str, scene: Scene, monkeypatch: pytes
             "adapters.tracked_persons.camera",
             "the scene has fixed",
         ),
+        ({"detections_2d": {"cameras": []}}, "adapters.detections_2d.cameras", "at least one"),
         ({"people": {"frame": "a b"}}, "adapters.people.frame", "a frame of tf"),
         ({"peple": {}}, "adapters.peple", "did you mean `people`"),
         ({"people": {"topic": "odom"}}, "adapters", "there is another topic odom"),
@@ -198,7 +199,7 @@ def test_another_version_is_refused(lacks: str, scene: Scene, monkeypatch: pytes
 def test_wrong_settings_are_refused(tmp_path: Path, adapters: dict[str, Any], key: str, text: str) -> None:
     with pytest.raises(SceneError, match=text) as caught:
         scene_topics(Scene.load(write(tmp_path, adapters)))
-    assert caught.value.key == key and caught.value.path is not None
+    assert caught.value.key == key and caught.value.path is not None and caught.value.line
 
 
 def test_a_scene_without_adapters_has_the_topics_that_it_had(tmp_path: Path) -> None:

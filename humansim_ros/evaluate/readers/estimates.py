@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import BagTopic, message_types, types_of
-from humansim_ros.errors import EvaluationError, RosError, did_you_mean, printable, warn_about
+from humansim_ros.bags.topics import BagTopic, types_of
+from humansim_ros.errors import EvaluationError, did_you_mean, located, printable, warn_about
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.evaluate.readers.pose_files import ReadOptions, read_c3d, read_csv, read_json_3d, read_trc
@@ -162,7 +162,7 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
             try:
                 content = read_people(kind.type, deserialised_message(message.data, kind), options.names)
                 if content.frame_id not in ("", _WORLD):
-                    transforms = transforms or _transforms(path)
+                    transforms = _transforms(path) if transforms is None else transforms
                     content = in_world(content, transforms, is_needed=has_one_point(kind.type))
                 latency = _latency(content.stamp, message.stamp)
                 stream.add(content, kind.name, message.stamp, people[message.topic], latency)
@@ -179,27 +179,26 @@ def deserialised_message(data: Any, topic: BagTopic) -> Any:
     try:
         return types_of(topic.type, topic.definition).deserialize_cdr(bytes(data), topic.type)
     except Exception as reason:  # rosbags documents no exceptions for damaged messages
-        raise EvaluationError(f"a message cannot be read: {type(reason).__name__}: {reason}") from None
+        text = printable(f"{type(reason).__name__}: {reason}")
+        raise EvaluationError(f"a message cannot be read: {text}") from None
 
 
 def _transforms(path: str | os.PathLike[str]) -> Transforms:
-    """Transforms of tf, and poses of cameras and scanners, of a bag."""
-    found = Transforms()
+    """Transforms of tf, and poses of cameras and scanners, of a bag.
+
+    Raises:
+        EvaluationError: A message is damaged, or a transform is impossible.
+    """
+    found = Transforms(kept=None)
     with BagReader(path) as reader:
-        kinds = {each.name: each.type for each in reader.topics if each.type in (TF, _EXTRINSICS)}
-        names = [each.name for each in reader.topics]
-        for message in reader.messages(list(kinds)):
-            name = names[message.topic]
-            try:
-                if kinds[name] == TF:
+        names = [each.name for each in reader.topics if each.type in (TF, _EXTRINSICS)]
+        for message in reader.messages(names):
+            topic = reader.topics[message.topic]
+            with located(EvaluationError, path, key=topic.name):
+                if topic.type == TF:
                     found.add(bytes(message.data))
                 else:
-                    found.add_transform(message_types().deserialize_cdr(bytes(message.data), _EXTRINSICS))
-            except RosError as error:
-                raise EvaluationError(error.message, path=path, key=name) from None
-            except Exception as reason:  # rosbags documents no exceptions for damaged messages
-                text = f"a message cannot be read: {type(reason).__name__}: {reason}"
-                raise EvaluationError(text, path=path, key=name) from None
+                    found.add_transform(deserialised_message(message.data, topic))
     return found
 
 

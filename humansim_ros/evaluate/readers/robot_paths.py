@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.topics import message_types
-from humansim_ros.errors import EvaluationError, RosError, did_you_mean, printable
+from humansim_ros.errors import EvaluationError, did_you_mean, located, printable
 from humansim_ros.evaluate.nearby import RobotPath
-from humansim_ros.evaluate.readers.estimates import is_bag, split_topic
+from humansim_ros.evaluate.readers.estimates import deserialised_message, is_bag, split_topic
 from humansim_ros.evaluate.truth import FIRST_STAMP, MAX_TRUTH_FRAMES
 from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import WORLD_FRAME, to_nanoseconds
+from humansim_ros.messages.transforms import TF
 from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
@@ -51,12 +51,11 @@ def _transforms(message: Any) -> Iterator[_Part]:
         yield each.header.frame_id, each.child_frame_id, pose, each.header.stamp
 
 
-_TF = "tf2_msgs/msg/TFMessage"
 _READERS: dict[str, Callable[[Any], Iterator[_Part]]] = {
     "nav_msgs/msg/Odometry": _odometry,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _located,
     "visualization_msgs/msg/Marker": _marked,
-    _TF: _transforms,
+    TF: _transforms,
 }
 
 
@@ -119,15 +118,18 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
         kinds = {each.name: each.type for each in reader.topics}
         if topic not in kinds:
             raise EvaluationError(f"the bag has no topic {topic}{did_you_mean(topic, kinds)}", path=path)
-        others = [name for name, kind in kinds.items() if kind == _TF and kinds[topic] != _TF]
-        for message in reader.messages({topic, *others, *({_STATIC} & kinds.keys())}):
+        others = [
+            name for name, kind in kinds.items() if kind == TF and (name == _STATIC or kinds[topic] != TF)
+        ]
+        for message in reader.messages({topic, *others}):
             source = reader.topics[message.topic]
-            try:
-                content = message_types().deserialize_cdr(bytes(message.data), source.type)
+            with located(EvaluationError, path, key=source.name):
+                content = deserialised_message(message.data, source)
                 for parent, child, pose, stamp in _READERS[source.type](content):
-                    if source.type != _TF:
+                    parent, child = parent.strip("/"), child.strip("/")
+                    if source.type != TF:
                         child = base
-                    elif child == base and kinds[topic] != _TF:
+                    elif child == base and kinds[topic] != TF:
                         continue  # the topic has it
                     position, rotation = rigid_pose(pose, f"a pose of {printable(child, 80)}")
                     matrix = transform(quaternion_to_matrix(rotation), position)
@@ -135,13 +137,6 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
                     samples[child].append((to_nanoseconds(stamp), matrix))
                     if source.name == _STATIC:
                         static.add(child)
-            except RosError as error:
-                raise EvaluationError(error.message, path=path, key=source.name) from None
-            except Exception as reason:  # rosbags documents no exceptions for damaged messages
-                text = printable(f"{type(reason).__name__}: {reason}")
-                raise EvaluationError(
-                    f"a message cannot be read: {text}", path=path, key=source.name
-                ) from None
     if not samples[base]:
         raise EvaluationError(f"there is no pose of {base} on it", path=path, key=topic)
     chain, start = [base], np.eye(4)

@@ -55,14 +55,11 @@ class BridgeNode(SceneNode):
     def __init__(self, scene: Scene | None = None, name: str = "bridge", **options: Any) -> None:
         super().__init__(name, scene, **options)
         description = "Text before the frames of cameras and scanners, such as lab/"
-        topics = adapter_topics(
-            self.scene, self.text_parameter("frame_prefix", "", description), self.adapters()
-        )
+        prefix = self.text_parameter("frame_prefix", "", description)
+        topics = adapter_topics(self.scene, prefix, self.adapters(), installed=True)
         if not topics:
             text = "the scene has no adapters: name them in a section 'adapters', such as people: {}"
             raise SceneError(text, path=self.scene.path, key="adapters")
-        for topic in topics:
-            topic.package.check(installed=True)
         per_frame = [topic for topic in topics if topic.per_frame]
         self._senders = {topic.name: self.topic_publisher(topic) for topic in per_frame}
         for topic in topics:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import SceneError, did_you_mean
 from humansim_ros.io.schema import Section
 from humansim_ros.ros.nodes.bridge import BridgeNode
 from humansim_ros.ros.runtime import run_node
@@ -24,12 +24,13 @@ class HriBridgeNode(BridgeNode):
     def adapters(self) -> dict[str, Section]:
         """Return the adapter of the scene, or of the parameter. Raises SceneError without a camera."""
         camera = self.text_parameter("camera", "", "Camera that sees the people; empty: hri.camera")
-        config = self.scene.config.hri
-        if camera:
-            config = HriConfig(camera=camera)
+        known = self.scene.scene_cameras
+        if camera and camera not in known:
+            text = f"no camera {camera!r}; the scene has {', '.join(known)}{did_you_mean(camera, known)}"
+            raise SceneError(text, path=self.scene.path, key="camera")
+        config = HriConfig(camera=camera) if camera else self.scene.config.hri
         if config is None:
-            known = ", ".join(self.scene.scene_cameras)
-            text = f"name the camera that sees the people: --ros-args -p camera:=NAME ({known})"
+            text = f"name the camera that sees the people: --ros-args -p camera:=NAME ({', '.join(known)})"
             raise SceneError(text, path=self.scene.path, key="hri.camera")
         return {"hri": config}
 

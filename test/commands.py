@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import resource
+import sys
 import warnings
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 
 from humansim_ros.cli.main import main
@@ -17,6 +20,22 @@ class Done:
     returncode: int
     stdout: str
     stderr: str
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """Limit the size of files that this process writes; the system reports it as it does a full disk.
+
+    Python would cut the bytecode of modules that it imports meanwhile, and not notice it: it writes none.
+    """
+    before, writes_none = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    sys.dont_write_bytecode = True
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = writes_none
 
 
 def humansim(*words: object) -> Done:

@@ -193,7 +193,9 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[], int | Non
     except HumansimError as error:
         print_error(f"error: {error}")
         return 2
-    except typer.Abort:
+    except typer.Abort as abort:
+        if isinstance(abort.__cause__, EOFError):  # typer makes Abort of it, as of the end of a terminal
+            print_error(f"error: {_unexpected(abort.__cause__)}")
         return 1
     except OSError as error:
         give_up_output()  # the help of commands is written to it without print_text

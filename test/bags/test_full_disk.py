@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 
 import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
+from commands import largest_file
 from mcap.reader import SeekingReader
 from waiting import PATIENCE
 
@@ -26,17 +24,6 @@ PROGRAM = Path(__file__).with_name("write_until_error.py")
 
 
 OTHER_DISKS = (("mcap", 3000), ("mcap", 600_000), ("sqlite3", 3000), ("sqlite3", 1_100_000))
-
-
-@contextmanager
-def largest_file(size: int) -> Iterator[None]:
-    """Limit the size of files that this process writes; the system reports it as it does a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def fill(folder: Path, image: int, limit: int) -> tuple[str, int]:

@@ -9,14 +9,13 @@ import resource
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 import pytest
-from commands import humansim
+from commands import humansim, largest_file
 from waiting import PATIENCE
 
 from humansim_ros import Camera, HumansimError, write_calibration
@@ -56,17 +55,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@contextmanager
-def full_after(size: int) -> Iterator[None]:
-    """Files are full after some bytes, as on a full disk."""
-    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limit[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-
-
 def run_process(words: str, stdout: Any) -> tuple[int, str]:
     """Exit code and standard error of a command in a process of its own."""
     run = subprocess.run(
@@ -93,7 +81,7 @@ def run_here(words: str, stdout: TextIO) -> tuple[int, str]:
 def test_a_full_disk_leaves_the_file_of_before(words: list[str], folder: Path) -> None:
     output = folder / words[-1]
     output.write_text("before")
-    with full_after(50):
+    with largest_file(50):
         done = humansim(*words)
     said = done.stderr
     assert done.returncode in (1, 2) and said.count("\n") == 1 and said.startswith("error: "), said

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import resource
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 import ros_support  # noqa: F401  # skips without ROS
 import yaml
+from commands import largest_file
 from export_support import SCENE, content, index_of, job, small_scene
 
 from humansim_ros import HumansimError, HumansimWarning, Scene
@@ -146,13 +146,9 @@ def test_a_full_disk_leaves_whole_files_of_a_bag(limit: int, file: str, tmp_path
     export(bag_job(tmp_path / "whole", bag, formats))
     root = tmp_path / "out"
     made = bag_job(root, bag, formats)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
-    try:
-        with pytest.raises(HumansimError, match=f"{file}: cannot be written: File too large"):
-            export(made)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    message = f"{file}: cannot be written: File too large"
+    with largest_file(limit), pytest.raises(HumansimError, match=message):
+        export(made)
     assert not (root / file).exists()
     export(made, resume=True)
     assert content(root) == content(tmp_path / "whole")

@@ -606,6 +606,8 @@ class RecorderProcess:
             self.process = subprocess.Popen(
                 [*NODE, "recorder", "--ros-args", *(word for each in given for word in ("-p", each))],
                 cwd=ROOT,
+                # with a limit, Python would cut the bytecode of its modules
+                env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
                 stdout=file,
                 stderr=subprocess.STDOUT,
                 preexec_fn=(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))

@@ -286,13 +286,16 @@ def _unwritten(data_set: DataSet, resume: bool) -> Sequence[int]:
     if not resume:
         raise ExportError("this path exists; choose another one, or continue with --resume", path=root)
     index = read_data_set(root)
-    there, plan = index.get("plan", {}), data_set.plan
-    if differing := [key for key in plan if there.get(key) != plan[key]]:
+    before, plan = index.get("plan", {}), data_set.plan
+    if differing := [key for key in plan if before.get(key) != plan[key]]:
         texts = (
-            "the recipe has changed" if key == "hash" else f"{key}: {there.get(key)} there, {plan[key]} now"
+            "the recipe has changed" if key == "hash" else f"{key}: {before.get(key)} there, {plan[key]} now"
             for key in differing
         )
         raise ExportError(f"this folder has another data set: {'; '.join(texts)}", path=root)
+    there = sorted(folder.name for folder in root.glob("*/scene_*"))
+    if there and there[-1] > f"scene_{numbers[-1]:06d}":
+        raise ExportError(f"this folder has {there[-1]}, and {len(numbers)} scenes are fewer", path=root)
     return [number for number in numbers if not data_set.is_written(number)]
 
 

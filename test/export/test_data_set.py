@@ -200,6 +200,10 @@ def test_more_scenes_are_added_and_others_stay(whole: Path, tmp_path: Path) -> N
     scenes = [name for name in before if "/" in name]
     assert len(scenes) == 30 and all(after[name] == before[name] for name in scenes)
     assert len(json.loads(after["index.json"])["scenes"]) == 4
+    # fewer would leave scenes that the pages name, but the index does not
+    with pytest.raises(ExportError, match="this folder has scene_000003, and 2 scenes are fewer"):
+        write_data_set(data_set(tmp_path, root, scenes=2), resume=True)
+    assert content(root) == after
 
 
 def test_an_interrupted_data_set_continues_with_the_same_files(whole: Path, tmp_path: Path) -> None:
@@ -276,6 +280,7 @@ def humansim(*words: str | Path) -> subprocess.CompletedProcess[str]:
     [
         (["--frames", "3"], "error: --frames: the recipe has it: set its key frames\n"),
         (["--license", "MIT"], "error: --license: the recipe has it: set its key about.license\n"),
+        (["--shard-size", "5000"], "error: --shard-size: a recipe has no such key\n"),
         (["--scenes", "0"], "--scenes"),
     ],
 )

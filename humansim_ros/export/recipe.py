@@ -252,7 +252,7 @@ class Recipe:
             try:
                 check()
             except HumansimError as error:
-                raise recipe._error(key, error.message) from None
+                raise recipe.error_at(key, error.message) from None
         recipe._check_pool()
         draws = list(recipe._draws())
         recipe = cls(recipe.path, config, tree, recipe._split_bodies())
@@ -309,7 +309,7 @@ class Recipe:
             texts[key] = text
         key, count = failed.most_common(1)[0]
         draws = self.config.attempts
-        raise self._error(
+        raise self.error_at(
             key,
             f"scene {number} ({self.splits[number]}) cannot be drawn: {count} of {draws} draws failed here, "
             f"the last one because {texts[key]}",
@@ -358,7 +358,7 @@ class Recipe:
             left = [body for body in left if body not in of]
             missing = [name for name in shares if name not in {of.get(body) for body in bodies}]
             if len(missing) > len(left):
-                raise self._error(
+                raise self.error_at(
                     ".".join(map(str, keys)),
                     f"{len(shares)} splits need as many bodies, so that nobody is in two of them, and here "
                     f"are {len(bodies)}: name more, or draw people (variety.people)",
@@ -389,10 +389,10 @@ class Recipe:
             return
         variety = self.config.scene.get("variety")
         if not isinstance(variety, dict) or "people" not in variety:
-            raise self._error("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
+            raise self.error_at("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
         given = set(_shared(self.config.splits, self.config.pool))
         if missing := [name for name, share in self.config.splits.items() if share and name not in given]:
-            raise self._error("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
+            raise self.error_at("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
 
     def _share_pool(self, variety: Any, number: int) -> None:
         """Give a scene the people of the pool that are of its split, in place of new ones."""
@@ -407,7 +407,7 @@ class Recipe:
         splits = enumerate(_shared(self.config.splits, self.config.pool))
         numbers = [each for each, split in splits if split == self.splits[number]]
         if not numbers:
-            raise self._error(
+            raise self.error_at(
                 "pool", f"no person is left for the split {self.splits[number]}: give more people"
             )
         shuffled = sorted(numbers, key=lambda each: _order(self.config.seed, f"{each} in scene {number}"))
@@ -427,7 +427,7 @@ class Recipe:
     def _check_fixed_bodies(self, config: SceneConfig, number: int) -> None:
         for name, human in config.humans.items():
             if not self.is_of_split(str(human.body), number):
-                raise self._error(
+                raise self.error_at(
                     f"scene.humans.{name}.body",
                     f"{human.body} would be in several splits: give a choice with a body for each split",
                 )
@@ -480,8 +480,8 @@ class Recipe:
             if given:
                 key = next((".".join(map(str, keys)) for keys in given if _is_part(key, keys)), key)
                 shown = next(iter(given.values()))
-                raise self._error(key, f"with {shown!r}: {error.message}") from None
-            raise self._error(key, error.message + self._hint(key)) from None
+                raise self.error_at(key, f"with {shown!r}: {error.message}") from None
+            raise self.error_at(key, error.message + self._hint(key)) from None
 
     def _check_file(self, keys: Keys, name: str) -> None:
         """Check that a body, a motion or a file exists."""
@@ -551,7 +551,7 @@ class Recipe:
             return ".".join(words)
         return ".".join(["scene", *filter(None, words)])
 
-    def _error(self, key: str, message: str) -> ExportError:
+    def error_at(self, key: str, message: str) -> ExportError:
         """An error at a key of the recipe, or at the deepest key above it that the file has."""
         content: Any = self.config.model_dump()
         known: list[str] = []

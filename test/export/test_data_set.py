@@ -243,6 +243,12 @@ def test_a_scene_that_fails_does_not_lose_the_others(
     assert "1 of 3 scenes could not be drawn" in (root / "README.md").read_text()
 
 
+def test_a_format_that_a_scene_cannot_have_names_the_key_of_the_recipe(tmp_path: Path) -> None:
+    lasers = data_set(tmp_path, tmp_path / "out", scenes=1, splits={"train": 1}, formats=["kitti"])
+    with pytest.raises(ExportError, match=r"recipe.yaml:\d+: formats: scene 0: kitti needs a laser scanner"):
+        write_data_set(lasers)
+
+
 def test_a_recipe_that_no_scene_fulfils_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(self: Recipe, number: int) -> Any:
         raise ExportError(f"scene {number} cannot be drawn", path="recipe.yaml", line=3)

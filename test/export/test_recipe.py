@@ -188,6 +188,7 @@ def test_no_body_is_in_two_splits(tmp_path: Path) -> None:
         ({"scene.humans": {"anna": "child"}}, "scene.humans.anna", "2 splits need as many bodies"),
         ({"scene.lihgt": {}}, "scene.lihgt", "did you mean `light`?"),
         ({"scene.light": {"strength": {"normal": [1, 0.1, 9, 9.5]}}}, "scene.light.strength", "nearly no"),
+        ({"scene.light": {"strength": {"normal": [1, 0, 0, 2]}}}, "scene.light.strength.normal.1", "above 0"),
         ({"scene.world": {"meshes": ["hall.obj"]}}, "scene.world.meshes.0", "no such file"),
         ({"pool": 1, "scene.variety.people": {}}, "pool", "nobody is left for the split test"),
         ({"pool": 9}, "pool", "give scene.variety.people"),

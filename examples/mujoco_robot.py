@@ -1,7 +1,7 @@
 """A robot of MuJoCo drives among the people of a scene, in lockstep; its cameras are ours.
 
-    humansim export scene.yaml --frames 1 --format mujoco -o world
-    python examples/mujoco_robot.py scene.yaml world/mujoco/scene.xml &
+    humansim export scene.yaml --frames 1 --format mujoco -o robot_world
+    python examples/mujoco_robot.py scene.yaml robot_world/mujoco/scene.xml &
     humansim run scene.yaml --lockstep
 
 ``scene.yaml`` is in docs/simulators.md: its robot has ``odometry: /odom``, and frames wait for this topic.

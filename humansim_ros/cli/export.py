@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from humansim_ros.jobs.frame_job import FrameProgress
 
 
+#: Default of ``--shard-size``, bytes.
+_SHARD_SIZE = 1_000_000_000
+
+
 class _ImageFormat(str, Enum):
     png = "png"
     jpg = "jpg"
@@ -81,7 +85,7 @@ def export(
     images: Annotated[_ImageFormat, typer.Option(help="Format of colour images.")] = _ImageFormat.png,
     shard_size: Annotated[
         int, typer.Option(metavar="BYTES", help="Size of the shards of webdataset in bytes.", min=1)
-    ] = 1_000_000_000,
+    ] = _SHARD_SIZE,
     license_: Annotated[
         str,
         typer.Option(
@@ -129,8 +133,12 @@ def export(
         for option, (key, is_given) in recipe_keys.items():
             if is_given:
                 raise ExportError(f"the recipe has it: set its key {key}", key=option)
+        if shard_size != _SHARD_SIZE:
+            raise ExportError("a recipe has no such key", key="--shard-size")
         _export_recipe(scene, Path(output), scenes, jobs or cores(), resume, ray)
         return
+    if scene is not None and not scene.exists():
+        raise ExportError("no such scene file, recipe or bag; check the path", path=scene)
     if scenes is not None:
         raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
     if frames is not None and range_ is not None:

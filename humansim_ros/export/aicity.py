@@ -22,6 +22,7 @@ from humansim_ros.export.writer import (
     FormatWriter,
     Record,
     corner_matrix,
+    warn_of_lenses,
 )
 
 #: Classes of the challenge in the order of their numbers.
@@ -78,6 +79,8 @@ class AiCityWriter(FormatWriter):
         """Write the files."""
         cameras = self.settings.scene.cameras
         frames = dict(records)
+        lenses = {name: known.camera for name, known in cameras.items()}
+        warn_of_lenses("AI City", lenses, has_skew=True)
         folder.write("ground_truth.json", json.dumps({str(index): frames[index] for index in frames}))
         lines = [
             _line(index, person["object id"], [person[key] for key in _NUMBERS])

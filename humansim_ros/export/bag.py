@@ -222,8 +222,8 @@ class _Survey:
         raise ExportError(f"the format {row.name} {text}", path=self._reader.path, key="--format")
 
     def _camera_names(self) -> list[str]:
-        """Cameras: names in front of the topics that only cameras have."""
-        ends = ("camera_info", "extrinsics", "image_raw", "joints/legend", "boxes")
+        """Cameras: names in front of the topics that only cameras have; scanners have extrinsics, too."""
+        ends = ("camera_info", "image_raw", "joints/legend", "boxes")
         split = (topic.removeprefix("/").partition("/") for topic in self._topics)
         names = dict.fromkeys(name for name, _, rest in split if rest.startswith(ends))
         cameras = [name for name in names if name not in ("humans", "objects")]

@@ -9,6 +9,7 @@ from typing import Any
 
 from humansim_ros import __version__
 from humansim_ros.export.writer import ExportFolder, FormatWriter, Record
+from humansim_ros.scene.about_config import AboutConfig
 
 #: Name of the card, in the root of the export.
 CARD = "croissant.json"
@@ -106,19 +107,16 @@ class CroissantWriter(FormatWriter):
         settings = self.settings
         scene = settings.scene
         first, last = settings.frames[0], settings.frames[-1]
-        links = settings.license_links
+        made = (
+            f"Synthetic ground truth of {len(scene.people)} people seen by {len(scene.cameras)} cameras: "
+            f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
+            f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
+        )
         return {
             "@context": _CONTEXT,
             "@type": "sc:Dataset",
             "conformsTo": "http://mlcommons.org/croissant/1.0",
-            "name": scene.title,
-            "description": (
-                f"Synthetic ground truth of {len(scene.people)} people seen by {len(scene.cameras)} cameras: "
-                f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
-                f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
-            ),
-            **({"license": [url or name for name, url in links.items()]} if links else {}),
-            "version": "1.0.0",
+            **card_header(scene.about, scene.title, made, settings.license_links),
             "distribution": [*files, *self._image_sets()],
             "recordSet": [_image_records(camera) for camera in settings.cameras],
         }
@@ -147,6 +145,31 @@ def _image_records(camera: str) -> dict[str, Any]:
         _field(f"{name}/image", "sc:ImageObject", files, {"fileProperty": "content"}),
     ]
     return _records(name, fields, key={"@id": f"{name}/frame"})
+
+
+def card_header(about: AboutConfig, name: str, made: str, licenses: Mapping[str, str]) -> dict[str, Any]:
+    """Properties of a data set that its card begins with.
+
+    Args:
+        about: What its author says of it.
+        name: Its name.
+        made: What it has, and how it was made: a sentence or more.
+        licenses: Licences by name, with the addresses of their texts; empty: not known.
+    """
+    authors = ", ".join(about.creators) or "humansim_ros"
+    stated = {
+        "license": [address or license for license, address in licenses.items()],
+        "creator": [{"@type": "sc:Person", "name": each} for each in about.creators],
+        "datePublished": about.date,
+        "url": about.url,
+    }
+    return {
+        "name": name,
+        "description": " ".join(filter(None, (about.description, made))),
+        "citeAs": about.citation or f"{authors}: {about.title or name}, {about.version}",
+        "version": about.version,
+        **{key: value for key, value in stated.items() if value},
+    }
 
 
 def data_set_card(

@@ -41,6 +41,8 @@ _LAYOUT = 1
 HASHES, README, DATASHEET = "SHA256SUMS", "README.md", "datasheet.html"
 #: The scene in its folder.
 SCENE_FILE = "scene.yaml"
+#: Keys of a recipe for the options of an export of one scene.
+_RECIPE_KEYS = {"--format": "formats", "--frames": "frames"}
 #: Scenes of a task of a cluster.
 _PART_SCENES = 10
 #: Scenes that fail before a data set is given up, if they are more than half of all so far.
@@ -175,7 +177,12 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
         source, range(config.frames), f".{config.images}", license=config.about.license or ""
     )
     job = Export(source, plan, folder, {SCENE_FILE: _scene_text(data_set, drawn, folder)})
-    return export(job, resume=True).size
+    try:
+        return export(job, resume=True).size
+    except ExportError as error:
+        if error.key in _RECIPE_KEYS:
+            raise recipe.error_at(_RECIPE_KEYS[error.key], f"scene {drawn.number}: {error.message}") from None
+        raise
 
 
 def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
@@ -286,13 +293,16 @@ def _unwritten(data_set: DataSet, resume: bool) -> Sequence[int]:
     if not resume:
         raise ExportError("this path exists; choose another one, or continue with --resume", path=root)
     index = read_data_set(root)
-    there, plan = index.get("plan", {}), data_set.plan
-    if differing := [key for key in plan if there.get(key) != plan[key]]:
+    before, plan = index.get("plan", {}), data_set.plan
+    if differing := [key for key in plan if before.get(key) != plan[key]]:
         texts = (
-            "the recipe has changed" if key == "hash" else f"{key}: {there.get(key)} there, {plan[key]} now"
+            "the recipe has changed" if key == "hash" else f"{key}: {before.get(key)} there, {plan[key]} now"
             for key in differing
         )
         raise ExportError(f"this folder has another data set: {'; '.join(texts)}", path=root)
+    there = sorted(folder.name for folder in root.glob("*/scene_*"))
+    if there and there[-1] > f"scene_{numbers[-1]:06d}":
+        raise ExportError(f"this folder has {there[-1]}, and {len(numbers)} scenes are fewer", path=root)
     return [number for number in numbers if not data_set.is_written(number)]
 
 
@@ -336,7 +346,7 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
             for body in (person["body"] for person in statistics["people"].values()):
                 if split_of.setdefault(body, split) != split:
                     raise ExportError(f"{body} is in {split_of[body]} and in {split} ({name})", path=root)
-            licenses |= dict.fromkeys(index["licenses"].values())
+            licenses |= dict.fromkeys(filter(None, (index.get("license"), *index["licenses"].values())))
             scenes[name] = {
                 "split": split,
                 "people": {name: person["body"] for name, person in statistics["people"].items()},

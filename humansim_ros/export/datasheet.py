@@ -19,18 +19,24 @@ import numpy as np
 import yaml
 
 from humansim_ros.drawing.markup import Markup, element, joined, page, picture, section, svg, table
+from humansim_ros.export.croissant import card_header
 from humansim_ros.export.recipe import RecipeConfig
-from humansim_ros.export.statistics import ANGLES, HISTOGRAMS, Totals
+from humansim_ros.export.statistics import ANGLES, HISTOGRAMS, Histogram, Totals
 from humansim_ros.export.writer import LICENSES, frame_name
 from humansim_ros.humans.makehuman.population import MONK_TONES
 
-#: Address of the project, and the paper of the questions.
+#: The paper of the questions.
 _PAPER = "https://doi.org/10.1145/3458723"
 _INK, _PALE, _BAR, _LINE = "#1d2433", "#6b7385", "#2f6fab", "#dfe3ea"
 #: Size of a plot, and its margins, pixels.
 _WIDTH, _HEIGHT, _MARGIN, _TOP, _BOTTOM = 330, 170, 12, 30, 34
 #: Example images, and their width in pixels.
 _EXAMPLES, _EXAMPLE_WIDTH = 8, 264
+#: Traits of people as quantities.
+_TRAITS = {
+    "age": Histogram("Age", "years", "people", 0, 10, 9),
+    "stature": Histogram("Stature", "m", "people", 0.6, 0.1, 17),
+}
 #: Rows of a list of counts.
 _MOST_ROWS = 10
 _STYLE = """
@@ -79,14 +85,13 @@ class DataSetSummary:
         return self.config.about.title or self.config.recipe
 
     @property
-    def description(self) -> str:
-        """What it is, in a sentence or more."""
+    def made(self) -> str:
+        """What it has, and how it was made, in a sentence."""
         totals = self.totals
-        made = (
+        return (
             f"{totals.images} synthetic images with ground truth of {len(totals.people)} people in "
             f"{totals.scenes} scenes, drawn from a recipe by humansim_ros {self.versions['humansim_ros']}."
         )
-        return f"{self.config.about.description} {made}" if self.config.about.description else made
 
     @cached_property
     def license_links(self) -> dict[str, str]:
@@ -94,27 +99,10 @@ class DataSetSummary:
         own = [self.config.about.license] if self.config.about.license else []
         return {name: LICENSES.get(name, name) for name in dict.fromkeys([*own, *self.licenses])}
 
-    @property
+    @cached_property
     def card(self) -> dict[str, Any]:
         """Properties of the data card."""
-        about = self.config.about
-        citation = (
-            about.citation or f"{', '.join(about.creators) or 'humansim_ros'}: {self.title}, {about.version}"
-        )
-        return {
-            "name": self.config.recipe,
-            "description": self.description,
-            "citeAs": citation,
-            "version": about.version,
-            **({"license": list(self.license_links.values())} if self.license_links else {}),
-            **(
-                {"creator": [{"@type": "sc:Person", "name": name} for name in about.creators]}
-                if about.creators
-                else {}
-            ),
-            **({"datePublished": about.date} if about.date else {}),
-            **({"url": about.url} if about.url else {}),
-        }
+        return card_header(self.config.about, self.config.recipe, self.made, self.license_links)
 
 
 # -- answers, for both pages
@@ -134,7 +122,10 @@ def _answers(summary: DataSetSummary) -> dict[str, dict[str, str]]:
     unknown, require, missing = "The recipe does not say.", config.require, config.scenes - totals.scenes
     drawn = sum("age" in person for person in totals.people.values())
     files = f"; in further files {', '.join(config.formats)}" if config.formats else ""
-    wanted = [f"at least {require.cameras} cameras see each person"] if require.cameras else []
+    wanted = []
+    if require.cameras:
+        wanted = [f"at least {require.cameras} cameras see {100 * require.visible:g} % of each person"]
+        wanted[0] += f", {require.pixels:g} pixels high" if require.pixels else ""
     wanted += ["scenes have no finding of humansim check"] if require.clean else []
     made_with = ", ".join(f"{name} {value}" for name, value in summary.versions.items())
     links = [name if name == url else f"{name} ({url})" for name, url in summary.license_links.items()]
@@ -279,9 +270,9 @@ def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
     yield (
         "People",
         [
-            _numbers("Age", "years", [person["age"] for person in people if "age" in person], 0, 10, 9),
-            _numbers(
-                "Stature", "m", [person["stature"] for person in people if "stature" in person], 0.6, 0.1, 17
+            *(
+                _columns(row, row.count(person[key] for person in people if key in person), (0, row.bins))
+                for key, row in _TRAITS.items()
             ),
             _bars("Sex", Counter(person.get("sex", "not known") for person in people)),
             _skin(Counter(person["skin"] for person in people if "skin" in person)),
@@ -300,46 +291,32 @@ def _plots(summary: DataSetSummary) -> Iterator[tuple[str, list[Markup]]]:
         yield title, plots
 
 
-def _numbers(title: str, unit: str, values: Sequence[float], low: float, width: float, bins: int) -> Markup:
-    """Histogram of some values."""
-    numbers = np.clip(np.floor((np.array(values) - low) / width + 1e-9), 0, bins - 1).astype(int)
-    return _columns(title, unit, "people", Counter(numbers.tolist()), low, width, (0, bins))
-
-
 def _histogram(name: str, totals: Totals) -> Markup:
     """Histogram of a quantity, from its first to its last bin with values."""
     row, counts = HISTOGRAMS[name], totals.histograms[name]
     used = sorted(number for number, count in counts.items() if count)
     span = (used[0], used[-1] + 1) if used else (0, 1)
-    return _columns(row.title, row.unit, row.of, counts, row.low, row.width, span)
+    return _columns(row, counts, span)
 
 
-def _columns(
-    title: str,
-    unit: str,
-    of: str,
-    counts: Mapping[int, int],
-    low: float,
-    width: float,
-    span: tuple[int, int],
-) -> Markup:
+def _columns(row: Histogram, counts: Mapping[int, int], span: tuple[int, int]) -> Markup:
     """Columns of the bins from the first up to, but not including, the last of a span."""
     first, last = span
     most = max((counts.get(number, 0) for number in range(*span)), default=0) or 1
     step, bottom = (_WIDTH - 2 * _MARGIN) / (last - first), _HEIGHT - _BOTTOM
-    shapes = [_title(title)]
+    shapes = [_title(row.title)]
     shapes.append(element("line", x1=_MARGIN, y1=bottom, x2=_WIDTH - _MARGIN, y2=bottom, stroke=_LINE))
     for number in (each for each in range(first, last) if counts.get(each)):
         height = max(1.0, (bottom - _TOP) * counts[number] / most)
         x = _MARGIN + step * (number - first) + 0.5
         bar = element("rect", x=x, y=bottom - height, width=max(step - 1, 1.0), height=height, fill=_BAR)
-        ends = f"{low + number * width:.4g} to {low + (number + 1) * width:.4g} {unit}"
+        ends = f"{row.edge(number):.4g} to {row.edge(number + 1):.4g} {row.unit}"
         shapes.append(element("g", element("title", f"{ends}: {counts[number]:,}"), bar))
-    is_count = width == 1 and not unit
+    is_count = row.width == 1 and not row.unit
     for number in range(first, last + (not is_count), max(1, -(-(last - first) // 6))):
         x = _MARGIN + step * (number - first + 0.5 * is_count)
-        shapes.append(_text(f"{low + number * width:.4g}", x, bottom + 14, "middle"))
-    shapes.append(_note(counts, most, of, unit))
+        shapes.append(_text(f"{row.edge(number):.4g}", x, bottom + 14, "middle"))
+    shapes.append(_note(counts, most, row.of, row.unit))
     return svg(shapes, _WIDTH, _HEIGHT)
 
 
@@ -435,7 +412,7 @@ def _ranges(totals: Totals) -> Markup:
 def readme(summary: DataSetSummary) -> str:
     """README.md with the header that ``datasets`` reads: splits, licence and sizes."""
     text = [f"---\n{yaml.safe_dump(_front_matter(summary), sort_keys=False, allow_unicode=True)}---"]
-    text += [f"# {summary.title}", summary.description]
+    text += [f"# {summary.title}", summary.card["description"]]
     rows = [_SPLIT_HEADER, ("---",) * len(_SPLIT_HEADER), *_split_rows(summary)]
     text.append("\n".join(f"| {' | '.join(row)} |" for row in rows))
     text.append(

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from humansim_ros.errors import ExportError
 from humansim_ros.io.schema import Section
-from humansim_ros.io.schema_errors import validated
+from humansim_ros.io.schema_errors import Expected, validated
 from humansim_ros.scene.randomise import RandomNumbers
 
 #: Most options of a choice, and options that are tried when a recipe is read.
@@ -67,7 +67,10 @@ class IntegerDraw(Section):
 class NormalDraw(Section):
     """A number of a normal distribution: mean, standard deviation, and the least and greatest value."""
 
-    normal: tuple[float, Annotated[float, Field(gt=0)], float, float]
+    normal: Annotated[
+        tuple[float, Annotated[float, Field(gt=0)], float, float],
+        Expected("mean, standard deviation above 0, least and greatest value"),
+    ]
 
     @model_validator(mode="after")
     def _rises(self) -> NormalDraw:

@@ -26,7 +26,7 @@ from humansim_ros.export.animation import (
     painted,
     warn_of_curved_skinning,
 )
-from humansim_ros.export.writer import ExportFolder, Record
+from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.io.npz import npz_bytes
 from humansim_ros.mesh.mesh import Mesh, split_seams
 from humansim_ros.render.lighting import Lighting
@@ -89,6 +89,7 @@ class MujocoModel:
         self.world = _add(self._root, "worldbody")
         _add(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
         warn_of_curved_skinning(scene.people, "MuJoCo")
+        warn_of_lenses("MuJoCo", {name: camera for name, (camera, _) in scene.cameras.items()})
         bones = [f"{name}.{bone}" for name, p in scene.people.items() for bone in p.human.skeleton.names]
         cameras = [f"camera_{name}" for name in scene.cameras]
         self._names = identifiers([*cameras, *(f"{name}." for name in scene.objects), *bones], _LONGEST)
@@ -184,9 +185,6 @@ class MujocoModel:
 
     def _add_camera(self, name: str, camera: Camera, track: PoseTrack) -> None:
         """Add a camera with the focal lengths and principal point of its calibration."""
-        for what, missing in (("lens distortion", camera.distorted), ("skew", camera.K[0, 1] != 0)):
-            if missing:
-                warn_about(f"MuJoCo camera {name}", f"MuJoCo has no {what}: the camera is without")
         turned = multiply_quaternions(track.rotations, np.broadcast_to(_FROM_OPTICAL, track.rotations.shape))
         track = PoseTrack(track.positions, turned, track.sizes)
         (width, height), k = camera.size, camera.K

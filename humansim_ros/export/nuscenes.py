@@ -23,6 +23,7 @@ from humansim_ros.export.writer import (
     FormatWriter,
     Record,
     frame_name,
+    warn_of_lenses,
 )
 from humansim_ros.rotations import invert_rigid, matrix_to_quaternion, quaternion_to_matrix, transform
 from humansim_ros.scene import Frame
@@ -82,6 +83,8 @@ class NuScenesWriter(FormatWriter):
         if not samples:
             text = "in none of these frames, a sweep of each scanner ends and all cameras take a picture"
             raise ExportError(text, key="--frames")
+        cameras = {name: known.camera for name, known in self.settings.scene.cameras.items()}
+        warn_of_lenses("nuScenes", cameras, has_skew=True)
         files = {_camera(name): name for name in self.settings.cameras}
         for index, record in frames.items():
             for channel, name in files.items():

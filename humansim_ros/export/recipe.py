@@ -6,7 +6,6 @@ number of scenes, or another distribution of one value, leaves the others as the
 
 from __future__ import annotations
 
-import datetime
 import hashlib
 import json
 import math
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, Field, StringConstraints, field_validator
+from pydantic import Field, StringConstraints, field_validator
 
 from humansim_ros.errors import (
     CameraError,
@@ -47,9 +46,11 @@ from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.motion.files import find_motion
 from humansim_ros.scene import Scene, SceneConfig, Simulation, check_scene
+from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.camera_config import Vector3
 from humansim_ros.scene.config import (
     LIVE,
+    RECIPE,
     PeopleConfig,
     RoomConfig,
     check_config,
@@ -64,8 +65,6 @@ from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 if TYPE_CHECKING:
     import yaml
 
-#: Key that makes a YAML file a recipe: the name of the data set.
-MARK = "recipe"
 #: Most scenes of a data set, and frames of a scene.
 MAX_SCENES, MAX_SCENE_FRAMES = 1_000_000, 100_000
 #: Seeds are below: they are whole numbers in JSON, and two scenes hardly ever have the same.
@@ -92,42 +91,13 @@ _Split = Annotated[
     StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=40),
     Expected("a name of small letters, digits and _"),
 ]
-_Line = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
 
 
-class AboutConfig(Section):
-    """What a data card says of the data set."""
+class DataSetAbout(AboutConfig):
+    """What a data card says of a data set of many scenes."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "creators": "authors author creator",
-        "license": "licence",
-        "citation": "cite bibtex citeAs",
-        "date": "published datePublished",
-    }
+    other_words: ClassVar[dict[str, str]] = {**AboutConfig.other_words, "license": "licence"}
 
-    title: _Line | None = Field(default=None, description="title; the name of the recipe if absent")
-    description: _Line | None = Field(default=None, description="what the data set is for")
-    creators: tuple[_Line, ...] = Field(default=(), max_length=100, description="people or organisations")
-    citation: _Line | None = Field(default=None, description="how to cite it, as text or BibTeX")
-    date: Annotated[
-        str | None,
-        BeforeValidator(lambda value: value.isoformat() if isinstance(value, datetime.date) else value),
-        StringConstraints(pattern=r"^\d{4}-\d{2}-\d{2}$"),
-        Expected("a date, such as 2026-11-28"),
-    ] = Field(default=None, description="date of publication")
-    version: Annotated[
-        str,
-        StringConstraints(pattern=r"^\d+\.\d+\.\d+$"),
-        Expected("a text with three numbers, such as 1.0.0"),
-    ] = Field(default="1.0.0", description="version of the data set")
-    url: (
-        Annotated[
-            str,
-            StringConstraints(pattern=r"^https?://\S+$", max_length=2000),
-            Expected("an address, such as https://example.org"),
-        ]
-        | None
-    ) = Field(default=None, description="address of its page")
     license: str | None = Field(default=None, description="licence, such as CC-BY-4.0, or its address")
 
     _license_is_a_line = field_validator("license")(checked_license)
@@ -204,7 +174,7 @@ class RecipeConfig(Section):
         description="number of different people whom variety.people draws; new ones in each scene if absent",
     )
     attempts: int = Field(default=20, ge=1, le=10_000, description="draws of a scene before it is given up")
-    about: AboutConfig = AboutConfig()
+    about: DataSetAbout = DataSetAbout()
     require: RequireConfig = RequireConfig()
     ring: RingConfig | None = Field(default=None, description="cameras around the people")
     scene: dict[str, Any] = Field(description="keys of a scene; each value may be a distribution")
@@ -282,7 +252,7 @@ class Recipe:
             try:
                 check()
             except HumansimError as error:
-                raise recipe._error(key, error.message) from None
+                raise recipe.error_at(key, error.message) from None
         recipe._check_pool()
         draws = list(recipe._draws())
         recipe = cls(recipe.path, config, tree, recipe._split_bodies())
@@ -339,7 +309,7 @@ class Recipe:
             texts[key] = text
         key, count = failed.most_common(1)[0]
         draws = self.config.attempts
-        raise self._error(
+        raise self.error_at(
             key,
             f"scene {number} ({self.splits[number]}) cannot be drawn: {count} of {draws} draws failed here, "
             f"the last one because {texts[key]}",
@@ -388,7 +358,7 @@ class Recipe:
             left = [body for body in left if body not in of]
             missing = [name for name in shares if name not in {of.get(body) for body in bodies}]
             if len(missing) > len(left):
-                raise self._error(
+                raise self.error_at(
                     ".".join(map(str, keys)),
                     f"{len(shares)} splits need as many bodies, so that nobody is in two of them, and here "
                     f"are {len(bodies)}: name more, or draw people (variety.people)",
@@ -419,10 +389,10 @@ class Recipe:
             return
         variety = self.config.scene.get("variety")
         if not isinstance(variety, dict) or "people" not in variety:
-            raise self._error("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
+            raise self.error_at("pool", "a pool is of drawn people: give scene.variety.people, such as {}")
         given = set(_shared(self.config.splits, self.config.pool))
         if missing := [name for name, share in self.config.splits.items() if share and name not in given]:
-            raise self._error("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
+            raise self.error_at("pool", f"nobody is left for the split {missing[0]}: give a larger pool")
 
     def _share_pool(self, variety: Any, number: int) -> None:
         """Give a scene the people of the pool that are of its split, in place of new ones."""
@@ -437,7 +407,7 @@ class Recipe:
         splits = enumerate(_shared(self.config.splits, self.config.pool))
         numbers = [each for each, split in splits if split == self.splits[number]]
         if not numbers:
-            raise self._error(
+            raise self.error_at(
                 "pool", f"no person is left for the split {self.splits[number]}: give more people"
             )
         shuffled = sorted(numbers, key=lambda each: _order(self.config.seed, f"{each} in scene {number}"))
@@ -457,7 +427,7 @@ class Recipe:
     def _check_fixed_bodies(self, config: SceneConfig, number: int) -> None:
         for name, human in config.humans.items():
             if not self.is_of_split(str(human.body), number):
-                raise self._error(
+                raise self.error_at(
                     f"scene.humans.{name}.body",
                     f"{human.body} would be in several splits: give a choice with a body for each split",
                 )
@@ -510,8 +480,8 @@ class Recipe:
             if given:
                 key = next((".".join(map(str, keys)) for keys in given if _is_part(key, keys)), key)
                 shown = next(iter(given.values()))
-                raise self._error(key, f"with {shown!r}: {error.message}") from None
-            raise self._error(key, error.message + self._hint(key)) from None
+                raise self.error_at(key, f"with {shown!r}: {error.message}") from None
+            raise self.error_at(key, error.message + self._hint(key)) from None
 
     def _check_file(self, keys: Keys, name: str) -> None:
         """Check that a body, a motion or a file exists."""
@@ -564,7 +534,7 @@ class Recipe:
             key = "cameras"
         raise _Unmet(
             f"require.{key}",
-            f"{len(seen)} of {len(boxes)} cameras see {name} in frame {index}, and {require.cameras} must",
+            f"{len(seen)} of the {len(boxes)} cameras see {name} in frame {index}, not {require.cameras}",
         )
 
     def _key_of(self, key: str | None) -> str:
@@ -581,7 +551,7 @@ class Recipe:
             return ".".join(words)
         return ".".join(["scene", *filter(None, words)])
 
-    def _error(self, key: str, message: str) -> ExportError:
+    def error_at(self, key: str, message: str) -> ExportError:
         """An error at a key of the recipe, or at the deepest key above it that the file has."""
         content: Any = self.config.model_dump()
         known: list[str] = []
@@ -755,4 +725,4 @@ def is_recipe(path: Path) -> bool:
     if path.suffix.lower() not in (".yaml", ".yml") or not exists(path) or not path.is_file():
         return False
     content, _ = read_yaml(path, ExportError, "scene or recipe")
-    return isinstance(content, dict) and MARK in content
+    return isinstance(content, dict) and RECIPE in content

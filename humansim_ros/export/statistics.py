@@ -61,13 +61,13 @@ class Histogram:
     width: float
     bins: int
 
-    def count(self, values: Iterable[float]) -> dict[str, int]:
+    def count(self, values: Iterable[float]) -> dict[int, int]:
         """Number of finite values by bin, without empty bins."""
         known = np.array([value for value in values if np.isfinite(value)])
         # a value at an edge belongs to the bin above it, also where the division rounds down
         bins = np.clip(np.floor((known - self.low) / self.width + 1e-9), 0, self.bins - 1).astype(int)
         numbers = Counter(bins.tolist())
-        return {str(number): numbers[number] for number in sorted(numbers)}
+        return {number: numbers[number] for number in sorted(numbers)}
 
     def edge(self, number: float) -> float:
         """Start of a bin."""

@@ -12,7 +12,6 @@ import numpy as np
 from humansim_ros import __version__
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.camera import Camera
-from humansim_ros.errors import warn_about
 from humansim_ros.export.animation import (
     AnimatedHuman,
     AnimatedScene,
@@ -26,7 +25,7 @@ from humansim_ros.export.animation import (
     texture_of,
     warn_of_curved_skinning,
 )
-from humansim_ros.export.writer import ExportFolder, Record
+from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.io.images import decode_srgb
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lighting import Lighting
@@ -82,6 +81,7 @@ class UsdStage:
         world = UsdGeom.Xform.Define(self._stage, "/World")
         self._stage.SetDefaultPrim(world.GetPrim())
         warn_of_curved_skinning(scene.people, "USD")
+        warn_of_lenses("USD", {name: camera for name, (camera, _) in scene.cameras.items()})
         for kind, add in (
             ("people", self._add_person),
             ("objects", self._add_object),
@@ -180,14 +180,11 @@ class UsdStage:
         self._place(UsdGeom.Xform.Define(self._stage, path), track)
         self._add_mesh(f"{path}/Surface", mesh)
 
-    def _add_camera(self, name: str, path: str, item: tuple[Camera, PoseTrack]) -> None:
+    def _add_camera(self, _: str, path: str, item: tuple[Camera, PoseTrack]) -> None:
         """Add a camera: a film of 36 mm with the principal point beside its middle."""
         from pxr import Gf, UsdGeom
 
         calibrated, track = item
-        for what, missing in (("lens distortion", calibrated.distorted), ("skew", calibrated.K[0, 1] != 0)):
-            if missing:
-                warn_about(f"USD camera {name}", f"{what} has no place in USD: the camera is without")
         camera = UsdGeom.Camera.Define(self._stage, path)
         (width, height), k = calibrated.size, calibrated.K
         focal = _FILM * float(k[0, 0]) / width

@@ -19,10 +19,11 @@ from typing import Any, TypedDict
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import ExportError
+from humansim_ros.errors import ExportError, warn_about
 from humansim_ros.humans import Human
 from humansim_ros.io.files import atomic_path, read_blocks
 from humansim_ros.scene import Frame, Scene
+from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.config import HumanConfig
 from humansim_ros.scene.timing import CameraTiming
 from humansim_ros.types import Array
@@ -219,6 +220,11 @@ class ExportScene:
         return {} if self.simulated is None else self.simulated.config.humans
 
     @property
+    def about(self) -> AboutConfig:
+        """What the scene says of its data sets; a bag says nothing."""
+        return AboutConfig() if self.simulated is None else self.simulated.config.about
+
+    @property
     def people(self) -> list[str]:
         """Names of the people."""
         return [name for name in self.labels if name not in self.objects]
@@ -231,6 +237,23 @@ FROM_CORNER = 0.5
 def corner_matrix(camera: Camera) -> Array:
     """Camera matrix (3, 3) for pixels that count from the corner of the image."""
     return np.array([[1, 0, FROM_CORNER], [0, 1, FROM_CORNER], [0, 0, 1]]) @ camera.K
+
+
+def warn_of_lenses(program: str, cameras: Mapping[str, Camera], has_skew: bool = False) -> None:
+    """Warn (HumansimWarning) of lens distortion, which a program does not have.
+
+    Args:
+        program: Its name.
+        cameras: Cameras by name.
+        has_skew: Whether it has skew; else this is a warning, too.
+    """
+    for name, camera in cameras.items():
+        for what, is_lost in (
+            ("lens distortion", camera.distorted),
+            ("skew", not has_skew and camera.K[0, 1] != 0),
+        ):
+            if is_lost:
+                warn_about(f"{program} camera {name}", f"{what} has no place there; calibration.yaml has it")
 
 
 #: What a frame leaves for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as

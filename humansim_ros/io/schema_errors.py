@@ -298,6 +298,8 @@ class _Words:
             return cls(one + _at_least_one(metadata), f"mappings of names to {values}")
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
             return cls._of_section(annotation)
+        if annotation is Any:
+            return cls("a value", "values")
         if annotation is bool:
             return cls("true or false", "true or false")
         if annotation in (int, float):

@@ -26,10 +26,11 @@ from humansim_ros.io.schema import (
     one_or_more,
 )
 from humansim_ros.io.schema_errors import Expected, validated
-from humansim_ros.io.yaml import read_yaml
+from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.hand_keys import HandKey, HandPoseName, HandSide
 from humansim_ros.render.lighting import Lighting, RendererName
+from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
 from humansim_ros.scene.robot_config import ROBOT, RobotConfig
@@ -44,6 +45,8 @@ SCHEMA_ID = "https://humansim-ros.invalid/scene.schema.json"
 _SECOND = 1_000_000_000
 #: Motion of a human that another node moves, such as live motion capture; it stands at rest until then.
 LIVE = "live"
+#: Key that makes a YAML file a recipe of many scenes, not a scene.
+RECIPE = "recipe"
 #: Most characters of a licence.
 MAX_LICENSE = 200
 
@@ -858,6 +861,10 @@ class SceneConfig(Section):
         default=None, description="licence of data sets of the scene, such as CC-BY-4.0"
     )
 
+    about: AboutConfig = Field(
+        default=AboutConfig.model_construct(), description="title, creators, citation and date of data sets"
+    )
+
     _license_is_a_line = field_validator("license")(checked_license)
 
     @property
@@ -905,6 +912,13 @@ def check_config(
     data: Any, path: str | os.PathLike[str] | None = None, tree: yaml.Node | None = None
 ) -> SceneConfig:
     """Check the content of a scene file. ``tree``: its YAML nodes. Raises SceneError with line and key."""
+    if isinstance(data, dict) and RECIPE in data:
+        raise SceneError(
+            "this is a recipe of many scenes: `humansim export` draws them, and each has a scene.yaml",
+            path=path,
+            line=line_of(tree, [RECIPE]),
+            key=RECIPE,
+        )
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
     return validated(SceneConfig, data, SceneError, path, tree)

@@ -66,7 +66,11 @@ def numbers(text: str) -> np.ndarray:
     return np.array([float(word) for word in _NUMBER.findall(text)])
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("croissant", "webdataset", "c3d")])
+#: Formats with other tests: of one file in the root, or of binary files.
+OTHERS = ("croissant", "huggingface", "statistics", "webdataset", "c3d")
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in OTHERS])
 def test_a_bag_gives_the_files_of_its_scene(name: str, exports: tuple[Path, Path]) -> None:
     """Images are the same; messages have pixels as float32."""
     files = [sorted(p.relative_to(root) for p in (root / name).rglob("*")) for root in exports]
@@ -81,6 +85,37 @@ def test_a_bag_gives_the_files_of_its_scene(name: str, exports: tuple[Path, Path
             texts[1] = texts[1].replace('"name": "box"', '"name": "crate"')
         assert _NUMBER.sub("0", texts[0]) == _NUMBER.sub("0", texts[1]), file
         np.testing.assert_allclose(numbers(texts[0]), numbers(texts[1]), atol=0.0011, err_msg=str(file))
+
+
+def test_lines_and_counts_of_a_bag_are_those_of_its_scene(exports: tuple[Path, Path]) -> None:
+    """But for the names of bodies, and the counts of poses, which no topic has."""
+    of_bag, of_scene = (
+        [json.loads(line) for line in (root / "metadata.jsonl").read_text().splitlines()] for root in exports
+    )
+    assert len(of_bag) == len(of_scene) > FRAMES
+    for here, there in zip(of_bag, of_scene, strict=True):
+        assert (here.pop("scene"), there.pop("scene")) == ("bag", "scene")
+        assert not any(here["objects"].pop("body")) and all(there["objects"].pop("body"))
+        texts = [json.dumps(line) for line in (here, there)]
+        assert _NUMBER.sub("0", texts[0]) == _NUMBER.sub("0", texts[1])
+        np.testing.assert_allclose(numbers(texts[0]), numbers(texts[1]), atol=0.0011)
+    counts = [json.loads((root / "statistics.json").read_text()) for root in exports]
+    assert counts[0]["people"] == {} and len(counts[1]["people"]) == 2
+    for key in ("images", "sizes", "lenses"):
+        assert counts[0][key] == counts[1][key]
+    for name in ("people", "brightness", "cameras", "fov", "camera_height"):
+        assert counts[0]["histograms"][name] == counts[1]["histograms"][name]
+
+
+def test_a_laser_scanner_is_no_camera(tmp_path: Path) -> None:
+    """It has extrinsics and legends, as cameras have."""
+    scanner = {"model": "sick_tim571", "position": [0, 2, 1]}
+    camera = {"size": [16, 12], "position": [3, 0, 1], "look_at": [0, 0, 1]}
+    scene = Scene.from_dict({"cameras": {"c": camera}, "scanners": {"laser": scanner}, "room": None})
+    plan = RecordingPlan.of(scene, 1, ["**"])
+    record(SceneRecording(scene, plan), tmp_path / "bag")
+    source = BagSource.read(tmp_path / "bag", chosen_formats(["images"]))
+    assert list(source.scene.cameras) == ["c"]
 
 
 def test_keypoints_of_a_bag_score_as_those_of_the_scene(exports: tuple[Path, Path]) -> None:

@@ -200,6 +200,10 @@ def test_more_scenes_are_added_and_others_stay(whole: Path, tmp_path: Path) -> N
     scenes = [name for name in before if "/" in name]
     assert len(scenes) == 30 and all(after[name] == before[name] for name in scenes)
     assert len(json.loads(after["index.json"])["scenes"]) == 4
+    # fewer would leave scenes that the pages name, but the index does not
+    with pytest.raises(ExportError, match="this folder has scene_000003, and 2 scenes are fewer"):
+        write_data_set(data_set(tmp_path, root, scenes=2), resume=True)
+    assert content(root) == after
 
 
 def test_an_interrupted_data_set_continues_with_the_same_files(whole: Path, tmp_path: Path) -> None:
@@ -239,6 +243,12 @@ def test_a_scene_that_fails_does_not_lose_the_others(
     assert "1 of 3 scenes could not be drawn" in (root / "README.md").read_text()
 
 
+def test_a_format_that_a_scene_cannot_have_names_the_key_of_the_recipe(tmp_path: Path) -> None:
+    lasers = data_set(tmp_path, tmp_path / "out", scenes=1, splits={"train": 1}, formats=["kitti"])
+    with pytest.raises(ExportError, match=r"recipe.yaml:\d+: formats: scene 0: kitti needs a laser scanner"):
+        write_data_set(lasers)
+
+
 def test_a_recipe_that_no_scene_fulfils_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(self: Recipe, number: int) -> Any:
         raise ExportError(f"scene {number} cannot be drawn", path="recipe.yaml", line=3)
@@ -276,6 +286,7 @@ def humansim(*words: str | Path) -> subprocess.CompletedProcess[str]:
     [
         (["--frames", "3"], "error: --frames: the recipe has it: set its key frames\n"),
         (["--license", "MIT"], "error: --license: the recipe has it: set its key about.license\n"),
+        (["--shard-size", "5000"], "error: --shard-size: a recipe has no such key\n"),
         (["--scenes", "0"], "--scenes"),
     ],
 )

@@ -13,7 +13,8 @@ import pytest
 import yaml
 from conftest import ROOT
 
-from humansim_ros.errors import ExportError
+from humansim_ros import Scene
+from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.export.draws import DRAWS, ChoiceDraw, draw_at
 from humansim_ros.export.recipe import Recipe, is_recipe
 
@@ -166,6 +167,8 @@ def test_no_body_is_in_two_splits(tmp_path: Path) -> None:
         ({"formats": ["cocco"]}, "formats", "did you mean 'coco'?"),
         ({"keypoints": "coco18"}, "keypoints", "did you mean 'coco17'?"),
         ({"about.date": "yesterday"}, "about.date", "such as 2026-11-28"),
+        ({"about.date": "2026-13-40"}, "about.date", "month must be in 1..12"),
+        ({"scene": "other.yaml"}, "scene", "give a mapping of names to values"),
         ({"about.version": 1.0}, "about.version", "such as 1.0.0"),
         ({"require.visible": 3}, "require.visible", "from 0 to 1"),
         ({"ring.count": {"integer": [5, 2]}}, "ring.count", "the first number, 5, is above the second, 2"),
@@ -185,6 +188,7 @@ def test_no_body_is_in_two_splits(tmp_path: Path) -> None:
         ({"scene.humans": {"anna": "child"}}, "scene.humans.anna", "2 splits need as many bodies"),
         ({"scene.lihgt": {}}, "scene.lihgt", "did you mean `light`?"),
         ({"scene.light": {"strength": {"normal": [1, 0.1, 9, 9.5]}}}, "scene.light.strength", "nearly no"),
+        ({"scene.light": {"strength": {"normal": [1, 0, 0, 2]}}}, "scene.light.strength.normal.1", "above 0"),
         ({"scene.world": {"meshes": ["hall.obj"]}}, "scene.world.meshes.0", "no such file"),
         ({"pool": 1, "scene.variety.people": {}}, "pool", "nobody is left for the split test"),
         ({"pool": 9}, "pool", "give scene.variety.people"),
@@ -207,7 +211,10 @@ def test_wrong_recipes_are_errors_with_file_line_and_key(
 
 
 def test_files_of_a_recipe_are_told_from_others(tmp_path: Path) -> None:
-    assert is_recipe(written(tmp_path, {}))
+    path = written(tmp_path, {})
+    assert is_recipe(path)
+    with pytest.raises(SceneError, match=r":1: recipe: this is a recipe of many scenes: `humansim export`"):
+        Scene.load(path)
     scene = tmp_path / "scene.yaml"
     scene.write_text("rate: 5\ncameras: {}\n")
     assert not is_recipe(scene) and not is_recipe(tmp_path / "no.yaml") and not is_recipe(tmp_path)

@@ -87,6 +87,7 @@ SCENE: dict[str, Any] = {
         "own": {"pattern": {"columns": 90}, "rate": 10, "range": [0.1, 30], "position": [0, 0, 1]},
     },
     "world": {"meshes": [{"file": "ball.obj"}], "background": "photo.png", "environment": "sky.png"},
+    "about": {"title": "Two people"},
     "light": {"strength": 0.9},
     "randomise": {"camera_jitter": {"position": 0.1}},
     "time": {"wait_for": [{"topic": "/tracker/poses"}]},

@@ -73,7 +73,7 @@ progress() {
 }
 
 install() {
-    say "Installing humansim_ros[$extras] into $venv, $("$python" -V): half a minute, plus 230 MB of download at first."
+    say "Installing humansim_ros[$extras] into $venv, $("$python" -V): half a minute, plus 280 MB of download at first."
     if [ "$("$venv/bin/python" -V 2>/dev/null)" != "$("$python" -V)" ] || ! "$venv/bin/python" -c 'import pip' 2>/dev/null; then
         "$python" -m venv --clear "$venv"
     fi

@@ -44,7 +44,7 @@ _CLEAN_SHARED_MEMORY = (
 #: Modules of each extra.
 EXTRAS = {
     "evaluate": ("c3d", "mcap", "pycocotools", "rosbags"),
-    "export": ("OpenEXR", "c3d", "mcap", "pycocotools"),
+    "export": ("OpenEXR", "c3d", "mcap", "pxr", "pycocotools"),
     "exr": ("OpenEXR",),
     "meshes": ("DracoPy", "lxml", "networkx", "collada"),
     "photographs": ("xatlas",),

@@ -19,11 +19,13 @@ import numpy as np
 import yaml
 
 from humansim_ros.drawing.markup import Markup, element, joined, page, picture, section, svg, table
+from humansim_ros.errors import ExportError
 from humansim_ros.export.croissant import card_header
 from humansim_ros.export.recipe import RecipeConfig
 from humansim_ros.export.statistics import ANGLES, HISTOGRAMS, Histogram, Totals
 from humansim_ros.export.writer import LICENSES, frame_name
 from humansim_ros.humans.makehuman.population import MONK_TONES
+from humansim_ros.io.files import ANY_SIZE, read_bytes
 
 #: The paper of the questions.
 _PAPER = "https://doi.org/10.1145/3458723"
@@ -235,7 +237,8 @@ def _answered(title: str, rows: Mapping[str, str], summary: DataSetSummary) -> M
 
 def _examples(paths: Iterable[Path]) -> Iterator[Markup]:
     for path in paths:
-        image = cv2.imread(str(path))
+        encoded = np.frombuffer(read_bytes(path, ExportError, "image", ANY_SIZE), np.uint8)
+        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
         if image is not None:
             height = round(image.shape[0] * _EXAMPLE_WIDTH / image.shape[1])
             small = cv2.resize(image, (_EXAMPLE_WIDTH, height), interpolation=cv2.INTER_AREA)

@@ -150,6 +150,7 @@ def test_the_extras_are_those_of_the_package() -> None:
         "pycollada": "collada",
         "rerun-sdk": "rerun",
         "ruamel-yaml": "ruamel.yaml",
+        "usd-core": "pxr",
     }  # the others have the name of their distribution
     for name, needed in checks.EXTRAS.items():
         packages = {re.split(r"[\[<>=]", text)[0] for text in extras_of_setup()[name]}

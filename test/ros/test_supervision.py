@@ -493,7 +493,7 @@ def test_installed_commands_lead_to_the_light_entry_points() -> None:
     entries = [
         line.partition(" = ")[2] for line in commands if line.count(":") == 1 and " = humansim_ros." in line
     ]
-    assert len(entries) == 10
+    assert len(entries) == 11
     assert {entry.partition(":")[0] for entry in entries} == {
         "humansim_ros.cli.__main__",
         "humansim_ros.ros.nodes.__main__",

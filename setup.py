@@ -164,7 +164,7 @@ setup(
     description="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2",
     long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
-    license="Apache-2.0 AND CC0-1.0",
+    license="Apache-2.0 AND CC0-1.0 AND BSD-2-Clause AND BSD-3-Clause",
     license_files=["LICENSE", "LICENSES/*.txt"],
     maintainer="humansim_ros maintainers",
     maintainer_email="humansim-ros@example.org",

@@ -43,7 +43,8 @@ podman run --rm "${options[@]}" -v "$folder/demo:/data/demo" humansim_ros humans
 
 step "tracker beside the suite, as in compose.yaml"
 trap 'podman rm -f suite >/dev/null 2>&1' EXIT
-podman run -d --name suite --network none --ipc shareable "${options[@]}" humansim_ros humansim run >/dev/null
+# without a bridge: the network of the host, as multicast needs more than the loopback interface
+podman run -d --name suite --network host --ipc shareable "${options[@]}" humansim_ros humansim run >/dev/null
 podman run --rm --network container:suite --ipc container:suite "${options[@]}" humansim_ros \
     python /opt/humansim_ros/examples/tracker.py walker 60
 step "passed"

@@ -186,8 +186,9 @@ def check_adapters(scene: Scene, installed: bool = False) -> None:
         from humansim_ros.messages.adapters import adapter_topics
         from humansim_ros.messages.topics import scene_topics
 
-        scene_topics(scene)
-        adapter_topics(scene, installed=installed)
+        scene_topics(scene)  # with the topics of adapters
+        if installed:
+            adapter_topics(scene, installed=True)
 
 
 def _count(number: int, word: str) -> str:

@@ -33,7 +33,7 @@ def dying(root: Path, mark: Path) -> Export:
 
     made = job(root, FORMATS, frames=FRAMES)
     assert isinstance(made.source, SimulatedSource)
-    source = DyingSource(made.source.simulated, made.source.formats, made.source.keypoints, mark)
+    source = DyingSource(made.source.simulated, made.source.formats, made.source.keypoints, mark=mark)
     return replace(made, source=source)
 
 

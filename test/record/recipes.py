@@ -82,7 +82,7 @@ class DyingSource(SimulatedSource):
     mark: Path = Path()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.simulated, self.formats, self.keypoints, self.mark)
+        return type(self), (self.simulated, self.formats, self.keypoints, self.title, self.mark)
 
     def open(self) -> FrameReader:
         return _DyingFrames(super().open(), self.mark)

@@ -28,7 +28,7 @@ from humansim_ros.errors import (
 from humansim_ros.io.schema import Section
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes, read_joint_view
-from humansim_ros.messages.headers import WORLD_FRAME, header, optical_frame
+from humansim_ros.messages.headers import TF_TOPIC, WORLD_FRAME, header, optical_frame
 from humansim_ros.messages.hri import (
     HRI_KEYPOINTS,
     HRI_MESSAGES,
@@ -750,7 +750,7 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
             camera=camera,
             channels=channels | {"rgb"} if image else channels,
             optional=image,
-            package=TF_MESSAGES if topic.name == "tf" else HRI_MESSAGES,
+            package=TF_MESSAGES if topic.name == TF_TOPIC else HRI_MESSAGES,
             inputs=(*inputs, CHANNEL_TABLE["rgb"].topic) if image else inputs,
             posed=camera,
             absolute=True,

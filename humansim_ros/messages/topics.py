@@ -25,8 +25,9 @@ from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
 from humansim_ros.messages.adapters import AdapterTopic, adapter_topics
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC
 from humansim_ros.messages.topic import Topic
-from humansim_ros.messages.transforms import TF, TF_STATIC_TOPIC, TF_TOPIC, fixed_transform, transform_topics
+from humansim_ros.messages.transforms import TF, fixed_transform, transform_topics
 from humansim_ros.messages.types import (
     CameraInfo,
     CompressedImage,

@@ -12,7 +12,7 @@ import numpy as np
 from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.messages.cameras import transform_message
 from humansim_ros.messages.cdr import unpack
-from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC, WORLD_FRAME
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import TransformStamped
 from humansim_ros.rotations import quaternion_to_matrix, transform
@@ -28,8 +28,6 @@ _MAX_BYTES, _MAX_FRAMES, _MAX_KEPT = 1 << 20, 2000, 20_000
 _MAX_NAME = 256
 #: Translation and quaternion xyzw of a serialised transform, and their bytes.
 _NUMBERS, _NUMBERS_SIZE = "7d", 56
-#: Topics of transforms that hold for a stamp, and of those that hold for all times.
-TF_TOPIC, TF_STATIC_TOPIC = "tf", "tf_static"
 
 
 def fixed_transform(pose: ObjectPose, parent: str, child: str) -> Topic[ObjectPose]:

@@ -15,10 +15,10 @@ from humansim_ros.evaluate.readers.estimates import in_world, topic_pattern, top
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.messages.adapters import ADAPTERS
 from humansim_ros.messages.cdr import deserialised
-from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC, WORLD_FRAME
 from humansim_ros.messages.hri import TF_MESSAGES
 from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
-from humansim_ros.messages.transforms import TF_STATIC_TOPIC, TF_TOPIC, Transforms
+from humansim_ros.messages.transforms import Transforms
 from humansim_ros.messages.types import message_type
 from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
@@ -139,9 +139,7 @@ class PoseTopics:
         if self._transforms is None:
             self._transforms = Transforms()
             if TFMessage is None:
-                self._warn(
-                    f"/{TF_TOPIC} is not received: tf2_msgs is not installed here: {TF_MESSAGES.install}"
-                )
+                self._warn(f"/tf is not received: tf2_msgs is not installed here: {TF_MESSAGES.install}")
                 return self._transforms
             for name, profile in ((TF_STATIC_TOPIC, LATCHED), (TF_TOPIC, subscription_profile([]))):
                 add = partial(self._transforms.add, topic=name)

@@ -34,7 +34,7 @@ from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.view.picking import PIXEL_CHANNELS
-from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, SeenTopics, seen_topics
+from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF_TOPICS, SeenTopics, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
@@ -532,7 +532,7 @@ class _Receiver:
         return time.monotonic() - self._left.setdefault(topic, time.monotonic()) > _LEFT_AFTER
 
     def _is_shown(self, topic: str) -> bool:
-        if topic.startswith(self._below) or topic in ("/tf", "/tf_static"):
+        if topic.startswith(self._below) or topic in TF_TOPICS:
             return True
         return self._pattern is not None and self._pattern.fullmatch(topic) is not None
 

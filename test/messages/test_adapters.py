@@ -192,8 +192,22 @@ def test_another_version_is_refused(lacks: str, scene: Scene, monkeypatch: pytes
         ({"detections_2d": {"cameras": []}}, "adapters.detections_2d.cameras", "at least one"),
         ({"people": {"frame": "a b"}}, "adapters.people.frame", "a frame of tf"),
         ({"peple": {}}, "adapters.peple", "did you mean `people`"),
-        ({"people": {"topic": "odom"}}, "adapters", "there is another topic odom"),
-        ({"people": {"topic": "a"}, "detections_3d": {"topic": "/a"}}, "adapters", "another topic a"),
+        ({"people": {"topic": "odom"}}, "adapters.people.topic", "the scene has the topic odom, too"),
+        (
+            {"people": {"topic": "a"}, "detections_3d": {"topic": "/a"}},
+            "adapters.people.topic",
+            "adapters.detections_3d has the topic a, too: give adapters.people another 'topic'",
+        ),
+        (
+            {"people": {}, "detections_3d": {"topic": "people"}},
+            "adapters.detections_3d.topic",
+            "adapters.people has the topic people, too: give adapters.detections_3d another 'topic'",
+        ),
+        (
+            {"detections_2d": {"topic": "a"}, "people": {"topic": "fixed/a/label_info"}},
+            "adapters.people.topic",
+            "adapters.detections_2d has the topic fixed/a/label_info, too",
+        ),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, adapters: dict[str, Any], key: str, text: str) -> None:

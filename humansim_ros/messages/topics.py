@@ -846,6 +846,23 @@ def scene_topics(
     return [*topics, *transform_topics(scene, transforms)]
 
 
+def check_adapters(scene: Scene, installed: bool = False) -> None:
+    """Check the sections ``adapters`` and ``hri``: node ``bridge`` does it when others have started.
+
+    Args:
+        scene: The scene.
+        installed: The message packages that the node needs are checked, too.
+
+    Raises:
+        SceneError: A setting names no camera or frame of the scene, or the topic of something else.
+        RosError: See :func:`~humansim_ros.messages.adapters.adapter_topics`.
+    """
+    if scene.config.adapter_settings:
+        scene_topics(scene)  # with the topics of adapters
+        if installed:
+            adapter_topics(scene, installed=True)
+
+
 def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
     """Topics of the adapters. Raises SceneError if one has the name of another topic, of ``names`` too."""
     topics, settings = adapter_topics(scene), scene.config.adapter_settings

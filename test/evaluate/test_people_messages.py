@@ -12,13 +12,13 @@ import pytest
 
 from humansim_ros import Scene, Simulation, evaluate, messages
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.topics import BagTopic, described
+from humansim_ros.bags.topics import BagTopic, described, message_types
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, RosError
 from humansim_ros.evaluate.readers.estimates import bag_transforms
 from humansim_ros.messages.adapters import adapter_topics
 from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.transforms import TF, Transforms
+from humansim_ros.messages.transforms import TF, Transforms, read_links
 from humansim_ros.messages.types import made_type
 from humansim_ros.scene.simulation import Frame
 
@@ -199,6 +199,31 @@ def test_transforms_of_a_bag_are_all_kept_and_a_loop_leads_nowhere() -> None:
     for parent, child in (("b", "c"), ("c", "b")):
         transforms.add(link(parent, child, 0.0, 0))
     assert transforms.pose("b", 0) is None and transforms.pose("d", 0) is None
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_transforms_are_read_as_rosbags_reads_them(little_endian: bool) -> None:
+    """Names of all lengths: the numbers behind them are aligned to eight bytes."""
+    turn = np.array([0.5, -0.5, 0.5, 0.5])
+    parts = [
+        messages.transform_message(np.array([n, 0.25, -n]), turn, n * 10**9 + n, "p" * (n // 9 + 1), "c" * n)
+        for n in range(1, 40)
+    ]
+    data = bytes(
+        message_types().serialize_cdr(made_type(TF)(transforms=parts), TF, little_endian=little_endian)
+    )
+    theirs: Any = message_types().deserialize_cdr(data, TF)
+    transforms = Transforms(kept=None)
+    transforms.add(data)
+    for each, (parent, child, stamp, _) in zip(theirs.transforms, read_links(data), strict=True):
+        assert (parent, child) == (each.header.frame_id, each.child_frame_id)
+        assert stamp == each.header.stamp.sec * 10**9 + each.header.stamp.nanosec
+        place, found = each.transform.translation, transforms.pose(child, stamp)
+        assert found is not None and found[1] == parent
+        np.testing.assert_array_equal(found[0][:3, 3], [place.x, place.y, place.z])
+    for end in range(4, len(data), 7):
+        with pytest.raises(RosError, match="ends too early"):
+            Transforms().add(data[:end])
 
 
 def test_of_static_transforms_the_last_one_holds_for_all_times() -> None:

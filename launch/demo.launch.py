@@ -31,7 +31,7 @@ from humansim_ros.ros.processes.node_processes import (
     scene_processes,
 )
 from humansim_ros.ros.transport import choose_transport, remove_dead_files
-from humansim_ros.scene.names import read_names
+from humansim_ros.scene.names import BRIDGE_NODE, read_names
 
 DEMO_SCENE = resource_path("config/scenes/demo.yaml")
 
@@ -50,6 +50,8 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     processes = scene_processes(
         scene, number, frame_prefix=frame_prefix, only=only, time=time, record=record, evaluate=evaluate
     )
+    if any(process.node_name == BRIDGE_NODE for process in processes):
+        check_adapters(scene)
     rviz = true_or_false("rviz", LaunchConfiguration("rviz").perform(context))
     remove_dead_files()
     transport = choose_transport(len(processes))
@@ -74,6 +76,18 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     if rviz:
         nodes.append(rviz_node(scene, relative_namespace(namespace), processes))
     return [*warnings, *nodes]
+
+
+def check_adapters(path: str) -> None:
+    """Check the adapters of a scene before a node starts. In a Python without the libraries of the nodes, the
+    bridge does it, and all nodes stop after its error.
+    """
+    try:
+        from humansim_ros.messages.topics import check_adapters
+        from humansim_ros.scene import Scene
+    except ImportError:
+        return
+    check_adapters(Scene.load(path), installed=True)
 
 
 def rviz_node(scene: str, namespace: str, processes: list[NodeProcess]) -> Node:

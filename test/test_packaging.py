@@ -528,6 +528,16 @@ def test_launch_file_starts_the_processes_of_the_scene(
     full = types.SimpleNamespace(returncode=1)
     assert recorder.on_exit(full, defaults) and not any(node.on_exit(full, defaults) for node in others)
 
+    wrong = tmp_path / "adapters.yaml"
+    posed = SCENE.replace("off", "ben").replace("{}\n", "{position: [3, 0, 1], look_at: [0, 0, 1]}\n")
+    wrong.write_text(f"{posed}adapters: {{people: left}}\n")
+    with pytest.raises(SceneError, match=r"adapters\.yaml:5: adapters\.people\.frame: no frame 'left'"):
+        opaque.function({**defaults, "scene": str(wrong)})
+    (player,) = opaque.function(
+        {**defaults, "scene": str(wrong), "only": "player"}
+    )  # the bridge is elsewhere
+    assert player.executable == "motion_player"
+
     *others, evaluator = opaque.function({**defaults, "evaluate": "/tracker/poses", **lockstep})
     assert evaluator.executable == "evaluator" and "use_sim_time:=true" in evaluator.arguments
     assert 'topic:="/tracker/poses"' in evaluator.arguments

@@ -33,7 +33,7 @@ from humansim_ros.cli.options import (
     output_option,
 )
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
-from humansim_ros.cli.scene import SceneOptions, check_adapters, warn_about_mistakes
+from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
 from humansim_ros.errors import MAX_FRAMES, HumansimError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.lockstep.settings import SETTINGS
@@ -164,6 +164,7 @@ def run(
         # it imports the package and loads the scene, as this process does meanwhile
         starter = stack.enter_context(NodeStarter(str(path.resolve())))
         from humansim_ros.apps.first_images import FirstImages
+        from humansim_ros.messages.topics import check_adapters
         from humansim_ros.ros.processes.supervisor import Supervisor
         from humansim_ros.ros.runtime import prepare_transport
         from humansim_ros.scene import Scene

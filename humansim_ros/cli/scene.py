@@ -141,6 +141,7 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Find probable mistakes in a scene: cameras that see nobody, people in walls … Exit code 1 if any."""
+    from humansim_ros.messages.topics import check_adapters
     from humansim_ros.scene import Scene, check_scene
 
     loaded = Scene.load(scene)
@@ -169,26 +170,6 @@ def warn_about_mistakes(scene: Scene, options: SceneOptions | None = None) -> No
     for finding in check_scene(scene, quick=True):
         option = None if options is None else options.option(human, finding.key)
         print_warning(str(finding) if option is None else f"{option}: {finding.text}")
-
-
-def check_adapters(scene: Scene, installed: bool = False) -> None:
-    """Check the sections ``adapters`` and ``hri``: node ``bridge`` does it when others have started.
-
-    Args:
-        scene: The scene.
-        installed: The message packages that the node needs are checked, too.
-
-    Raises:
-        SceneError: A setting names no camera or frame of the scene, or the topic of something else.
-        RosError: See :func:`~humansim_ros.messages.adapters.adapter_topics`.
-    """
-    if scene.config.adapter_settings:
-        from humansim_ros.messages.adapters import adapter_topics
-        from humansim_ros.messages.topics import scene_topics
-
-        scene_topics(scene)  # with the topics of adapters
-        if installed:
-            adapter_topics(scene, installed=True)
 
 
 def _count(number: int, word: str) -> str:

@@ -28,7 +28,7 @@ from humansim_ros.errors import (
 from humansim_ros.io.schema import Section
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes, read_joint_view
-from humansim_ros.messages.headers import WORLD_FRAME, header, optical_frame
+from humansim_ros.messages.headers import TF_TOPIC, WORLD_FRAME, header, optical_frame
 from humansim_ros.messages.hri import (
     HRI_KEYPOINTS,
     HRI_MESSAGES,
@@ -138,6 +138,7 @@ class AdapterTopic(Topic[Frame]):
         posed: Camera whose pose it needs; empty for none.
         repeated: It is sent again while there are no frames: its subscriptions are volatile.
         on_demand: Its inputs are received only while it has subscribers.
+        row: Name of its row of the table of adapters.
     """
 
     package: MessagePackage = VISION_MSGS
@@ -146,6 +147,7 @@ class AdapterTopic(Topic[Frame]):
     posed: str = ""
     repeated: bool = False
     on_demand: bool = False
+    row: str = ""
 
     @classmethod
     def of(
@@ -231,6 +233,11 @@ class FrameAxes:
         return Pose(position=self.point(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
+def section_of(adapter: str) -> str:
+    """Section of a scene with the settings of an adapter: ROS4HRI has one of its own."""
+    return adapter if adapter == "hri" else f"adapters.{adapter}"
+
+
 class AdapterScene:
     """What the rows of the table need of a scene: names and frames, checked.
 
@@ -241,9 +248,7 @@ class AdapterScene:
     """
 
     def __init__(self, scene: Scene, adapter: str, frame_prefix: str = "") -> None:
-        self.scene, self._prefix = scene, frame_prefix
-        # ROS4HRI has a section of its own
-        self._key = adapter if adapter == "hri" else f"adapters.{adapter}"
+        self.scene, self._prefix, self._key = scene, frame_prefix, section_of(adapter)
 
     def error(self, text: str, key: str) -> SceneError:
         """Error of a key of the row."""
@@ -750,7 +755,7 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
             camera=camera,
             channels=channels | {"rgb"} if image else channels,
             optional=image,
-            package=TF_MESSAGES if topic.name == "tf" else HRI_MESSAGES,
+            package=TF_MESSAGES if topic.name == TF_TOPIC else HRI_MESSAGES,
             inputs=(*inputs, CHANNEL_TABLE["rgb"].topic) if image else inputs,
             posed=camera,
             absolute=True,
@@ -818,7 +823,8 @@ def adapter_topics(
         if (config := settings.get(name)) is not None:
             row.package.check(installed)
             with scene.source.locating_errors():
-                topics += row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)
+                own = row.topics(AdapterScene(scene, name, frame_prefix), config, row.topic)
+                topics += [replace(topic, row=name) for topic in own]
     for package in {topic.package.name: topic.package for topic in topics}.values():
         package.check(installed)
     return topics

@@ -129,8 +129,8 @@ def check_serialised(data: bytes, kind: Any, max_bytes: int | None = None) -> No
         raise RosError(f"a PointCloud2 with {count} fields; at most {MAX_FIELDS} are read")
 
 
-def unpack(form: str, data: bytes, offset: int) -> tuple[int, ...]:
-    """Read integers of a serialised message in its byte order, as ``struct.unpack_from``.
+def unpack(form: str, data: bytes, offset: int) -> tuple[Any, ...]:
+    """Read numbers of a serialised message in its byte order, as ``struct.unpack_from``.
 
     Args:
         form: Format of :mod:`struct` without the byte order.

@@ -9,6 +9,8 @@ from humansim_ros.messages.cdr import unpack
 from humansim_ros.messages.types import Header, Time, TimeReference
 
 WORLD_FRAME = "map"
+#: Topics of transforms that hold for a stamp, and of those that hold for all times.
+TF_TOPIC, TF_STATIC_TOPIC = "tf", "tf_static"
 _SECOND = 1_000_000_000
 _FRAME_NUMBER = re.compile(r"frame ([0-9]{1,15})")
 

@@ -20,7 +20,7 @@ from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import SceneError
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.cameras import transform_message
-from humansim_ros.messages.headers import WORLD_FRAME, header, to_nanoseconds
+from humansim_ros.messages.headers import TF_TOPIC, WORLD_FRAME, header, to_nanoseconds
 from humansim_ros.messages.images import image_message
 from humansim_ros.messages.types import (
     Bool,
@@ -265,7 +265,9 @@ def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]
     """
     transforms = TF_MESSAGES.message("TFMessage")
     yield HriTopic(
-        "tf", transforms, lambda frame, stamp: [transforms(transforms=_transforms(frame, stamp, frame_id))]
+        TF_TOPIC,
+        transforms,
+        lambda frame, stamp: [transforms(transforms=_transforms(frame, stamp, frame_id))],
     )
     yield HriTopic(
         "humans/candidate_matches", HRI_MESSAGES.message("IdsMatch"), lambda frame, _: _matches(frame)

@@ -24,9 +24,10 @@ from humansim_ros.errors import SceneError
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
-from humansim_ros.messages.adapters import AdapterTopic, adapter_topics
+from humansim_ros.messages.adapters import AdapterTopic, adapter_topics, section_of
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC
 from humansim_ros.messages.topic import Topic
-from humansim_ros.messages.transforms import TF, TF_STATIC_TOPIC, TF_TOPIC, fixed_transform, transform_topics
+from humansim_ros.messages.transforms import TF, fixed_transform, transform_topics
 from humansim_ros.messages.types import (
     CameraInfo,
     CompressedImage,
@@ -845,17 +846,41 @@ def scene_topics(
     return [*topics, *transform_topics(scene, transforms)]
 
 
+def check_adapters(scene: Scene, installed: bool = False) -> None:
+    """Check the sections ``adapters`` and ``hri``: node ``bridge`` does it when others have started.
+
+    Args:
+        scene: The scene.
+        installed: The message packages that the node needs are checked, too.
+
+    Raises:
+        SceneError: A setting names no camera or frame of the scene, or the topic of something else.
+        RosError: See :func:`~humansim_ros.messages.adapters.adapter_topics`.
+    """
+    if scene.config.adapter_settings:
+        scene_topics(scene)  # with the topics of adapters
+        if installed:
+            adapter_topics(scene, installed=True)
+
+
 def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
     """Topics of the adapters. Raises SceneError if one has the name of another topic, of ``names`` too."""
-    topics, taken = adapter_topics(scene), set(names)
+    topics, settings = adapter_topics(scene), scene.config.adapter_settings
+    rows = dict.fromkeys(names, "")
     for topic in topics:
         if topic.type_name == TF:
             continue  # a part of it
-        if topic.name in taken:
-            text = f"there is another topic {topic.name}: give it another key 'topic'"
-            with scene.source.locating_errors():
-                raise SceneError(text, key="adapters")
-        taken.add(topic.name)
+        if topic.name not in rows:
+            rows[topic.name] = topic.row
+            continue
+        # the one whose name the scene gives is to blame
+        blamed, other = sorted(
+            (topic.row, rows[topic.name]), key=lambda row: getattr(settings.get(row), "topic", None) is None
+        )
+        owner, section = section_of(other) if other else "the scene", section_of(blamed)
+        with scene.source.locating_errors():
+            text = f"{owner} has the topic {topic.name}, too: give {section} another 'topic'"
+            raise SceneError(text, key=f"{section}.topic")
     return topics
 
 

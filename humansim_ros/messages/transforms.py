@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect_right, insort
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.bags.topics import message_types
 from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.messages.cameras import transform_message
-from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.cdr import unpack
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC, WORLD_FRAME
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import TransformStamped
 from humansim_ros.rotations import quaternion_to_matrix, transform
@@ -26,8 +26,8 @@ TF = "tf2_msgs/msg/TFMessage"
 #: Longest message, bytes, most frames, and most transforms of a frame that a running program keeps.
 _MAX_BYTES, _MAX_FRAMES, _MAX_KEPT = 1 << 20, 2000, 20_000
 _MAX_NAME = 256
-#: Topics of transforms that hold for a stamp, and of those that hold for all times.
-TF_TOPIC, TF_STATIC_TOPIC = "tf", "tf_static"
+#: Translation and quaternion xyzw of a serialised transform, and their bytes.
+_NUMBERS, _NUMBERS_SIZE = "7d", 56
 
 
 def fixed_transform(pose: ObjectPose, parent: str, child: str) -> Topic[ObjectPose]:
@@ -103,52 +103,83 @@ def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[Tran
             )
 
 
+def read_links(data: bytes, kind: str = TF) -> Iterator[tuple[str, str, int, int]]:
+    """Frames of the transforms of a message: many messages have more transforms than anybody needs.
+
+    Args:
+        data: Serialised TFMessage or TransformStamped.
+        kind: Type of the message.
+
+    Yields:
+        Parent, child, stamp in nanoseconds, and place in ``data`` of the seven numbers, for each transform.
+
+    Raises:
+        RosError: The message is too long or damaged.
+    """
+    if len(data) > _MAX_BYTES:
+        raise RosError(f"a message of {len(data)} bytes; at most {_MAX_BYTES} are read")
+    count, at = (unpack("I", data, 4)[0], 8) if kind == TF else (1, 4)
+    for _ in range(count):
+        seconds, nanoseconds = unpack("iI", data, at)
+        parent, at = _frame_name(data, at + 8)
+        child, at = _frame_name(data, at)
+        at += (4 - at) % 8  # places count from byte 4
+        yield parent, child, seconds * 10**9 + nanoseconds, at
+        at += _NUMBERS_SIZE
+
+
+def _frame_name(data: bytes, at: int) -> tuple[str, int]:
+    """Name of a frame at a place of a serialised message, and place of the number after it."""
+    end = at + 4 + unpack("I", data, at)[0]
+    return str(data[at + 4 : end], "utf-8", "replace").rstrip("\0").strip("/"), end + -end % 4
+
+
 class Transforms:
     """Tree of the transforms of tf.
 
-    Between two frames, the last transform up to a time counts, or else the first one.
+    Between two frames, the last transform up to a time counts, or else the first one. Of static transforms
+    the one that was added last holds for all times, and transforms of the other kind end with it, as in tf2
+    (https://github.com/ros2/geometry2, ``tf2/src/static_cache.cpp`` and ``buffer_core.cpp``).
 
     Args:
         kept: Number of the newest transforms of a frame that are kept; None: all, as of a bag.
+        frames: Frames whose transforms are kept; None: all.
     """
 
-    def __init__(self, kept: int | None = _MAX_KEPT) -> None:
-        self._kept = kept
+    def __init__(self, kept: int | None = _MAX_KEPT, frames: Collection[str] | None = None) -> None:
+        self._kept, self._frames = kept, frames
         #: By frame: stamps, and parent and matrix by stamp.
         self._stamps: dict[str, list[int]] = {}
         self._above: dict[str, dict[int, tuple[str, Array]]] = {}
+        self._static: set[str] = set()
 
-    def add(self, data: bytes) -> None:
-        """Add a serialised TFMessage.
+    def add(self, data: bytes, topic: str = TF_TOPIC, kind: str = TF) -> None:
+        """Add a message.
+
+        Args:
+            data: Serialised TFMessage or TransformStamped.
+            topic: Name of its topic, which says whether it is static.
+            kind: Type of the message.
 
         Raises:
             RosError: It is too long or damaged, or a transform is impossible; earlier ones are kept.
         """
-        if len(data) > _MAX_BYTES:
-            raise RosError(f"a message of {len(data)} bytes; at most {_MAX_BYTES} are read")
-        try:
-            message = message_types().deserialize_cdr(data, TF)
-        except Exception as reason:  # rosbags documents no exceptions for damaged messages
-            raise RosError(f"a message cannot be read: {type(reason).__name__}") from None
-        for each in message.transforms:  # type: ignore[attr-defined]
-            self.add_transform(each)
+        is_static = topic.rpartition("/")[2] == TF_STATIC_TOPIC
+        for parent, child, stamp, at in read_links(data, kind):
+            if self._frames is None or child in self._frames:
+                self._add(parent, child, stamp, np.array(unpack(_NUMBERS, data, at)), is_static)
 
-    def add_transform(self, message: Any) -> None:
-        """Add a TransformStamped.
-
-        Raises:
-            RosError: It is impossible.
-        """
-        child, parent = str(message.child_frame_id).strip("/"), str(message.header.frame_id).strip("/")
-        p, q = message.transform.translation, message.transform.rotation
-        position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
-        is_pose = within_bounds([*position, *rotation]) and abs(np.linalg.norm(rotation) - 1) < 1e-3
+    def _add(self, parent: str, child: str, stamp: int, numbers: Array, is_static: bool) -> None:
+        position, rotation = numbers[:3], numbers[3:]
+        is_pose = within_bounds(numbers) and abs(np.linalg.norm(rotation) - 1) < 1e-3
         if not is_pose or not child or child == parent or max(len(child), len(parent)) > _MAX_NAME:
             raise RosError("a transform is not finite, is no rotation, or has no two frames")
         if child not in self._above and len(self._above) >= _MAX_FRAMES:
             raise RosError(f"more than {_MAX_FRAMES} frames")
-        stamp = int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
-        stamps, above = self._stamps.setdefault(child, []), self._above.setdefault(child, {})
+        if child not in self._above or is_static or child in self._static:
+            self._stamps[child], self._above[child] = [], {}
+            (self._static.add if is_static else self._static.discard)(child)
+        stamps, above = self._stamps[child], self._above[child]
         if stamp not in above:
             insort(stamps, stamp)
         above[stamp] = parent, transform(quaternion_to_matrix(rotation), position)
@@ -165,8 +196,19 @@ class Transforms:
             if name in seen:
                 return None
             seen.add(name)
-            stamps = self._stamps[name]
-            found = stamps[max(0, bisect_right(stamps, stamp) - 1)]
-            name, step = self._above[name][found]
+            name, step = self._step(name, stamp)
             matrix = step @ matrix
-        return (matrix, name) if seen else None
+        return (matrix, name) if seen or name == WORLD_FRAME else None
+
+    def _step(self, name: str, stamp: int) -> tuple[str, Array]:
+        """Parent of a frame, and pose (4, 4) in it."""
+        stamps = self._stamps[name]
+        return self._above[name][stamps[max(0, bisect_right(stamps, stamp) - 1)]]
+
+    def moving(self, frame: str) -> str:
+        """First frame from a frame upwards whose transform is not static; else the frame itself."""
+        name, seen = frame, set[str]()
+        while name in self._static - seen:
+            seen.add(name)
+            name, _ = self._step(name, 0)
+        return name if name in self._above else frame

@@ -504,5 +504,9 @@ def check_plan(plan: RecordingPlan, folder: Path) -> None:
     """Raise BagError unless a bag has a plan, and the same."""
     if not folder.is_dir():
         raise BagError("there is no bag to continue here", path=folder)
-    if differences := plan.differences(RecordingPlan.of_bag(folder)):
-        raise BagError(f"this bag is another recording: {'; '.join(differences)}", path=folder)
+    bag = RecordingPlan.of_bag(folder)
+    if differences := plan.differences(bag):
+        # such as a bag of an older version without /tf
+        same = bag.topics != plan.topics and not replace(plan, topics=bag.topics).differences(bag)
+        remedy = ". To continue it, give just its topics with --topics" if same else ""
+        raise BagError(f"this bag is another recording: {'; '.join(differences)}{remedy}", path=folder)

@@ -15,7 +15,7 @@ from humansim_ros.evaluate.readers.estimates import in_world, topic_pattern, top
 from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.messages.adapters import ADAPTERS
 from humansim_ros.messages.cdr import deserialised
-from humansim_ros.messages.headers import WORLD_FRAME
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC, WORLD_FRAME
 from humansim_ros.messages.hri import TF_MESSAGES
 from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
 from humansim_ros.messages.transforms import Transforms
@@ -141,10 +141,11 @@ class PoseTopics:
             if TFMessage is None:
                 self._warn(f"/tf is not received: tf2_msgs is not installed here: {TF_MESSAGES.install}")
                 return self._transforms
-            for name, profile in (("/tf_static", LATCHED), ("/tf", subscription_profile([]))):
+            for name, profile in ((TF_STATIC_TOPIC, LATCHED), (TF_TOPIC, subscription_profile([]))):
+                add = partial(self._transforms.add, topic=name)
                 self._tf.append(
                     self._node.create_subscription(
-                        TFMessage, name, self._transforms.add, profile, raw=True, max_bytes=ANY_SIZE
+                        TFMessage, f"/{name}", add, profile, raw=True, max_bytes=ANY_SIZE
                     )
                 )
         return self._transforms

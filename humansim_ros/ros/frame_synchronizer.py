@@ -59,6 +59,7 @@ class FrameSynchronizer:
         on_frame: Called with each complete frame.
         cameras: Nodes of the cameras that show the frames; the reports name them.
         moving_cameras: Names of cameras with a trajectory.
+        previews: Pass the scene at its start on, unless the parameter is false. Others have no parameter.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class FrameSynchronizer:
         on_frame: Callable[[SceneState], None],
         cameras: Sequence[SceneNode],
         moving_cameras: Sequence[str] = (),
+        previews: bool = True,
     ) -> None:
         self._node = node
         self._reporter = ", ".join(camera.get_fully_qualified_name() for camera in cameras)
@@ -120,7 +122,9 @@ class FrameSynchronizer:
         self._done = node.create_publisher(Header, FRAME_DONE, DONE)
         self._alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
         description = "Show the scene at its start while no vertices arrive"
-        self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))
+        self._shows_start = previews and bool(
+            node.described_parameter("start_scene", True, description, read_only=True)
+        )
         self._started = time.monotonic()
         self._start_scene_logged = False
         self._start_timer = node.create_timer(self._scene.period, self._await_first_frame)

@@ -13,6 +13,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
 from humansim_ros.errors import RosError, did_you_mean, printable, some_of
 from humansim_ros.messages import serialised_stamp
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.qos import CAMERA_ALIVE
@@ -213,7 +214,7 @@ def _usable(topic: str, publishers: Iterable[Endpoint]) -> tuple[str, Any]:
 
 
 #: Topics that many nodes publish, and names of topics that all camera processes publish.
-_SHARED = ("/rosout", "/parameter_events", "/diagnostics", "/tf", "/tf_static")
+_SHARED = ("/rosout", "/parameter_events", "/diagnostics", f"/{TF_TOPIC}", f"/{TF_STATIC_TOPIC}")
 _SHARED_NAMES = ("frame_done", CAMERA_ALIVE)
 #: Seconds for which another node is seen before it is named.
 _SEEN_FOR = 1.5

@@ -8,6 +8,7 @@ from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC
 from humansim_ros.messages.topic import Topic
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
@@ -53,8 +54,8 @@ class TransformSender:
 
     @cached_property
     def _dynamic(self) -> Any:
-        return self._node.create_publisher(TFMessage, "/tf", DATA)
+        return self._node.create_publisher(TFMessage, f"/{TF_TOPIC}", DATA)
 
     @cached_property
     def _static(self) -> Any:
-        return self._node.create_publisher(TFMessage, "/tf_static", LATCHED)
+        return self._node.create_publisher(TFMessage, f"/{TF_STATIC_TOPIC}", LATCHED)

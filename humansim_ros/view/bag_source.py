@@ -227,7 +227,7 @@ class BagViewSource(TopicSource):
             name = self._messages.names[message.topic]
             if name in self._topics.transforms:
                 try:
-                    self._shown.transforms.add(bytes(message.data))
+                    self._shown.transforms.add(bytes(message.data), name)
                 except HumansimError as error:
                     self._shown.note(f"{name}: {error.message}")
                 continue

@@ -34,7 +34,7 @@ from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.view.picking import PIXEL_CHANNELS
-from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, SeenTopics, seen_topics
+from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF_TOPICS, SeenTopics, seen_topics
 from humansim_ros.view.source import IMAGE_WIDTH, JOINTS, POSES, FrameRequest, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import (
     PERIOD,
@@ -431,7 +431,8 @@ class _Receiver:
         self.arrivals: dict[int, float] = {}
         self._problems: dict[str, str] = {}
         self._first_of: set[str] = set()
-        self._transforms: deque[bytes] = deque(maxlen=_MAX_TRANSFORMS)
+        #: Messages of tf and their topics.
+        self._transforms: deque[tuple[bytes, str]] = deque(maxlen=_MAX_TRANSFORMS)
         #: Monotonic time at which each topic of images was wanted last.
         self._wanted: dict[str, float] = {}
         #: By topic: type, profile and subscription.
@@ -466,7 +467,7 @@ class _Receiver:
         """Give the transforms that have arrived to the frames."""
         while self._transforms:
             try:
-                shown.transforms.add(self._transforms.popleft())
+                shown.transforms.add(*self._transforms.popleft())
             except HumansimError as error:
                 shown.note(f"tf: {error.message}")
 
@@ -531,7 +532,7 @@ class _Receiver:
         return time.monotonic() - self._left.setdefault(topic, time.monotonic()) > _LEFT_AFTER
 
     def _is_shown(self, topic: str) -> bool:
-        if topic.startswith(self._below) or topic in ("/tf", "/tf_static"):
+        if topic.startswith(self._below) or topic in TF_TOPICS:
             return True
         return self._pattern is not None and self._pattern.fullmatch(topic) is not None
 
@@ -584,7 +585,7 @@ class _Receiver:
         limit = _MAX_BYTES.get(kind, _MAX_OTHER)
         check_serialised(data, found, limit)
         if kind == TF:
-            self._transforms.append(data)
+            self._transforms.append((data, topic))
             self._note_first(topic)
             return
         stamp = messages.serialised_stamp(data) if stamped else None

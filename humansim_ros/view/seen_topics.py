@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
 from humansim_ros.keypoints import KeypointSet
+from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC
 from humansim_ros.messages.people import MESSAGE_TYPES
 from humansim_ros.messages.topics import COMPRESSED, MEASURED_DEPTH
 from humansim_ros.messages.transforms import TF
@@ -30,6 +31,8 @@ _PICTURES = ("image_color", "image", "image_rect_color", "image_rect", "image_mo
 _HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh|vertices)")
 _OBJECT = re.compile(r"/(?:(?P<space>.+)/)?objects/(?P<name>[^/]+)/marker")
 _KINDS = {"joints": _JOINTS, "mesh": _MESH, "vertices": _CLOUD}
+#: Topics of transforms.
+TF_TOPICS = (f"/{TF_STATIC_TOPIC}", f"/{TF_TOPIC}")
 #: Most cameras, people, objects and topics of an estimate: names come from other programs.
 MAX_CAMERAS, MAX_PEOPLE, MAX_OBJECTS, MAX_ESTIMATES = 64, 64, 256, 100
 
@@ -153,7 +156,7 @@ def seen_topics(
         scene_time=next(
             (name for name, kind in types.items() if name.endswith("/scene_time") and kind == _TIME), ""
         ),
-        transforms=[name for name in ("/tf_static", "/tf") if types.get(name) == TF],
+        transforms=[name for name in TF_TOPICS if types.get(name) == TF],
         estimate={name: topic_person(match) for name, match in list(found.items())[:MAX_ESTIMATES]},
         others=sorted(name for name in images if not name.startswith(tuple(shown))),
         types=dict(types),

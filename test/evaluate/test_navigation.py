@@ -223,9 +223,16 @@ def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
             for index, stamp in enumerate((5, 6, 2, 3))
         ),
     )
-    with pytest.raises(EvaluationError, match=r"goes back from 6\.000 s to 2\.000 s at pose 3") as caught:
-        read_robot_path(f"{bag}:/odom", None)
-    assert (caught.value.path, caught.value.key) == (str(bag), "/odom")
+    moved = [
+        ("/tf", index, tf(stamp * SECOND, "map", "base_link", 0.0, 0.0))
+        for index, stamp in enumerate((5, 6, 2))
+    ]
+    fixed = ("/tf_static", 9, tf(0, "base_link", "lidar", 0.1, 0.0))  # static ones have any stamp
+    for topic, own in (("/odom", bag), ("/tf", bag_of(tmp_path / "tf", *moved, fixed))):
+        back = r"goes back from 6\.000 s to 2\.000 s at pose 3"
+        with pytest.raises(EvaluationError, match=back) as caught:
+            read_robot_path(f"{own}:{topic}", None)
+        assert (caught.value.path, caught.value.key) == (str(own), topic)
 
 
 def test_paths_that_have_no_place_are_refused(tmp_path: Path) -> None:
@@ -251,8 +258,8 @@ def test_transforms_in_a_loop_are_refused(tmp_path: Path) -> None:
         ("/tf", 1, tf(1, "base_link", "odom", 0, 0)),
         ("/tf", 2, tf(1, "odom", "base_link", 0, 0)),
     )
-    for topic in ("/odom", "/tf"):
-        with pytest.raises(EvaluationError, match="no transforms lead from 'base_link' to map"):
+    for topic, frame in (("/odom", "odom"), ("/tf", "base_link")):
+        with pytest.raises(EvaluationError, match=f"no transforms lead from '{frame}' to map"):
             read_robot_path(f"{bag}:{topic}", None)
 
 

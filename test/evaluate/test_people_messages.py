@@ -12,12 +12,13 @@ import pytest
 
 from humansim_ros import Scene, Simulation, evaluate, messages
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.topics import BagTopic, described
+from humansim_ros.bags.topics import BagTopic, described, message_types
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, RosError
+from humansim_ros.evaluate.readers.estimates import bag_transforms
 from humansim_ros.messages.adapters import adapter_topics
 from humansim_ros.messages.cdr import serialised
-from humansim_ros.messages.transforms import Transforms
+from humansim_ros.messages.transforms import TF, Transforms, read_links
 from humansim_ros.messages.types import made_type
 from humansim_ros.scene.simulation import Frame
 
@@ -85,8 +86,8 @@ def bag_of(
         base = frame.robot
         if tf and base is not None:
             pose = messages.transform_message(base.position, base.rotation, frame.stamp, "map", "base_link")
-            rows.append((tf, frame.stamp, made_type("tf2_msgs/msg/TFMessage")(transforms=[pose])))
-            topics[tf] = "tf2_msgs/msg/TFMessage"
+            rows.append((tf, frame.stamp, made_type(TF)(transforms=[pose])))
+            topics[tf] = TF
     return write(folder, topics, rows)
 
 
@@ -172,26 +173,89 @@ def test_damaged_transforms_are_refused(tmp_path: Path) -> None:
     (topic,) = adapter_topics(scene)
     rows = [
         ("/tracker", 2, topic.message(frame_of(scene, 0))),
-        ("/tf_static", 1, made_type("tf2_msgs/msg/TFMessage")(transforms=[bad])),
+        ("/tf_static", 1, made_type(TF)(transforms=[bad])),
     ]
-    topics = {"/tracker": topic.type_name, "/tf_static": "tf2_msgs/msg/TFMessage"}
+    topics = {"/tracker": topic.type_name, "/tf_static": TF}
     with pytest.raises(EvaluationError, match="a transform is not finite"):
         evaluate(tmp_path / "scene.yaml", f"{write(tmp_path / 'other', topics, rows)}:/tracker")
 
 
+def link(parent: str, child: str, x: float, second: int) -> bytes:
+    """Serialised message with one transform."""
+    moved = messages.transform_message(
+        np.array([x, 0.0, 0.0]), np.array([0.0, 0, 0, 1]), second * 10**9, parent, child
+    )
+    return bytes(serialised(made_type(TF)(transforms=[moved]), TF))
+
+
 def test_transforms_of_a_bag_are_all_kept_and_a_loop_leads_nowhere() -> None:
-    here = np.array([0.0, 0, 0, 1])
     for kept, first in ((2, 1.0), (None, 0.0)):
         transforms = Transforms(kept)
         for second in range(3):
-            place = np.array([second, 0.0, 0.0])
-            transforms.add_transform(messages.transform_message(place, here, second * 10**9, "map", "a"))
+            transforms.add(link("map", "a", second, second))
         for stamp, x in ((-(10**18), first), (0, first), (2 * 10**9 - 1, 1.0), (10**18, 2.0)):
             found = transforms.pose("/a", stamp)
             assert found is not None and (found[0][0, 3], found[1]) == (x, "map")
     for parent, child in (("b", "c"), ("c", "b")):
-        transforms.add_transform(messages.transform_message(np.zeros(3), here, 0, parent, child))
+        transforms.add(link(parent, child, 0.0, 0))
     assert transforms.pose("b", 0) is None and transforms.pose("d", 0) is None
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_transforms_are_read_as_rosbags_reads_them(little_endian: bool) -> None:
+    """Names of all lengths: the numbers behind them are aligned to eight bytes."""
+    turn = np.array([0.5, -0.5, 0.5, 0.5])
+    parts = [
+        messages.transform_message(np.array([n, 0.25, -n]), turn, n * 10**9 + n, "p" * (n // 9 + 1), "c" * n)
+        for n in range(1, 40)
+    ]
+    data = bytes(
+        message_types().serialize_cdr(made_type(TF)(transforms=parts), TF, little_endian=little_endian)
+    )
+    theirs: Any = message_types().deserialize_cdr(data, TF)
+    transforms = Transforms(kept=None)
+    transforms.add(data)
+    for each, (parent, child, stamp, _) in zip(theirs.transforms, read_links(data), strict=True):
+        assert (parent, child) == (each.header.frame_id, each.child_frame_id)
+        assert stamp == each.header.stamp.sec * 10**9 + each.header.stamp.nanosec
+        place, found = each.transform.translation, transforms.pose(child, stamp)
+        assert found is not None and found[1] == parent
+        np.testing.assert_array_equal(found[0][:3, 3], [place.x, place.y, place.z])
+    for end in range(4, len(data), 7):
+        with pytest.raises(RosError, match="ends too early"):
+            Transforms().add(data[:end])
+
+
+def test_of_static_transforms_the_last_one_holds_for_all_times() -> None:
+    """As in tf2: a StaticCache has one transform, whatever its stamp; another kind begins with nothing."""
+    transforms = Transforms(kept=None)
+    # x, parent, stamp and topic of each message, and x of the frame at 0 s and 9 s after it
+    for x, parent, second, topic, expected in (
+        (1.0, "map", 5, "/tf_static", (1, 1)),
+        (2.0, "map", 7, "/tf_static", (2, 2)),
+        (3.0, "map", 2, "/tf_static", (3, 3)),
+        (4.0, "map", 4, "/tf", (4, 4)),
+        (5.0, "map", 6, "/tf", (4, 5)),
+        (6.0, "odom", 0, "/lab/tf_static", (6, 6)),
+    ):
+        transforms.add(link(parent, "a", x, second), topic)
+        found = [transforms.pose("a", stamp) for stamp in (0, 9 * 10**9)]
+        assert [(each[0][0, 3], each[1]) for each in found if each] == [(each, parent) for each in expected]
+
+
+def test_only_the_frames_that_lead_to_map_are_read_from_a_bag(tmp_path: Path) -> None:
+    """The transforms of other frames are not even looked at: one of them is impossible."""
+    links = (("odom", "base", 1.0), ("base", "camera", 2.0), ("map", "odom", 4.0), ("map", "other", np.nan))
+    with BagWriter(tmp_path / "bag", [described(BagTopic("/tf", TF))]) as writer:
+        for second, each in enumerate(links):
+            writer.append(encode_chunk([BagMessage(0, second, link(*each, second))], "none"))
+    found = bag_transforms(tmp_path / "bag", ["/camera"])
+    pose = found.pose("camera", 0)
+    assert pose is not None and (pose[0][0, 3], pose[1]) == (7.0, "map")
+    assert found.pose("other", 0) is None
+    with pytest.raises(EvaluationError, match="a transform is not finite") as caught:
+        bag_transforms(tmp_path / "bag", ["camera", "other"])
+    assert caught.value.key == "/tf"
 
 
 def test_positions_in_the_frame_of_a_camera_of_a_recording(tmp_path: Path) -> None:

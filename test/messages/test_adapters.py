@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from adapter_scene import write
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
@@ -35,33 +35,12 @@ from humansim_ros.scene.adapter_config import AdaptersConfig
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.scene.standing import standing
 
-SCENE: dict[str, Any] = {
-    "rate": 20,
-    "room": None,
-    "humans": {
-        "anna": {"body": "adult_woman", "motion": {"file": "walk", "position": [0, 0.6], "yaw_deg": 40}},
-        "ben": {"body": "adult_man", "motion": {"file": "wave", "position": [0.3, -0.8]}},
-        "away": {"body": "child", "motion": {"file": "walk", "position": [40, 0]}},
-    },
-    "robot": {"path": {"points": [[-2, 0], [2, 0.3], [2, 2]], "speed": 2}, "vibration": 0.002},
-    "cameras": {
-        "fixed": {"size": [96, 72], "position": [3.1, 2.8, 2.2], "look_at": [0, 0, 0.8], "fov_deg": 62},
-        "ahead": {"size": [96, 72], "mount": "robot", "position": [0.1, 0, 1], "look_at": [1, 0, 0.9]},
-    },
-    "scanners": {"lidar": {"model": "velodyne_vlp16", "mount": "robot", "position": [0.2, 0, 0.4]}},
-}
 ALL = {
     "detections_2d": {},
     "detections_3d": "base_link",
     "people": "base_link",
     "tracked_persons": {"frame": "fixed_optical_frame", "camera": "fixed"},
 }
-
-
-def write(folder: Path, adapters: dict[str, Any]) -> Path:
-    path = folder / "scene.yaml"
-    path.write_text(json.dumps({**SCENE, "adapters": adapters}))
-    return path
 
 
 def topics_of(scene: Scene, adapters: dict[str, Any]) -> dict[str, Any]:
@@ -192,8 +171,22 @@ def test_another_version_is_refused(lacks: str, scene: Scene, monkeypatch: pytes
         ({"detections_2d": {"cameras": []}}, "adapters.detections_2d.cameras", "at least one"),
         ({"people": {"frame": "a b"}}, "adapters.people.frame", "a frame of tf"),
         ({"peple": {}}, "adapters.peple", "did you mean `people`"),
-        ({"people": {"topic": "odom"}}, "adapters", "there is another topic odom"),
-        ({"people": {"topic": "a"}, "detections_3d": {"topic": "/a"}}, "adapters", "another topic a"),
+        ({"people": {"topic": "odom"}}, "adapters.people.topic", "the scene has the topic odom, too"),
+        (
+            {"people": {"topic": "a"}, "detections_3d": {"topic": "/a"}},
+            "adapters.people.topic",
+            "adapters.detections_3d has the topic a, too: give adapters.people another 'topic'",
+        ),
+        (
+            {"people": {}, "detections_3d": {"topic": "people"}},
+            "adapters.detections_3d.topic",
+            "adapters.people has the topic people, too: give adapters.detections_3d another 'topic'",
+        ),
+        (
+            {"detections_2d": {"topic": "a"}, "people": {"topic": "fixed/a/label_info"}},
+            "adapters.people.topic",
+            "adapters.detections_2d has the topic fixed/a/label_info, too",
+        ),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, adapters: dict[str, Any], key: str, text: str) -> None:

@@ -170,7 +170,7 @@ def test_people_and_robot_share_a_message_and_people_rest_with_their_camera(tmp_
 
 def test_an_adapter_is_refused_the_name_of_a_topic_of_tf(tmp_path: Path) -> None:
     scene = loaded(tmp_path, adapters={"people": {"topic": "/tf"}})
-    with pytest.raises(SceneError, match="there is another topic tf: give it another key 'topic'"):
+    with pytest.raises(SceneError, match="the scene has the topic tf, too: give"):
         scene_topics(scene)
 
 

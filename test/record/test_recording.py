@@ -355,6 +355,27 @@ def test_a_recording_stops_after_a_few_frames_if_the_disk_is_too_small(
     assert record(job, tmp_path / "bag", resume=True).done == 9
 
 
+def test_a_bag_of_an_older_version_without_tf_is_continued_with_its_topics(
+    scene: Scene, tmp_path: Path
+) -> None:
+    def stop(_: Any) -> None:
+        raise KeyboardInterrupt
+
+    now, bag = SceneRecording.of(scene, 2), tmp_path / "bag"
+    assert now.plan.topics[-1] == "/tf_static"
+    older = SceneRecording.of(scene, 2, [name for name in now.plan.topics if not name.startswith("/tf")])
+    with pytest.raises(KeyboardInterrupt):
+        record(older, bag, on_progress=stop)
+    with pytest.raises(BagError, match=r"topics: /tf_static only now\. To continue it, give just its topics"):
+        record(now, bag, resume=True)
+    with pytest.raises(BagError, match=r"frames: 2 in the bag, 3 now; .* only now$"):
+        record(SceneRecording.of(scene, 3, ["/tf_static"]), bag, resume=True)
+    assert record(older, bag, resume=True).first == 1
+    record(older, tmp_path / "whole")
+    assert by_rosbags(bag).keys() == set(older.plan.topics)
+    assert hashes(bag) == hashes(tmp_path / "whole")
+
+
 def test_a_bag_that_another_process_writes_is_not_continued(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     lock = os.open(tmp_path / "bag", os.O_RDONLY)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import random
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import adapter_scene
 import numpy as np
 import pytest
 import ros_support
+from adapter_scene import SCENE
 from conftest import ROOT, built_package, importable
 from waiting import PATIENCE, wait_until
 
@@ -29,37 +31,15 @@ from humansim_ros.testing import SceneGraph
 
 #: Packages of the adapters; the tests of each day build one of them only.
 ALL = ("vision_msgs", "people_msgs", "spencer_tracking_msgs")
-SCENE: dict[str, Any] = {
-    "rate": 20,
-    "room": None,
-    "humans": {
-        "anna": {"motion": {"file": "walk", "position": [0, -1.0]}},
-        "ben": {"body": "child", "motion": {"file": "wave", "position": [-0.5, 1.0]}},
-    },
-    "robot": {"path": {"points": [[-2, 0], [2, 0.3]], "speed": 1.5}, "vibration": 0.002},
-    "cameras": {
-        "left": {"size": [64, 48], "position": [4, 0, 2], "look_at": [0, 0, 1], "fov_deg": 60},
-        "ahead": {
-            "size": [64, 48],
-            "mount": "robot",
-            "position": [0, 0, 1],
-            "look_at": [1, 0, 0.9],
-            "rate": 10,
-        },
-    },
-}
+#: Without scans, and with a camera on the robot that takes a picture in each second frame only.
+AHEAD = {**SCENE["cameras"]["ahead"], "rate": 10}
+write = partial(adapter_scene.write, scanners={}, cameras={**SCENE["cameras"], "ahead": AHEAD})
 ADAPTERS = {
     "detections_2d": {},
     "detections_3d": "ahead_optical_frame",
     "people": "base_link",
     "tracked_persons": {"frame": "odom", "camera": "ahead"},
 }
-
-
-def write(folder: Path, adapters: dict[str, Any]) -> Path:
-    path = folder / "scene.yaml"
-    path.write_text(json.dumps({**SCENE, "adapters": adapters}))
-    return path
 
 
 @pytest.fixture
@@ -166,7 +146,7 @@ def test_a_run_records_the_adapters_and_the_evaluation_reads_them(ros: None, tmp
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     data = evaluate(scene, f"{tmp_path / 'bag'}:/people").data
-    assert data["people"]["found"] == 24 and data["position"]["mpjpe"] < 1e-9
+    assert data["people"]["found"] == 36 and data["position"]["mpjpe"] < 1e-9
     assert data["live"]["frames"] == 12
 
 
@@ -191,10 +171,10 @@ def test_a_people_tracker_is_evaluated_live(people_msgs: None, tmp_path: Path) -
 def test_hostile_boxes_leave_the_node_running(all_packages: None, ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import PointCloud2
 
-    node = make_bridge(write(tmp_path, {"detections_2d": {"cameras": ["left"]}}))
+    node = make_bridge(write(tmp_path, {"detections_2d": {"cameras": ["fixed"]}}))
     try:
-        ros_support.deliver(node, "/left/boxes", PointCloud2(header=messages.header(5, "left")))
-        ros_support.deliver(node, "/left/boxes", PointCloud2(width=2**31, height=2**31))
+        ros_support.deliver(node, "/fixed/boxes", PointCloud2(header=messages.header(5, "fixed")))
+        ros_support.deliver(node, "/fixed/boxes", PointCloud2(width=2**31, height=2**31))
         assert node._counts["drops"] == 2
     finally:
         node.close()

@@ -114,6 +114,25 @@ def test_a_silent_human_is_named(stage: Stage, capfd: pytest.CaptureFixture[str]
     assert "clocks" not in log
 
 
+def test_only_cameras_and_scanners_show_the_scene_at_its_start(
+    ros: None, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not node ``bridge``, which has no use for it."""
+    from rclpy.parameter import Parameter
+
+    monkeypatch.setattr(frame_synchronizer, "_START_SCENE_AFTER", -1.0)
+    scene = Parameter("scene", value=str(write_scene(tmp_path)))
+    for previews in (False, True):
+        node, states = SceneNode("alone", parameter_overrides=[scene]), list[SceneState]()
+        try:
+            FrameSynchronizer(node, states.append, [node], previews=previews)._await_first_frame()
+            assert [state.is_preview for state in states] == [True] * previews
+            assert node.has_parameter("start_scene") is previews
+        finally:
+            node.destroy_node()
+        assert ("showing the scene at its start" in capfd.readouterr().err) is previews
+
+
 def test_vertices_that_are_not_those_of_the_body_are_not_held(
     stage: Stage, capfd: pytest.CaptureFixture[str]
 ) -> None:

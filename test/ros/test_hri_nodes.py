@@ -5,19 +5,25 @@ Names, types and quality of service of the subscriptions are those of libhri 2.9
 
 from __future__ import annotations
 
+import os
 import random
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, importable
+import yaml
+from conftest import ROOT, built_package, importable
 from ros_support import deliver
+from waiting import PATIENCE
 
 from humansim_ros import Scene, Simulation, messages
+from humansim_ros.bags.reader import BagReader
 from humansim_ros.errors import HumansimError, RosError, SceneError
 from humansim_ros.messages import hri, types
 from humansim_ros.messages.adapters import adapter_topics
@@ -297,6 +303,36 @@ def test_a_recording_in_lockstep_waits_for_the_lists_only() -> None:
     awaited = [topic.name for topic in topics if has_message_per_frame(topic)]
     lists = ["bodies/tracked", "faces/tracked", "persons/tracked", "persons/known"]
     assert awaited == [f"humans/{name}" for name in lists] == [topic.name for topic in topics[-4:]]
+
+
+@pytest.mark.nightly
+def test_a_run_in_lockstep_records_frames_in_which_nobody_is_seen(ros: None, tmp_path: Path) -> None:
+    """The camera goes away and comes back: most topics have no message meanwhile, and nobody waits."""
+    here, away = "3 0 1.2 0.5 -0.5 -0.5 0.5", "3 30 1.2 0.5 -0.5 -0.5 0.5"
+    (tmp_path / "way.txt").write_text(f"0 {here}\n0.3 {away}\n0.7 {away}\n1 {here}\n")
+    camera = {"size": [64, 48], "trajectory": "way.txt"}
+    content = {**HRI, "humans": {"anna": SCENE["humans"]["anna"]}, "cameras": {"front": camera}}
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(yaml.safe_dump(content))
+    paths = [str(ROOT), *(str(built_package(name)) for name in ("hri_msgs", "tf2_msgs"))]
+    done = subprocess.run(
+        [sys.executable, "-m", "humansim_ros", "run", str(scene), "--lockstep", "--frames", "12",
+         "--record", str(tmp_path / "bag"), "--topics", "/humans/*,/tf"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found: dict[str, list[int]] = {}
+    with BagReader(tmp_path / "bag") as reader:
+        for message in reader.messages():
+            found.setdefault(reader.topics[message.topic].name, []).append(message.stamp)
+    stamps = [1 + k * 100_000_000 for k in range(12)]
+    with Simulation(Scene.load(scene), ("instance", "amodal")) as simulation:
+        seen = [frame.stamp for frame in simulation.frames(12) if frame.boxes["front"]["anna"].pixels]
+    assert stamps[0] in seen and stamps[5] not in seen and stamps[-1] in seen
+    for name in ("bodies/tracked", "faces/tracked", "persons/tracked", "persons/known", "anna/joints"):
+        assert found[f"/humans/{name}"] == stamps, name
+    assert found["/humans/bodies/b_anna/position"] == seen
 
 
 def test_a_scene_without_adapters_is_published_by_the_parameter(ros: None) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from humansim_ros.bags.chunks import BagMessage
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic, types_of
 from humansim_ros.errors import EvaluationError, did_you_mean, located, printable, warn_about
@@ -18,8 +20,9 @@ from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.evaluate.readers.pose_files import ReadOptions, read_c3d, read_csv, read_json_3d, read_trc
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.io.files import missing_file
+from humansim_ros.messages.headers import WORLD_FRAME
 from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point, read_people
-from humansim_ros.messages.transforms import TF, Transforms
+from humansim_ros.messages.transforms import TF, Transforms, read_links
 
 _Reader = Callable[[Path, ReadOptions], PoseSequence]
 #: By suffix: the reader, and the axes of files of that format.
@@ -34,8 +37,6 @@ ESTIMATE_SUFFIXES = tuple(_READERS)
 _BAG_SUFFIXES = (".mcap", ".db3")
 #: Stamp and log time that differ by more, nanoseconds, are of different clocks.
 _SAME_CLOCK = 3600 * 10**9
-#: Frame of all positions.
-_WORLD = "map"
 #: Type of the poses of cameras and scanners.
 _EXTRINSICS = "geometry_msgs/msg/TransformStamped"
 
@@ -154,23 +155,25 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
             raise EvaluationError(f"the bag has no topic {topic}{listed}", path=path)
         for index in people:
             _check_type(reader.topics[index], path)
-        stream = EstimateStream(source)
-        frames = set[str]()
-        transforms: Transforms | None = None
+        found: list[tuple[BagMessage, PoseFrame]] = []
         for message in reader.messages([reader.topics[index].name for index in people]):
             kind = reader.topics[message.topic]
-            try:
+            with located(EvaluationError, path, key=kind.name):
                 content = read_people(kind.type, deserialised_message(message.data, kind), options.names)
-                if content.frame_id not in ("", _WORLD):
-                    transforms = _transforms(path) if transforms is None else transforms
+            found.append((message._replace(data=b""), content))
+        transforms = bag_transforms(path, {content.frame_id for _, content in found} - {""})
+        stream = EstimateStream(source)
+        others = set[str]()
+        for message, content in found:
+            kind = reader.topics[message.topic]
+            with located(EvaluationError, path, key=kind.name):
+                if content.frame_id not in ("", WORLD_FRAME):
                     content = in_world(content, transforms, is_needed=has_one_point(kind.type))
                 latency = _latency(content.stamp, message.stamp)
                 stream.add(content, kind.name, message.stamp, people[message.topic], latency)
-            except EvaluationError as error:
-                raise EvaluationError(error.message, path=path, key=kind.name) from None
-            frames.add(content.frame_id)
-    if others := sorted(frames - {"", _WORLD}):
-        warn_about(source, f"frame_id is '{printable(others[0], 80)}', and is taken as {_WORLD}")
+            others.add(content.frame_id)
+    if others := others - {"", WORLD_FRAME}:
+        warn_about(source, f"frame_id is '{printable(min(others), 80)}', and is taken as {WORLD_FRAME}")
     return stream
 
 
@@ -183,23 +186,41 @@ def deserialised_message(data: Any, topic: BagTopic) -> Any:
         raise EvaluationError(f"a message cannot be read: {text}") from None
 
 
-def _transforms(path: str | os.PathLike[str]) -> Transforms:
-    """Transforms of tf, and poses of cameras and scanners, of a bag.
+def bag_transforms(path: str | os.PathLike[str], frames: Collection[str]) -> Transforms:
+    """Transforms that lead from some frames upwards, of tf, and poses of cameras and scanners, of a bag.
+
+    Two runs through the bag, as it may have thousands of frames that nobody needs, such as those of ROS4HRI.
 
     Raises:
         EvaluationError: A message is damaged, or a transform is impossible.
     """
-    found = Transforms(kept=None)
+    needed, new = set[str](), {frame.strip("/") for frame in frames} - {WORLD_FRAME}
+    if not new:
+        return Transforms(frames=())
+    above: dict[str, set[str]] = defaultdict(set)
+
+    def note(data: bytes, topic: BagTopic) -> None:
+        for parent, child, *_ in read_links(data, topic.type):
+            above[child].add(parent)
+
+    _for_transforms(path, note)
+    while new:
+        needed |= new
+        new = {parent for frame in new for parent in above.get(frame, ())} - needed
+    found = Transforms(kept=None, frames=needed)
+    _for_transforms(path, lambda data, topic: found.add(data, topic.name, topic.type))
+    return found
+
+
+def _for_transforms(path: str | os.PathLike[str], use: Callable[[bytes, BagTopic], None]) -> None:
+    """Call a function with each message of a bag that has transforms."""
     with BagReader(path) as reader:
-        names = [each.name for each in reader.topics if each.type in (TF, _EXTRINSICS)]
-        for message in reader.messages(names):
+        for message in reader.messages(
+            [each.name for each in reader.topics if each.type in (TF, _EXTRINSICS)]
+        ):
             topic = reader.topics[message.topic]
             with located(EvaluationError, path, key=topic.name):
-                if topic.type == TF:
-                    found.add(bytes(message.data))
-                else:
-                    found.add_transform(deserialised_message(message.data, topic))
-    return found
+                use(bytes(message.data), topic)
 
 
 def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseFrame:
@@ -214,12 +235,12 @@ def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseF
         EvaluationError: There is no transform.
     """
     found = None if frame.stamp is None else transforms.pose(frame.frame_id, frame.stamp)
-    if found is not None and found[1] == _WORLD:
-        return frame.moved(found[0], _WORLD)
+    if found is not None and found[1] == WORLD_FRAME:
+        return frame.moved(found[0], WORLD_FRAME)
     if is_needed and frame.stamp is not None:
         raise EvaluationError(
-            f"frame_id is '{printable(frame.frame_id, 80)}', and tf has no transform from it to {_WORLD}: "
-            f"publish positions in {_WORLD}, or with the topics /tf and /tf_static"
+            f"frame_id is '{printable(frame.frame_id, 80)}', and tf has no transform from it to "
+            f"{WORLD_FRAME}: publish positions in {WORLD_FRAME}, or with the topics /tf and /tf_static"
         )
     return frame
 

@@ -2,61 +2,37 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from humansim_ros.bags.reader import BagReader
+from humansim_ros.bags.topics import BagTopic
 from humansim_ros.errors import EvaluationError, did_you_mean, located, printable
 from humansim_ros.evaluate.nearby import RobotPath
-from humansim_ros.evaluate.readers.estimates import deserialised_message, is_bag, split_topic
+from humansim_ros.evaluate.readers.estimates import bag_transforms, deserialised_message, is_bag, split_topic
 from humansim_ros.evaluate.truth import FIRST_STAMP, MAX_TRUTH_FRAMES
 from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import WORLD_FRAME, to_nanoseconds
-from humansim_ros.messages.transforms import TF
+from humansim_ros.messages.transforms import TF, read_links
 from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
-#: Topic of transforms that hold for all times, and frame of the robot where the scene has no robot.
-_STATIC, _BASE_FRAME = "/tf_static", "base_link"
+#: Frame of the robot where the scene has no robot.
+_BASE_FRAME = "base_link"
 _SCENE_SUFFIXES = (".yaml", ".yml")
-#: Stamped transforms (4, 4) from a frame to its parent.
-_Samples = list[tuple[int, Array]]
-#: Parent frame, child frame ("": the robot's), pose and stamp in a message.
-_Part = tuple[str, str, Any, Any]
-
-
-def _odometry(message: Any) -> Iterator[_Part]:
-    yield message.header.frame_id, message.child_frame_id, message.pose.pose, message.header.stamp
-
-
-def _located(message: Any) -> Iterator[_Part]:
-    yield message.header.frame_id, "", message.pose.pose, message.header.stamp
-
-
-def _marked(message: Any) -> Iterator[_Part]:
-    yield message.header.frame_id, "", message.pose, message.header.stamp
-
-
-def _transforms(message: Any) -> Iterator[_Part]:
-    for each in message.transforms:
-        pose = SimpleNamespace(position=each.transform.translation, orientation=each.transform.rotation)
-        yield each.header.frame_id, each.child_frame_id, pose, each.header.stamp
-
-
-_READERS: dict[str, Callable[[Any], Iterator[_Part]]] = {
-    "nav_msgs/msg/Odometry": _odometry,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _located,
-    "visualization_msgs/msg/Marker": _marked,
-    TF: _transforms,
+#: Pose of the robot in messages of each type; tf has it, too.
+_POSES: dict[str, Callable[[Any], Any]] = {
+    "nav_msgs/msg/Odometry": lambda message: message.pose.pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
+    "visualization_msgs/msg/Marker": lambda message: message.pose,
 }
+#: Stamp, frame, and pose (4, 4) of the robot in it.
+_Sample = tuple[int, str, Array]
 
 
 def is_robot_path(text: str) -> bool:
@@ -73,7 +49,7 @@ def is_robot_path(text: str) -> bool:
     if not is_bag(path):
         return False
     with BagReader(path) as reader:
-        return any(each.name == topic and each.type in _READERS for each in reader.topics)
+        return any(each.name == topic and each.type in (*_POSES, TF) for each in reader.topics)
 
 
 def read_robot_path(text: str, scene: Scene | None) -> RobotPath:
@@ -108,64 +84,57 @@ def _scene_path(scene: Scene, text: str) -> RobotPath:
 
 
 def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
-    """Path of a robot on a topic; transforms of ``/tf`` and ``/tf_static`` lead from its frame to map."""
-    robot = scene.robot.config if scene is not None and scene.robot is not None else None
-    base = robot.base_frame if robot is not None else _BASE_FRAME
-    samples: dict[str, _Samples] = defaultdict(list)
-    parents: dict[str, str] = {}
-    static = set[str]()
+    """Path of a robot on a topic; the transforms of the bag lead from its frame to map."""
+    robot = scene.robot if scene is not None else None
+    base = robot.config.base_frame if robot is not None else _BASE_FRAME
+    samples: list[_Sample] = []
     with BagReader(path) as reader:
         kinds = {each.name: each.type for each in reader.topics}
         if topic not in kinds:
             raise EvaluationError(f"the bag has no topic {topic}{did_you_mean(topic, kinds)}", path=path)
-        others = [
-            name for name, kind in kinds.items() if kind == TF and (name == _STATIC or kinds[topic] != TF)
-        ]
-        for message in reader.messages({topic, *others}):
-            source = reader.topics[message.topic]
-            with located(EvaluationError, path, key=source.name):
-                content = deserialised_message(message.data, source)
-                for parent, child, pose, stamp in _READERS[source.type](content):
-                    parent, child = parent.strip("/"), child.strip("/")
-                    if source.type != TF:
-                        child = base
-                    elif child == base and kinds[topic] != TF:
-                        continue  # the topic has it
-                    position, rotation = rigid_pose(pose, f"a pose of {printable(child, 80)}")
-                    matrix = transform(quaternion_to_matrix(rotation), position)
-                    parents[child] = parent
-                    samples[child].append((to_nanoseconds(stamp), matrix))
-                    if source.name == _STATIC:
-                        static.add(child)
-    if not samples[base]:
+        is_tf = kinds[topic] == TF
+        transforms = bag_transforms(path, [base] if is_tf else [])
+        moving = transforms.moving(base)  # its times are those of the path
+        for message in reader.messages([topic]):
+            with located(EvaluationError, path, key=topic):
+                if is_tf:
+                    links = read_links(bytes(message.data))
+                    samples += [(stamp, base, np.eye(4)) for _, child, stamp, _ in links if child == moving]
+                else:
+                    samples.append(_sample(message.data, reader.topics[message.topic]))
+    if not samples:
         raise EvaluationError(f"there is no pose of {base} on it", path=path, key=topic)
-    chain, start = [base], np.eye(4)
-    while (frame := parents[chain[-1]]) != WORLD_FRAME:
-        if frame in chain or frame not in parents:
-            if scene is None or scene.robot is None or frame != scene.robot.config.odom_frame:
+    times = [time for time, *_ in samples]
+    _check_order(times, path, topic)
+    if not is_tf:
+        transforms = bag_transforms(path, {frame for _, frame, _ in samples})
+    matrices = []
+    for time, frame, pose in samples:
+        matrix, top = transforms.pose(frame, time) or (np.eye(4), frame)
+        if top != WORLD_FRAME:
+            if robot is None or top != robot.config.odom_frame:
                 raise EvaluationError(
-                    f"no transforms lead from {printable(frame, 80)!r} to {WORLD_FRAME}: record /tf and "
+                    f"no transforms lead from {printable(top, 80)!r} to {WORLD_FRAME}: record /tf and "
                     "/tf_static, too, or give the scene of the robot as --truth",
                     path=path,
                     key=topic,
                 )
-            begin = scene.robot.start
-            start = transform(quaternion_to_matrix(begin.rotation), begin.position)
-            break
-        chain.append(frame)
-    # the first one that moves gives the times
-    moving = next((frame for frame in chain if frame not in static), base)
-    _check_order(samples[moving], path, topic)
-    times = [time for time, _ in samples[moving]]
-    matrices = np.tile(np.eye(4), (len(times), 1, 1))
-    for frame in chain:
-        matrices = _at(samples[frame], times, frame in static) @ matrices
-    return RobotPath.of(np.array(times, np.int64), start @ matrices, f"{path}:{topic}")
+            start = robot.start
+            matrix = transform(quaternion_to_matrix(start.rotation), start.position) @ matrix
+        matrices.append(matrix @ pose)
+    return RobotPath.of(np.array(times, np.int64), np.array(matrices), f"{path}:{topic}")
 
 
-def _check_order(samples: _Samples, path: Path, topic: str) -> None:
+def _sample(data: Any, topic: BagTopic) -> _Sample:
+    message = deserialised_message(data, topic)
+    position, rotation = rigid_pose(_POSES[topic.type](message), "a pose of the robot")
+    pose = transform(quaternion_to_matrix(rotation), position)
+    return to_nanoseconds(message.header.stamp), message.header.frame_id.strip("/"), pose
+
+
+def _check_order(times: list[int], path: Path, topic: str) -> None:
     """Raise EvaluationError if the clock of a robot went back."""
-    for number, ((before, _), (time, _)) in enumerate(pairwise(samples), 2):
+    for number, (before, time) in enumerate(pairwise(times), 2):
         if time < before:
             raise EvaluationError(
                 f"the robot's clock goes back from {before * 1e-9:.3f} s to {time * 1e-9:.3f} s at pose "
@@ -173,12 +142,3 @@ def _check_order(samples: _Samples, path: Path, topic: str) -> None:
                 path=path,
                 key=topic,
             )
-
-
-def _at(samples: _Samples, times: list[int], fixed: bool) -> Array:
-    """Newest transform (P, 4, 4) at each time, or the first one before it. ``fixed``: the last for all."""
-    if fixed:
-        return np.array([samples[-1][1]] * len(times))
-    ordered = sorted(samples, key=lambda sample: sample[0])
-    stamps = [stamp for stamp, _ in ordered]
-    return np.array([ordered[max(0, bisect_right(stamps, time) - 1)][1] for time in times])

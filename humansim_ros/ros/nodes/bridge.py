@@ -77,7 +77,7 @@ class BridgeNode(SceneNode):
         posed = dict.fromkeys(topic.posed for topic in topics if topic.posed)
         moving = [name for name in posed if self.scene.scene_cameras[name].moves]
         # also without a topic of people: frames in lockstep wait for its reports
-        self._synchronizer = FrameSynchronizer(self, self._on_state, [self], moving)
+        self._synchronizer = FrameSynchronizer(self, self._on_state, [self], moving, previews=False)
         if any(topic.on_demand for topic in per_frame):
             self.create_timer(_LOOK_EVERY, self._update_inputs, clock=self._steady_clock)
         self._again = [topic.name for topic in per_frame if topic.repeated]
@@ -126,8 +126,7 @@ class BridgeNode(SceneNode):
             self._add(name, messages.to_nanoseconds(message.header.stamp), content)
 
     def _on_state(self, state: SceneState) -> None:
-        if not state.is_preview:
-            self._add(_STATE, state.stamp, state)
+        self._add(_STATE, state.stamp, state)
 
     def _add(self, name: str, stamp: int, content: Any) -> None:
         """Add what has arrived, and publish what is whole with it."""

@@ -41,7 +41,7 @@ class InProcessNodes:
             for name in scene.scanners:
                 self._add(ScannerNode, name, use_sim_time=is_simulated, scanner=name, start_scene=False)
             if scene.config.adapter_settings:
-                self._add(BridgeNode, None, use_sim_time=is_simulated, start_scene=False)
+                self._add(BridgeNode, None, use_sim_time=is_simulated)
             # last, so that all others know its topics when it sends the first frame
             self._add(MotionPlayerNode, None, **player)
         except BaseException:

@@ -234,7 +234,7 @@ def scene_processes(
         ),
     ]
     if names.adapters:
-        listed.append(NodeProcess("bridge", BRIDGE_NODE, {**of_cameras, "start_scene": False}))
+        listed.append(NodeProcess("bridge", BRIDGE_NODE, of_cameras))
     here = [process for process in listed if not chosen.isdisjoint(process.visible_nodes)]
     if record is not None:
         here.append(_recorder(record, names, scene, time.wait_for))

@@ -256,6 +256,20 @@ def test_transforms_in_a_loop_are_refused(tmp_path: Path) -> None:
             read_robot_path(f"{bag}:{topic}", None)
 
 
+def test_a_frame_with_two_parents_is_refused(tmp_path: Path) -> None:
+    bag = bag_of(
+        tmp_path / "two",
+        ("/tf", 1, tf(1, "map", "odom", 0, 0)),
+        ("/tf", 2, tf(2, "odom", "base_link", 1, 0)),
+        ("/tf", 3, tf(3, "map", "base_link", 5, 0)),
+        ("/tf", 4, tf(4, "map", "cup", 0, 0)),
+        ("/tf", 5, tf(5, "base_link", "cup", 0, 0)),  # a cup that the robot takes
+    )
+    with pytest.raises(EvaluationError, match="'base_link' has two parents, 'odom' and 'map'") as caught:
+        read_robot_path(f"{bag}:/tf", None)
+    assert (caught.value.path, caught.value.key) == (str(bag), "/tf")
+
+
 @pytest.mark.parametrize("topic", ["/odom", "/tf"])
 def test_damaged_paths_are_refused_or_finite(tmp_path: Path, topic: str) -> None:
     dice, errors = random.Random(f"{topic}3"), list[EvaluationError]()

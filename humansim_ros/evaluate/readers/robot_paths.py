@@ -113,6 +113,7 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
     base = robot.base_frame if robot is not None else _BASE_FRAME
     samples: dict[str, _Samples] = defaultdict(list)
     parents: dict[str, str] = {}
+    second: dict[str, str] = {}  # other parents of frames
     static = set[str]()
     with BagReader(path) as reader:
         kinds = {each.name: each.type for each in reader.topics}
@@ -133,7 +134,8 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
                         continue  # the topic has it
                     position, rotation = rigid_pose(pose, f"a pose of {printable(child, 80)}")
                     matrix = transform(quaternion_to_matrix(rotation), position)
-                    parents[child] = parent
+                    if parents.setdefault(child, parent) != parent:
+                        second[child] = parent
                     samples[child].append((to_nanoseconds(stamp), matrix))
                     if source.name == _STATIC:
                         static.add(child)
@@ -153,6 +155,11 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
             start = transform(quaternion_to_matrix(begin.rotation), begin.position)
             break
         chain.append(frame)
+    for frame in chain:
+        if frame in second:
+            both = " and ".join(repr(printable(each, 80)) for each in (parents[frame], second[frame]))
+            name = repr(printable(frame, 80))
+            raise EvaluationError(f"the frame {name} has two parents, {both}", path=path, key=topic)
     # the first one that moves gives the times
     moving = next((frame for frame in chain if frame not in static), base)
     _check_order(samples[moving], path, topic)

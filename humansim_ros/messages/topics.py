@@ -839,10 +839,17 @@ def scene_topics(
         lidar = ScannerTopics(scene, scanner)
         topics += lidar
         transforms.append(lidar.transform)
-    adapters = _checked_adapters(scene, {*(topic.name for topic in topics), TF_TOPIC, TF_STATIC_TOPIC})
+    adapters = _checked_adapters(scene, {*(topic.name for topic in topics), *_TOPICS_OF_NODES})
     transforms += [topic for topic in adapters if topic.type_name == TF]
     topics += [topic for topic in adapters if topic.type_name != TF]
     return [*topics, *transform_topics(scene, transforms)]
+
+
+#: Topics that nodes have, whatever the scene has.
+_TOPICS_OF_NODES = (
+    *(TF_TOPIC, TF_STATIC_TOPIC, "clock", "frame_done"),
+    *("diagnostics", "parameter_events", "rosout"),
+)
 
 
 def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:

@@ -55,6 +55,15 @@ def test_a_drive_past_somebody_who_stands() -> None:
     assert (path.seconds, path.length, path.speed, path.irregularity) == pytest.approx((10, 10, 1, 0))
 
 
+def test_contacts_with_a_body_that_is_not_known_are_null() -> None:
+    people = {"anna": np.array([0.0, 1.0]), "ben": np.array([0.0, 2.0])}
+    result = evaluate_navigation(drive(people, {"anna": np.full(1001, 0.9)}), "path", 0.3)
+    anna, ben = result.by_person["anna"], result.by_person["ben"]
+    assert (anna.clearance, anna.collisions, anna.contact) == (pytest.approx(0.6), 0, 0)
+    assert (ben.clearance, ben.collisions, ben.contact) == (None, None, None)
+    assert (result.nearest.collisions, result.nearest.contact) == (None, None)
+
+
 def test_contacts_and_time_to_collision() -> None:
     at = np.array([0.0, 0.2])
     x = np.arange(0, 1001) * 0.01 - 5

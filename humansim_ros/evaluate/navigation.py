@@ -163,7 +163,7 @@ def _driven(nearby: PeopleNearby, known: NDArray[np.bool_]) -> DrivenPath:
 
 def _closeness(nearby: PeopleNearby, name: str, radius: float, weights: Array) -> Closeness:
     place = nearby.people[name]
-    nearest = None if nearby.nearest is None else nearby.nearest[name]
+    nearest = None if nearby.nearest is None else nearby.nearest.get(name)
     distances = np.linalg.norm(nearby.places[:, :2] - place, axis=1)
     seen = np.isfinite(distances)
     if not seen.any():
@@ -189,7 +189,7 @@ def _nearest(nearby: PeopleNearby, each: Mapping[str, Closeness], weights: Array
     tables = [np.linalg.norm(nearby.places[:, :2] - place, axis=1) for place in nearby.people.values()]
     distances = np.fmin.reduce([*tables, np.full(len(weights), np.nan)])
     best = min(found, key=lambda closeness: closeness.distance or 0.0, default=None)
-    known = nearby.nearest is not None
+    known = nearby.nearest is not None and all(c.collisions is not None for c in found)
     times = [each.time_to_collision for each in found if each.time_to_collision is not None]
     return Closeness(
         distance=best.distance if best is not None else None,

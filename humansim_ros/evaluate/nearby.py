@@ -69,7 +69,7 @@ class PeopleNearby:
         places: Places of the robot (F, 3): x, y, yaw; NaN where it is not known.
         people: Middle of the hips on the floor (F, 2) by person; NaN in frames without the person.
         nearest: Distance (F,) on the floor from the middle of the robot to the nearest vertex of a person
-            that is not above the robot, by person; None where bodies are not known.
+            that is not above the robot, by person whose body is known; None if the bag has no bodies.
         source: Where the people come from, for messages.
     """
 
@@ -147,7 +147,9 @@ def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
 def _bag_bodies(
     bag: Path, times: NDArray[np.int64], places: Array, people: Sequence[str]
 ) -> dict[str, Array] | None:
-    """Distances (F,) of the nearest vertices by person, inf without a message; None without topics."""
+    """Distances (F,) of the nearest vertices by person who has any, inf without a message; None without
+    topics.
+    """
     rows = {time: row for row, time in enumerate(times.tolist())}
     pattern = topic_pattern(_VERTICES)
     nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
@@ -163,7 +165,7 @@ def _bag_bodies(
             row = rows.get(stamp)
             if row is not None:
                 nearest[topic_person(match) or ""][row] = _nearest_vertex(vertices, places[row], np.inf)
-    return {name: nearest[name] for name in people} if names else None
+    return {name: nearest[name] for name in people if name in nearest} if names else None
 
 
 def _ground(names: Sequence[str], positions: Array) -> Array:

@@ -249,6 +249,8 @@ def _found(first: Any, place: _Place) -> str:
     value = show_value(first["input"])
     if first["type"] == "missing":  # a list is too short
         return value
+    if first["type"] == "string_type" and isinstance(first["input"], bool):
+        value += ' (quote a text such as "off", "on", "yes" or "no")'
     if not inner:
         return value + did_you_mean(str(first["input"]), _choices(place.annotation))
     position = " of row ".join(str(part + 1) for part in reversed(inner))

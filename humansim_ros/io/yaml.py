@@ -19,7 +19,7 @@ _MAX_NODES = 100_000
 _MAX_DEPTH = 50
 #: Characters of a number or date; the time for 1:1:1:1 … grows with its length.
 _MAX_NUMBER_LENGTH = 1000
-_TEXT = "tag:yaml.org,2002:str"
+_TEXT, _BOOLEAN = "tag:yaml.org,2002:str", "tag:yaml.org,2002:bool"
 
 
 class Loader(yaml.SafeLoader):
@@ -90,12 +90,13 @@ def parse_yaml(
         The data, and the nodes for :func:`line_of`, with merge keys applied.
 
     Raises:
-        HumansimError: ``error`` with path and line, if the text is wrong, too large, or has a key twice.
+        HumansimError: ``error`` with path and line, if the text is wrong, too large, has a key twice, or has
+            a name such as ``off``, which YAML reads as false.
     """
     with _yaml_errors(text, error, path):
         loader = kind(text)
         tree = loader.get_single_node()
-        _refuse_repeated_keys(tree, error, path)
+        _check_keys(tree, error, path, names=kind is Loader)
         return None if tree is None else loader.construct_document(tree), tree
     raise AssertionError
 
@@ -138,10 +139,13 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
     return line
 
 
-def _refuse_repeated_keys(
-    root: yaml.Node | None, error: type[HumansimError], path: str | os.PathLike[str]
+def _check_keys(
+    root: yaml.Node | None, error: type[HumansimError], path: str | os.PathLike[str], names: bool
 ) -> None:
-    """Raise ``error`` for a repeated key: PyYAML would silently take its last value."""
+    """Raise ``error`` for a repeated key, of which PyYAML would silently take the last value.
+
+    ``names``: also for a key that YAML 1.1 reads as a boolean; it is the name of a camera or a human.
+    """
     pending, visited = [root], set[int]()
     while pending:
         node = pending.pop()
@@ -156,5 +160,8 @@ def _refuse_repeated_keys(
             if isinstance(key.value, str) and key.value in keys and key.value != "<<":
                 line = key.start_mark.line + 1
                 raise error("repeated key", path=path, line=line, key=key.value)
+            if names and key.tag == _BOOLEAN:
+                text = f'YAML reads {key.value} as a boolean, not as a name: quote the name "{key.value}"'
+                raise error(text, path=path, line=key.start_mark.line + 1, key=key.value)
             keys.add(str(key.value))
             pending.append(value)

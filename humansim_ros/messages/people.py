@@ -228,7 +228,7 @@ def _people(message: Any, _: PointNames) -> Iterator[Pose]:
 def _tracked_persons(message: Any, _: PointNames) -> Iterator[Pose]:
     for track in message.tracks:
         pose = _point(track.track_id, track.pose.pose.position)
-        if max(track.pose.covariance[0], track.pose.covariance[7]) > _UNSET:
+        if any(track.pose.covariance[place] > _UNSET for place in (0, 7)):  # either may be NaN
             pose.positions[:] = np.nan
         yield pose
 

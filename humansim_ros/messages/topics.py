@@ -93,6 +93,12 @@ _SHOWN_CHANNELS = ("rgb", "depth", "part")
 _OPTIONAL_LEGENDS = ("keypoints", "body_part", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
 
+#: Topics that nodes have, whatever the scene has.
+_TOPICS_OF_NODES = (
+    *(TF_TOPIC, TF_STATIC_TOPIC, "clock", "frame_done"),
+    *("diagnostics", "parameter_events", "rosout"),
+)
+
 
 def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings: Any) -> Topic[None]:
     """Topic with one message for the scene. ``settings``: other attributes of the topic."""
@@ -840,7 +846,7 @@ def scene_topics(
         lidar = ScannerTopics(scene, scanner)
         topics += lidar
         transforms.append(lidar.transform)
-    adapters = _checked_adapters(scene, {*(topic.name for topic in topics), TF_TOPIC, TF_STATIC_TOPIC})
+    adapters = _checked_adapters(scene, {*(topic.name for topic in topics), *_TOPICS_OF_NODES})
     transforms += [topic for topic in adapters if topic.type_name == TF]
     topics += [topic for topic in adapters if topic.type_name != TF]
     return [*topics, *transform_topics(scene, transforms)]

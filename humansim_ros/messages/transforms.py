@@ -205,6 +205,13 @@ class Transforms:
         stamps = self._stamps[name]
         return self._above[name][stamps[max(0, bisect_right(stamps, stamp) - 1)]]
 
+    def ambiguous(self) -> Iterator[tuple[str, list[str]]]:
+        """Frames that have had another parent, each with its first two parents by stamp."""
+        for child, stamps in self._stamps.items():
+            parents = list(dict.fromkeys(self._above[child][stamp][0] for stamp in stamps))
+            if len(parents) > 1:
+                yield child, parents[:2]
+
     def moving(self, frame: str) -> str:
         """First frame from a frame upwards whose transform is not static; else the frame itself."""
         name, seen = frame, set[str]()

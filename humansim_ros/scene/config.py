@@ -54,11 +54,11 @@ MAX_LICENSE = 200
 _Radiance = Annotated[float, Field(ge=0, le=1e4)]
 _LinearColor = tuple[_Radiance, _Radiance, _Radiance]
 _Size = Annotated[float, Field(gt=0, le=1e6)]
-#: Names become parts of ROS topics and frames.
+#: Names become parts of ROS nodes, topics and frames, which may have 255 characters.
 _Name = Annotated[
     str,
-    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$"),
-    Expected("a name of letters, digits and _ that begins with a letter"),
+    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=100),
+    Expected("a name of letters, digits and _ that begins with a letter, at most 100 characters"),
 ]
 
 

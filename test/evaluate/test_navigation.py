@@ -55,6 +55,15 @@ def test_a_drive_past_somebody_who_stands() -> None:
     assert (path.seconds, path.length, path.speed, path.irregularity) == pytest.approx((10, 10, 1, 0))
 
 
+def test_contacts_with_a_body_that_is_not_known_are_null() -> None:
+    people = {"anna": np.array([0.0, 1.0]), "ben": np.array([0.0, 2.0])}
+    result = evaluate_navigation(drive(people, {"anna": np.full(1001, 0.9)}), "path", 0.3)
+    anna, ben = result.by_person["anna"], result.by_person["ben"]
+    assert (anna.clearance, anna.collisions, anna.contact) == (pytest.approx(0.6), 0, 0)
+    assert (ben.clearance, ben.collisions, ben.contact) == (None, None, None)
+    assert (result.nearest.collisions, result.nearest.contact) == (None, None)
+
+
 def test_contacts_and_time_to_collision() -> None:
     at = np.array([0.0, 0.2])
     x = np.arange(0, 1001) * 0.01 - 5
@@ -261,6 +270,20 @@ def test_transforms_in_a_loop_are_refused(tmp_path: Path) -> None:
     for topic, frame in (("/odom", "odom"), ("/tf", "base_link")):
         with pytest.raises(EvaluationError, match=f"no transforms lead from '{frame}' to map"):
             read_robot_path(f"{bag}:{topic}", None)
+
+
+def test_a_frame_with_two_parents_is_refused(tmp_path: Path) -> None:
+    bag = bag_of(
+        tmp_path / "two",
+        ("/tf", 1, tf(1, "map", "odom", 0, 0)),
+        ("/tf", 2, tf(2, "odom", "base_link", 1, 0)),
+        ("/tf", 3, tf(3, "map", "base_link", 5, 0)),
+        ("/tf", 4, tf(4, "map", "cup", 0, 0)),
+        ("/tf", 5, tf(5, "base_link", "cup", 0, 0)),  # a cup that the robot takes
+    )
+    with pytest.raises(EvaluationError, match="'base_link' has two parents, 'odom' and 'map'") as caught:
+        read_robot_path(f"{bag}:/tf", None)
+    assert (caught.value.path, caught.value.key) == (str(bag), "/tf")
 
 
 @pytest.mark.parametrize("topic", ["/odom", "/tf"])

@@ -328,6 +328,7 @@ def test_boxes_in_images_are_compared_with_the_images_of_a_scene(tmp_path: Path)
             lambda m: with_frame(m, "elsewhere"),
             "no camera of frame_id 'elsewhere'",
         ),
+        ("/left/detector", lambda m: at_wall_clock(m), r"the truth has no frame \d+ \(stamp 176"),
         ("/left/detector", lambda m: turned(m), "a box is rotated"),
         ("/left/detector", lambda m: turned(m, size_x=-1.0), "has a negative size"),
         ("/left/detector", lambda m: turned(m, size_y=float("nan")), "a box is not finite"),
@@ -343,6 +344,11 @@ def test_boxes_in_images_that_cannot_be_read_are_refused(
 
 def with_frame(message: Any, frame_id: str) -> Any:
     message.header.frame_id = frame_id
+    return message
+
+
+def at_wall_clock(message: Any) -> Any:
+    message.header.stamp.sec = 1_760_000_000
     return message
 
 

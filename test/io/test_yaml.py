@@ -11,6 +11,7 @@ import pytest
 from humansim_ros.camera import read_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.description import read_description
+from humansim_ros.io.yaml import parse_yaml
 from humansim_ros.motion.joint_tables import load_table
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.ros.processes.node_processes import scene_processes
@@ -75,3 +76,23 @@ def test_a_tag_that_does_not_fit_its_value_is_an_error_of_the_file(
     with pytest.raises(HumansimError, match="not valid YAML") as caught:
         read(path)
     assert caught.value.path == str(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "message"),
+    [
+        ("cameras:\n  off: {}\n", 2, 'quote the name "off"'),
+        ("humans: {anna: {}, Yes: {}}\n", 1, 'quote the name "Yes"'),
+        ("hri: {camera: off}\n", 1, 'found false (quote a text such as "off", "on", "yes" or "no")'),
+    ],
+)
+def test_a_name_that_yaml_reads_as_a_boolean_needs_quotes(
+    tmp_path: Path, text: str, line: int, message: str
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    with pytest.raises(HumansimError) as caught:
+        load_config(path)
+    assert message in caught.value.message
+    assert caught.value.line == line
+    parse_yaml(text.replace("off", "'off'").replace("Yes", "'Yes'"), HumansimError, path)

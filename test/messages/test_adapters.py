@@ -172,6 +172,7 @@ def test_another_version_is_refused(lacks: str, scene: Scene, monkeypatch: pytes
         ({"people": {"frame": "a b"}}, "adapters.people.frame", "a frame of tf"),
         ({"peple": {}}, "adapters.peple", "did you mean `people`"),
         ({"people": {"topic": "odom"}}, "adapters.people.topic", "the scene has the topic odom, too"),
+        ({"people": {"topic": "/clock"}}, "adapters.people.topic", "the scene has the topic clock, too"),
         (
             {"people": {"topic": "a"}, "detections_3d": {"topic": "/a"}},
             "adapters.people.topic",
@@ -429,9 +430,10 @@ def test_ids_that_collide_are_refused() -> None:
         read_people("vision_msgs/msg/Detection3DArray", detections(("7", "person"), ("7", "person")), None)
 
 
-def test_a_position_with_a_great_variance_is_not_set() -> None:
+@pytest.mark.parametrize("first", [0.0, np.nan])
+def test_a_position_with_a_great_variance_is_not_set(first: float) -> None:
     track = SPENCER_MSGS.message("TrackedPerson")(track_id=4)
-    track.pose.covariance[7] = 1e6
+    track.pose.covariance[0], track.pose.covariance[7] = first, 1e6
     message = SPENCER_MSGS.message("TrackedPersons")(header=messages.header(5, "map"), tracks=[track])
     (pose,) = read_people("spencer_tracking_msgs/msg/TrackedPersons", message, None).people
     assert np.isnan(pose.positions).all()

@@ -144,6 +144,7 @@ def test_a_camera_in_memory_may_get_another_pose() -> None:
         ({"humans": {"anna": {"body": BALL}}}, "humans.anna.body", "must be a Human, not a Mesh"),
         ({"humans": {"anna": BALL}}, "humans.anna.body", "must be a Human, not a Mesh"),
         ({"humans": {"a b": {}}}, "humans.a b", "give a name of letters, digits and _"),
+        ({"humans": {"a" * 101: {}}}, f"humans.{'a' * 101}", "at most 100 characters; found the name"),
         ({"cameras": {}}, None, "at least one camera"),
         (
             {"cameras": {"c": {"position": [1, 1, 1], "look_at": [1, 1, 1]}}},

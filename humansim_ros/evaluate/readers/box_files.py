@@ -89,7 +89,8 @@ def read_box_file(path: Path) -> BoxTracks:
 def _whole(words: Sequence[str], path: Path, line: int) -> list[int]:
     for name, word in zip(COLUMNS, words, strict=False):
         if not (word.isascii() and word.isdecimal() and len(word) <= 10 and int(word) <= _MOST):
-            raise EvaluationError(f"{word[:40]!r} is no number from 0 on", path=path, line=line, key=name)
+            text = f"{word[:40]!r} is no whole number from 0 to {_MOST}"
+            raise EvaluationError(text, path=path, line=line, key=name)
     return [int(word) for word in words]
 
 

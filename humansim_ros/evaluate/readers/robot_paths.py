@@ -108,6 +108,9 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
     _check_order(times, path, topic)
     if not is_tf:
         transforms = bag_transforms(path, {frame for _, frame, _ in samples})
+    for child, parents in transforms.ambiguous():
+        name, *both = (repr(printable(each, 80)) for each in (child, *parents))
+        raise EvaluationError(f"the frame {name} has two parents, {' and '.join(both)}", path=path, key=topic)
     matrices = []
     for time, frame, pose in samples:
         matrix, top = transforms.pose(frame, time) or (np.eye(4), frame)

@@ -51,7 +51,7 @@ class BvhWriter(AnimationWriter):
     """A BVH file for each person: the skeleton of its body with the motion that was put on it."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        for name, person in self.people(records).items():
+        for name, person in self.animated(records).people.items():
             motion = posed_bones(name, person, 1.0 / self.settings.rate).to_motion()
             with folder.path(f"{name}.bvh") as path:
                 write_bvh(path, motion)
@@ -307,4 +307,4 @@ class GlbWriter(AnimationWriter):
     """All people of a scene as ``people.glb``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        folder.write("people.glb", glb_bytes(self.people(records), self.settings.rate))
+        folder.write("people.glb", glb_bytes(self.animated(records).people, self.settings.rate))

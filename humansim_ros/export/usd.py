@@ -29,7 +29,7 @@ from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.io.images import decode_srgb
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, multiply_quaternions
+from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 #: Name of the file, and of the folder of its textures.
@@ -38,8 +38,6 @@ _FILE, _TEXTURES = "scene.usdc", "textures"
 _FILM = 0.36
 #: Distances from cameras between which programs draw, metres.
 _CLIPPING = (0.01, 1000.0)
-#: Cameras of USD look along -z with y up; optical frames along z with y down: half a turn about x, xyzw.
-_FROM_OPTICAL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class UsdWriter(AnimationWriter):
@@ -194,10 +192,8 @@ class UsdStage:
         camera.CreateHorizontalApertureOffsetAttr(focal * ((width - 1) / 2 - float(k[0, 2])) / float(k[0, 0]))
         camera.CreateVerticalApertureOffsetAttr(focal * (float(k[1, 2]) - (height - 1) / 2) / float(k[1, 1]))
         camera.CreateClippingRangeAttr(Gf.Vec2f(*_CLIPPING))
-        prim = camera.GetPrim()
-        prim.SetCustomDataByKey("resolution", Gf.Vec2i(width, height))
-        turned = multiply_quaternions(track.rotations, np.broadcast_to(_FROM_OPTICAL, track.rotations.shape))
-        self._place(camera, PoseTrack(track.positions, turned, track.sizes))
+        camera.GetPrim().SetCustomDataByKey("resolution", Gf.Vec2i(width, height))
+        self._place(camera, track.backward)
 
     def _place(self, prim: Any, track: PoseTrack) -> None:
         """Give a prim the poses of a track: translation, rotation and size, in double precision."""

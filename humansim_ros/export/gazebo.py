@@ -32,12 +32,7 @@ from humansim_ros.export.animation import (
 from humansim_ros.export.writer import ExportCamera, ExportFolder, Record
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import (
-    matrix_to_quaternion,
-    multiply_quaternions,
-    quaternion_to_matrix,
-    transform,
-)
+from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix, transform
 from humansim_ros.types import Array
 
 _MESHES = "meshes"
@@ -373,11 +368,7 @@ def _add_source(
         count, width, kind = len(values), 1, "name"
         add_tag(source, "Name_array", " ".join(values), id=f"{name}_array", count=str(count))
     accessor = add_tag(
-        source,
-        "technique_common/accessor",
-        source=f"#{name}_array",
-        count=str(count),
-        stride=str(width),
+        source, "technique_common/accessor", source=f"#{name}_array", count=str(count), stride=str(width)
     )
     for param in params:
         add_tag(accessor, "param", name=param, type=kind)

@@ -77,28 +77,24 @@ class NuScenesWriter(FormatWriter):
         now = frame.frame
         sweeps = {name: listed[-1] for name, listed in now.sweeps.items() if listed}
         key = sweeps.keys() == now.sweeps.keys() and now.cameras.keys() == self.settings.scene.cameras.keys()
-        ego = np.eye(4) if now.robot is None else _pose(now.robot.rotation, now.robot.position)
         data: dict[str, list[_Row]] = {}
         for name, camera in now.cameras.items():
-            pose, channel = transform(camera.R.T, camera.center), f"CAM_{name.upper()}"
-            data[channel] = self._data(channel, frame, key, now.stamp, ego, pose, camera)
+            channel, pose = f"CAM_{name.upper()}", transform(camera.R.T, camera.center)
+            data[channel] = self._data(channel, frame, key, now.stamp, pose, camera)
             folder.link(data[channel][0]["filename"], frame.image(name))
-        for number, name in enumerate(now.sweeps):
-            if name not in sweeps:
-                continue
-            sweep = sweeps[name]
-            pose = _pose(sweep.rotation, sweep.position)
-            # programs look for the name of the first one
+        for name, sweep in sweeps.items():
+            number = list(now.sweeps).index(name)  # programs look for the name of the first one
             channel = f"LIDAR_{number}_{name.upper()}" if number else "LIDAR_TOP"
-            data[channel] = self._data(channel, frame, key, sweep.stamp, ego, pose)
+            pose = _pose(sweep.rotation, sweep.position)
+            data[channel] = self._data(channel, frame, key, sweep.stamp, pose)
             row = data[channel][0]
             folder.write(row["filename"], _cloud(sweep))
             if key:
                 people = {person: _CATEGORIES.index(self._category(person)) for person in now.humans}
                 labels = point_classes(self.settings.scene.labels, sweep, people, _OBJECT)
                 folder.write(_labels_file(row), labels.astype(np.uint8).tobytes())
-        people_rows = {name: self._annotation(name, now, sweeps.values()) for name in now.humans}
-        return {"stamp": now.stamp, "key": key, "data": data, "people": people_rows if key else {}}
+        boxes = {name: self._annotation(name, now, sweeps.values()) for name in now.humans}
+        return {"stamp": now.stamp, "key": key, "data": data, "people": boxes if key else {}}
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write the tables. Raises ExportError if no frame is a sample."""
@@ -132,21 +128,15 @@ class NuScenesWriter(FormatWriter):
         frame: ExportFrame,
         key: bool,
         stamp: int,
-        ego: Array,
         pose: Array,
         camera: Camera | None = None,
     ) -> list[_Row]:
         """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file; its sample is missing.
 
-        Args:
-            channel: Name of the sensor.
-            frame: The frame.
-            key: Whether it is a sample.
-            stamp: Stamp of the data, nanoseconds.
-            ego: Pose (4, 4) of the robot.
-            pose: Pose (4, 4) of the sensor.
-            camera: Its calibration; None for a scanner.
+        ``key``: it is of a sample. ``pose``: (4, 4) of the sensor in ``map``. ``camera``: None for a scanner.
         """
+        robot = frame.frame.robot
+        ego = np.eye(4) if robot is None else _pose(robot.rotation, robot.position)
         suffix = ".pcd.bin" if camera is None else self.settings.image_suffix
         width, height = (0, 0) if camera is None else camera.size
         token, mounted = self._token, invert_rigid(ego) @ pose
@@ -209,6 +199,7 @@ class NuScenesWriter(FormatWriter):
             return [{"token": token(table, name), "name": name, "description": ""} for name in names]
 
         log = {"logfile": title, "vehicle": "robot", "date_captured": "1970-01-01", "location": title}
+        area = {"category": "semantic_prior", "filename": _MAP, "log_tokens": [token("log")]}
         scene = {
             "token": token("scene"),
             "log_token": token("log"),
@@ -218,21 +209,15 @@ class NuScenesWriter(FormatWriter):
             "name": title,
             "description": "synthetic humans, made by humansim_ros",
         }
-        terrain = {"category": "semantic_prior", "filename": _MAP, "log_tokens": [token("log")]}
+        times = [
+            {"token": token("sample", index), "timestamp": frames[index]["stamp"] // 1000}
+            for index in samples
+        ]
         return {
             "log": [{"token": token("log"), **log}],
-            "map": [{"token": token("map"), **terrain}],
+            "map": [{"token": token("map"), **area}],
             "scene": [scene],
-            "sample": _chained(
-                [
-                    {
-                        "token": token("sample", index),
-                        "timestamp": frames[index]["stamp"] // 1000,
-                        "scene_token": token("scene"),
-                    }
-                    for index in samples
-                ]
-            ),
+            "sample": _chained([{**row, "scene_token": token("scene")} for row in times]),
             "instance": [
                 {
                     "token": token("instance", name),

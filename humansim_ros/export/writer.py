@@ -242,8 +242,8 @@ def warn_of_lenses(program: str, cameras: Mapping[str, Camera], has_skew: bool =
         has_skew: Whether it has skew; else this is a warning, too.
     """
     for name, camera in cameras.items():
-        skewed = not has_skew and camera.K[0, 1] != 0
-        for what in ["lens distortion"] * camera.distorted + ["skew"] * skewed:
+        lost = {"lens distortion": camera.distorted, "skew": not has_skew and camera.K[0, 1] != 0}
+        for what in (key for key, is_lost in lost.items() if is_lost):
             warn_about(f"{program} camera {name}", f"{what} has no place there; calibration.yaml has it")
 
 

@@ -284,13 +284,13 @@ def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
         "persons/tracked": lambda person: person.name if person.is_seen else "",
         "persons/known": lambda person: person.name,
     }
+
+    def build(id_of: Callable[[HriPerson], str], frame: HriFrame, stamp: int) -> list[Any]:
+        found = [id_of(frame.people[name]) for name in people]
+        return [kind(header=header(stamp, frame_id), ids=[each for each in found if each])]
+
     for path, id_of in ids.items():
-
-        def build(frame: HriFrame, stamp: int, id_of: Callable[[HriPerson], str] = id_of) -> list[Any]:
-            found = [id_of(frame.people[name]) for name in people]
-            return [kind(header=header(stamp, frame_id), ids=[each for each in found if each])]
-
-        yield HriTopic(f"humans/{path}", kind, build, repeated=True, sparse=False)
+        yield HriTopic(f"humans/{path}", kind, partial(build, id_of), repeated=True, sparse=False)
 
 
 def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
@@ -359,16 +359,13 @@ def _person_topics(name: str) -> Iterator[HriTopic]:
         "body_id": (String, lambda person: body_id(name) if person.is_seen else ""),
         "location_confidence": (Float32, lambda person: 1.0 if person.is_seen else 0.0),
     }
+
+    def build(kind: type[Any], value: Callable[[HriPerson], Any], frame: HriFrame, _: int) -> list[Any]:
+        return [kind(data=value(frame.people[name]))]
+
     for path, (kind, value) in contents.items():
-
-        def build(
-            frame: HriFrame, _: int, kind: type[Any] = kind, value: Callable[[HriPerson], Any] = value
-        ) -> list[Any]:
-            return [kind(data=value(frame.people[name]))]
-
-        volatile = path == "location_confidence"
-        root = f"humans/persons/{name}"
-        yield HriTopic(f"{root}/{path}", kind, build, latched=not volatile, repeated=volatile)
+        volatile, own = path == "location_confidence", f"humans/persons/{name}/{path}"
+        yield HriTopic(own, kind, partial(build, kind, value), latched=not volatile, repeated=volatile)
 
 
 # --- messages

@@ -120,8 +120,7 @@ class FoxgloveWriter(FormatWriter):
         now = frame.frame
         transforms = []
         for name, camera in now.cameras.items():
-            child = f"{name}_optical_frame"
-            stamped = _stamped(now.stamp, child)
+            stamped = _stamped(now.stamp, child := f"{name}_optical_frame")
             encoding, suffix = self.settings.scene.cameras[name].encoding, self.settings.image_suffix
             image = encoded_image(now.views[name].rgb, encoding, suffix)
             kind = "png" if suffix == ".png" else "jpeg"
@@ -131,10 +130,12 @@ class FoxgloveWriter(FormatWriter):
             transforms.append(_transform(now.stamp, child, camera.center, matrix_to_quaternion(camera.R.T)))
         for name, sweeps in now.sweeps.items():
             for sweep in sweeps:
-                child = f"{name}_frame"
-                stamped = _stamped(sweep.stamp, child)
-                transforms.append(_transform(sweep.stamp, child, sweep.position, sweep.rotation))
-                yield f"/{name}/points", "PointCloud", {**stamped, **_cloud(sweep)}
+                transforms.append(_transform(sweep.stamp, f"{name}_frame", sweep.position, sweep.rotation))
+                yield (
+                    f"/{name}/points",
+                    "PointCloud",
+                    {**_stamped(sweep.stamp, f"{name}_frame"), **_cloud(sweep)},
+                )
         if now.robot is not None:
             transforms.append(_transform(now.stamp, "base_link", now.robot.position, now.robot.rotation))
         yield "/tf", "FrameTransforms", {"transforms": transforms}
@@ -248,16 +249,12 @@ def _cloud(sweep: Sweep) -> dict[str, Any]:
         rows[axis] = sweep.points[:, number]
     rows["intensity"], rows["instance"] = sweep.returns.intensities, sweep.instances
     rows["part"] = sweep.parts
-    offsets = [_POINT.fields[name][1] for name, _, _ in _FIELDS]  # type: ignore[index]
-    return {
-        "pose": _HERE,
-        "point_stride": _POINT.itemsize,
-        "fields": [
-            {"name": name, "offset": offset, "type": number}
-            for (name, _, number), offset in zip(_FIELDS, offsets, strict=True)
-        ],
-        "data": _base64(rows.tobytes()),
-    }
+    fields = [
+        {"name": name, "offset": _POINT.fields[name][1], "type": number}  # type: ignore[index]
+        for name, _, number in _FIELDS
+    ]
+    data = _base64(rows.tobytes())
+    return {"pose": _HERE, "point_stride": _POINT.itemsize, "fields": fields, "data": data}
 
 
 def _transform(stamp: int, child: str, position: Array, rotation: Array) -> dict[str, Any]:

@@ -274,13 +274,9 @@ def _add_look(root: _Element, texture: str | None) -> None:
         add_tag(image, "init_from", texture)
     profile = add_tag(add_tag(root, "library_effects/effect", id="effect"), "profile_COMMON")
     if texture is not None:
-        for sid, kind, source in (("surface", "surface", ""), ("sampler", "sampler2D", "surface")):
-            inner = add_tag(add_tag(profile, "newparam", sid=sid), kind)
-            if source:
-                add_tag(inner, "source", source)
-            else:
-                inner.set("type", "2D")
-                add_tag(inner, "init_from", "image")
+        surface = add_tag(add_tag(profile, "newparam", sid="surface"), "surface", type="2D")
+        add_tag(surface, "init_from", "image")
+        add_tag(add_tag(profile, "newparam", sid="sampler"), "sampler2D/source", "surface")
     diffuse = add_tag(add_tag(add_tag(profile, "technique", sid="common"), "lambert"), "diffuse")
     if texture is None:
         add_tag(diffuse, "color", "0.5 0.5 0.5 1")

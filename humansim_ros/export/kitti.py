@@ -39,10 +39,8 @@ class KittiWriter(FormatWriter):
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write the files of the sweeps that end with a frame; return the names of their scanners."""
-        for scanner, sweeps in frame.frame.sweeps.items():
-            if not sweeps:
-                continue
-            sweep, name = sweeps[-1], frame.name
+        name, ended = frame.name, {key: sweeps[-1] for key, sweeps in frame.frame.sweeps.items() if sweeps}
+        for scanner, sweep in ended.items():
             cloud = np.column_stack([sweep.points, np.minimum(sweep.returns.intensities, 1.0)])
             folder.write(f"{scanner}/velodyne/{name}.bin", cloud.astype("<f4").tobytes())
             folder.write(f"{scanner}/labels/{name}.label", self._point_labels(frame, sweep).tobytes())
@@ -50,7 +48,7 @@ class KittiWriter(FormatWriter):
                 root = f"{scanner}/{camera}"
                 folder.write(f"{root}/calib/{name}.txt", calibration_text(posed, sweep))
                 folder.write(f"{root}/label_2/{name}.txt", self._labels(frame, camera, posed))
-        return [scanner for scanner, sweeps in frame.frame.sweeps.items() if sweeps]
+        return list(ended)
 
     def _point_labels(self, frame: ExportFrame, sweep: Sweep) -> NDArray[np.uint32]:
         """Instance label << 16 | class of each point."""

@@ -79,11 +79,10 @@ class MujocoModel:
         self._times = np.array(scene.frames) / scene.rate
         self._root = ElementTree.Element("mujoco", model="humansim")
         add_tag(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
-        visual = add_tag(self._root, "visual")
+        self._visual = visual = add_tag(self._root, "visual")
         sizes = np.array([camera.size for camera, _ in scene.cameras.values()] or [(640, 480)])
         add_tag(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
         add_tag(visual, "map", znear="0.001", zfar="50")  # of its extent
-        self._visual = visual
         self._asset = add_tag(self._root, "asset")
         self._deformable = add_tag(self._root, "deformable")
         self.world = add_tag(self._root, "worldbody")

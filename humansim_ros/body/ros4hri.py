@@ -134,7 +134,7 @@ _ID = "@"
 _EYE_HEIGHT = 0.55
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class HriLinks:
     """Links of a skeleton. ``skeleton``: the skeleton, with the 22 general bones."""
 
@@ -144,9 +144,6 @@ class HriLinks:
     def of(cls, skeleton: Skeleton) -> HriLinks | None:
         """Links of a skeleton; None without bones for them."""
         return cls(skeleton) if set(_BONES.values()) <= set(skeleton.names) else None
-
-    def __repr__(self) -> str:
-        return f"HriLinks({self.skeleton!r})"
 
     def poses(self, joints: Array) -> dict[str, Array]:
         """True poses (4, 4) of all links in ``map`` by name, from joints (J, 4, 4) of the skeleton.

@@ -40,9 +40,8 @@ def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBon
     """
     skeleton, size = person.human.skeleton, float(person.sizes[0])
     if person.grows:
-        warn_about(
-            f"{name}.bvh", f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
-        )
+        text = f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
+        warn_about(f"{name}.bvh", text)
     scaled = replace(skeleton, heads=skeleton.heads * size, tails=skeleton.tails * size)
     return PosedBones(scaled, person.bones, frame_time)
 
@@ -59,12 +58,8 @@ class BvhWriter(AnimationWriter):
 
 #: Translations and sizes that vary less than this are constant, metres.
 _CONSTANT = 1e-9
-_FLOAT, _UNSIGNED_BYTE, _UNSIGNED_INT = 5126, 5121, 5125
-_TYPES = {
-    np.dtype(np.float32): _FLOAT,
-    np.dtype(np.uint8): _UNSIGNED_BYTE,
-    np.dtype(np.uint32): _UNSIGNED_INT,
-}
+#: Numbers of glTF for types of arrays, and its names of shapes.
+_TYPES = {np.dtype(np.float32): 5126, np.dtype(np.uint8): 5121, np.dtype(np.uint32): 5125}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _VERTICES, _TRIANGLES = 34962, 34963
 

@@ -142,13 +142,10 @@ class RerunWriter(FormatWriter):
 
     def _log_camera(self, rr: Any, log: Any, path: str, parts: _Arrays) -> None:
         """Log pose, lens, image, boxes and keypoints of a camera."""
-        K, boxes = parts["K"], parts["boxes"]
-        size = self.settings.scene.cameras[path.removeprefix("cameras/")].camera.size
+        boxes, size = parts["boxes"], self.settings.scene.cameras[path.removeprefix("cameras/")].camera.size
         log(path, rr.Transform3D(translation=parts["center"], mat3x3=parts["R"].T))
-        log(
-            f"{path}/image",
-            rr.Pinhole(image_from_camera=K, resolution=size, camera_xyz=rr.ViewCoordinates.RDF),
-        )
+        axes = rr.ViewCoordinates.RDF
+        log(f"{path}/image", rr.Pinhole(image_from_camera=parts["K"], resolution=size, camera_xyz=axes))
         media = _MEDIA[self.settings.image_suffix]
         log(f"{path}/image", rr.EncodedImage(contents=parts["image"].tobytes(), media_type=media))
         corners = {"mins": boxes[:, :2], "sizes": boxes[:, 2:] - boxes[:, :2]}

@@ -246,10 +246,10 @@ def check_ids(people: Sequence[str]) -> None:
     for name in people:
         for own in (body_id(name), face_id(name)):
             if own in people:
-                raise SceneError(
-                    f"{own} is the id of the body or face of {name} in ROS4HRI: give the human another name",
-                    key=f"humans.{own}",
+                text = (
+                    f"{own} is the id of the body or face of {name} in ROS4HRI: give the human another name"
                 )
+                raise SceneError(text, key=f"humans.{own}")
 
 
 def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
@@ -263,13 +263,9 @@ def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]
     Raises:
         RosError: See :meth:`~humansim_ros.messages.types.MessagePackage.message`.
     """
-    transforms = TF_MESSAGES.message("TFMessage")
-    yield HriTopic(
-        "tf", transforms, lambda frame, stamp: [transforms(transforms=_transforms(frame, stamp, frame_id))]
-    )
-    yield HriTopic(
-        "humans/candidate_matches", HRI_MESSAGES.message("IdsMatch"), lambda frame, _: _matches(frame)
-    )
+    kind = TF_MESSAGES.message("TFMessage")
+    yield HriTopic("tf", kind, lambda frame, stamp: [kind(transforms=_transforms(frame, stamp, frame_id))])
+    yield HriTopic("humans/candidate_matches", HRI_MESSAGES.message("IdsMatch"), _matches)
     for name in people:
         yield from _seen_topics(name, frame_id, image_size)
         yield from _person_topics(name)
@@ -293,19 +289,17 @@ def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
         yield HriTopic(f"humans/{path}", kind, partial(build, id_of), repeated=True, sparse=False)
 
 
+#: Returns the message of a person in a frame; None without.
+_Build = Callable[[HriPerson, HriFrame, Header], Any]
+
+
 def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
     """Topics of the body and face of a person, with messages while the camera sees them."""
     (width, height), own = image_size, body_id(name)
     skeleton, landmarks = (HRI_MESSAGES.message(kind) for kind in ("Skeleton2D", "FacialLandmarks"))
     body, face = f"humans/bodies/{own}", f"humans/faces/{face_id(name)}"
 
-    def topic(
-        root: str,
-        path: str,
-        kind: type[Any],
-        build: Callable[[HriPerson, HriFrame, Header], Any],
-        **settings: bool,
-    ) -> HriTopic:
+    def topic(root: str, path: str, kind: type[Any], build: _Build, **settings: bool) -> HriTopic:
         def messages(frame: HriFrame, stamp: int) -> list[Any]:
             person = frame.people[name]
             seen = person.has_face if root == face else person.is_seen
@@ -438,7 +432,7 @@ def _velocity_message(person: HriPerson, _: HriFrame, head: Header) -> TwistStam
     return TwistStamped(header=head, twist=Twist(linear=linear, angular=angular))
 
 
-def _matches(frame: HriFrame) -> list[Any]:
+def _matches(frame: HriFrame, _: int) -> list[Any]:
     """Messages on ``candidate_matches``: body and face of each person that is seen, for certain."""
     kind = HRI_MESSAGES.message("IdsMatch")
     out = []

@@ -134,7 +134,7 @@ _ID = "@"
 _EYE_HEIGHT = 0.55
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class HriLinks:
     """Links of a skeleton. ``skeleton``: the skeleton, with the 22 general bones."""
 
@@ -144,9 +144,6 @@ class HriLinks:
     def of(cls, skeleton: Skeleton) -> HriLinks | None:
         """Links of a skeleton; None without bones for them."""
         return cls(skeleton) if set(_BONES.values()) <= set(skeleton.names) else None
-
-    def __repr__(self) -> str:
-        return f"HriLinks({self.skeleton!r})"
 
     def poses(self, joints: Array) -> dict[str, Array]:
         """True poses (4, 4) of all links in ``map`` by name, from joints (J, 4, 4) of the skeleton.
@@ -252,28 +249,25 @@ class HriLinks:
 
     def _urdf_of(self, size: float) -> str:
         """URDF of a scale, with :data:`_ID` in place of the id."""
-        robot = ElementTree.Element("robot", name=f"human_{_ID}")
-        color = ElementTree.SubElement(ElementTree.SubElement(robot, "material", name="skin"), "color")
-        color.set("rgba", "0.9 0.65 0.5 1")
+        add, robot = ElementTree.SubElement, ElementTree.Element("robot", name=f"human_{_ID}")
+        add(add(robot, "material", name="skin"), "color", rgba="0.9 0.65 0.5 1")
         for link in LINKS:
-            element = ElementTree.SubElement(robot, "link", name=f"{link}_{_ID}")
+            element = add(robot, "link", name=f"{link}_{_ID}")
             if link == "head":
                 _visual(element, ElementTree.Element("sphere", radius=_text(size * _HEAD_RADIUS)))
             for joint in URDF_JOINTS:
                 if joint.parent == link and self.origins[joint.child].any():
                     _segment(element, size * self.origins[joint.child], size * _LIMB_RADIUS)
+        half = _text(math.pi)
         for joint in URDF_JOINTS:
             kind = "fixed" if joint.axis is None else "revolute"
-            element = ElementTree.SubElement(robot, "joint", name=f"{joint.name}_{_ID}", type=kind)
-            ElementTree.SubElement(element, "parent", link=f"{joint.parent}_{_ID}")
-            ElementTree.SubElement(element, "child", link=f"{joint.child}_{_ID}")
-            ElementTree.SubElement(element, "origin", xyz=_text(*(size * self.origins[joint.child])))
+            element = add(robot, "joint", name=f"{joint.name}_{_ID}", type=kind)
+            add(element, "parent", link=f"{joint.parent}_{_ID}")
+            add(element, "child", link=f"{joint.child}_{_ID}")
+            add(element, "origin", xyz=_text(*(size * self.origins[joint.child])))
             if joint.axis is not None:
-                ElementTree.SubElement(element, "axis", xyz=_text(*joint.axis))
-                half = _text(math.pi)
-                ElementTree.SubElement(
-                    element, "limit", lower=f"-{half}", upper=half, effort="1000", velocity="10"
-                )
+                add(element, "axis", xyz=_text(*joint.axis))
+                add(element, "limit", lower=f"-{half}", upper=half, effort="1000", velocity="10")
         ElementTree.indent(robot)
         return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 

@@ -34,6 +34,8 @@ COLUMNS = (
 )
 #: Ground truth in the lines of a result file.
 TRUTH_FILE = "ground_truth.txt"
+#: Parts of a 3D box in a line.
+_NUMBERS = ("location", "bounding box scale", "bounding box rotation")
 #: Number of the scene in an export, which has one.
 _SCENE = 0
 
@@ -82,25 +84,16 @@ class AiCityWriter(FormatWriter):
         lenses = {name: known.camera for name, known in cameras.items()}
         warn_of_lenses("AI City", lenses, has_skew=True)
         folder.write("ground_truth.json", json.dumps({str(index): frames[index] for index in frames}))
-        lines = [
-            _line(index, person["object id"], [person[key] for key in _NUMBERS])
-            for index, people in frames.items()
-            for person in people
-        ]
+        lines = []
+        for index, people in frames.items():
+            for person in people:
+                place, size, turn = (person[f"3d {key}"] for key in _NUMBERS)
+                numbers = " ".join(f"{value:.6f}" for value in (*place, *size, turn[2]))
+                lines.append(f"{_SCENE} 0 {person['object id']} {index} {numbers}\n")
         folder.write(TRUTH_FILE, "".join(lines))
         sensors = [sensor(name, known.camera, self.settings.rate_of(name)) for name, known in cameras.items()]
         content = {"calibrationType": "cartesian", "sensors": sensors}
         folder.write("calibration.json", json.dumps(content, indent=1) + "\n")
-
-
-_NUMBERS = ("3d location", "3d bounding box scale", "3d bounding box rotation")
-
-
-def _line(frame: int, identity: int, box: list[Any]) -> str:
-    """Line of a person. ``box``: location, size and rotation (3,)."""
-    location, size, rotation = box
-    numbers = " ".join(f"{value:.6f}" for value in (*location, *size, rotation[2]))
-    return f"{_SCENE} 0 {identity} {frame} {numbers}\n"
 
 
 def sensor(name: str, camera: Camera, rate: float) -> dict[str, Any]:

@@ -6,6 +6,8 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     matrix_to_quaternion,
+    multiply_quaternions,
     normalised,
     quaternion_to_matrix,
     transform,
@@ -30,6 +33,8 @@ from humansim_ros.types import Array
 
 #: Sizes that differ by less are the same up to rounding.
 SAME_SIZE = 1e-6
+#: About x, xyzw.
+_HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 #: Beginning of the names of surfaces.
 _SURFACE = "surface_"
 
@@ -52,6 +57,14 @@ class AnimatedHuman:
     def grows(self) -> bool:
         """Whether keyframes change its size."""
         return bool(np.ptp(self.sizes) > SAME_SIZE)
+
+    @property
+    def rest(self) -> tuple[Array, Array]:
+        """Vertices (V, 3) and bones (B, 4, 4) at rest in the axes of ``map``, of the first size."""
+        size, bones = float(self.sizes[0]), np.array(self.human.skeleton.rest)
+        bones[:, :3] = WORLD_FROM_BODY @ bones[:, :3]
+        bones[:, :3, 3] *= size
+        return size * self.human.mesh.vertices @ WORLD_FROM_BODY.T, bones
 
 
 @dataclass(frozen=True)
@@ -77,6 +90,11 @@ class PoseTrack:
     def grows(self) -> bool:
         """Whether its size changes."""
         return bool(np.ptp(self.sizes, axis=0).max() > SAME_SIZE)
+
+    @property
+    def backward(self) -> PoseTrack:
+        """Poses of a camera that looks along -z with y up, for a track of optical frames: z ahead, y down."""
+        return replace(self, rotations=multiply_quaternions(self.rotations, _HALF_TURN))
 
 
 @dataclass(frozen=True)
@@ -126,10 +144,6 @@ class AnimationWriter(FormatWriter):
             pose = camera.true_pose(pose, shown.scene_time * 1e-9)
             cameras[name] = [pose.position, pose.rotation, np.ones(3)]
         return {"people": people, "objects": objects, "cameras": cameras}
-
-    def people(self, records: Iterable[tuple[int, Record]]) -> Mapping[str, AnimatedHuman]:
-        """People with their poses in all frames."""
-        return self.animated(records).people
 
     def animated(self, records: Iterable[tuple[int, Record]]) -> AnimatedScene:
         """The scene in all frames."""
@@ -330,3 +344,31 @@ def obj_text(mesh: Mesh) -> str:
         pairs = zip(corners, (mesh.uv_triangles + 1).tolist(), strict=True)
         lines += ["f " + " ".join(f"{v}/{t}" for v, t in zip(*pair, strict=True)) for pair in pairs]
     return "\n".join([*lines, ""])
+
+
+def add_tag(
+    parent: ElementTree.Element, path: str, text: str | None = None, **attributes: str
+) -> ElementTree.Element:
+    """Add elements of XML to another one, each in the one before; return the last, with text and attributes.
+
+    ``path``: their tags, such as ``link/sensor``.
+    """
+    *above, last = path.split("/")
+    for tag in above:
+        parent = ElementTree.SubElement(parent, tag)
+    element = ElementTree.SubElement(parent, last, attributes)
+    element.text = text
+    return element
+
+
+def add_texts(parent: ElementTree.Element, path: str, **texts: str) -> None:
+    """Add elements as :func:`add_tag` does; in the last, one with a text for each tag."""
+    element = add_tag(parent, path)
+    for tag, text in texts.items():
+        add_tag(element, tag, text)
+
+
+def joined(values: NDArray[Any]) -> str:
+    """Whole numbers as they are, others with nine digits, between spaces."""
+    form = "d" if np.issubdtype(values.dtype, np.integer) else ".9g"
+    return " ".join(f"{value:{form}}" for value in np.ravel(values).tolist())

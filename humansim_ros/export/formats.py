@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from typing import Any
 
 from humansim_ros.errors import ExportError, did_you_mean
 from humansim_ros.export.aicity import AiCityWriter
@@ -87,132 +88,102 @@ class ExportFormat:
         return frozenset(derived) | (self.content & CHANNEL_TABLE.keys())
 
 
-_DEPTH, _BODIES = frozenset({"depth"}), frozenset({BODIES})
-_POSITIONS = frozenset({POSITIONS})
+def _row(name: str, title: str, writer: type[FormatWriter], *content: str, **others: Any) -> ExportFormat:
+    return ExportFormat(name, title, writer, frozenset(content), **others)
 
+
+#: What recordings for viewers show.
+_SHOWN = ("rgb", BOXES, KEYPOINTS, POSITIONS, BODIES, ANY_SWEEPS)
 #: All formats by name, in the order in which they are written.
 EXPORT_FORMATS: dict[str, ExportFormat] = {
     row.name: row
     for row in (
-        ExportFormat(IMAGES, "colour images, PNG or JPEG", ImageWriter, frozenset({"rgb"})),
-        ExportFormat("depth-png", "depth, 16 bit PNG in millimetres", DepthPngWriter, _DEPTH),
-        ExportFormat("depth-exr", "depth, OpenEXR in metres", DepthExrWriter, _DEPTH, needs=("OpenEXR",)),
-        ExportFormat("depth-npy", "depth, NumPy arrays in metres", DepthNpyWriter, _DEPTH),
-        ExportFormat("labels", "instances and body parts, PNG", LabelWriter, frozenset({"instance", "part"})),
-        ExportFormat(
-            "body-parts", "body parts below loose cloth, PNG", BodyPartWriter, frozenset({"body_part"})
-        ),
-        ExportFormat(
-            "materials", "skin, hair, garments and worn things, PNG", MaterialWriter, frozenset({"material"})
-        ),
-        ExportFormat("flow-flo", "optical flow, .flo of Middlebury", FloWriter, frozenset({"flow"})),
-        ExportFormat(
-            "flow-kitti",
-            "optical flow, 16 bit PNG of KITTI",
-            KittiFlowWriter,
-            frozenset({"flow", "flow_hidden"}),
-        ),
-        ExportFormat(
-            "coco",
-            "COCO: people with keypoints, boxes and masks; objects",
-            CocoWriter,
-            frozenset({"instance", KEYPOINTS, BOXES}),
+        _row(IMAGES, "colour images, PNG or JPEG", ImageWriter, "rgb"),
+        _row("depth-png", "depth, 16 bit PNG in millimetres", DepthPngWriter, "depth"),
+        _row("depth-exr", "depth, OpenEXR in metres", DepthExrWriter, "depth", needs=("OpenEXR",)),
+        _row("depth-npy", "depth, NumPy arrays in metres", DepthNpyWriter, "depth"),
+        _row("labels", "instances and body parts, PNG", LabelWriter, "instance", "part"),
+        _row("body-parts", "body parts below loose cloth, PNG", BodyPartWriter, "body_part"),
+        _row("materials", "skin, hair, garments and worn things, PNG", MaterialWriter, "material"),
+        _row("flow-flo", "optical flow, .flo of Middlebury", FloWriter, "flow"),
+        _row("flow-kitti", "optical flow, 16 bit PNG of KITTI", KittiFlowWriter, "flow", "flow_hidden"),
+        _row(
+            *("coco", "COCO: people with keypoints, boxes and masks; objects", CocoWriter),
+            *("instance", KEYPOINTS, BOXES),
             images=True,
             needs=("pycocotools",),
         ),
-        ExportFormat(
-            "yolo",
-            "YOLO-pose: boxes and keypoints of people",
-            YoloWriter,
-            frozenset({KEYPOINTS, BOXES}),
+        _row("yolo", "YOLO-pose: boxes and keypoints of people", YoloWriter, KEYPOINTS, BOXES, images=True),
+        _row("mot", "MOTChallenge: tracks of people in each camera", MotWriter, BOXES, images=True),
+        _row(
+            "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, BODIES, images=True
+        ),
+        _row(
+            *("kitti", "sweeps of laser scanners with boxes of people, KITTI", KittiWriter),
+            *(BOXES, BODIES, SWEEPS),
             images=True,
         ),
-        ExportFormat(
-            "mot", "MOTChallenge: tracks of people in each camera", MotWriter, frozenset({BOXES}), images=True
-        ),
-        ExportFormat(
-            "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, _BODIES, images=True
-        ),
-        ExportFormat(
-            "kitti",
-            "sweeps of laser scanners with boxes of people, KITTI",
-            KittiWriter,
-            frozenset({BOXES, BODIES, SWEEPS}),
+        _row(
+            *("nuscenes", "sweeps, images, poses and 3D boxes of people, nuScenes", NuScenesWriter),
+            *(BOXES, BODIES, ANY_SWEEPS),
             images=True,
         ),
-        ExportFormat(
-            "nuscenes",
-            "sweeps, images, poses and 3D boxes of people, nuScenes",
-            NuScenesWriter,
-            frozenset({BOXES, BODIES, ANY_SWEEPS}),
-            images=True,
+        _row(
+            *("aicity", "3D boxes of people in all cameras together, AI City Challenge", AiCityWriter),
+            *(BOXES, BODIES),
         ),
-        ExportFormat(
-            "aicity",
-            "3D boxes of people in all cameras together, AI City Challenge",
-            AiCityWriter,
-            frozenset({BOXES, BODIES}),
-        ),
-        ExportFormat(
-            "foxglove",
-            "images, cameras, people and lasers, MCAP of Foxglove",
-            FoxgloveWriter,
-            frozenset({"rgb", BOXES, KEYPOINTS, POSITIONS, BODIES, ANY_SWEEPS}),
+        _row(
+            *("foxglove", "images, cameras, people and lasers, MCAP of Foxglove", FoxgloveWriter),
+            *_SHOWN,
             needs=("mcap",),
         ),
-        ExportFormat(
-            "rerun",
-            "images, cameras, bodies and lasers, recording of Rerun",
-            RerunWriter,
-            frozenset({"rgb", BOXES, KEYPOINTS, POSITIONS, BODIES, ANY_SWEEPS}),
+        _row(
+            *("rerun", "images, cameras, bodies and lasers, recording of Rerun", RerunWriter),
+            *_SHOWN,
             needs=("rerun",),
             extra="rerun",
         ),
-        ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
-        ExportFormat(
-            "openpose", "OpenPose JSON in a project of Pose2Sim", OpenPoseWriter, frozenset({KEYPOINTS})
+        _row("mp4", "a video of each camera, H.264", VideoWriter, images=True),
+        _row("openpose", "OpenPose JSON in a project of Pose2Sim", OpenPoseWriter, KEYPOINTS),
+        _row("anipose", "calibration of Anipose and aniposelib", AniposeWriter),
+        _row("trc", "keypoints or markers of each person, TRC", TrcWriter, POSITIONS),
+        _row("c3d", "keypoints or markers of each person, C3D", C3dWriter, POSITIONS, needs=("c3d",)),
+        _row(
+            *("panoptic", "19 joints and cameras, JSON of CMU Panoptic", PanopticWriter),
+            POSITIONS,
+            keypoints="panoptic19",
         ),
-        ExportFormat("anipose", "calibration of Anipose and aniposelib", AniposeWriter),
-        ExportFormat("trc", "keypoints or markers of each person, TRC", TrcWriter, _POSITIONS),
-        ExportFormat(
-            "c3d", "keypoints or markers of each person, C3D", C3dWriter, _POSITIONS, needs=("c3d",)
+        _row(
+            *("human36m", "17 joints and cameras, JSON of Human3.6M", Human36mWriter),
+            POSITIONS,
+            keypoints="h36m17",
         ),
-        ExportFormat(
-            "panoptic",
-            "19 joints and cameras, JSON of CMU Panoptic",
-            PanopticWriter,
-            _POSITIONS,
-            "panoptic19",
-        ),
-        ExportFormat(
-            "human36m", "17 joints and cameras, JSON of Human3.6M", Human36mWriter, _POSITIONS, "h36m17"
-        ),
-        ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter, _BODIES),
-        ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter, _BODIES),
-        ExportFormat("usd", "the scene over time, OpenUSD with UsdSkel", UsdWriter, _BODIES, needs=("pxr",)),
-        ExportFormat("mujoco", "the scene over time, MJCF of MuJoCo with skins", MujocoWriter, _BODIES),
-        ExportFormat("gazebo", "the scene over time, SDF world with actors", GazeboWriter, _BODIES),
-        ExportFormat(
+        _row("bvh", "skeleton and motion of each person, BVH", BvhWriter, BODIES),
+        _row("glb", "people with skin, texture and motion, binary glTF", GlbWriter, BODIES),
+        _row("usd", "the scene over time, OpenUSD with UsdSkel", UsdWriter, BODIES, needs=("pxr",)),
+        _row("mujoco", "the scene over time, MJCF of MuJoCo with skins", MujocoWriter, BODIES),
+        _row("gazebo", "the scene over time, SDF world with actors", GazeboWriter, BODIES),
+        _row(
             "webdataset",
             "tar shards of WebDataset: image, camera, boxes, keypoints and labels",
             WebDatasetWriter,
-            frozenset({"rgb", "instance", "part", KEYPOINTS, BOXES}),
+            *("rgb", "instance", "part", KEYPOINTS, BOXES),
         ),
-        ExportFormat(
+        _row(
             "huggingface",
             "metadata.jsonl of image folders: camera, boxes and keypoints of people, Hugging Face",
             MetadataWriter,
-            frozenset({KEYPOINTS, BOXES}),
+            *(KEYPOINTS, BOXES),
             images=True,
         ),
-        ExportFormat(
+        _row(
             "statistics",
             "counts of people, poses, cameras and light of a data set, JSON",
             StatisticsWriter,
-            frozenset({"rgb", BOXES}),
+            *("rgb", BOXES),
         ),
         # the last one: it describes the files of the others
-        ExportFormat("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),
+        _row("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),
     )
 }
 

@@ -27,95 +27,40 @@ from humansim_ros.truth import OUTSIDE
 from humansim_ros.types import Array
 
 _WORLD = "map"
-_TEXT, _REAL, _WHOLE, _FLAG = ({"type": name} for name in ("string", "number", "integer", "boolean"))
-_BYTES = {"type": "string", "contentEncoding": "base64"}
-
-
-def _object(title: str = "", /, **properties: Any) -> dict[str, Any]:
-    named = {"title": title} if title else {}
-    return {**named, "type": "object", "properties": properties}
-
-
-def _list(items: Any) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-_TIME = _object("time", sec=_WHOLE, nsec=_WHOLE)
-_DURATION = _object("duration", sec=_WHOLE, nsec=_WHOLE)
-_XY, _XYZ = (_object(**dict.fromkeys(axes, _REAL)) for axes in ("xy", "xyz"))
-_TURN, _COLOR = (_object(**dict.fromkeys(axes, _REAL)) for axes in ("xyzw", "rgba"))
-_POSE = _object(position=_XYZ, orientation=_TURN)
-_STAMPED = {"timestamp": _TIME, "frame_id": _TEXT}
-_OTHERS = ("arrows", "spheres", "cylinders", "triangles", "models")  # primitives that are not used
-_LINE = _object(
-    type=_WHOLE,
-    pose=_POSE,
-    thickness=_REAL,
-    scale_invariant=_FLAG,
-    points=_list(_XYZ),
-    color=_COLOR,
-    colors=_list(_COLOR),
-    indices=_list(_WHOLE),
-)
-_CUBE = _object(pose=_POSE, size=_XYZ, color=_COLOR)
-_LABEL = _object(
-    pose=_POSE, billboard=_FLAG, font_size=_REAL, scale_invariant=_FLAG, color=_COLOR, text=_TEXT
-)
-_ENTITY = _object(
-    **_STAMPED,
-    id=_TEXT,
-    lifetime=_DURATION,
-    frame_locked=_FLAG,
-    metadata=_list(_object(key=_TEXT, value=_TEXT)),
-    cubes=_list(_CUBE),
-    lines=_list(_LINE),
-    texts=_list(_LABEL),
-    **dict.fromkeys(_OTHERS, _list(_object())),
-)
-_POINTS = _object(
-    timestamp=_TIME,
-    type=_WHOLE,
-    points=_list(_XY),
-    outline_color=_COLOR,
-    outline_colors=_list(_COLOR),
-    fill_color=_COLOR,
-    thickness=_REAL,
-)
-_CAPTION = _object(
-    timestamp=_TIME, position=_XY, text=_TEXT, font_size=_REAL, text_color=_COLOR, background_color=_COLOR
-)
-#: Schemas of the messages by name, in the keys of docs.foxglove.dev that are used here.
-SCHEMAS: dict[str, dict[str, Any]] = {
-    "foxglove.CompressedImage": _object(**_STAMPED, data=_BYTES, format=_TEXT),
-    "foxglove.CameraCalibration": _object(
-        **_STAMPED,
-        width=_WHOLE,
-        height=_WHOLE,
-        distortion_model=_TEXT,
-        **dict.fromkeys("DKRP", _list(_REAL)),
-    ),
-    "foxglove.ImageAnnotations": _object(
-        circles=_list(_object()), points=_list(_POINTS), texts=_list(_CAPTION)
-    ),
-    "foxglove.SceneUpdate": _object(deletions=_list(_object()), entities=_list(_ENTITY)),
-    "foxglove.FrameTransforms": _object(
-        transforms=_list(
-            _object(
-                timestamp=_TIME,
-                parent_frame_id=_TEXT,
-                child_frame_id=_TEXT,
-                translation=_XYZ,
-                rotation=_TURN,
-            )
-        )
-    ),
-    "foxglove.PointCloud": _object(
-        **_STAMPED,
-        pose=_POSE,
-        point_stride=_WHOLE,
-        fields=_list(_object(name=_TEXT, offset=_WHOLE, type=_WHOLE)),
-        data=_BYTES,
-    ),
+_PLAIN = {
+    **{name: {"type": kind} for name, kind in (("text", "string"), ("real", "number"), ("whole", "integer"))},
+    "flag": {"type": "boolean"},
+    "bytes": {"type": "string", "contentEncoding": "base64"},
+}
+_STAMPED = "timestamp:time frame_id:text"
+#: Fields of types and messages as docs.foxglove.dev has them, as far as used here: names:type, ``*`` a list.
+_FIELDS_OF = {
+    "time": "sec,nsec:whole",
+    "duration": "sec,nsec:whole",
+    "none": "",
+    "xy": "x,y:real",
+    "xyz": "x,y,z:real",
+    "xyzw": "x,y,z,w:real",
+    "rgba": "r,g,b,a:real",
+    "pose": "position:xyz orientation:xyzw",
+    "cube": "pose:pose size:xyz color:rgba",
+    "line": "type:whole pose:pose thickness:real scale_invariant:flag points:xyz* color:rgba colors:rgba* "
+    "indices:whole*",
+    "label": "pose:pose billboard:flag font_size:real scale_invariant:flag color:rgba text:text",
+    "pair": "key,value:text",
+    "entity": f"{_STAMPED} id:text lifetime:duration frame_locked:flag metadata:pair* cubes:cube* "
+    "lines:line* texts:label* arrows,spheres,cylinders,triangles,models:none*",
+    "marks": "timestamp:time type:whole points:xy* outline_color:rgba outline_colors:rgba* fill_color:rgba "
+    "thickness:real",
+    "caption": "timestamp:time position:xy text:text font_size:real text_color,background_color:rgba",
+    "transform": "timestamp:time parent_frame_id,child_frame_id:text translation:xyz rotation:xyzw",
+    "column": "name:text offset,type:whole",
+    "foxglove.CompressedImage": f"{_STAMPED} data:bytes format:text",
+    "foxglove.CameraCalibration": f"{_STAMPED} width,height:whole distortion_model:text D,K,R,P:real*",
+    "foxglove.ImageAnnotations": "circles:none* points:marks* texts:caption*",
+    "foxglove.SceneUpdate": "deletions:none* entities:entity*",
+    "foxglove.FrameTransforms": "transforms:transform*",
+    "foxglove.PointCloud": f"{_STAMPED} pose:pose point_stride:whole fields:column* data:bytes",
 }
 #: Fields of points: a name, and the NumPy and Foxglove types.
 _FIELDS = (
@@ -127,8 +72,8 @@ _POINT = np.dtype([(name, kind) for name, kind, _ in _FIELDS])
 #: Types of lines: pairs of points in space; pairs of points and a loop in images; and dots.
 _LINE_LIST, _IMAGE_LINES, _IMAGE_LOOP, _IMAGE_DOTS = 2, 4, 2, 1
 _THIN, _FONT = 0.01, 0.12
-#: Frames that the viewer interpolates nothing for: identity.
-_HERE = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+_UNTURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_HERE = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _UNTURNED}
 
 
 class FoxgloveWriter(FormatWriter):
@@ -151,9 +96,7 @@ class FoxgloveWriter(FormatWriter):
         frames = dict(records)
         kinds = {name: kind for record in frames.values() for name, kind in record["topics"].items()}
         topics = [
-            BagTopic(
-                name, kind, definition=json.dumps({"title": kind, **SCHEMAS[kind]}), serialization="json"
-            )
+            BagTopic(name, kind, definition=json.dumps(_schema(kind)), serialization="json")
             for name, kind in kinds.items()
         ]
         numbers = {name: number for number, name in enumerate(kinds)}
@@ -177,8 +120,7 @@ class FoxgloveWriter(FormatWriter):
         now = frame.frame
         transforms = []
         for name, camera in now.cameras.items():
-            child = f"{name}_optical_frame"
-            stamped = {"timestamp": _time(now.stamp), "frame_id": child}
+            stamped = _stamped(now.stamp, child := f"{name}_optical_frame")
             encoding, suffix = self.settings.scene.cameras[name].encoding, self.settings.image_suffix
             image = encoded_image(now.views[name].rgb, encoding, suffix)
             kind = "png" if suffix == ".png" else "jpeg"
@@ -188,10 +130,12 @@ class FoxgloveWriter(FormatWriter):
             transforms.append(_transform(now.stamp, child, camera.center, matrix_to_quaternion(camera.R.T)))
         for name, sweeps in now.sweeps.items():
             for sweep in sweeps:
-                child = f"{name}_frame"
-                stamped = {"timestamp": _time(sweep.stamp), "frame_id": child}
-                transforms.append(_transform(sweep.stamp, child, sweep.position, sweep.rotation))
-                yield f"/{name}/points", "PointCloud", {**stamped, **_cloud(sweep)}
+                transforms.append(_transform(sweep.stamp, f"{name}_frame", sweep.position, sweep.rotation))
+                yield (
+                    f"/{name}/points",
+                    "PointCloud",
+                    {**_stamped(sweep.stamp, f"{name}_frame"), **_cloud(sweep)},
+                )
         if now.robot is not None:
             transforms.append(_transform(now.stamp, "base_link", now.robot.position, now.robot.rotation))
         yield "/tf", "FrameTransforms", {"transforms": transforms}
@@ -203,32 +147,29 @@ class FoxgloveWriter(FormatWriter):
         for name, state in frame.frame.humans.items():
             box, color = state.upright_box, _color(frame.frame.labels[name])
             points = frame.frame.keypoint_positions[chosen.name][name]
-            x, y, z = box.bottom.tolist()
-            above = {"position": _xyz((x, y, z + box.size[2] + _FONT)), "orientation": _HERE["orientation"]}
+            ends = [number for edge in chosen.edges for number in edge]
+            pose = {"position": _axes(box.center), "orientation": _axes(box.quaternion)}
+            above = {
+                "position": _axes(box.bottom + np.array([0, 0, box.size[2] + _FONT])),
+                "orientation": _UNTURNED,
+            }
             yield {
-                "timestamp": _time(frame.frame.stamp),
-                "frame_id": _WORLD,
+                **_stamped(frame.frame.stamp, _WORLD),
                 "id": name,
                 "lifetime": {"sec": 0, "nsec": 0},
                 "frame_locked": False,
                 "metadata": [{"key": "instance", "value": str(frame.frame.labels[name])}],
-                "cubes": [
-                    {
-                        "pose": {"position": _xyz(box.center), "orientation": _xyzw(box.quaternion)},
-                        "size": _xyz(box.size),
-                        "color": {**color, "a": 0.25},
-                    }
-                ],
+                "cubes": [{"pose": pose, "size": _axes(box.size), "color": {**color, "a": 0.25}}],
                 "lines": [
                     {
                         "type": _LINE_LIST,
                         "pose": _HERE,
                         "thickness": _THIN,
                         "scale_invariant": False,
-                        "points": [_xyz(point) for point in points],
+                        "points": [_axes(point) for point in points],
                         "color": color,
                         "colors": [],
-                        "indices": [number for edge in chosen.edges for number in edge],
+                        "indices": ends,
                     }
                 ],
                 "texts": [
@@ -241,7 +182,7 @@ class FoxgloveWriter(FormatWriter):
                         "text": name,
                     }
                 ],
-                **{kind: [] for kind in _OTHERS},
+                **{kind: [] for kind in ("arrows", "spheres", "cylinders", "triangles", "models")},
             }
 
     def _annotations(self, frame: ExportFrame, camera: str) -> dict[str, Any]:
@@ -252,16 +193,18 @@ class FoxgloveWriter(FormatWriter):
         for name, view in views.items():
             color = _color(frame.frame.labels[name])
             shared = {"timestamp": stamp, "outline_color": color, "outline_colors": [], "thickness": 2.0}
-            clear = {"fill_color": {**color, "a": 0.0}}
+            shared["fill_color"] = {**color, "a": 0.0}
             box = frame.frame.truth[camera].boxes[name]
             if box.pixels:
                 left, top, right, bottom = box.visible.tolist()
                 corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
-                points.append({**shared, **clear, "type": _IMAGE_LOOP, "points": [_xy(c) for c in corners]})
+                points.append(
+                    {**shared, "type": _IMAGE_LOOP, "points": [_axes(corner) for corner in corners]}
+                )
                 texts.append(
                     {
                         "timestamp": stamp,
-                        "position": _xy((left, top)),
+                        "position": _axes((left, top)),
                         "text": name,
                         "font_size": 12.0,
                         "text_color": color,
@@ -269,11 +212,23 @@ class FoxgloveWriter(FormatWriter):
                     }
                 )
             inside = view.visible != OUTSIDE
-            dots = [_xy(pixel) for pixel in view.pixels[inside]]
+            dots = [_axes(pixel) for pixel in view.pixels[inside]]
             ends = [view.pixels[end] for edge in chosen.edges if inside[list(edge)].all() for end in edge]
-            points.append({**shared, **clear, "type": _IMAGE_DOTS, "points": dots})
-            points.append({**shared, **clear, "type": _IMAGE_LINES, "points": [_xy(end) for end in ends]})
+            points.append({**shared, "type": _IMAGE_DOTS, "points": dots})
+            points.append({**shared, "type": _IMAGE_LINES, "points": [_axes(end) for end in ends]})
         return {"circles": [], "points": points, "texts": texts}
+
+
+def _schema(kind: str) -> dict[str, Any]:
+    """JSON schema of a type or message."""
+    if kind in _PLAIN:
+        return _PLAIN[kind]
+    if kind.endswith("*"):
+        return {"type": "array", "items": _schema(kind[:-1])}
+    parts = (word.split(":") for word in _FIELDS_OF[kind].split())
+    properties = {name: _schema(each) for names, each in parts for name in names.split(",")}
+    title = {"title": kind} if kind in ("time", "duration") or "." in kind else {}
+    return {**title, "type": "object", "properties": properties}
 
 
 def _calibration(camera: Camera) -> dict[str, Any]:
@@ -294,16 +249,12 @@ def _cloud(sweep: Sweep) -> dict[str, Any]:
         rows[axis] = sweep.points[:, number]
     rows["intensity"], rows["instance"] = sweep.returns.intensities, sweep.instances
     rows["part"] = sweep.parts
-    offsets = [_POINT.fields[name][1] for name, _, _ in _FIELDS]  # type: ignore[index]
-    return {
-        "pose": _HERE,
-        "point_stride": _POINT.itemsize,
-        "fields": [
-            {"name": name, "offset": offset, "type": number}
-            for (name, _, number), offset in zip(_FIELDS, offsets, strict=True)
-        ],
-        "data": _base64(rows.tobytes()),
-    }
+    fields = [
+        {"name": name, "offset": _POINT.fields[name][1], "type": number}  # type: ignore[index]
+        for name, _, number in _FIELDS
+    ]
+    data = _base64(rows.tobytes())
+    return {"pose": _HERE, "point_stride": _POINT.itemsize, "fields": fields, "data": data}
 
 
 def _transform(stamp: int, child: str, position: Array, rotation: Array) -> dict[str, Any]:
@@ -311,8 +262,8 @@ def _transform(stamp: int, child: str, position: Array, rotation: Array) -> dict
         "timestamp": _time(stamp),
         "parent_frame_id": _WORLD,
         "child_frame_id": child,
-        "translation": _xyz(position),
-        "rotation": _xyzw(rotation),
+        "translation": _axes(position),
+        "rotation": _axes(rotation),
     }
 
 
@@ -330,13 +281,10 @@ def _color(label: int) -> dict[str, float]:
     return {"r": r, "g": g, "b": b, "a": 1.0}
 
 
-def _xy(point: Any) -> dict[str, float]:
-    return dict(zip("xy", map(float, point), strict=True))
+def _stamped(stamp: int, frame_id: str) -> dict[str, Any]:
+    return {"timestamp": _time(stamp), "frame_id": frame_id}
 
 
-def _xyz(point: Any) -> dict[str, float]:
-    return dict(zip("xyz", map(float, point), strict=True))
-
-
-def _xyzw(rotation: Any) -> dict[str, float]:
-    return dict(zip("xyzw", map(float, rotation), strict=True))
+def _axes(values: Any) -> dict[str, float]:
+    """A point of two or three numbers, or a quaternion, by axis."""
+    return dict(zip("xyzw", map(float, values), strict=False))

@@ -40,9 +40,8 @@ def posed_bones(name: str, person: AnimatedHuman, frame_time: float) -> PosedBon
     """
     skeleton, size = person.human.skeleton, float(person.sizes[0])
     if person.grows:
-        warn_about(
-            f"{name}.bvh", f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
-        )
+        text = f"the size of {name} changes, which BVH cannot hold: bones keep their first length"
+        warn_about(f"{name}.bvh", text)
     scaled = replace(skeleton, heads=skeleton.heads * size, tails=skeleton.tails * size)
     return PosedBones(scaled, person.bones, frame_time)
 
@@ -51,7 +50,7 @@ class BvhWriter(AnimationWriter):
     """A BVH file for each person: the skeleton of its body with the motion that was put on it."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        for name, person in self.people(records).items():
+        for name, person in self.animated(records).people.items():
             motion = posed_bones(name, person, 1.0 / self.settings.rate).to_motion()
             with folder.path(f"{name}.bvh") as path:
                 write_bvh(path, motion)
@@ -59,12 +58,8 @@ class BvhWriter(AnimationWriter):
 
 #: Translations and sizes that vary less than this are constant, metres.
 _CONSTANT = 1e-9
-_FLOAT, _UNSIGNED_BYTE, _UNSIGNED_INT = 5126, 5121, 5125
-_TYPES = {
-    np.dtype(np.float32): _FLOAT,
-    np.dtype(np.uint8): _UNSIGNED_BYTE,
-    np.dtype(np.uint32): _UNSIGNED_INT,
-}
+#: Numbers of glTF for types of arrays, and its names of shapes.
+_TYPES = {np.dtype(np.float32): 5126, np.dtype(np.uint8): 5121, np.dtype(np.uint32): 5125}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _VERTICES, _TRIANGLES = 34962, 34963
 
@@ -94,18 +89,20 @@ class GlbDocument:
 
     def __init__(self) -> None:
         self._binary = bytearray()
-        self._views: list[dict[str, Any]] = []
-        self._accessors: list[dict[str, Any]] = []
-        self._images: list[dict[str, Any]] = []
-        self._materials: list[dict[str, Any]] = []
-        self._meshes: list[dict[str, Any]] = []
-        self._nodes: list[dict[str, Any]] = []
-        self._skins: list[dict[str, Any]] = []
+        self._lists: dict[str, list[dict[str, Any]]] = {
+            kind: []
+            for kind in ("nodes", "meshes", "materials", "accessors", "bufferViews", "skins", "images")
+        }
         self._roots: list[int] = []
         self._samplers: list[dict[str, Any]] = []
         self._channels: list[dict[str, Any]] = []
         #: mesh of each human, by identity: people may share a body
         self._mesh_of: dict[int, int] = {}
+
+    def _add(self, kind: str, item: dict[str, Any]) -> int:
+        """Add an item to a list of the document; return its number."""
+        self._lists[kind].append(item)
+        return len(self._lists[kind]) - 1
 
     def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
         """Add an array (N, ...) of float32, uint8 or uint32; returns the number of its accessor.
@@ -123,46 +120,41 @@ class GlbDocument:
                 "min": np.atleast_1d(values.min(0)).tolist(),
                 "max": np.atleast_1d(values.max(0)).tolist(),
             }
-        self._accessors.append(accessor)
-        return len(self._accessors) - 1
+        return self._add("accessors", accessor)
 
     def _view(self, data: bytes, target: int | None = None) -> int:
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)}
         if target is not None:
             view["target"] = target
-        self._views.append(view)
         self._binary += data + bytes(-len(data) % 4)
-        return len(self._views) - 1
+        return self._add("bufferViews", view)
 
     def add_person(self, name: str, person: AnimatedHuman, times: int) -> None:
         """Add the nodes, the mesh and the motion of a person; ``times``: accessor of the times of frames."""
         human, skeleton = person.human, person.human.skeleton
         local = local_transforms(person)
-        first = len(self._nodes) + 2
+        first = len(self._lists["nodes"]) + 2
         children: list[list[int]] = [[] for _ in skeleton.names]
         roots: list[int] = []
         for bone, parent in enumerate(skeleton.parents.tolist()):
             (children[parent] if parent >= 0 else roots).append(first + bone)
-        self._roots.append(len(self._nodes))
-        self._nodes.append({"name": name, "children": [first - 1, *roots]})
-        self._nodes.append({"name": f"{name}_mesh", "mesh": self._mesh(human), "skin": len(self._skins)})
+        self._roots.append(self._add("nodes", {"name": name, "children": [first - 1, *roots]}))
+        skin = len(self._lists["skins"])
+        self._add("nodes", {"name": f"{name}_mesh", "mesh": self._mesh(human), "skin": skin})
         for bone, bone_name in enumerate(skeleton.names):
-            node: dict[str, Any] = {"name": bone_name}
-            if children[bone]:
-                node["children"] = children[bone]
-            self._nodes.append(node)
+            below = {"children": children[bone]} if children[bone] else {}
+            self._add("nodes", {"name": bone_name, **below})
             for path, values in zip(("translation", "rotation", "scale"), local, strict=True):
                 self._animate(first + bone, path, values[:, bone].astype(np.float32), times)
         # column-major
         inverse_bind = np.swapaxes(skeleton.rest_inverse, -1, -2).astype(np.float32)
-        self._skins.append(
-            {
-                "name": name,
-                "joints": list(range(first, first + len(skeleton))),
-                "skeleton": roots[0] if len(roots) == 1 else first - 2,
-                "inverseBindMatrices": self.accessor(np.ascontiguousarray(inverse_bind)),
-            }
-        )
+        binding = {
+            "name": name,
+            "joints": list(range(first, first + len(skeleton))),
+            "skeleton": roots[0] if len(roots) == 1 else first - 2,
+            "inverseBindMatrices": self.accessor(np.ascontiguousarray(inverse_bind)),
+        }
+        self._add("skins", binding)
 
     def add_mesh(
         self,
@@ -189,13 +181,12 @@ class GlbDocument:
             columns["COLOR_0"] = _linear(colors)
         material = self._material("static", texture, 0.9, double_sided=False)
         mesh = self._add_mesh("static", columns, triangles.astype(np.uint32), material)
-        self._roots.append(len(self._nodes))
-        self._nodes.append({"mesh": mesh})
+        self._roots.append(self._add("nodes", {"mesh": mesh}))
 
     def _animate(self, node: int, path: str, values: NDArray[np.float32], times: int) -> None:
         """Set a property of a node to its first value, and add a channel if it changes."""
         if path != "scale" or (values[0] != 1).any():
-            self._nodes[node][path] = values[0].tolist()
+            self._lists["nodes"][node][path] = values[0].tolist()
         if np.ptp(values, axis=0).max() <= _CONSTANT:
             return
         self._samplers.append({"input": times, "output": self.accessor(np.ascontiguousarray(values))})
@@ -224,19 +215,16 @@ class GlbDocument:
             "indices": self.accessor(triangles.ravel(), _TRIANGLES),
             "material": material,
         }
-        self._meshes.append({"name": name, "primitives": [primitive]})
-        return len(self._meshes) - 1
+        return self._add("meshes", {"name": name, "primitives": [primitive]})
 
     def _material(self, name: str, texture: bytes | None, roughness: float, double_sided: bool) -> int:
         reflection: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": roughness}
         if texture is not None:
             kind = "image/jpeg" if texture[:2] == b"\xff\xd8" else "image/png"
-            self._images.append({"bufferView": self._view(texture), "mimeType": kind})
-            reflection["baseColorTexture"] = {"index": len(self._images) - 1}
-        self._materials.append(
-            {"name": name, "pbrMetallicRoughness": reflection, "doubleSided": double_sided}
-        )
-        return len(self._materials) - 1
+            image = {"bufferView": self._view(texture), "mimeType": kind}
+            reflection["baseColorTexture"] = {"index": self._add("images", image)}
+        material = {"name": name, "pbrMetallicRoughness": reflection, "doubleSided": double_sided}
+        return self._add("materials", material)
 
     def encoded(self) -> bytes:
         """Bytes of the GLB file."""
@@ -244,18 +232,13 @@ class GlbDocument:
             "asset": {"version": "2.0", "generator": f"humansim_ros {__version__}"},
             "scene": 0,
             "scenes": [{"nodes": self._roots}],
-            "nodes": self._nodes,
-            "meshes": self._meshes,
-            "materials": self._materials,
-            "accessors": self._accessors,
-            "bufferViews": self._views,
+            **{kind: items for kind, items in self._lists.items() if kind not in ("skins", "images")},
             "buffers": [{"byteLength": len(self._binary)}],
+            # empty lists are errors
+            **{kind: self._lists[kind] for kind in ("skins", "images") if self._lists[kind]},
         }
-        if self._skins:  # empty lists are errors
-            document["skins"] = self._skins
-        if self._images:
-            document["images"] = self._images
-            document["textures"] = [{"source": number} for number in range(len(self._images))]
+        if images := len(self._lists["images"]):
+            document["textures"] = [{"source": number} for number in range(images)]
         if self._channels:
             animation = {"name": "motion", "samplers": self._samplers, "channels": self._channels}
             document["animations"] = [animation]
@@ -307,4 +290,4 @@ class GlbWriter(AnimationWriter):
     """All people of a scene as ``people.glb``."""
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        folder.write("people.glb", glb_bytes(self.people(records), self.settings.rate))
+        folder.write("people.glb", glb_bytes(self.animated(records).people, self.settings.rate))

@@ -5,7 +5,7 @@ Labels of points are those of SemanticKITTI [Behley 2019].
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ from humansim_ros.types import Array
 #: Least visible share of people that are fully visible, and partly occluded; the others are largely occluded.
 _VISIBLE, _PARTLY = 0.9, 0.5
 _UP = np.array([0.0, 0.0, 1.0])
-#: Classes of points of SemanticKITTI: a person who moves or stands, another labelled object, and all others.
-_MOVING_PERSON, _PERSON, _OBJECT, _UNLABELED = 254, 30, 99, 0
+#: Classes of points of SemanticKITTI: a person who moves or stands, and another labelled object.
+_MOVING_PERSON, _PERSON, _OBJECT = 254, 30, 99
 #: Speed of the hips from which a person moves, m/s.
 MOVING_SPEED = 0.1
 
@@ -39,10 +39,8 @@ class KittiWriter(FormatWriter):
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write the files of the sweeps that end with a frame; return the names of their scanners."""
-        for scanner, sweeps in frame.frame.sweeps.items():
-            if not sweeps:
-                continue
-            sweep, name = sweeps[-1], frame.name
+        name, ended = frame.name, {key: sweeps[-1] for key, sweeps in frame.frame.sweeps.items() if sweeps}
+        for scanner, sweep in ended.items():
             cloud = np.column_stack([sweep.points, np.minimum(sweep.returns.intensities, 1.0)])
             folder.write(f"{scanner}/velodyne/{name}.bin", cloud.astype("<f4").tobytes())
             folder.write(f"{scanner}/labels/{name}.label", self._point_labels(frame, sweep).tobytes())
@@ -50,17 +48,16 @@ class KittiWriter(FormatWriter):
                 root = f"{scanner}/{camera}"
                 folder.write(f"{root}/calib/{name}.txt", calibration_text(posed, sweep))
                 folder.write(f"{root}/label_2/{name}.txt", self._labels(frame, camera, posed))
-        return [scanner for scanner, sweeps in frame.frame.sweeps.items() if sweeps]
+        return list(ended)
 
     def _point_labels(self, frame: ExportFrame, sweep: Sweep) -> NDArray[np.uint32]:
         """Instance label << 16 | class of each point."""
-        scene = self.settings.scene
-        classes = np.full(1 << 16, _UNLABELED, np.uint32)
-        for name, label in scene.labels.items():
-            classes[label] = _OBJECT
-            if (state := frame.frame.humans.get(name)) is not None:
-                classes[label] = _MOVING_PERSON if state.speed > MOVING_SPEED else _PERSON
-        return np.asarray(sweep.instances.astype("<u4") << 16 | classes[sweep.instances], dtype="<u4")
+        people = {
+            name: _MOVING_PERSON if state.speed > MOVING_SPEED else _PERSON
+            for name, state in frame.frame.humans.items()
+        }
+        classes = point_classes(self.settings.scene.labels, sweep, people, _OBJECT)
+        return np.asarray(sweep.instances.astype("<u4") << 16 | classes, dtype="<u4")
 
     def _labels(self, frame: ExportFrame, camera: str, posed: Camera) -> str:
         boxes = frame.frame.truth[camera].boxes
@@ -87,6 +84,23 @@ class KittiWriter(FormatWriter):
                 for index in indices:
                     link = f"{scanner}/{camera}/image_2/{index:06d}{self.settings.image_suffix}"
                     folder.link(link, self.settings.image(camera, index))
+
+
+def point_classes(
+    labels: Mapping[str, int], sweep: Sweep, people: Mapping[str, int], other: int
+) -> NDArray[np.uint32]:
+    """Class (N,) of each point of a sweep; 0 where nothing has a label.
+
+    Args:
+        labels: Instance labels by name.
+        sweep: The sweep.
+        people: Class of each person by name.
+        other: Class of the other things that have a label.
+    """
+    classes = np.zeros(1 << 16, np.uint32)
+    for name, label in labels.items():
+        classes[label] = people.get(name, other)
+    return np.asarray(classes[sweep.instances])
 
 
 def levelled(camera: Camera) -> Array:

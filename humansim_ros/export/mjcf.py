@@ -21,7 +21,9 @@ from humansim_ros.export.animation import (
     AnimationWriter,
     PoseTrack,
     TextureFiles,
+    add_tag,
     identifiers,
+    joined,
     obj_text,
     painted,
     warn_of_curved_skinning,
@@ -30,7 +32,7 @@ from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.io.npz import npz_bytes
 from humansim_ros.mesh.mesh import Mesh, split_seams
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion, multiply_quaternions
+from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array
 
 _ASSETS = "assets"
@@ -46,8 +48,6 @@ _FLAT = 1e-4
 _MOST_PARTS = 500
 #: Most corners of the hull of the skin of a bone.
 _CORNERS = "48"
-#: Cameras of MuJoCo look along -z with y up, optical frames along z with y down: half a turn about x, xyzw.
-_FROM_OPTICAL = np.array([1.0, 0.0, 0.0, 0.0])
 _Element = ElementTree.Element
 
 
@@ -78,16 +78,15 @@ class MujocoModel:
         self._tracks: dict[str, PoseTrack] = {}
         self._times = np.array(scene.frames) / scene.rate
         self._root = ElementTree.Element("mujoco", model="humansim")
-        _add(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
-        visual = _add(self._root, "visual")
+        add_tag(self._root, "compiler", angle="radian", meshdir=_ASSETS, texturedir=_ASSETS)
+        self._visual = visual = add_tag(self._root, "visual")
         sizes = np.array([camera.size for camera, _ in scene.cameras.values()] or [(640, 480)])
-        _add(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
-        _add(visual, "map", znear="0.001", zfar="50")  # of its extent
-        self._visual = visual
-        self._asset = _add(self._root, "asset")
-        self._deformable = _add(self._root, "deformable")
-        self.world = _add(self._root, "worldbody")
-        _add(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
+        add_tag(visual, "global", offwidth=str(sizes[:, 0].max()), offheight=str(sizes[:, 1].max()))
+        add_tag(visual, "map", znear="0.001", zfar="50")  # of its extent
+        self._asset = add_tag(self._root, "asset")
+        self._deformable = add_tag(self._root, "deformable")
+        self.world = add_tag(self._root, "worldbody")
+        add_tag(self.world, "geom", name="ground", type="plane", size="0 0 0.05", group=_TOUCHED)
         warn_of_curved_skinning(scene.people, "MuJoCo")
         warn_of_lenses("MuJoCo", {name: camera for name, (camera, _) in scene.cameras.items()})
         bones = [f"{name}.{bone}" for name, p in scene.people.items() for bone in p.human.skeleton.names]
@@ -122,14 +121,14 @@ class MujocoModel:
         """Add the sun; the sky is ambient light of the headlight."""
         factor = lighting.strength * 2.0**lighting.exposure
         mean = (np.array(lighting.sky_color) + np.array(lighting.ground_color)) / 2
-        _add(self._visual, "headlight", ambient=_text(factor * mean), diffuse="0 0 0", specular="0 0 0")
-        _add(
+        add_tag(self._visual, "headlight", ambient=joined(factor * mean), diffuse="0 0 0", specular="0 0 0")
+        add_tag(
             self.world,
             "light",
             type="directional",
-            dir=_text(-lighting.direction),
-            pos=_text(10 * lighting.direction),
-            diffuse=_text(factor * np.array(lighting.sun_color)),
+            dir=joined(-lighting.direction),
+            pos=joined(10 * lighting.direction),
+            diffuse=joined(factor * np.array(lighting.sun_color)),
             specular="0 0 0",
             castshadow="false",  # the ceiling of a room would keep the sun out
         )
@@ -144,23 +143,25 @@ class MujocoModel:
         """
         mesh = painted(mesh)
         self._assets.write(f"{name}.obj", obj_text(mesh))
-        _add(self._asset, "mesh", name=name, file=f"{name}.obj", inertia="shell")
+        add_tag(self._asset, "mesh", name=name, file=f"{name}.obj", inertia="shell")
         look = self._look(mesh)
         seen = {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0"}
-        _add(body, "geom", type="mesh", mesh=name, **look, **seen)
+        add_tag(body, "geom", type="mesh", mesh=name, **look, **seen)
         parts = sorted(_parts(mesh), key=lambda points: -float(np.ptp(points, axis=0).max()))
         for number, points in enumerate(parts[:_MOST_PARTS]):
             center, axes, half = _fitted_box(points)
             corners = _hull(points) if half.min() > _FLAT else None
             if corners is not None:
-                _add(self._asset, "mesh", name=f"{name}.{number}", vertex=_text(corners), maxhullvert="64")
-                _add(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
+                add_tag(
+                    self._asset, "mesh", name=f"{name}.{number}", vertex=joined(corners), maxhullvert="64"
+                )
+                add_tag(body, "geom", type="mesh", mesh=f"{name}.{number}", group=_TOUCHED, mass="0")
                 continue
             center = center - axes[:, 2] * _HALF_THICKNESS * _facing(mesh, points, axes[:, 2])
             half = np.maximum(half, _FLAT)
             half[2] = _HALF_THICKNESS
-            place = {"pos": _text(center), "quat": _text(_wxyz(matrix_to_quaternion(axes)))}
-            _add(body, "geom", type="box", size=_text(half), **place, group=_TOUCHED, mass="0")
+            place = {"pos": joined(center), "quat": joined(_wxyz(matrix_to_quaternion(axes)))}
+            add_tag(body, "geom", type="box", size=joined(half), **place, group=_TOUCHED, mass="0")
 
     def _add_person(self, name: str, person: AnimatedHuman) -> None:
         """Add a mocap body for each bone, with the hull of its skin, and the skin of all."""
@@ -177,28 +178,27 @@ class MujocoModel:
             body = self._body(body_name, track, always=True)
             corners = _hull(points[owner == bone])
             if corners is not None:
-                _add(self._asset, "mesh", name=body_name, vertex=_text(corners), maxhullvert=_CORNERS)
-                _add(body, "geom", name=body_name, type="mesh", mesh=body_name, group=_TOUCHED)
+                add_tag(self._asset, "mesh", name=body_name, vertex=joined(corners), maxhullvert=_CORNERS)
+                add_tag(body, "geom", name=body_name, type="mesh", mesh=body_name, group=_TOUCHED)
         mesh = painted(human.mesh)
         self._assets.write(f"{name}.skn", skin_bytes(mesh, person, names))
-        _add(self._deformable, "skin", name=name, file=f"{name}.skn", **self._look(mesh))
+        add_tag(self._deformable, "skin", name=name, file=f"{name}.skn", **self._look(mesh))
 
     def _add_camera(self, name: str, camera: Camera, track: PoseTrack) -> None:
         """Add a camera with the focal lengths and principal point of its calibration."""
-        turned = multiply_quaternions(track.rotations, np.broadcast_to(_FROM_OPTICAL, track.rotations.shape))
-        track = PoseTrack(track.positions, turned, track.sizes)
+        track = track.backward
         (width, height), k = camera.size, camera.K
         parent, place = self.world, _pose(track)
         if track.moves:
             parent, place = self._body(self._names[f"camera_{name}"], track), {}
-        _add(
+        add_tag(
             parent,
             "camera",
             name=name,
             resolution=f"{width} {height}",
-            sensorsize=_text(np.array([1.0, height / width])),
-            focalpixel=_text(k[[0, 1], [0, 1]]),
-            principalpixel=_text((np.array(camera.size) - 1) / 2 - k[:2, 2]),
+            sensorsize=joined(np.array([1.0, height / width])),
+            focalpixel=joined(k[[0, 1], [0, 1]]),
+            principalpixel=joined((np.array(camera.size) - 1) / 2 - k[:2, 2]),
             **place,
         )
 
@@ -206,8 +206,8 @@ class MujocoModel:
         """Add a body at the first pose of a track; a mocap body if it moves. ``always``: even if not."""
         if always or track.moves:
             self._tracks[name] = track
-            return _add(self.world, "body", name=name, mocap="true", **_pose(track))
-        return _add(self.world, "body", name=name, **_pose(track))
+            return add_tag(self.world, "body", name=name, mocap="true", **_pose(track))
+        return add_tag(self.world, "body", name=name, **_pose(track))
 
     def _look(self, mesh: Mesh) -> dict[str, str]:
         """Attributes of a geom or skin: a material with the texture of its mesh."""
@@ -216,8 +216,8 @@ class MujocoModel:
             return {}
         if texture not in self._materials:
             name = self._materials[texture] = texture.split(".")[0]
-            _add(self._asset, "texture", name=name, type="2d", file=texture)
-            _add(self._asset, "material", name=name, texture=name, specular="0", shininess="0")
+            add_tag(self._asset, "texture", name=name, type="2d", file=texture)
+            add_tag(self._asset, "material", name=name, texture=name, specular="0", shininess="0")
         return {"material": self._materials[texture]}
 
 
@@ -230,21 +230,19 @@ def skin_bytes(mesh: Mesh, person: AnimatedHuman, bodies: list[str]) -> bytes:
         bodies: Name of the body of each bone.
     """
     original, uv, triangles = split_seams(mesh)
-    size, rest = float(person.sizes[0]), person.human.skeleton.rest
-    vertices = size * mesh.vertices[original] @ WORLD_FROM_BODY.T
+    vertices, rest = person.rest
     weights = person.human.weights.tocsr()[original].tocsc()
     moving = np.flatnonzero(np.diff(weights.indptr)).tolist()  # bones that move a vertex
     parts = [struct.pack("<4i", len(original), 0 if uv is None else len(uv), len(triangles), len(moving))]
-    parts.append(vertices.astype("<f4").tobytes())
+    parts.append(vertices[original].astype("<f4").tobytes())
     if uv is not None:
         parts.append(np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype("<f4").tobytes())  # v down
     parts.append(triangles.astype("<i4").tobytes())
-    positions = size * rest[:, :3, 3] @ WORLD_FROM_BODY.T
-    rotations = _wxyz(matrix_to_quaternion(WORLD_FROM_BODY @ rest[:, :3, :3]))
+    rotations = _wxyz(matrix_to_quaternion(rest[:, :3, :3]))
     for bone in moving:
         column = slice(weights.indptr[bone], weights.indptr[bone + 1])
         parts.append(bodies[bone].encode().ljust(40, b"\0"))
-        parts.append(np.concatenate([positions[bone], rotations[bone]]).astype("<f4").tobytes())
+        parts.append(np.concatenate([rest[bone, :3, 3], rotations[bone]]).astype("<f4").tobytes())
         parts.append(struct.pack("<i", column.stop - column.start))
         parts.append(weights.indices[column].astype("<i4").tobytes())
         parts.append(weights.data[column].astype("<f4").tobytes())
@@ -290,17 +288,9 @@ def _hull(points: Array) -> Array | None:
         return None
 
 
-def _add(parent: _Element, tag: str, **attributes: str) -> _Element:
-    return ElementTree.SubElement(parent, tag, attributes)
-
-
 def _pose(track: PoseTrack) -> dict[str, str]:
-    return {"pos": _text(track.positions[0]), "quat": _text(_wxyz(track.rotations[0]))}
+    return {"pos": joined(track.positions[0]), "quat": joined(_wxyz(track.rotations[0]))}
 
 
 def _wxyz(quaternions: Array) -> Array:
     return quaternions[..., [3, 0, 1, 2]]
-
-
-def _text(values: Array) -> str:
-    return " ".join(f"{value:.9g}" for value in np.ravel(values).tolist())

@@ -1,28 +1,29 @@
 """Frames, sensors, poses and 3D boxes of people in the tables of nuScenes [Caesar 2020].
 
 A sample is a frame in which all cameras take a picture and a sweep of each scanner ends. Data of other frames
-are sweeps between samples. The pose of the vehicle (``ego_pose``) is that of the robot, or ``map``.
+are sweeps between samples. The pose of the vehicle (``ego_pose``) is that of the robot, or ``map``. Points of
+samples have the labels of nuScenes-lidarseg [Fong 2022].
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import cv2
 import numpy as np
 
+from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
-from humansim_ros.export.kitti import MOVING_SPEED
+from humansim_ros.export.kitti import MOVING_SPEED, point_classes
 from humansim_ros.export.writer import (
     ExportFolder,
     ExportFrame,
     ExportSettings,
     FormatWriter,
     Record,
-    frame_name,
     warn_of_lenses,
 )
 from humansim_ros.rotations import invert_rigid, matrix_to_quaternion, quaternion_to_matrix, transform
@@ -35,12 +36,29 @@ VERSION = "v1.0-humansim"
 #: Levels of visibility and their shares.
 _LEVELS = {"v0-40": 0.4, "v40-60": 0.6, "v60-80": 0.8, "v80-100": np.inf}
 _ADULT, _CHILD, _CHILD_HEIGHT = "human.pedestrian.adult", "human.pedestrian.child", 1.4
+#: Categories in the order of their labels of points. Programs know these numbers.
+_CATEGORIES = (
+    *("noise", "animal", _ADULT, _CHILD),
+    *(
+        f"human.pedestrian.{name}"
+        for name in ("construction_worker", "personal_mobility", "police_officer", "stroller", "wheelchair")
+    ),
+    *(f"movable_object.{name}" for name in ("barrier", "debris", "pushable_pullable", "trafficcone")),
+    *("static_object.bicycle_rack", "vehicle.bicycle", "vehicle.bus.bendy", "vehicle.bus.rigid"),
+    *("vehicle.car", "vehicle.construction", "vehicle.emergency.ambulance", "vehicle.emergency.police"),
+    *("vehicle.motorcycle", "vehicle.trailer", "vehicle.truck"),
+    *(f"flat.{name}" for name in ("driveable_surface", "other", "sidewalk", "terrain")),
+    *("static.manmade", "static.other", "static.vegetation", "vehicle.ego"),
+)
+#: Category of labelled objects. Points of the others are noise, which has the number 0.
+_OBJECT = _CATEGORIES.index("static.other")
 _MOVING, _STANDING = "pedestrian.moving", "pedestrian.standing"
 _MAP = "maps/blank.png"
+_Row = dict[str, Any]
 
 
 class NuScenesWriter(FormatWriter):
-    """``samples``, ``sweeps``, ``maps`` and the tables of ``v1.0-humansim``.
+    """``samples``, ``sweeps``, ``lidarseg``, ``maps`` and the tables of ``v1.0-humansim``.
 
     ``settings``: settings of the export.
 
@@ -55,29 +73,31 @@ class NuScenesWriter(FormatWriter):
             raise ExportError(text, key="--format")
 
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
-        """Write the sweeps that end with a frame; return poses of sensors, and boxes of people."""
+        """Write the sweeps that end with a frame, and link its images; return rows of the tables."""
         now = frame.frame
         sweeps = {name: listed[-1] for name, listed in now.sweeps.items() if listed}
-        cameras = self.settings.scene.cameras
-        key = sweeps.keys() == now.sweeps.keys() and now.cameras.keys() == cameras.keys()
-        ego = np.eye(4) if now.robot is None else _pose(now.robot.rotation, now.robot.position)
-        back = invert_rigid(ego)
-        sensors = {}
+        key = sweeps.keys() == now.sweeps.keys() and now.cameras.keys() == self.settings.scene.cameras.keys()
+        data: dict[str, list[_Row]] = {}
         for name, camera in now.cameras.items():
-            pose = back @ transform(camera.R.T, camera.center)
-            sensors[_camera(name)] = {"pose": pose, "stamp": now.stamp, "K": camera.K, "size": camera.size}
-        for number, name in enumerate(now.sweeps):
-            if name not in sweeps:
-                continue
-            channel, sweep = _scanner(name, number), sweeps[name]
-            pose = back @ _pose(sweep.rotation, sweep.position)
-            sensors[channel] = {"pose": pose, "stamp": sweep.stamp, "K": None, "size": (0, 0)}
-            folder.write(f"{_place(key)}/{channel}/{frame.name}.pcd.bin", _cloud(sweep))
-        people = [_annotation(name, now, sweeps.values()) for name in now.humans] if key else []
-        return {"stamp": now.stamp, "key": key, "ego": ego, "sensors": sensors, "people": people}
+            channel, pose = f"CAM_{name.upper()}", transform(camera.R.T, camera.center)
+            data[channel] = self._data(channel, frame, key, now.stamp, pose, camera)
+            folder.link(data[channel][0]["filename"], frame.image(name))
+        for name, sweep in sweeps.items():
+            number = list(now.sweeps).index(name)  # programs look for the name of the first one
+            channel = f"LIDAR_{number}_{name.upper()}" if number else "LIDAR_TOP"
+            pose = _pose(sweep.rotation, sweep.position)
+            data[channel] = self._data(channel, frame, key, sweep.stamp, pose)
+            row = data[channel][0]
+            folder.write(row["filename"], _cloud(sweep))
+            if key:
+                people = {person: _CATEGORIES.index(self._category(person)) for person in now.humans}
+                labels = point_classes(self.settings.scene.labels, sweep, people, _OBJECT)
+                folder.write(_labels_file(row), labels.astype(np.uint8).tobytes())
+        boxes = {name: self._annotation(name, now, sweeps.values()) for name in now.humans}
+        return {"stamp": now.stamp, "key": key, "data": data, "people": boxes if key else {}}
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
-        """Link the images, and write the tables. Raises ExportError if no frame is a sample."""
+        """Write the tables. Raises ExportError if no frame is a sample."""
         frames = dict(records)
         samples = [index for index, record in frames.items() if record["key"]]
         if not samples:
@@ -85,19 +105,12 @@ class NuScenesWriter(FormatWriter):
             raise ExportError(text, key="--frames")
         cameras = {name: known.camera for name, known in self.settings.scene.cameras.items()}
         warn_of_lenses("nuScenes", cameras, has_skew=True)
-        files = {_camera(name): name for name in self.settings.cameras}
-        for index, record in frames.items():
-            for channel, name in files.items():
-                if channel in record["sensors"]:
-                    link = (
-                        f"{_place(record['key'])}/{channel}/{frame_name(index)}{self.settings.image_suffix}"
-                    )
-                    folder.link(link, self.settings.image(name, index))
         blank = cv2.imencode(".png", np.full((8, 8), 255, np.uint8))[1]
         folder.write(_MAP, blank.tobytes())
-        tables = self._tables(frames, samples)
+        tables = self._scene(frames, samples) | self._sensors(frames, samples)
         for table, rows in tables.items():
-            folder.write(f"{VERSION}/{table}.json", json.dumps(rows, indent=0) + "\n")
+            if rows or table != "lidarseg":  # the devkit looks for the files of this table
+                folder.write(f"{VERSION}/{table}.json", json.dumps(rows, indent=0) + "\n")
 
     def _token(self, *words: object) -> str:
         """Token of a row: the same for the same export."""
@@ -105,187 +118,167 @@ class NuScenesWriter(FormatWriter):
             repr((self.settings.scene.title, *words)).encode(), usedforsecurity=False
         ).hexdigest()
 
-    def _tables(self, frames: Mapping[int, Record], samples: list[int]) -> dict[str, list[dict[str, Any]]]:
-        """Rows of all tables by name."""
+    def _category(self, person: str) -> str:
+        heights = self.settings.scene.humans[person].mesh.vertices[:, 1]
+        return _CHILD if np.ptp(heights) < _CHILD_HEIGHT else _ADULT
+
+    def _data(
+        self,
+        channel: str,
+        frame: ExportFrame,
+        key: bool,
+        stamp: int,
+        pose: Array,
+        camera: Camera | None = None,
+    ) -> list[_Row]:
+        """Rows of ``sample_data``, ``ego_pose`` and ``calibrated_sensor`` for a file; its sample is missing.
+
+        ``key``: it is of a sample. ``pose``: (4, 4) of the sensor in ``map``. ``camera``: None for a scanner.
+        """
+        robot = frame.frame.robot
+        ego = np.eye(4) if robot is None else _pose(robot.rotation, robot.position)
+        suffix = ".pcd.bin" if camera is None else self.settings.image_suffix
+        width, height = (0, 0) if camera is None else camera.size
+        token, mounted = self._token, invert_rigid(ego) @ pose
+        own = (mounted.round(9) + 0.0).tolist()
+        ego_pose = {"token": token("ego", channel, frame.index), "timestamp": stamp // 1000, **_placed(ego)}
+        calibrated = {
+            "token": token("calibrated", channel, own),
+            "sensor_token": token("sensor", channel),
+            **_placed(mounted),
+            "camera_intrinsic": [] if camera is None else camera.K,
+        }
+        data = {
+            "token": token("data", channel, frame.index),
+            "sample_token": "",
+            "ego_pose_token": ego_pose["token"],
+            "calibrated_sensor_token": calibrated["token"],
+            "timestamp": stamp // 1000,
+            "fileformat": "pcd" if camera is None else suffix[1:],
+            "is_key_frame": key,
+            "height": height,
+            "width": width,
+            "filename": f"{'samples' if key else 'sweeps'}/{channel}/{frame.name}{suffix}",
+        }
+        return [data, ego_pose, calibrated]
+
+    def _annotation(self, name: str, frame: Frame, sweeps: Iterable[Sweep]) -> _Row:
+        """Row of ``sample_annotation``: box of a person, visibility, attribute and number of laser points."""
+        state, token = frame.humans[name], self._token
+        box = state.upright_box
+        length, width, height = box.size
+        seen = whole = 0.0
+        for truth in frame.truth.values():
+            own = truth.boxes[name]
+            if own.pixels:
+                seen += own.pixels
+                whole += own.pixels / max(own.visible_fraction * (1 - own.truncation), 1e-6)
+        share = seen / whole if whole else 0.0
+        return {
+            "token": token("annotation", name, frame.index),
+            "sample_token": token("sample", frame.index),
+            "instance_token": token("instance", name),
+            "visibility_token": str(1 + sum(share >= limit for limit in _LEVELS.values())),
+            "attribute_tokens": [token("attribute", _MOVING if state.speed > MOVING_SPEED else _STANDING)],
+            "translation": box.center,
+            "size": [width, length, height],
+            "rotation": np.roll(box.quaternion, 1),  # wxyz
+            "num_lidar_pts": int(sum((sweep.instances == frame.labels[name]).sum() for sweep in sweeps)),
+            "num_radar_pts": 0,
+        }
+
+    def _scene(self, frames: dict[int, Record], samples: list[int]) -> dict[str, list[_Row]]:
+        """Tables of the scene, its samples and people, and names."""
         token, title = self._token, self.settings.scene.title
-        rows = {"sample_data": self._data(frames, samples), **self._annotations(frames, samples)}
-        sensors = {row["calibrated"]: row for row in rows["sample_data"]}
-        channels = dict.fromkeys(row["channel"] for row in sensors.values())
-        tables: dict[str, list[dict[str, Any]]] = {
-            "log": [
+        people = {
+            name: _chained([frames[index]["people"][name] for index in samples])
+            for name in frames[samples[0]]["people"]
+        }
+
+        def named(table: str, names: Iterable[str]) -> list[_Row]:
+            return [{"token": token(table, name), "name": name, "description": ""} for name in names]
+
+        log = {"logfile": title, "vehicle": "robot", "date_captured": "1970-01-01", "location": title}
+        area = {"category": "semantic_prior", "filename": _MAP, "log_tokens": [token("log")]}
+        scene = {
+            "token": token("scene"),
+            "log_token": token("log"),
+            "nbr_samples": len(samples),
+            "first_sample_token": token("sample", samples[0]),
+            "last_sample_token": token("sample", samples[-1]),
+            "name": title,
+            "description": "synthetic humans, made by humansim_ros",
+        }
+        times = [
+            {"token": token("sample", index), "timestamp": frames[index]["stamp"] // 1000}
+            for index in samples
+        ]
+        return {
+            "log": [{"token": token("log"), **log}],
+            "map": [{"token": token("map"), **area}],
+            "scene": [scene],
+            "sample": _chained([{**row, "scene_token": token("scene")} for row in times]),
+            "instance": [
                 {
-                    "token": token("log"),
-                    "logfile": title,
-                    "vehicle": "robot",
-                    "date_captured": "1970-01-01",
-                    "location": title,
+                    "token": token("instance", name),
+                    "category_token": token("category", self._category(name)),
+                    "nbr_annotations": len(rows),
+                    "first_annotation_token": rows[0]["token"],
+                    "last_annotation_token": rows[-1]["token"],
                 }
+                for name, rows in people.items()
             ],
-            "map": [
-                {
-                    "token": token("map"),
-                    "category": "semantic_prior",
-                    "filename": _MAP,
-                    "log_tokens": [token("log")],
-                }
-            ],
-            "scene": [
-                {
-                    "token": token("scene"),
-                    "log_token": token("log"),
-                    "nbr_samples": len(samples),
-                    "first_sample_token": token("sample", samples[0]),
-                    "last_sample_token": token("sample", samples[-1]),
-                    "name": title,
-                    "description": "synthetic humans, made by humansim_ros",
-                }
-            ],
-            "sample": _chained(
-                [
-                    {
-                        "token": token("sample", index),
-                        "timestamp": _microseconds(frames[index]["stamp"]),
-                        "scene_token": token("scene"),
-                    }
-                    for index in samples
-                ]
-            ),
-            "sensor": [
-                {
-                    "token": token("sensor", channel),
-                    "channel": channel,
-                    "modality": "lidar" if channel.startswith("LIDAR") else "camera",
-                }
-                for channel in channels
-            ],
-            "calibrated_sensor": [
-                {
-                    "token": calibrated,
-                    "sensor_token": token("sensor", row["channel"]),
-                    **_placed(row["pose"]),
-                    "camera_intrinsic": row["K"] or [],
-                }
-                for calibrated, row in sensors.items()
-            ],
-            "ego_pose": [
-                {
-                    "token": row["ego_pose_token"],
-                    "timestamp": row["timestamp"],
-                    **_placed(frames[row["frame"]]["ego"]),
-                }
-                for row in rows["sample_data"]
-            ],
+            "sample_annotation": [row for rows in people.values() for row in rows],
             "category": [
-                {"token": token("category", name), "name": name, "description": ""}
-                for name in (_ADULT, _CHILD)
+                {**row, "index": number} for number, row in enumerate(named("category", _CATEGORIES))
             ],
-            "attribute": [
-                {"token": token("attribute", name), "name": name, "description": ""}
-                for name in (_MOVING, _STANDING)
-            ],
+            "attribute": named("attribute", (_MOVING, _STANDING)),
             "visibility": [
                 {"token": str(number), "level": level, "description": ""}
                 for number, level in enumerate(_LEVELS, 1)
             ],
         }
-        own = ("frame", "channel", "pose", "K", "calibrated")  # of sample_data, for the other tables
-        rows["sample_data"] = [
-            {key: value for key, value in row.items() if key not in own} for row in rows["sample_data"]
-        ]
-        return tables | rows
 
-    def _data(self, frames: Mapping[int, Record], samples: list[int]) -> list[dict[str, Any]]:
-        """Rows of ``sample_data``, with what other tables need of them."""
-        rows: dict[str, list[dict[str, Any]]] = {}
-        # data between two samples belong to the later one, as in nuScenes
-        following = {index: next((s for s in samples if s >= index), samples[-1]) for index in frames}
-        for index, record in frames.items():
-            for channel, sensor in record["sensors"].items():
-                suffix = ".pcd.bin" if sensor["K"] is None else self.settings.image_suffix
-                pose = np.array(sensor["pose"]).round(9) + 0.0
-                rows.setdefault(channel, []).append(
-                    {
-                        "token": self._token("data", channel, index),
-                        "sample_token": self._token("sample", following[index]),
-                        "ego_pose_token": self._token("ego", channel, index),
-                        "calibrated_sensor_token": (
-                            calibrated := self._token("calibrated", channel, pose.tolist())
-                        ),
-                        "timestamp": _microseconds(sensor["stamp"]),
-                        "fileformat": "pcd" if sensor["K"] is None else suffix[1:],
-                        "is_key_frame": record["key"],
-                        "height": sensor["size"][1],
-                        "width": sensor["size"][0],
-                        "filename": f"{_place(record['key'])}/{channel}/{frame_name(index)}{suffix}",
-                        "frame": index,
-                        "channel": channel,
-                        "pose": sensor["pose"],
-                        "K": sensor["K"],
-                        "calibrated": calibrated,
-                    }
-                )
-        return [row for listed in rows.values() for row in _chained(listed)]
-
-    def _annotations(
-        self, frames: Mapping[int, Record], samples: list[int]
-    ) -> dict[str, list[dict[str, Any]]]:
-        """Rows of ``sample_annotation`` and ``instance``."""
-        token = self._token
-        by_person: dict[str, list[dict[str, Any]]] = {}
-        for index in samples:
-            for person in frames[index]["people"]:
-                name = person["name"]
-                by_person.setdefault(name, []).append(
-                    {
-                        "token": token("annotation", name, index),
-                        "sample_token": token("sample", index),
-                        "instance_token": token("instance", name),
-                        "visibility_token": person["visibility"],
-                        "attribute_tokens": [token("attribute", each) for each in person["attributes"]],
-                        **{key: person[key] for key in ("translation", "size", "rotation")},
-                        "num_lidar_pts": person["points"],
-                        "num_radar_pts": 0,
-                    }
-                )
-        instances = [
-            {
-                "token": token("instance", name),
-                "category_token": token("category", self._category(name)),
-                "nbr_annotations": len(listed),
-                "first_annotation_token": listed[0]["token"],
-                "last_annotation_token": listed[-1]["token"],
-            }
-            for name, listed in by_person.items()
-        ]
-        rows = [row for listed in by_person.values() for row in _chained(listed)]
-        return {"sample_annotation": rows, "instance": instances}
-
-    def _category(self, name: str) -> str:
-        heights = self.settings.scene.humans[name].mesh.vertices[:, 1]
-        return _CHILD if np.ptp(heights) < _CHILD_HEIGHT else _ADULT
+    def _sensors(self, frames: dict[int, Record], samples: list[int]) -> dict[str, list[_Row]]:
+        """Tables of the sensors and their data."""
+        channels = dict.fromkeys(channel for record in frames.values() for channel in record["data"])
+        data: list[_Row] = []
+        ego_poses: list[_Row] = []
+        calibrated: dict[str, _Row] = {}
+        for channel in channels:
+            rows = []
+            for index, record in frames.items():
+                if channel in record["data"]:
+                    row, ego_pose, own = record["data"][channel]
+                    # data between two samples belong to the later one, as in nuScenes
+                    sample = next((each for each in samples if each >= index), samples[-1])
+                    rows.append({**row, "sample_token": self._token("sample", sample)})
+                    ego_poses.append(ego_pose)
+                    calibrated[own["token"]] = own
+            data += _chained(rows)
+        return {
+            "sensor": [
+                {
+                    "token": self._token("sensor", channel),
+                    "channel": channel,
+                    "modality": "lidar" if channel.startswith("LIDAR") else "camera",
+                }
+                for channel in channels
+            ],
+            "calibrated_sensor": list(calibrated.values()),
+            "ego_pose": ego_poses,
+            "sample_data": data,
+            "lidarseg": [
+                {"token": row["token"], "filename": _labels_file(row), "sample_data_token": row["token"]}
+                for row in data
+                if row["is_key_frame"] and row["fileformat"] == "pcd"
+            ],
+        }
 
 
-def _annotation(name: str, frame: Frame, sweeps: Iterable[Sweep]) -> Record:
-    """Box of a person, with its visibility, attributes and number of laser points."""
-    state = frame.humans[name]
-    box = state.upright_box
-    length, width, height = box.size
-    seen = whole = 0.0
-    for truth in frame.truth.values():
-        own = truth.boxes[name]
-        if own.pixels:
-            seen += own.pixels
-            whole += own.pixels / max(own.visible_fraction * (1 - own.truncation), 1e-6)
-    share = seen / whole if whole else 0.0
-    return {
-        "name": name,
-        "translation": box.center,
-        "size": [width, length, height],
-        "rotation": np.roll(box.quaternion, 1),  # wxyz
-        "visibility": str(1 + sum(share >= limit for limit in _LEVELS.values())),
-        "attributes": [_MOVING if state.speed > MOVING_SPEED else _STANDING],
-        "points": int(sum((sweep.instances == frame.labels[name]).sum() for sweep in sweeps)),
-    }
+def _labels_file(row: _Row) -> str:
+    """Labels of the points of a row of ``sample_data``."""
+    return f"lidarseg/{VERSION}/{row['token']}_lidarseg.bin"
 
 
 def _cloud(sweep: Sweep) -> bytes:
@@ -295,35 +288,16 @@ def _cloud(sweep: Sweep) -> bytes:
     return np.column_stack([sweep.points, intensities, rings]).astype("<f4").tobytes()
 
 
-def _camera(name: str) -> str:
-    return f"CAM_{name.upper()}"
-
-
-def _scanner(name: str, number: int) -> str:
-    """Channel of a scanner; the first one has the name that programs look for."""
-    return f"LIDAR_{number}_{name.upper()}" if number else "LIDAR_TOP"
-
-
-def _place(key: bool) -> str:
-    return "samples" if key else "sweeps"
-
-
-def _microseconds(stamp: int) -> int:
-    return stamp // 1000
-
-
 def _pose(rotation: Array, position: Array) -> Array:
     return transform(quaternion_to_matrix(rotation), position)
 
 
-def _placed(pose: Any) -> dict[str, Any]:
+def _placed(pose: Array) -> _Row:
     """Translation and rotation wxyz of a pose (4, 4)."""
-    matrix = np.array(pose)
-    quaternion = matrix_to_quaternion(matrix[:3, :3])
-    return {"translation": matrix[:3, 3].tolist(), "rotation": np.roll(quaternion, 1).tolist()}
+    return {"translation": pose[:3, 3], "rotation": np.roll(matrix_to_quaternion(pose[:3, :3]), 1)}
 
 
-def _chained(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _chained(rows: list[_Row]) -> list[_Row]:
     """The rows with ``prev`` and ``next``."""
     tokens = ["", *(row["token"] for row in rows), ""]
     return [{**row, "prev": tokens[number], "next": tokens[number + 2]} for number, row in enumerate(rows)]

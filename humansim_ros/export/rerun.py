@@ -73,7 +73,7 @@ class RerunWriter(FormatWriter):
                     f"scanner/{name}/pose": np.concatenate([sweep.position, sweep.rotation]),
                 }
         if now.robot is not None:
-            arrays["robot/pose"] = np.concatenate([now.robot.position, now.robot.rotation])
+            arrays["robot/base/pose"] = np.concatenate([now.robot.position, now.robot.rotation])
         content = BytesIO()
         np.savez(content, **arrays)
         folder.write_temporary(f"{frame.name}.npz", content.getvalue())
@@ -114,52 +114,49 @@ class RerunWriter(FormatWriter):
 
     def _log_frame(self, rr: Any, log: Any, arrays: _Arrays) -> None:
         """Log the arrays of a frame."""
-        edges = keypoint_set(self.settings.keypoints).edges
-        labels = self.settings.scene.labels
+        things: dict[tuple[str, str], dict[str, Any]] = {}
         for key in arrays:
-            kind, _, rest = key.partition("/")
-            name, _, part = rest.partition("/")
-            value = arrays[key]
-            if (kind, part) == ("camera", "image"):
-                self._log_camera(rr, log, name, arrays)
-            elif kind == "camera" and part.startswith("keypoints/"):
-                person = part.removeprefix("keypoints/")
-                place, known = f"cameras/{name}/image/{person}", np.isfinite(value).all(axis=1)
-                log(place, rr.Points2D(value[known], class_ids=labels[person], radii=2.0))
-            elif (kind, part) == ("person", "vertices"):
-                log(f"people/{name}/body", rr.Mesh3D.from_fields(vertex_positions=value))
-            elif (kind, part) == ("person", "keypoints"):
-                shared = {"class_ids": labels[name]}
-                log(f"people/{name}/keypoints", rr.Points3D(value, radii=0.02, **shared))
-                strips = value[np.array(edges)]
-                log(f"people/{name}/skeleton", rr.LineStrips3D(strips, radii=0.008, **shared))
-            elif (kind, part) == ("person", "box"):
-                box = rr.Boxes3D(
-                    centers=[value[:3]],
-                    sizes=[value[3:6]],
-                    quaternions=[value[6:]],
-                    labels=[name],
-                    class_ids=[labels[name]],
-                )
-                log(f"people/{name}/box", box)
-            elif (kind, part) == ("scanner", "points"):
-                pose, instances = (arrays[f"scanner/{name}/{each}"] for each in ("pose", "instances"))
-                log(f"scanners/{name}", rr.Transform3D(translation=pose[:3], quaternion=pose[3:]))
-                points = rr.Points3D(value, class_ids=instances, radii=0.01)
+            kind, name, part = key.split("/", 2)
+            things.setdefault((kind, name), {})[part] = arrays[key]
+        for (kind, name), parts in things.items():
+            if kind == "camera":
+                self._log_camera(rr, log, f"cameras/{name}", parts)
+            elif kind == "person":
+                self._log_person(rr, log, name, parts)
+            elif kind == "scanner":
+                log(f"scanners/{name}", _placed(rr, parts["pose"]))
+                points = rr.Points3D(parts["points"], class_ids=parts["instances"], radii=0.01)
                 log(f"scanners/{name}/points", points)
-            elif kind == "robot":
-                log("robot", rr.Transform3D(translation=value[:3], quaternion=value[3:]))
+            else:
+                log("robot", _placed(rr, parts["pose"]))
 
-    def _log_camera(self, rr: Any, log: Any, name: str, arrays: _Arrays) -> None:
-        """Log pose, lens, image and boxes of a camera."""
-        image, K, R, center, people, boxes = (
-            arrays[f"camera/{name}/{part}"] for part in ("image", "K", "R", "center", "people", "boxes")
-        )
-        size = self.settings.scene.cameras[name].camera.size
-        lens = rr.Pinhole(image_from_camera=K, resolution=size, camera_xyz=rr.ViewCoordinates.RDF)
-        log(f"cameras/{name}", rr.Transform3D(translation=center, mat3x3=R.T))
-        log(f"cameras/{name}/image", lens)
+    def _log_person(self, rr: Any, log: Any, name: str, parts: _Arrays) -> None:
+        """Log vertices, keypoints and box of a person."""
+        label, points, box = self.settings.scene.labels[name], parts["keypoints"], parts["box"]
+        log(f"people/{name}/body", rr.Mesh3D.from_fields(vertex_positions=parts["vertices"]))
+        log(f"people/{name}/keypoints", rr.Points3D(points, radii=0.02, class_ids=label))
+        strips = points[np.array(keypoint_set(self.settings.keypoints).edges)]
+        log(f"people/{name}/skeleton", rr.LineStrips3D(strips, radii=0.008, class_ids=label))
+        places = {"centers": [box[:3]], "sizes": [box[3:6]], "quaternions": [box[6:]]}
+        log(f"people/{name}/box", rr.Boxes3D(**places, labels=[name], class_ids=[label]))
+
+    def _log_camera(self, rr: Any, log: Any, path: str, parts: _Arrays) -> None:
+        """Log pose, lens, image, boxes and keypoints of a camera."""
+        boxes, size = parts["boxes"], self.settings.scene.cameras[path.removeprefix("cameras/")].camera.size
+        log(path, rr.Transform3D(translation=parts["center"], mat3x3=parts["R"].T))
+        axes = rr.ViewCoordinates.RDF
+        log(f"{path}/image", rr.Pinhole(image_from_camera=parts["K"], resolution=size, camera_xyz=axes))
         media = _MEDIA[self.settings.image_suffix]
-        log(f"cameras/{name}/image", rr.EncodedImage(contents=image.tobytes(), media_type=media))
-        corners = rr.Boxes2D(mins=boxes[:, :2], sizes=boxes[:, 2:] - boxes[:, :2], class_ids=people)
-        log(f"cameras/{name}/image/boxes", corners)
+        log(f"{path}/image", rr.EncodedImage(contents=parts["image"].tobytes(), media_type=media))
+        corners = {"mins": boxes[:, :2], "sizes": boxes[:, 2:] - boxes[:, :2]}
+        log(f"{path}/image/boxes", rr.Boxes2D(**corners, class_ids=parts["people"]))
+        for part, pixels in parts.items():
+            if part.startswith("keypoints/"):
+                person = part.removeprefix("keypoints/")
+                known, label = np.isfinite(pixels).all(axis=1), self.settings.scene.labels[person]
+                log(f"{path}/image/{person}", rr.Points2D(pixels[known], class_ids=label, radii=2.0))
+
+
+def _placed(rr: Any, pose: Any) -> Any:
+    """Transform of a position and quaternion (7,)."""
+    return rr.Transform3D(translation=pose[:3], quaternion=pose[3:])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
 from humansim_ros.io.images import decode_srgb
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, multiply_quaternions
+from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 #: Name of the file, and of the folder of its textures.
@@ -38,8 +38,6 @@ _FILE, _TEXTURES = "scene.usdc", "textures"
 _FILM = 0.36
 #: Distances from cameras between which programs draw, metres.
 _CLIPPING = (0.01, 1000.0)
-#: Cameras of USD look along -z with y up; optical frames along z with y down: half a turn about x, xyzw.
-_FROM_OPTICAL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class UsdWriter(AnimationWriter):
@@ -82,17 +80,16 @@ class UsdStage:
         self._stage.SetDefaultPrim(world.GetPrim())
         warn_of_curved_skinning(scene.people, "USD")
         warn_of_lenses("USD", {name: camera for name, (camera, _) in scene.cameras.items()})
-        for kind, add in (
-            ("people", self._add_person),
-            ("objects", self._add_object),
-            ("cameras", self._add_camera),
-        ):
-            things = getattr(scene, kind)
-            group = f"/World/{kind.capitalize()}"
+        groups: dict[str, tuple[Mapping[str, Any], Callable[[str, Any], None]]] = {
+            "/World/People": (scene.people, self._add_person),
+            "/World/Objects": (scene.objects, self._add_object),
+            "/World/Cameras": (scene.cameras, self._add_camera),
+        }
+        for group, (things, add) in groups.items():
             if things:
                 UsdGeom.Scope.Define(self._stage, group)
             for name, path in identifiers(things).items():
-                add(name, f"{group}/{path}", things[name])
+                add(f"{group}/{path}", things[name])
 
     def write(self, path: str) -> None:
         """Write the stage as a binary file; equal scenes give equal bytes."""
@@ -126,17 +123,15 @@ class UsdStage:
         mean = (np.array(lighting.sky_color) + np.array(lighting.ground_color)) / 2
         sky.CreateColorAttr(Gf.Vec3f(*mean.tolist()))
 
-    def _add_person(self, name: str, path: str, person: AnimatedHuman) -> None:
+    def _add_person(self, path: str, person: AnimatedHuman) -> None:
         """Add a SkelRoot at the head of the first bone, with the size of the body, in double precision."""
         from pxr import Gf, Sdf, UsdSkel, Vt
 
         human, skeleton = person.human, person.human.skeleton
         root = UsdSkel.Root.Define(self._stage, path)
         places = person.bones[:, 0, :3, 3]
-        track = PoseTrack(
-            places, np.tile([0, 0, 0, 1.0], (len(places), 1)), np.tile(person.sizes[:, None], 3)
-        )
-        self._place(root, track)
+        unturned, sizes = np.tile([0, 0, 0, 1.0], (len(places), 1)), np.tile(person.sizes[:, None], 3)
+        self._place(root, PoseTrack(places, unturned, sizes))
         joints = _joint_paths(skeleton)
         rig = UsdSkel.Skeleton.Define(self._stage, f"{path}/Skeleton")
         rest = np.array(skeleton.rest)
@@ -166,21 +161,19 @@ class UsdStage:
         skin = UsdSkel.BindingAPI.Apply(mesh)
         skin.CreateSkeletonRel().SetTargets([rig.GetPath()])
         bones, weights = influences(human)
-        width = bones.shape[1]
-        skin.CreateJointIndicesPrimvar(False, width).Set(
-            Vt.IntArray.FromNumpy(bones.astype(np.int32).ravel())
-        )
+        numbers, width = bones.astype(np.int32).ravel(), bones.shape[1]
+        skin.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(numbers))
         skin.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
         skin.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
 
-    def _add_object(self, _: str, path: str, item: tuple[Mesh, PoseTrack]) -> None:
+    def _add_object(self, path: str, item: tuple[Mesh, PoseTrack]) -> None:
         from pxr import UsdGeom
 
         mesh, track = item
         self._place(UsdGeom.Xform.Define(self._stage, path), track)
         self._add_mesh(f"{path}/Surface", mesh)
 
-    def _add_camera(self, _: str, path: str, item: tuple[Camera, PoseTrack]) -> None:
+    def _add_camera(self, path: str, item: tuple[Camera, PoseTrack]) -> None:
         """Add a camera: a film of 36 mm with the principal point beside its middle."""
         from pxr import Gf, UsdGeom
 
@@ -194,37 +187,24 @@ class UsdStage:
         camera.CreateHorizontalApertureOffsetAttr(focal * ((width - 1) / 2 - float(k[0, 2])) / float(k[0, 0]))
         camera.CreateVerticalApertureOffsetAttr(focal * (float(k[1, 2]) - (height - 1) / 2) / float(k[1, 1]))
         camera.CreateClippingRangeAttr(Gf.Vec2f(*_CLIPPING))
-        prim = camera.GetPrim()
-        prim.SetCustomDataByKey("resolution", Gf.Vec2i(width, height))
-        turned = multiply_quaternions(track.rotations, np.broadcast_to(_FROM_OPTICAL, track.rotations.shape))
-        self._place(camera, PoseTrack(track.positions, turned, track.sizes))
+        camera.GetPrim().SetCustomDataByKey("resolution", Gf.Vec2i(width, height))
+        self._place(camera, track.backward)
 
     def _place(self, prim: Any, track: PoseTrack) -> None:
         """Give a prim the poses of a track: translation, rotation and size, in double precision."""
-        from pxr import Gf, UsdGeom
-
-        double = UsdGeom.XformOp.PrecisionDouble
-
-        def turn(value: Array) -> Any:
-            x, y, z, w = value.tolist()
-            return Gf.Quatd(w, x, y, z)
-
-        def vector(value: Array) -> Any:
-            return Gf.Vec3d(*value.tolist())
+        from pxr import Gf, Usd, UsdGeom
 
         for values, add, make, neutral in (
-            (track.positions, prim.AddTranslateOp, vector, np.zeros(3)),
-            (track.rotations, prim.AddOrientOp, turn, np.array([0, 0, 0, 1])),
-            (track.sizes, prim.AddScaleOp, vector, np.ones(3)),
+            (track.positions, prim.AddTranslateOp, Gf.Vec3d, (0, 0, 0)),
+            (track.rotations, prim.AddOrientOp, lambda x, y, z, w: Gf.Quatd(w, x, y, z), (0, 0, 0, 1)),
+            (track.sizes, prim.AddScaleOp, Gf.Vec3d, (1, 1, 1)),
         ):
             if (values == neutral).all():
                 continue
-            attribute = add(double)
-            if (values == values[0]).all():
-                attribute.Set(make(values[0]))
-                continue
-            for time, value in zip(self._times, values, strict=True):
-                attribute.Set(make(value), time)
+            attribute = add(UsdGeom.XformOp.PrecisionDouble)
+            times = self._times if (values != values[0]).any() else [Usd.TimeCode.Default()]
+            for time, value in zip(times, values.tolist(), strict=False):  # one if nothing changes
+                attribute.Set(make(*value), time)
 
     def _add_mesh(self, path: str, mesh: Mesh, texture: bytes | None = None) -> Any:
         """Add a mesh with normals, texture coordinates and material; return its prim.
@@ -254,11 +234,8 @@ class UsdStage:
             linear = np.asarray(decode_srgb(mesh.colors / 255.0), np.float32)
             same = (linear == linear[0]).all()
             color = tuple(linear[0].tolist()) if same else None
-            shown = primvars.CreatePrimvar(
-                "displayColor",
-                Sdf.ValueTypeNames.Color3fArray,
-                UsdGeom.Tokens.constant if same else UsdGeom.Tokens.vertex,
-            )
+            place = UsdGeom.Tokens.constant if same else UsdGeom.Tokens.vertex
+            shown = primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, place)
             shown.Set(Vt.Vec3fArray.FromNumpy(linear[:1] if same else linear))
         image = self._textures.of(mesh) if texture is None else self._textures.write(texture)
         UsdShade.MaterialBindingAPI.Apply(out.GetPrim()).Bind(self._material(mesh, image, color))

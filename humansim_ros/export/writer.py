@@ -70,13 +70,14 @@ class ExportFolder:
 
     def subfolder(self, name: str) -> ExportFolder:
         """A folder in this one, with the same :attr:`written`."""
-        folder = ExportFolder(self.root, self._prefix + name)
-        folder.written = self.written
-        return folder
+        return self._folder(self._prefix + name)
 
     def root_folder(self) -> ExportFolder:
         """The root of the export, with the same :attr:`written`."""
-        folder = ExportFolder(self.root)
+        return self._folder("")
+
+    def _folder(self, prefix: str) -> ExportFolder:
+        folder = ExportFolder(self.root, prefix)
         folder.written = self.written
         return folder
 
@@ -87,9 +88,7 @@ class ExportFolder:
 
     def write_temporary(self, name: str, content: bytes) -> None:
         """Write a file that :meth:`temporary` finds until the export is complete."""
-        folder = ExportFolder(self.root, f"{TEMPORARY}/{self._prefix}".rstrip("/"))
-        folder.written = self.written
-        folder.write(name, content)
+        self._folder(TEMPORARY).write(self._prefix + name, content)
 
     def temporary(self, name: str) -> Path:
         """Path of a file of :meth:`write_temporary`."""
@@ -125,9 +124,8 @@ class ExportFolder:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as reason:
-            raise ExportError(
-                f"this folder cannot be made: {reason.strerror or reason}", path=folder
-            ) from None
+            text = f"this folder cannot be made: {reason.strerror or reason}"
+            raise ExportError(text, path=folder) from None
 
 
 def file_entry(path: Path) -> FileEntry:
@@ -197,13 +195,9 @@ class ExportScene:
             rate=scene.config.rate,
             cameras={
                 name: ExportCamera(
-                    camera.camera,
-                    camera.moves or camera.drifts,
-                    camera.encoding,
-                    camera.timing.rate,
-                    camera.timing,
+                    *(own.camera, own.moves or own.drifts, own.encoding, own.timing.rate, own.timing)
                 )
-                for name, camera in scene.scene_cameras.items()
+                for name, own in scene.scene_cameras.items()
             },
             labels=scene.labels,
             objects={name: Path(scene.objects[name].shape).stem for name in scene.object_labels},
@@ -248,12 +242,9 @@ def warn_of_lenses(program: str, cameras: Mapping[str, Camera], has_skew: bool =
         has_skew: Whether it has skew; else this is a warning, too.
     """
     for name, camera in cameras.items():
-        for what, is_lost in (
-            ("lens distortion", camera.distorted),
-            ("skew", not has_skew and camera.K[0, 1] != 0),
-        ):
-            if is_lost:
-                warn_about(f"{program} camera {name}", f"{what} has no place there; calibration.yaml has it")
+        lost = {"lens distortion": camera.distorted, "skew": not has_skew and camera.K[0, 1] != 0}
+        for what in (key for key, is_lost in lost.items() if is_lost):
+            warn_about(f"{program} camera {name}", f"{what} has no place there; calibration.yaml has it")
 
 
 #: What a frame leaves for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as

@@ -246,10 +246,10 @@ def check_ids(people: Sequence[str]) -> None:
     for name in people:
         for own in (body_id(name), face_id(name)):
             if own in people:
-                raise SceneError(
-                    f"{own} is the id of the body or face of {name} in ROS4HRI: give the human another name",
-                    key=f"humans.{own}",
+                text = (
+                    f"{own} is the id of the body or face of {name} in ROS4HRI: give the human another name"
                 )
+                raise SceneError(text, key=f"humans.{own}")
 
 
 def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
@@ -263,18 +263,13 @@ def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]
     Raises:
         RosError: See :meth:`~humansim_ros.messages.types.MessagePackage.message`.
     """
-    transforms = TF_MESSAGES.message("TFMessage")
+    kind = TF_MESSAGES.message("TFMessage")
     yield HriTopic(
-        TF_TOPIC,
-        transforms,
-        lambda frame, stamp: [transforms(transforms=_transforms(frame, stamp, frame_id))],
+        TF_TOPIC, kind, lambda frame, stamp: [kind(transforms=_transforms(frame, stamp, frame_id))]
     )
-    yield HriTopic(
-        "humans/candidate_matches", HRI_MESSAGES.message("IdsMatch"), lambda frame, _: _matches(frame)
-    )
+    yield HriTopic("humans/candidate_matches", HRI_MESSAGES.message("IdsMatch"), _matches)
     for name in people:
-        yield from _body_topics(name, frame_id)
-        yield from _face_topics(name, frame_id, image_size)
+        yield from _seen_topics(name, frame_id, image_size)
         yield from _person_topics(name)
     yield from _lists(people, frame_id)  # last: a recording that has them has the others of their frame
 
@@ -287,76 +282,62 @@ def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
         "persons/tracked": lambda person: person.name if person.is_seen else "",
         "persons/known": lambda person: person.name,
     }
+
+    def build(id_of: Callable[[HriPerson], str], frame: HriFrame, stamp: int) -> list[Any]:
+        found = [id_of(frame.people[name]) for name in people]
+        return [kind(header=header(stamp, frame_id), ids=[each for each in found if each])]
+
     for path, id_of in ids.items():
-
-        def build(frame: HriFrame, stamp: int, id_of: Callable[[HriPerson], str] = id_of) -> list[Any]:
-            found = [id_of(frame.people[name]) for name in people]
-            return [kind(header=header(stamp, frame_id), ids=[each for each in found if each])]
-
-        yield HriTopic(f"humans/{path}", kind, build, repeated=True, sparse=False)
+        yield HriTopic(f"humans/{path}", kind, partial(build, id_of), repeated=True, sparse=False)
 
 
-def _body_topics(name: str, frame_id: str) -> Iterator[HriTopic]:
-    own = body_id(name)
-    root = f"humans/bodies/{own}"
+#: Returns the message of a person in a frame; None without.
+_Build = Callable[[HriPerson, HriFrame, Header], Any]
 
-    def topic(
-        path: str, kind: type[Any], build: Callable[[HriPerson, HriFrame, Header], Any], **settings: bool
-    ) -> HriTopic:
-        def of_person(frame: HriFrame, stamp: int) -> list[Any]:
+
+def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
+    """Topics of the body and face of a person, with messages while the camera sees them."""
+    (width, height), own = image_size, body_id(name)
+    skeleton, landmarks = (HRI_MESSAGES.message(kind) for kind in ("Skeleton2D", "FacialLandmarks"))
+    body, face = f"humans/bodies/{own}", f"humans/faces/{face_id(name)}"
+
+    def topic(root: str, path: str, kind: type[Any], build: _Build, **settings: bool) -> HriTopic:
+        def messages(frame: HriFrame, stamp: int) -> list[Any]:
             person = frame.people[name]
-            message = build(person, frame, header(stamp, frame_id)) if person.is_seen else None
+            seen = person.has_face if root == face else person.is_seen
+            message = build(person, frame, header(stamp, frame_id)) if seen else None
             return [] if message is None else [message]
 
-        return HriTopic(f"{root}/{path}", kind, of_person, **settings)
+        return HriTopic(f"{root}/{path}", kind, messages, **settings)
 
-    yield topic("roi", _roi_type(), lambda person, _, head: _roi_message(person.roi, head))
+    def pictures(root: str, roi: str, size: int | None = None) -> Iterator[HriTopic]:
+        def region(person: HriPerson, _: HriFrame, head: Header) -> Any:
+            left, top, right, bottom = map(float, getattr(person, roi))
+            return kind(header=head, xmin=left, ymin=top, xmax=right, ymax=bottom, c=1.0)
+
+        def crop(person: HriPerson, frame: HriFrame, head: Header) -> Image:
+            return crop_message(*frame.image(), getattr(person, roi), head, size)
+
+        kind = HRI_MESSAGES.message("NormalizedRegionOfInterest2D")
+        yield topic(root, "roi", kind, region)
+        yield topic(root, "cropped", Image, crop, has_image=True)
+
+    yield from pictures(body, "roi")
     yield topic(
-        "cropped",
-        Image,
-        lambda person, frame, head: crop_message(*frame.image(), person.roi, head),
-        has_image=True,
-    )
-    skeleton = HRI_MESSAGES.message("Skeleton2D")
-    yield topic(
-        "skeleton2d",
-        skeleton,
+        *(body, "skeleton2d", skeleton),
         lambda person, _, head: skeleton(header=head, skeleton=_points(person.skeleton)),
     )
-    yield topic("joint_states", JointState, _joint_states_message)
-    yield topic("position", PointStamped, _position_message)
-    yield topic("velocity", TwistStamped, _velocity_message)
+    yield topic(body, "joint_states", JointState, _joint_states_message)
+    yield topic(body, "position", PointStamped, _position_message)
+    yield topic(body, "velocity", TwistStamped, _velocity_message)
     yield topic(
-        "urdf",
-        String,
+        *(body, "urdf", String),
         lambda person, *_: None if person.urdf is None else String(data=person.urdf(own)),
         latched=True,
     )
-
-
-def _face_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
-    root, (width, height) = f"humans/faces/{face_id(name)}", image_size
-    landmarks = HRI_MESSAGES.message("FacialLandmarks")
-
-    def topic(
-        path: str, kind: type[Any], build: Callable[[HriPerson, HriFrame, Header], Any], **settings: bool
-    ) -> HriTopic:
-        def of_face(frame: HriFrame, stamp: int) -> list[Any]:
-            person = frame.people[name]
-            return [build(person, frame, header(stamp, frame_id))] if person.has_face else []
-
-        return HriTopic(f"{root}/{path}", kind, of_face, **settings)
-
-    yield topic("roi", _roi_type(), lambda person, _, head: _roi_message(person.face_roi, head))
+    yield from pictures(face, "face_roi", FACE_SIZE)
     yield topic(
-        "cropped",
-        Image,
-        lambda person, frame, head: crop_message(*frame.image(), person.face_roi, head, FACE_SIZE),
-        has_image=True,
-    )
-    yield topic(
-        "landmarks",
-        landmarks,
+        *(face, "landmarks", landmarks),
         lambda person, _, head: landmarks(
             header=head, landmarks=_points(person.landmarks), width=width, height=height
         ),
@@ -374,30 +355,16 @@ def _person_topics(name: str) -> Iterator[HriTopic]:
         "body_id": (String, lambda person: body_id(name) if person.is_seen else ""),
         "location_confidence": (Float32, lambda person: 1.0 if person.is_seen else 0.0),
     }
+
+    def build(kind: type[Any], value: Callable[[HriPerson], Any], frame: HriFrame, _: int) -> list[Any]:
+        return [kind(data=value(frame.people[name]))]
+
     for path, (kind, value) in contents.items():
-
-        def build(
-            frame: HriFrame, _: int, kind: type[Any] = kind, value: Callable[[HriPerson], Any] = value
-        ) -> list[Any]:
-            return [kind(data=value(frame.people[name]))]
-
-        volatile = path == "location_confidence"
-        root = f"humans/persons/{name}"
-        yield HriTopic(f"{root}/{path}", kind, build, latched=not volatile, repeated=volatile)
+        volatile, own = path == "location_confidence", f"humans/persons/{name}/{path}"
+        yield HriTopic(own, kind, partial(build, kind, value), latched=not volatile, repeated=volatile)
 
 
 # --- messages
-
-
-def _roi_type() -> type[Any]:
-    kind: type[Any] = HRI_MESSAGES.message("NormalizedRegionOfInterest2D")
-    return kind
-
-
-def _roi_message(roi: Array | None, head: Header) -> Any:
-    assert roi is not None
-    left, top, right, bottom = map(float, roi)
-    return _roi_type()(header=head, xmin=left, ymin=top, xmax=right, ymax=bottom, c=1.0)
 
 
 def _points(rows: Array | None) -> list[Any]:
@@ -406,7 +373,7 @@ def _points(rows: Array | None) -> list[Any]:
 
 
 def crop_message(
-    image: NDArray[np.uint8], encoding: str, roi: Array | None, head: Header, size: int | None = None
+    image: NDArray[np.uint8], encoding: str, roi: Array, head: Header, size: int | None = None
 ) -> Image:
     """Build ``cropped``: the pixels of an image in a region.
 
@@ -418,7 +385,6 @@ def crop_message(
         size: Width and height of the crop, into which the region is scaled and centred on black; None: the
             pixels as they are.
     """
-    assert roi is not None
     if encoding.startswith("bayer"):
         image, encoding = color_image(image, encoding), "rgb8"
     height, width = image.shape[:2]
@@ -468,7 +434,7 @@ def _velocity_message(person: HriPerson, _: HriFrame, head: Header) -> TwistStam
     return TwistStamped(header=head, twist=Twist(linear=linear, angular=angular))
 
 
-def _matches(frame: HriFrame) -> list[Any]:
+def _matches(frame: HriFrame, _: int) -> list[Any]:
     """Messages on ``candidate_matches``: body and face of each person that is seen, for certain."""
     kind = HRI_MESSAGES.message("IdsMatch")
     out = []

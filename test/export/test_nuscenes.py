@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, Simulation
 from humansim_ros.errors import ExportError
+from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.types import Array
 
 SCENE: dict[str, Any] = {
@@ -26,6 +27,7 @@ SCENE: dict[str, Any] = {
         "anna": {"body": "child", "motion": {"file": "walk", "position": [0.0, -0.6]}},
         "ben": {"motion": {"file": "wave", "position": [0.6, 0.6]}},
     },
+    "objects": {"box": {"mesh": "box", "size": [0.4, 0.4, 0.8], "position": [0.8, -0.6, 0.6], "label": True}},
     "robot": {"path": {"points": [[-2.2, 0.0], [0.0, 0.5]], "speed": 0.5}},
     "cameras": {
         "front": {"mount": "robot", "position": [0, 0, 1], "look_at": [2, 0, 0.9], "size": [96, 72]},
@@ -85,6 +87,8 @@ def test_transforms_boxes_and_points_are_those_of_the_simulation(tmp_path: Path)
             expected = sweep.points @ turn.T + sweep.position
             np.testing.assert_allclose(cloud[:, :3] @ in_map[:3, :3].T + in_map[:3, 3], expected, atol=1e-4)
             assert set(cloud[:, 4].tolist()) <= {0, 1, 2, 3}
+            if row["is_key_frame"]:
+                check_labels(root, known, row["token"], sweep)
             continue
         camera = frames[index].cameras["front" if channel == "CAM_FRONT" else "room"]
         assert (row["width"], row["height"]) == camera.size
@@ -93,7 +97,24 @@ def test_transforms_boxes_and_points_are_those_of_the_simulation(tmp_path: Path)
         seen = np.array(calibrated["camera_intrinsic"]) @ (np.linalg.inv(in_map) @ point)[:3]
         np.testing.assert_allclose(seen[:2] / seen[2], camera.project(point[None, :3])[0][0], atol=1e-6)
     assert len(known["calibrated_sensor"]) == 2 + 7  # the robot moves under the camera of the room
+    assert len(known["lidarseg"]) == 3
     check_people(known, frames)
+
+
+def check_labels(root: Path, known: dict[str, Any], token: str, sweep: Sweep) -> None:
+    """Points of anna (a child), ben and the box (instances 1 to 3) have the numbers of nuScenes-lidarseg."""
+    row = known["lidarseg"][token]
+    assert row["sample_data_token"] == token
+    found = np.fromfile(root / row["filename"], np.uint8)
+    np.testing.assert_array_equal(found, np.array([0, 3, 2, 29])[sweep.instances])
+    names = {each["index"]: each["name"] for each in known["category"].values()}
+    assert list(names) == list(range(32))
+    assert {number: names[number] for number in set(found.tolist())} == {
+        0: "noise",
+        2: "human.pedestrian.adult",
+        3: "human.pedestrian.child",
+        29: "static.other",
+    }
 
 
 def check_people(known: dict[str, Any], frames: dict[int, Any]) -> None:
@@ -136,5 +157,6 @@ def test_a_scene_without_scanners_has_a_sample_for_each_frame(tmp_path: Path) ->
     scene = Scene.from_dict({key: value for key, value in SCENE.items() if key != "scanners"})
     known = tables(exported(tmp_path / "out", "nuscenes", scene, frames="0:3") / "nuscenes")
     assert len(known["sample"]) == 3 and len(known["sample_data"]) == 6
+    assert "lidarseg" not in known and not (tmp_path / "out" / "nuscenes" / "lidarseg").exists()
     assert {row["modality"] for row in known["sensor"].values()} == {"camera"}
     assert {row["num_lidar_pts"] for row in known["sample_annotation"].values()} == {0}

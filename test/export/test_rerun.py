@@ -89,3 +89,14 @@ def test_a_recording_has_what_the_simulation_has(tmp_path: Path) -> None:
             of("/scanners/lidar/points", "Points3D:positions"), sweep.points, atol=1e-5
         )
         np.testing.assert_array_equal(of("/scanners/lidar/points", "Points3D:class_ids"), sweep.instances)
+
+
+@pytest.mark.nightly
+def test_two_recordings_have_the_same_content(tmp_path: Path) -> None:
+    files = [exported(tmp_path / name, "rerun") / "rerun" / "rerun.rrd" for name in "ab"]
+    assert contents(files[0]) == contents(files[1])
+    stores = [
+        [(store.application_id, store.recording_id) for store in chunks.RrdReader(file).recordings()]
+        for file in files
+    ]
+    assert stores[0] == stores[1] and len(stores[0]) == 1

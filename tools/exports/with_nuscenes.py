@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.data_classes import LidarPointCloud
+from nuscenes.utils.data_io import load_bin_file
 from nuscenes.utils.geometry_utils import BoxVisibility, points_in_box, view_points
 
 #: Pixels and metres that an edge may be off: pixels are whole, and people move during a sweep.
@@ -86,6 +87,28 @@ def check_velocities(tables: NuScenes) -> tuple[int, float]:
     return count, worst
 
 
+def check_labels(tables: NuScenes, picture: Path) -> tuple[int, int]:
+    """Points of people by their label and by their annotations, which the devkit counts; draws a picture."""
+    tables.list_lidarseg_categories()
+    labelled = 0
+    for row in tables.lidarseg:
+        labels = load_bin_file(str(Path(tables.dataroot) / row["filename"]))
+        file = Path(tables.dataroot) / tables.get("sample_data", row["sample_data_token"])["filename"]
+        assert len(labels) == LidarPointCloud.from_file(str(file)).nbr_points()
+        labelled += sum(int(tables.lidarseg_idx2name_mapping[n].startswith("human")) for n in labels)
+    sample = tables.sample[len(tables.sample) // 2]
+    camera = next(channel for channel in sample["data"] if channel.startswith("CAM"))
+    tables.render_pointcloud_in_image(
+        sample["token"],
+        camera_channel=camera,
+        out_path=str(picture),
+        show_lidarseg=True,
+        show_lidarseg_legend=True,
+        verbose=False,
+    )
+    return labelled, sum(row["num_lidar_pts"] for row in tables.sample_annotation)
+
+
 def main(export: Path) -> None:
     """Print what the devkit says."""
     tables: Any = NuScenes(version="v1.0-humansim", dataroot=str(export / "nuscenes"), verbose=True)
@@ -98,7 +121,10 @@ def main(export: Path) -> None:
     print(f"{counted} laser points on people, {inside} within their boxes")
     count, worst = check_velocities(tables)
     print(f"{count} velocities, greatest difference {worst:.1e} m/s")
-    if outside > SLACK or inside < 0.98 * counted:
+    picture = export / "lidarseg.png"
+    labelled, annotated = check_labels(tables, picture)
+    print(f"{labelled} points are labelled as people, {annotated} by annotations; {picture} shows them")
+    if outside > SLACK or inside < 0.98 * counted or labelled != annotated:
         sys.exit("the export and the devkit disagree")
 
 

@@ -39,7 +39,6 @@ from humansim_ros.export.formats import ExportFormat, chosen_formats
 from humansim_ros.humans.loading import find_human
 from humansim_ros.humans.makehuman.population import PeopleLimits, is_person, person_name
 from humansim_ros.io.assets import built_in_names
-from humansim_ros.io.files import exists
 from humansim_ros.io.schema import Section, Share
 from humansim_ros.io.schema_errors import Expected, show_value, validated
 from humansim_ros.io.yaml import line_of, read_yaml
@@ -50,7 +49,6 @@ from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.camera_config import Vector3
 from humansim_ros.scene.config import (
     LIVE,
-    RECIPE,
     PeopleConfig,
     RoomConfig,
     check_config,
@@ -718,11 +716,3 @@ def _seeded(value: Any, keys: Keys, seed: Callable[[Keys], int]) -> Any:
         changed = {name: _seeded(part, (*keys, name), seed) for name, part in value.items()}
         return changed if any(changed[name] is not value[name] for name in value) else value
     return value
-
-
-def is_recipe(path: Path) -> bool:
-    """Whether a file is a recipe: a YAML file that has the key ``recipe``."""
-    if path.suffix.lower() not in (".yaml", ".yml") or not exists(path) or not path.is_file():
-        return False
-    content, _ = read_yaml(path, ExportError, "scene or recipe")
-    return isinstance(content, dict) and RECIPE in content

@@ -11,12 +11,14 @@ from typing import Any
 
 import pytest
 import yaml
+from commands import humansim
 from conftest import ROOT
 
 from humansim_ros import Scene
 from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.export.draws import DRAWS, ChoiceDraw, draw_at
-from humansim_ros.export.recipe import Recipe, is_recipe
+from humansim_ros.export.recipe import Recipe
+from humansim_ros.scene.config import is_recipe
 
 #: Two cameras around one or two people.
 RECIPE: dict[str, Any] = yaml.safe_load("""
@@ -234,6 +236,13 @@ def test_a_recipe_that_cannot_be_met_names_the_line_to_blame(tmp_path: Path) -> 
     assert caught.value.key == "scene.variety.count"
 
 
+    for words in (["check"], ["run"], ["record", "-o", tmp_path / "bag", "--frames", 1], ["view"]):
+        done = humansim(*words, path)
+        assert done.returncode == 2 and not done.stdout
+        assert done.stderr == (
+            f"error: {path}:1: recipe: this is a recipe of many scenes: `humansim export` draws them, and "
+            "each has a scene.yaml\n"
+        )
 def test_a_drawn_scene_fulfils_the_recipe(tmp_path: Path) -> None:
     drawn = recipe(tmp_path, require={"cameras": 1, "visible": 0.2, "pixels": 3}).draw(2)
     assert (

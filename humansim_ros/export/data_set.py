@@ -330,7 +330,7 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
     folder, totals = ExportFolder(root), Totals()
     scenes: dict[str, dict[str, Any]] = {}
     parts = {split: Totals() for split in recipe.config.splits}
-    licenses: dict[str, None] = {}
+    own_licenses, licenses = set[str](), set[str]()
     split_of: dict[str, str] = {}
     with folder.path(HASHES) as path, path.open("w", encoding="utf-8") as hashes:
         for number in range(recipe.config.scenes):
@@ -346,7 +346,8 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
             for body in (person["body"] for person in statistics["people"].values()):
                 if split_of.setdefault(body, split) != split:
                     raise ExportError(f"{body} is in {split_of[body]} and in {split} ({name})", path=root)
-            licenses |= dict.fromkeys(filter(None, (index.get("license"), *index["licenses"].values())))
+            own_licenses |= {index["license"]} if index.get("license") else set()
+            licenses |= set(index["licenses"].values())
             scenes[name] = {
                 "split": split,
                 "people": {name: person["body"] for name, person in statistics["people"].items()},
@@ -356,7 +357,7 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
                 "index": files[INDEX]["sha256"],
             }
         if scenes:
-            summary = _summary(data_set, totals, parts, sorted(licenses), scenes)
+            summary = _summary(data_set, totals, parts, (sorted(own_licenses), sorted(licenses)), scenes)
             _write_pages(summary, folder)
             files = {name: folder.written[name] for name in sorted(folder.written)}
             more = {"finished": True, "about": summary.card, "splits": _counts(parts)}
@@ -376,14 +377,14 @@ def _summary(
     data_set: DataSet,
     totals: Totals,
     parts: Mapping[str, Totals],
-    licenses: Sequence[str],
+    licenses: tuple[Sequence[str], Sequence[str]],
     scenes: Mapping[str, Mapping[str, Any]],
 ) -> DataSetSummary:
     config, suffix = data_set.recipe.config, f".{data_set.recipe.config.images}"
     cameras = {name: scene["cameras"] for name, scene in scenes.items()}
     examples = example_paths(data_set.root, cameras, config.frames, suffix)
     made_with = versions() | {"device": data_set.device}
-    return DataSetSummary(config, totals, parts, licenses, made_with, examples, suffix)
+    return DataSetSummary(config, totals, parts, *licenses, made_with, examples, suffix)
 
 
 def _write_pages(summary: DataSetSummary, folder: ExportFolder) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -172,6 +173,8 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
     recipe, config = data_set.recipe, data_set.recipe.config
     name = recipe.name(drawn.number)
     folder = data_set.root / name
+    if not (folder / INDEX).exists():
+        _remove(folder)  # what is left of a process that was killed at its start
     source = SimulatedSource(drawn.scene, recipe.formats, config.keypoints, Path(name).name)
     plan = ExportPlan.of(
         source, range(config.frames), f".{config.images}", license=config.about.license or ""
@@ -183,6 +186,16 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
         if error.key in _RECIPE_KEYS:
             raise recipe.error_at(_RECIPE_KEYS[error.key], f"scene {drawn.number}: {error.message}") from None
         raise
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of a scene, if it is there. Raises ExportError if it cannot be removed."""
+    try:
+        shutil.rmtree(folder)
+    except FileNotFoundError:
+        pass
+    except OSError as reason:
+        raise ExportError(f"cannot be removed: {reason.strerror or reason}", path=folder) from None
 
 
 def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
@@ -281,7 +294,8 @@ def _write_on_cluster(
         if isinstance(result, ScenesResult):
             failures |= {each.number: each.failure for each in result.scenes if each.failure}
         else:
-            failures |= dict.fromkeys(part.frames, some_of(reasons) or "its task did not run")
+            left = [number for number in part.frames if not data_set.is_written(number)]
+            failures |= dict.fromkeys(left, some_of(reasons) or "its task did not run")
     return failures
 
 
@@ -317,7 +331,11 @@ def read_data_set(root: Path) -> dict[str, Any]:
 def _begin(data_set: DataSet) -> None:
     """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
     if not data_set.root.exists():
-        _write_index(data_set, ExportFolder(data_set.root), finished=False)
+        try:
+            _write_index(data_set, ExportFolder(data_set.root), finished=False)
+        except HumansimError:
+            _remove(data_set.root)  # nobody could continue it
+            raise
 
 
 def _write_index(data_set: DataSet, folder: ExportFolder, **more: Any) -> None:
@@ -327,6 +345,8 @@ def _write_index(data_set: DataSet, folder: ExportFolder, **more: Any) -> None:
 def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
     """Write the files of the whole data set, the index and the hashes at last."""
     recipe, root = data_set.recipe, data_set.root
+    for number in failures:  # images of a part of a scene would be read with the others
+        _remove(root / recipe.name(number))
     folder, totals = ExportFolder(root), Totals()
     scenes: dict[str, dict[str, Any]] = {}
     parts = {split: Totals() for split in recipe.config.splits}

@@ -30,7 +30,7 @@ from humansim_ros.io.yaml import read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
 from humansim_ros.motion.smpl_motion import is_smpl_motion
-from humansim_ros.scene.config import RECIPE, check_config, is_recipe
+from humansim_ros.scene.config import check_config, is_recipe, load_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.photo_document import PhotoDocument
@@ -47,8 +47,8 @@ _BODY = "adult_woman"
 _MOTION = "walk"
 #: Most YAML files of a folder that may be scenes.
 _MOST_FILES = 50
-#: Sections that only scenes have, and the key of recipes, which the reader of scenes refuses.
-_SECTIONS = {"humans", "objects", "world", "variety", "randomise", "room", "rate", "rig", RECIPE}
+#: Sections that only scenes have.
+_SECTIONS = {"humans", "objects", "world", "variety", "randomise", "room", "rate", "rig"}
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,8 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return Opened(SceneViewSource(copy.scene(), demo.stem), document=copy)
     if exists(what) and what.is_dir():
         return _open_folder(what)
+    if is_recipe(what):
+        load_config(what)  # whose error says what to do with it
     make = _maker(what)
     if not exists(what):
         return Opened(make())
@@ -191,8 +193,7 @@ def new_scene(folder: Path) -> Opened:
 
 def _open_folder(folder: Path) -> Opened:
     """The only scene in a folder; else the calibration that a folder is; else an empty scene in it."""
-    files = sorted(folder.glob("*.y*ml"))[:_MOST_FILES]
-    scenes = [path for path in files if _is_scene(path) and not is_recipe(path)]
+    scenes = [path for path in sorted(folder.glob("*.y*ml"))[:_MOST_FILES] if _is_scene(path)]
     if len(scenes) == 1:
         return open_source(scenes[0])
     if len(scenes) > 1:

@@ -46,8 +46,8 @@ SCENE_FILE = "scene.yaml"
 _RECIPE_KEYS = {"--format": "formats", "--frames": "frames"}
 #: Scenes of a task of a cluster.
 _PART_SCENES = 10
-#: Scenes that fail before a data set is given up, if they are more than half of all so far.
-_GIVEN_UP = 10
+#: Scenes that fail before a data set is given up: if all so far do, and if more than half of them do.
+_ALL_FAIL, _MOST_FAIL = 4, 10
 
 
 @dataclass(frozen=True)
@@ -245,8 +245,8 @@ def write_data_set(
         each: SceneResult = result.value
         if each.failure:
             failures[each.number] = each.failure
-            done = progress.new + 1
-            if len(failures) >= _GIVEN_UP and len(failures) > done / 2:
+            count, done = len(failures), progress.done + 1
+            if count == done >= _ALL_FAIL or (count >= _MOST_FAIL and count > done / 2):
                 raise ExportError(f"{_failed_text(failures, done)}, and the rest is given up")
         return each.size
 

@@ -176,8 +176,9 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
     if not (folder / INDEX).exists():
         _remove(folder)  # what is left of a process that was killed at its start
     source = SimulatedSource(drawn.scene, recipe.formats, config.keypoints, Path(name).name)
+    license = config.about.license or ""
     plan = ExportPlan.of(
-        source, range(config.frames), f".{config.images}", license=config.about.license or ""
+        source, range(config.frames), f".{config.images}", license=license, device=data_set.device
     )
     job = Export(source, plan, folder, {SCENE_FILE: _scene_text(data_set, drawn, folder)})
     try:

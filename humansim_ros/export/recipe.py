@@ -525,7 +525,8 @@ class Recipe:
         if len(heights) < require.cameras:
             raise _Unmet("require.cameras", f"it has {len(heights)} cameras, not {require.cameras}")
         if (high := sum(height >= require.pixels for height in heights)) < require.cameras:
-            raise _Unmet("require.pixels", f"{high} of its {len(heights)} images are that high")
+            text = f"{high} of its {len(heights)} images are {require.pixels:g} pixels high"
+            raise _Unmet("require.pixels", text)
         last = self.config.frames - 1
         frames = np.unique(np.linspace(0, last, min(last + 1, _CHECKED_FRAMES)).round().astype(int))
         with closing(Simulation(scene, REQUIRED_CHANNELS["boxes"])) as simulation:

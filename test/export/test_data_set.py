@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import nullcontext
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -308,6 +309,30 @@ def test_a_scene_that_fails_does_not_lose_the_others(
     assert index["failed"] == {"scene_000002": "recipe.yaml:3: it cannot be drawn"}
     assert list(index["scenes"]) == ["train/scene_000000", "test/scene_000001"]
     assert "1 of 3 scenes could not be drawn" in (root / "README.md").read_text()
+
+
+def test_whole_scenes_of_a_task_that_failed_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Path
+) -> None:
+    """As if the worker of a cluster had been killed in the last scene, again and again."""
+    root = tmp_path / "out"
+    shutil.copytree(whole, root)
+    shutil.rmtree(root / "test/scene_000001")
+    (root / "train/scene_000002/index.json").write_text('{"humansim_export": 1, "finished": false}')
+
+    def killed(*_: Any) -> tuple[dict[Any, Any], list[str]]:
+        shutil.copytree(whole / "test/scene_000001", root / "test/scene_000001")
+        return {}, ["its worker died"]
+
+    monkeypatch.setattr("humansim_ros.export.data_set.connected", lambda *_: nullcontext())
+    monkeypatch.setattr("humansim_ros.export.data_set.run_parts", killed)
+    with pytest.raises(ExportError, match=r"its worker died\n1 of 3 scenes could not be written \(2\)"):
+        write_data_set(data_set(tmp_path, root), resume=True, ray="local")
+    index = json.loads((root / "index.json").read_text())
+    assert list(index["scenes"]) == ["train/scene_000000", "test/scene_000001"]
+    assert not (root / "train/scene_000002").exists()
+    write_data_set(data_set(tmp_path, root), resume=True)
+    assert content(root) == content(whole)
 
 
 def test_a_format_that_a_scene_cannot_have_names_the_key_of_the_recipe(tmp_path: Path) -> None:

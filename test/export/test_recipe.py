@@ -259,7 +259,7 @@ def test_a_recipe_that_cannot_be_met_names_the_line_to_blame(tmp_path: Path) -> 
     assert error.line and "pixels" in path.read_text().splitlines()[error.line - 1]
     for require, blamed, text in (
         ({"cameras": 3}, "require.cameras", "it has 2 cameras, not 3"),
-        ({"cameras": 1, "pixels": 37}, "require.pixels", "0 of its 2 images are that high"),
+        ({"cameras": 1, "pixels": 37}, "require.pixels", "0 of its 2 images are 37 pixels high"),
     ):
         with pytest.raises(ExportError, match=text) as caught:
             recipe(tmp_path, attempts=2, require=require).draw(0)

@@ -135,15 +135,13 @@ _find_library = cache(ctypes.util.find_library)
 def _create(device: int | None) -> moderngl.Context:
     if device is not None and device < 0:  # glcontext reads memory before its list, and some drivers take it
         raise RenderError(f"there is no OpenGL device {device}: the first is 0")
-    settings: dict[str, Any] = {
-        "backend": "egl",
-        "libgl": _find_library("GL"),
-        "libegl": _find_library("EGL"),
-    }
+    settings: dict[str, Any] = {"backend": "egl"}
+    settings |= {"libgl": _find_library("GL"), "libegl": _find_library("EGL")}
     reasons: list[str] = []
     for number in itertools.count() if device is None else [device]:
         try:
-            return moderngl.create_context(require=330, standalone=True, device_index=number, **settings)
+            settings["device_index"] = number
+            return moderngl.create_context(require=330, standalone=True, **settings)
         except Exception as reason:  # moderngl and glcontext raise bare Exceptions
             reasons.append(str(reason).splitlines()[0])
             if "device index" in reasons[-1] or number >= _MAX_DEVICES:

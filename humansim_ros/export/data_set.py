@@ -266,10 +266,9 @@ def write_data_set(
 def _failed_text(failures: Mapping[int, str], count: int) -> str:
     """Text about scenes that failed. ``count``: number of scenes that were tried."""
     listed = some_of(sorted(failures))
-    return (
-        f"{failures[min(failures)]}\n{len(failures)} of {count} scenes could not be written ({listed}); the "
-        "others are whole"
-    )
+    others = "; the others are whole" if len(failures) < count else ""
+    text = f"{len(failures)} of {count} scenes could not be written ({listed}){others}"
+    return f"{failures[min(failures)]}\n{text}"
 
 
 def _write_on_cluster(

@@ -158,8 +158,9 @@ def record(
 def export(
     source: Scene | str | os.PathLike[str] | None,
     output: str | os.PathLike[str],
-    formats: Sequence[str],
+    formats: Sequence[str] = (),
     *,
+    scenes: int | None = None,
     frames: int | range | None = None,
     keypoints: str = "coco17",
     images: Literal["png", "jpg"] = "png",
@@ -168,32 +169,37 @@ def export(
     resume: bool = False,
     on_progress: Callable[[int, int], None] = lambda done, frames: None,
 ) -> Path:
-    """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions.
+    """Write frames of a scene, a bag, or the scenes of a recipe, as a data set: images, annotations, motions.
+
+    A recipe (docs/datasets.md) has keys for its formats, frames, keypoints and images: leave them out.
 
     Args:
-        source: Scene, its file, or a bag; None: the demo scene.
+        source: Scene, its file, a recipe, or a bag; None: the demo scene.
         output: Folder, which must not exist unless ``resume``.
         formats: Names of formats, such as ``coco`` (docs/export.md).
+        scenes: Number of scenes of a recipe, instead of its own.
         frames: Number of frames, or their numbers; None: all of a bag.
         keypoints: Keypoint set of the formats with keypoints.
         images: Format of colour images.
         shard_size: Size of the shards of ``webdataset``, bytes.
         jobs: Number of worker processes; None: one per core.
         resume: Continue an interrupted export, or start it.
-        on_progress: Called after each frame with the number of finished frames and of all frames.
+        on_progress: Called after each frame with the number of finished frames and of all frames; after each
+            scene with those of scenes if there is a recipe.
 
     Returns:
         The folder.
 
     Raises:
-        HumansimError: The scene, a format or the folder is wrong, or the disk is full.
+        HumansimError: The scene, recipe, a format, an option or the folder is wrong, or the disk is full.
 
     Example:
         >>> export("scene.yaml", "walk", ["coco", "depth-png"], frames=range(100, 200))  # doctest: +SKIP
         PosixPath('walk')
     """
     _work().write_data_set(
-        source, Path(output), formats, frames, keypoints, images, shard_size, jobs, resume, on_progress
+        *(source, Path(output), formats, scenes, frames, keypoints, images, shard_size, jobs, resume),
+        on_progress,
     )
     return Path(output)
 

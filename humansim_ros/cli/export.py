@@ -23,6 +23,7 @@ from humansim_ros.jobs.ray_cluster import PART_FRAMES
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
+    from humansim_ros.export.data_set import DataSet
     from humansim_ros.export.exporting import Export
     from humansim_ros.jobs.frame_job import FrameProgress
 
@@ -109,38 +110,26 @@ def export(
 
     A recipe is a YAML file with the key ``recipe`` (docs/datasets.md).
     """
-    from humansim_ros.apps.work import export_source
+    from humansim_ros.apps.work import export_source, recipe_data_set
     from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range
-    from humansim_ros.export.recipe import is_recipe
     from humansim_ros.jobs.frame_job import cores
     from humansim_ros.record.output import is_url
     from humansim_ros.scene import Scene
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
-    if scene is not None and is_recipe(scene):
-        recipe_keys = {
-            "--format": ("formats", bool(formats)),
-            "--frames": ("frames", frames is not None),
-            "--range": ("frames", range_ is not None),
-            "--keypoints": ("keypoints", keypoints != "coco17"),
-            "--images": ("images", images is not _ImageFormat.png),
-            "--license": ("about.license", bool(license_)),
-        }
-        for option, (key, is_given) in recipe_keys.items():
-            if is_given:
-                raise ExportError(f"the recipe has it: set its key {key}", key=option)
-        if shard_size != _SHARD_SIZE:
-            raise ExportError("a recipe has no such key", key="--shard-size")
-        _export_recipe(scene, Path(output), scenes, jobs or cores(), resume, ray)
-        return
     if scene is not None and not scene.exists():
         raise ExportError("no such scene file, recipe or bag; check the path", path=scene)
-    if scenes is not None:
-        raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
+    root = Path(output) if ray is None else Path(output).resolve()
+    options: dict[str, object] = {"format": formats, "frames": frames, "range": range_}
+    options |= {"keypoints": keypoints, "images": images.value, "license": license_}
+    options |= {"shard-size": shard_size, "shard-frames": shard_frames}
+    if (data_set := recipe_data_set(scene, root, scenes, options)) is not None:
+        _export_recipe(data_set, jobs or cores(), resume, ray)
+        return
     if frames is not None and range_ is not None:
         raise ExportError("give --frames or --range, not both", key="export")
     chosen = parse_range(range_) if range_ is not None else range(frames) if frames is not None else None
@@ -155,23 +144,18 @@ def export(
         warn_about_mistakes(given)
     source = export_source(given, rows, keypoints)
     plan = ExportPlan.of(source, chosen, f".{images.value}", shard_size, license_)
-    job = Export(source, plan, Path(output) if ray is None else Path(output).resolve())
+    job = Export(source, plan, root)
     if ray is None:
         _export(job, jobs or cores(), resume)
     else:
         _export_on_ray(job, ray, jobs, shard_frames, resume)
 
 
-def _export_recipe(
-    path: Path, output: Path, scenes: int | None, jobs: int, resume: bool, ray: str | None
-) -> None:
+def _export_recipe(data_set: DataSet, jobs: int, resume: bool, ray: str | None) -> None:
     """Export many scenes of a recipe."""
-    from humansim_ros.export.data_set import DataSet, write_data_set
-    from humansim_ros.export.recipe import Recipe
+    from humansim_ros.export.data_set import write_data_set
 
-    recipe = Recipe.load(path, scenes)
-    data_set = DataSet.of(recipe, output.resolve() if ray is not None else output)
-    total = recipe.config.scenes
+    output, total = data_set.root, data_set.recipe.config.scenes
     state = run_frames_shown(
         "exporting",
         0,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,8 +46,8 @@ SCENE_FILE = "scene.yaml"
 _RECIPE_KEYS = {"--format": "formats", "--frames": "frames"}
 #: Scenes of a task of a cluster.
 _PART_SCENES = 10
-#: Scenes that fail before a data set is given up, if they are more than half of all so far.
-_GIVEN_UP = 10
+#: Scenes that fail before a data set is given up: if all so far do, and if more than half of them do.
+_ALL_FAIL, _MOST_FAIL = 4, 10
 
 
 @dataclass(frozen=True)
@@ -172,9 +173,12 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
     recipe, config = data_set.recipe, data_set.recipe.config
     name = recipe.name(drawn.number)
     folder = data_set.root / name
+    if not (folder / INDEX).exists():
+        _remove(folder)  # what is left of a process that was killed at its start
     source = SimulatedSource(drawn.scene, recipe.formats, config.keypoints, Path(name).name)
+    license = config.about.license or ""
     plan = ExportPlan.of(
-        source, range(config.frames), f".{config.images}", license=config.about.license or ""
+        source, range(config.frames), f".{config.images}", license=license, device=data_set.device
     )
     job = Export(source, plan, folder, {SCENE_FILE: _scene_text(data_set, drawn, folder)})
     try:
@@ -183,6 +187,16 @@ def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:
         if error.key in _RECIPE_KEYS:
             raise recipe.error_at(_RECIPE_KEYS[error.key], f"scene {drawn.number}: {error.message}") from None
         raise
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of a scene, if it is there. Raises ExportError if it cannot be removed."""
+    try:
+        shutil.rmtree(folder)
+    except FileNotFoundError:
+        pass
+    except OSError as reason:
+        raise ExportError(f"cannot be removed: {reason.strerror or reason}", path=folder) from None
 
 
 def _scene_text(data_set: DataSet, drawn: DrawnScene, folder: Path) -> str:
@@ -232,8 +246,8 @@ def write_data_set(
         each: SceneResult = result.value
         if each.failure:
             failures[each.number] = each.failure
-            done = progress.new + 1
-            if len(failures) >= _GIVEN_UP and len(failures) > done / 2:
+            count, done = len(failures), progress.done + 1
+            if count == done >= _ALL_FAIL or (count >= _MOST_FAIL and count > done / 2):
                 raise ExportError(f"{_failed_text(failures, done)}, and the rest is given up")
         return each.size
 
@@ -252,10 +266,9 @@ def write_data_set(
 def _failed_text(failures: Mapping[int, str], count: int) -> str:
     """Text about scenes that failed. ``count``: number of scenes that were tried."""
     listed = some_of(sorted(failures))
-    return (
-        f"{failures[min(failures)]}\n{len(failures)} of {count} scenes could not be written ({listed}); the "
-        "others are whole"
-    )
+    others = "; the others are whole" if len(failures) < count else ""
+    text = f"{len(failures)} of {count} scenes could not be written ({listed}){others}"
+    return f"{failures[min(failures)]}\n{text}"
 
 
 def _write_on_cluster(
@@ -281,7 +294,8 @@ def _write_on_cluster(
         if isinstance(result, ScenesResult):
             failures |= {each.number: each.failure for each in result.scenes if each.failure}
         else:
-            failures |= dict.fromkeys(part.frames, some_of(reasons) or "its task did not run")
+            left = [number for number in part.frames if not data_set.is_written(number)]
+            failures |= dict.fromkeys(left, some_of(reasons) or "its task did not run")
     return failures
 
 
@@ -317,7 +331,11 @@ def read_data_set(root: Path) -> dict[str, Any]:
 def _begin(data_set: DataSet) -> None:
     """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
     if not data_set.root.exists():
-        _write_index(data_set, ExportFolder(data_set.root), finished=False)
+        try:
+            _write_index(data_set, ExportFolder(data_set.root), finished=False)
+        except HumansimError:
+            _remove(data_set.root)  # nobody could continue it
+            raise
 
 
 def _write_index(data_set: DataSet, folder: ExportFolder, **more: Any) -> None:
@@ -327,10 +345,12 @@ def _write_index(data_set: DataSet, folder: ExportFolder, **more: Any) -> None:
 def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
     """Write the files of the whole data set, the index and the hashes at last."""
     recipe, root = data_set.recipe, data_set.root
+    for number in failures:  # images of a part of a scene would be read with the others
+        _remove(root / recipe.name(number))
     folder, totals = ExportFolder(root), Totals()
     scenes: dict[str, dict[str, Any]] = {}
     parts = {split: Totals() for split in recipe.config.splits}
-    licenses: dict[str, None] = {}
+    own_licenses, licenses = set[str](), set[str]()
     split_of: dict[str, str] = {}
     with folder.path(HASHES) as path, path.open("w", encoding="utf-8") as hashes:
         for number in range(recipe.config.scenes):
@@ -346,7 +366,8 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
             for body in (person["body"] for person in statistics["people"].values()):
                 if split_of.setdefault(body, split) != split:
                     raise ExportError(f"{body} is in {split_of[body]} and in {split} ({name})", path=root)
-            licenses |= dict.fromkeys(filter(None, (index.get("license"), *index["licenses"].values())))
+            own_licenses |= {index["license"]} if index.get("license") else set()
+            licenses |= set(index["licenses"].values())
             scenes[name] = {
                 "split": split,
                 "people": {name: person["body"] for name, person in statistics["people"].items()},
@@ -356,7 +377,7 @@ def _finish(data_set: DataSet, failures: Mapping[int, str]) -> None:
                 "index": files[INDEX]["sha256"],
             }
         if scenes:
-            summary = _summary(data_set, totals, parts, sorted(licenses), scenes)
+            summary = _summary(data_set, totals, parts, (sorted(own_licenses), sorted(licenses)), scenes)
             _write_pages(summary, folder)
             files = {name: folder.written[name] for name in sorted(folder.written)}
             more = {"finished": True, "about": summary.card, "splits": _counts(parts)}
@@ -376,14 +397,14 @@ def _summary(
     data_set: DataSet,
     totals: Totals,
     parts: Mapping[str, Totals],
-    licenses: Sequence[str],
+    licenses: tuple[Sequence[str], Sequence[str]],
     scenes: Mapping[str, Mapping[str, Any]],
 ) -> DataSetSummary:
     config, suffix = data_set.recipe.config, f".{data_set.recipe.config.images}"
     cameras = {name: scene["cameras"] for name, scene in scenes.items()}
     examples = example_paths(data_set.root, cameras, config.frames, suffix)
     made_with = versions() | {"device": data_set.device}
-    return DataSetSummary(config, totals, parts, licenses, made_with, examples, suffix)
+    return DataSetSummary(config, totals, parts, *licenses, made_with, examples, suffix)
 
 
 def _write_pages(summary: DataSetSummary, folder: ExportFolder) -> None:

@@ -67,6 +67,7 @@ class DataSetSummary:
         config: Its recipe.
         totals: Counts of all scenes.
         parts: Counts by split.
+        own_licenses: Licences of the data set: that of the recipe, or those that its scenes state.
         licenses: Licences of the bodies.
         versions: Versions of programs, and the device that rendered.
         examples: Paths of some images.
@@ -76,6 +77,7 @@ class DataSetSummary:
     config: RecipeConfig
     totals: Totals
     parts: Mapping[str, Totals]
+    own_licenses: Sequence[str]
     licenses: Sequence[str]
     versions: Mapping[str, str]
     examples: Sequence[Path]
@@ -98,8 +100,8 @@ class DataSetSummary:
     @cached_property
     def license_links(self) -> dict[str, str]:
         """Licence of the data set, then of its bodies, with the addresses of their texts."""
-        own = [self.config.about.license] if self.config.about.license else []
-        return {name: LICENSES.get(name, name) for name in dict.fromkeys([*own, *self.licenses])}
+        names = dict.fromkeys([*self.own_licenses, *self.licenses])
+        return {name: LICENSES.get(name, name) for name in names}
 
     @cached_property
     def card(self) -> dict[str, Any]:
@@ -199,7 +201,7 @@ def datasheet(summary: DataSetSummary) -> str:
         "boxes": sum(totals.histograms["visible"].values()),
         "poses": sum(totals.histograms["knee.flexion"].values()) // 2,
     }
-    facts = [about.version, about.date, ", ".join(about.creators), about.license]
+    facts = [about.version, about.date, ", ".join(about.creators), ", ".join(summary.own_licenses)]
     answers = _answers(summary)
     plots = dict(_plots(summary))
     return page(
@@ -441,13 +443,15 @@ _SIZES = {"n<1K": 1e3, "1K<n<10K": 1e4, "10K<n<100K": 1e5, "100K<n<1M": 1e6, "1M
 
 
 def _front_matter(summary: DataSetSummary) -> dict[str, Any]:
-    license_ = summary.config.about.license
-    known = license_ in LICENSES
-    images = summary.totals.images
-    named = {} if known or not license_ else {"license_name": license_}
+    own, images = summary.own_licenses, summary.totals.images
+    if all(name in LICENSES for name in own):
+        identifiers = [name.lower() for name in own]
+        stated = {"license": identifiers[0] if len(own) == 1 else identifiers} if own else {}
+    else:
+        stated = {"license": "other", "license_name": ", ".join(own)}
     return {
         "pretty_name": summary.title,
-        **({"license": license_.lower() if known else "other", **named} if license_ else {}),
+        **stated,
         "task_categories": ["object-detection", "keypoint-detection"],
         "size_categories": [next((name for name, most in _SIZES.items() if images < most), "10M<n<100M")],
         "tags": ["synthetic", "human-pose-estimation", "croissant", "humansim_ros"],

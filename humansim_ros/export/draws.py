@@ -112,10 +112,10 @@ class ChoiceDraw(Section):
         return self
 
     @property
-    def ends(self) -> Sequence[Any]:
-        """The values that can be drawn, or some of many."""
-        likely = [value for value, weight in self._weighted() if weight > 0]
-        return likely[:_TRIED]
+    def likely(self) -> Sequence[tuple[int, Any]]:
+        """Numbers and values of those that can be drawn, or of some of many."""
+        pairs = enumerate(self._weighted())
+        return [(number, value) for number, (value, weight) in pairs if weight > 0][:_TRIED]
 
     def among(self, is_allowed: Callable[[Any], bool]) -> ChoiceDraw | None:
         """The same choice among some of the values; None if nothing is left."""
@@ -139,6 +139,8 @@ class ChoiceDraw(Section):
         return zip(self.choice, self.weights or (1.0,) * len(self.choice), strict=True)
 
 
+#: Path of a key in a file.
+Keys: TypeAlias = tuple[str | int, ...]
 Draw: TypeAlias = UniformDraw | IntegerDraw | NormalDraw | ChoiceDraw
 #: Distributions by the key that stands in place of a value.
 DRAWS: dict[str, type[Draw]] = {
@@ -147,6 +149,38 @@ DRAWS: dict[str, type[Draw]] = {
     "normal": NormalDraw,
     "choice": ChoiceDraw,
 }
+
+
+def values_at_ends(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any, Any]]:
+    """A value with each of its distributions at each of its ends; other distributions of it stay.
+
+    Args:
+        value: A value, or a distribution in its place.
+        keys: Its key.
+
+    Yields:
+        Key of the distribution, its value at the end, and the whole value with it.
+
+    Raises:
+        ExportError: A distribution is wrong.
+
+    Example:
+        >>> [end for _, end, _ in values_at_ends({"choice": [1, {"uniform": [2, 3]}]})]
+        [1, 2.0, 3.0]
+    """
+    draw = draw_at(value)
+    if isinstance(draw, ChoiceDraw):
+        for number, option in draw.likely:
+            inner = list(values_at_ends(option, (*keys, "choice", number)))
+            yield from inner or [(keys, option, option)]
+    elif draw is not None:
+        yield from ((keys, end, end) for end in draw.ends)
+    elif isinstance(value, (dict, list, tuple)):
+        parts = list(value.items() if isinstance(value, dict) else enumerate(value))
+        for place, part in parts:
+            for inner_keys, end, changed in values_at_ends(part, (*keys, place)):
+                whole = {key: changed if key == place else other for key, other in parts}
+                yield inner_keys, end, whole if isinstance(value, dict) else list(whole.values())
 
 
 def draw_at(value: Any) -> Draw | None:

@@ -59,6 +59,7 @@ class ExportPlan:
         image_suffix: str = ".png",
         shard_size: int = SHARD_SIZE,
         license: str = "",
+        device: str | None = None,
     ) -> ExportPlan:
         """Plan the export of a scene or bag on this machine.
 
@@ -69,6 +70,7 @@ class ExportPlan:
             shard_size: Size of shards of samples, bytes.
             license: Licence of the data set, such as ``CC-BY-4.0``, or the address of its text; the one that
                 the scene states if empty.
+            device: Device that renders here, if it is known.
 
         Raises:
             ExportError: There are no such frames, or the licence is no line of text.
@@ -87,7 +89,7 @@ class ExportPlan:
             image_suffix=image_suffix,
             keypoints=source.keypoints,
             shard_size=shard_size,
-            device=source.device(),
+            device=source.device() if device is None else device,
             license=license,
         )
 

@@ -17,7 +17,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, StringConstraints, field_validator
@@ -34,12 +34,11 @@ from humansim_ros.errors import (
     in_section,
     located,
 )
-from humansim_ros.export.draws import DRAWS, MAX_OPTIONS, ChoiceDraw, Draw, draw_at
+from humansim_ros.export.draws import DRAWS, MAX_OPTIONS, ChoiceDraw, Keys, draw_at, values_at_ends
 from humansim_ros.export.formats import ExportFormat, chosen_formats
 from humansim_ros.humans.loading import find_human
 from humansim_ros.humans.makehuman.population import PeopleLimits, is_person, person_name
 from humansim_ros.io.assets import built_in_names
-from humansim_ros.io.files import exists
 from humansim_ros.io.schema import Section, Share
 from humansim_ros.io.schema_errors import Expected, show_value, validated
 from humansim_ros.io.yaml import line_of, read_yaml
@@ -50,7 +49,6 @@ from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.camera_config import Vector3
 from humansim_ros.scene.config import (
     LIVE,
-    RECIPE,
     PeopleConfig,
     RoomConfig,
     check_config,
@@ -80,7 +78,6 @@ ALWAYS = ("images", "statistics", "huggingface")
 #: Errors of a draw, after which there is another draw.
 _DRAW_ERRORS = (SceneError, MotionError, MeshError, CameraError)
 
-Keys: TypeAlias = tuple[str | int, ...]
 _Name = Annotated[
     str,
     StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60),
@@ -434,15 +431,15 @@ class Recipe:
 
     # -- checks
 
-    def _check_ends(self, draws: Sequence[tuple[Keys, Draw]]) -> None:
+    def _check_ends(self, draws: Sequence[tuple[Keys, Any]]) -> None:
         """Check the scene with each distribution at its ends. Raises ExportError with line and key."""
-        self._try({})
-        for keys, draw in draws:
-            for value in draw.ends:
-                self._try({keys: value})
+        self._try({}, (), None)
+        for keys, content in draws:
+            for place, end, value in values_at_ends(content, keys):
+                self._try({keys: value}, place, end)
 
-    def _draws(self) -> Iterator[tuple[Keys, Draw]]:
-        """Distributions by key, without those in choices. Raises ExportError if one is wrong."""
+    def _draws(self) -> Iterator[tuple[Keys, Any]]:
+        """Distributions by key; those in choices are parts of them. Raises ExportError if one is wrong."""
         pending: list[tuple[Keys, Any, bool]] = [(("scene",), self.config.scene, False)]
         if self.config.ring is not None:
             pending.append((("ring",), dict(self.config.ring), False))
@@ -454,15 +451,21 @@ class Recipe:
                 except ExportError as error:
                     raise error.within(".".join(map(str, keys))) from None
             if draw is not None and not is_inner:
-                yield keys, draw
+                yield keys, value
             is_inner |= draw is not None
             if isinstance(value, dict):
                 pending += [((*keys, name), part, is_inner) for name, part in value.items()]
             elif isinstance(value, (list, tuple)):
                 pending += [((*keys, number), part, is_inner) for number, part in enumerate(value)]
 
-    def _try(self, given: Mapping[Keys, Any]) -> None:
-        """Check a scene with given values, and that its files exist."""
+    def _try(self, given: Mapping[Keys, Any], place: Keys, end: Any) -> None:
+        """Check a scene, and that its files exist.
+
+        Args:
+            given: A value in place of a drawn one, by key; empty: all are drawn.
+            place: Key of the distribution that has an end there.
+            end: Its value.
+        """
         number = 0
         if given and self.split_of_body:  # a body of another split would be an error of this one
             body = next(iter(given.values()))
@@ -478,10 +481,14 @@ class Recipe:
         except _DRAW_ERRORS as error:
             key = self._key_of(error.key)
             if given:
-                key = next((".".join(map(str, keys)) for keys in given if _is_part(key, keys)), key)
-                shown = next(iter(given.values()))
-                raise self.error_at(key, f"with {shown!r}: {error.message}") from None
-            raise self.error_at(key, error.message + self._hint(key)) from None
+                (outer,) = given
+                if _is_part(key, outer):
+                    key = ".".join(map(str, place if _is_part(key, _without_options(place)) else outer))
+            known = self._known(key)
+            rest = key.removeprefix(known).strip(".")
+            texts = (f"with {end!r}" if given else "", "" if rest.isdecimal() else rest, error.message)
+            text = ": ".join(filter(None, texts)) + ("" if given else self._hint(key))
+            raise self.error_at(key, text) from None
 
     def _check_file(self, keys: Keys, name: str) -> None:
         """Check that a body, a motion or a file exists."""
@@ -513,6 +520,13 @@ class Recipe:
             raise _Unmet("pool", f"{twins[0]} is there twice: give a larger pool, or fewer people")
         if not require.cameras:
             return
+        # cheap, before anything is rendered
+        heights = [camera.size[1] for camera in scene.cameras.values()]
+        if len(heights) < require.cameras:
+            raise _Unmet("require.cameras", f"it has {len(heights)} cameras, not {require.cameras}")
+        if (high := sum(height >= require.pixels for height in heights)) < require.cameras:
+            text = f"{high} of its {len(heights)} images are {require.pixels:g} pixels high"
+            raise _Unmet("require.pixels", text)
         last = self.config.frames - 1
         frames = np.unique(np.linspace(0, last, min(last + 1, _CHECKED_FRAMES)).round().astype(int))
         with closing(Simulation(scene, REQUIRED_CHANNELS["boxes"])) as simulation:
@@ -553,6 +567,11 @@ class Recipe:
 
     def error_at(self, key: str, message: str) -> ExportError:
         """An error at a key of the recipe, or at the deepest key above it that the file has."""
+        line = line_of(self.tree, key.split("."))
+        return ExportError(message, path=self.path, line=line, key=self._known(key) or None)
+
+    def _known(self, key: str) -> str:
+        """The deepest key that the file has: this one, or one above it."""
         content: Any = self.config.model_dump()
         known: list[str] = []
         for word in key.split("."):
@@ -563,9 +582,7 @@ class Recipe:
             else:
                 break
             known.append(word)
-        return ExportError(
-            message, path=self.path, line=line_of(self.tree, key.split(".")), key=".".join(known) or None
-        )
+        return ".".join(known)
 
 
 class _Draws:
@@ -699,6 +716,15 @@ def _is_part(key: str, keys: Keys) -> bool:
     return words[:least] == others[:least]
 
 
+def _without_options(keys: Keys) -> Keys:
+    """Key in a scene for a key of a recipe: without the numbers of options of choices."""
+    words = list(keys)
+    while "choice" in words:
+        at = words.index("choice")
+        del words[at : at + 2]
+    return tuple(words)
+
+
 def _with_seeds(section: Section, keys: Keys, seed: Callable[[Keys], int]) -> Section:
     """A section with a seed for each key ``seed`` in it that is left out."""
     changes: dict[str, Any] = {}
@@ -718,11 +744,3 @@ def _seeded(value: Any, keys: Keys, seed: Callable[[Keys], int]) -> Any:
         changed = {name: _seeded(part, (*keys, name), seed) for name, part in value.items()}
         return changed if any(changed[name] is not value[name] for name in value) else value
     return value
-
-
-def is_recipe(path: Path) -> bool:
-    """Whether a file is a recipe: a YAML file that has the key ``recipe``."""
-    if path.suffix.lower() not in (".yaml", ".yml") or not exists(path) or not path.is_file():
-        return False
-    content, _ = read_yaml(path, ExportError, "scene or recipe")
-    return isinstance(content, dict) and RECIPE in content

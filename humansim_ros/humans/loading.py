@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import time
 import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
@@ -63,8 +64,10 @@ CACHE_VERSION = 12
 _LEVEL = 1
 #: Seconds that a process waits for another one that makes the same human.
 _LONGEST_WAIT = 60.0
-#: Files in the cache; the least recently used are deleted.
+#: Files in the cache, about 1 MB each; the least recently used are deleted.
 MAX_HUMANS = 100
+#: Files that may stay if they were used in the last seconds: a recipe needs the people of its pool again.
+MAX_IN_USE, _LATELY = 1000, 86_400.0
 
 
 def content_key(parts: Iterable[bytes]) -> str:
@@ -126,9 +129,15 @@ def _made_in(path: Path, make: Callable[[], Human]) -> Human:
 
 
 def _delete_oldest(folder: Path) -> None:
-    files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-    for file in files[:-MAX_HUMANS]:
-        file.unlink(missing_ok=True)
+    """Keep the humans that were used last, and those of a running recipe, which were used lately."""
+    used: dict[Path, float] = {}
+    for file in folder.glob("*.npz"):
+        with suppress(FileNotFoundError):  # another process has deleted it
+            used[file] = file.stat().st_mtime
+    lately = time.time() - _LATELY
+    for number, file in enumerate(sorted(used, key=lambda file: -used[file])):
+        if number >= (MAX_IN_USE if used[file] > lately else MAX_HUMANS):
+            file.unlink(missing_ok=True)
 
 
 _DESCRIPTIONS = (".yaml", ".yml")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import ctypes.util
 import itertools
 import os
 import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from typing import Any
 
 import moderngl
 
@@ -125,13 +128,20 @@ class _Process:
 _process = _Process()
 
 
+#: Searched for once in a process: each search starts a program of the system.
+_find_library = cache(ctypes.util.find_library)
+
+
 def _create(device: int | None) -> moderngl.Context:
     if device is not None and device < 0:  # glcontext reads memory before its list, and some drivers take it
         raise RenderError(f"there is no OpenGL device {device}: the first is 0")
+    settings: dict[str, Any] = {"backend": "egl"}
+    settings |= {"libgl": _find_library("GL"), "libegl": _find_library("EGL")}
     reasons: list[str] = []
     for number in itertools.count() if device is None else [device]:
         try:
-            return moderngl.create_context(require=330, standalone=True, backend="egl", device_index=number)  # type: ignore[arg-type]
+            settings["device_index"] = number
+            return moderngl.create_context(require=330, standalone=True, **settings)
         except Exception as reason:  # moderngl and glcontext raise bare Exceptions
             reasons.append(str(reason).splitlines()[0])
             if "device index" in reasons[-1] or number >= _MAX_DEVICES:

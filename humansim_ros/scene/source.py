@@ -56,7 +56,7 @@ class SceneSource:
 
     def loading(self) -> SceneSource:
         """The same source for the time that a scene is loaded: it reads a file once for all people."""
-        return replace(self, loaded={})
+        return replace(self, loaded={}) if self.loaded is None else self
 
     def once(self, make: Callable[[], T], *key: object) -> T:
         """Result of a function: while a scene is loaded, of the first call with a key."""

@@ -30,7 +30,7 @@ from humansim_ros.io.yaml import read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
 from humansim_ros.motion.smpl_motion import is_smpl_motion
-from humansim_ros.scene.config import check_config
+from humansim_ros.scene.config import check_config, is_recipe, load_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.photo_document import PhotoDocument
@@ -142,6 +142,8 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return Opened(SceneViewSource(copy.scene(), demo.stem), document=copy)
     if exists(what) and what.is_dir():
         return _open_folder(what)
+    if is_recipe(what):
+        load_config(what)  # whose error says what to do with it
     make = _maker(what)
     if not exists(what):
         return Opened(make())

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import nullcontext
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,19 +20,22 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from commands import largest_file
 from conftest import ROOT
 from test_recipe import written
 
+import humansim_ros
 from humansim_ros import Scene, Simulation
 from humansim_ros.cli.__main__ import main
-from humansim_ros.errors import ExportError
-from humansim_ros.export.data_set import DataSet, SceneResult, SceneWorker, write_data_set
+from humansim_ros.errors import ExportError, HumansimError
+from humansim_ros.export.data_set import DataSet, SceneResult, SceneWorker, _begin, write_data_set
 from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.formats import chosen_formats
 from humansim_ros.export.plan import ExportPlan, read_index
 from humansim_ros.export.recipe import Recipe
 from humansim_ros.export.source import SimulatedSource
 from humansim_ros.export.statistics import HISTOGRAMS, Totals
+from humansim_ros.export.writer import LICENSES
 
 CHANGES: dict[str, Any] = {
     "scenes": 3,
@@ -119,6 +123,31 @@ def test_the_page_of_hugging_face_names_the_files_of_each_split(whole: Path) -> 
     files = {row["split"]: row["path"] for row in header["configs"][0]["data_files"]}
     found = {name: sum(len(list(whole.glob(path))) for path in paths) for name, paths in files.items()}
     assert found == {"train": 8 + 2, "test": 4 + 1}
+
+
+@pytest.mark.parametrize(
+    ("given", "stated", "header"),
+    [
+        ({}, "MIT", {"license": "mit"}),
+        ({"license": "CC0-1.0"}, "MIT", {"license": "cc0-1.0"}),
+        ({}, {"choice": ["MIT", "CC0-1.0"]}, {"license": ["cc0-1.0", "mit"]}),
+        ({}, "of my own", {"license": "other", "license_name": "of my own"}),
+    ],
+)
+def test_pages_and_card_have_the_licence_of_the_recipe_or_of_its_scenes(
+    given: dict[str, str], stated: Any, header: dict[str, Any], tmp_path: Path
+) -> None:
+    changes = {"scene.license": stated, "about": given, "scenes": 5, "frames": 1, "splits": {"train": 1}}
+    root = tmp_path / "out"
+    write_data_set(data_set(tmp_path, root, **changes, formats=[], **{"ring.count": 1}))
+    text = (root / "README.md").read_text()
+    front = yaml.safe_load(text.split("---\n")[1])
+    assert {key: front[key] for key in front if key.startswith("license")} == header
+    card = json.loads((root / "croissant.json").read_text())["license"]
+    scenes = {json.loads(path.read_text())["license"] for path in root.glob("*/*/index.json")}
+    assert card[: len(scenes)] == [LICENSES.get(name, name) for name in sorted(scenes)]
+    for name in scenes:
+        assert name in text and name in (root / "datasheet.html").read_text()
 
 
 def test_the_card_describes_splits_creators_and_date(whole: Path) -> None:
@@ -213,6 +242,8 @@ def test_an_interrupted_data_set_continues_with_the_same_files(whole: Path, tmp_
     for name in ("SHA256SUMS", "README.md", "datasheet.html", "croissant.json"):
         (root / name).unlink()
     shutil.rmtree(root / "train/scene_000002")
+    (root / "train/scene_000002").mkdir()
+    (root / "train/scene_000002/.index.json.abcd_123").write_text('{"humansim_exp')
     partial = root / "test/scene_000001"
     index = json.loads((partial / "index.json").read_text())
     kept = {"humansim_export": index["humansim_export"], "finished": False, "plan": index["plan"]}
@@ -220,6 +251,42 @@ def test_an_interrupted_data_set_continues_with_the_same_files(whole: Path, tmp_
     (partial / "scene.yaml").unlink()
     write_data_set(data_set(tmp_path, root), resume=True)
     assert content(root) == content(whole)
+
+
+def test_a_full_disk_loses_nothing(whole: Path, tmp_path: Path) -> None:
+    made = data_set(tmp_path, tmp_path / "out")
+    with largest_file(100), pytest.raises(HumansimError, match=r"out/index\.json: .*File too large"):
+        write_data_set(made)
+    assert not made.root.exists()
+    _begin(made)
+    for size in (100, 1500, 20_000):  # indices of scenes, images, and pages
+        with largest_file(size), pytest.raises(HumansimError, match="File too large"):
+            write_data_set(made, resume=True)
+        assert not json.loads((made.root / "index.json").read_text())["finished"]
+        # parts of scenes would be read with the others
+        folders = list(made.root.glob("*/scene_*"))
+        assert all(json.loads((folder / "index.json").read_text())["finished"] for folder in folders)
+    assert len(folders) == 3
+    write_data_set(made, resume=True)
+    assert content(made.root) == content(whole)
+
+
+def test_the_function_writes_the_same_files_as_the_class(whole: Path, tmp_path: Path) -> None:
+    path, done = written(tmp_path, CHANGES | {"scenes": 9}), []
+    root = humansim_ros.export(
+        path, tmp_path / "out", scenes=3, jobs=1, on_progress=lambda *counts: done.append(counts)
+    )
+    assert content(root) == content(whole) and done == [(1, 3), (2, 3), (3, 3)]
+    for options, text in (
+        ({"formats": ["coco"]}, "--format: the recipe has it: set its key formats"),
+        ({"frames": 3}, "--frames: the recipe has it"),
+        ({"shard_size": 5}, "--shard-size: a recipe has no such key"),
+    ):
+        with pytest.raises(ExportError, match=text):
+            humansim_ros.export(path, tmp_path / "other", **options)
+    with pytest.raises(ExportError, match="--scenes: is for recipes"):
+        humansim_ros.export(None, tmp_path / "other", scenes=2)
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_scene_that_fails_does_not_lose_the_others(
@@ -237,10 +304,35 @@ def test_a_scene_that_fails_does_not_lose_the_others(
     monkeypatch.setattr(SceneWorker, "work", fail)
     with pytest.raises(ExportError, match=r"1 of 3 scenes could not be written \(2\); the others are whole"):
         write_data_set(data_set(tmp_path, root), resume=True)
+    assert not (root / "train/scene_000002").exists()
     index = json.loads((root / "index.json").read_text())
     assert index["failed"] == {"scene_000002": "recipe.yaml:3: it cannot be drawn"}
     assert list(index["scenes"]) == ["train/scene_000000", "test/scene_000001"]
     assert "1 of 3 scenes could not be drawn" in (root / "README.md").read_text()
+
+
+def test_whole_scenes_of_a_task_that_failed_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Path
+) -> None:
+    """As if the worker of a cluster had been killed in the last scene, again and again."""
+    root = tmp_path / "out"
+    shutil.copytree(whole, root)
+    shutil.rmtree(root / "test/scene_000001")
+    (root / "train/scene_000002/index.json").write_text('{"humansim_export": 1, "finished": false}')
+
+    def killed(*_: Any) -> tuple[dict[Any, Any], list[str]]:
+        shutil.copytree(whole / "test/scene_000001", root / "test/scene_000001")
+        return {}, ["its worker died"]
+
+    monkeypatch.setattr("humansim_ros.export.data_set.connected", lambda *_: nullcontext())
+    monkeypatch.setattr("humansim_ros.export.data_set.run_parts", killed)
+    with pytest.raises(ExportError, match=r"its worker died\n1 of 3 scenes could not be written \(2\)"):
+        write_data_set(data_set(tmp_path, root), resume=True, ray="local")
+    index = json.loads((root / "index.json").read_text())
+    assert list(index["scenes"]) == ["train/scene_000000", "test/scene_000001"]
+    assert not (root / "train/scene_000002").exists()
+    write_data_set(data_set(tmp_path, root), resume=True)
+    assert content(root) == content(whole)
 
 
 def test_a_format_that_a_scene_cannot_have_names_the_key_of_the_recipe(tmp_path: Path) -> None:
@@ -254,7 +346,7 @@ def test_a_recipe_that_no_scene_fulfils_is_given_up(tmp_path: Path, monkeypatch:
         raise ExportError(f"scene {number} cannot be drawn", path="recipe.yaml", line=3)
 
     monkeypatch.setattr(Recipe, "draw", fail)
-    with pytest.raises(ExportError, match=r"scene 0 cannot be drawn\n10 of 10 scenes .* given up"):
+    with pytest.raises(ExportError, match=r"scene 0 cannot be drawn\n4 of 4 scenes .* given up"):
         write_data_set(data_set(tmp_path, tmp_path / "out", scenes=100_000))
 
 
@@ -287,6 +379,7 @@ def humansim(*words: str | Path) -> subprocess.CompletedProcess[str]:
         (["--frames", "3"], "error: --frames: the recipe has it: set its key frames\n"),
         (["--license", "MIT"], "error: --license: the recipe has it: set its key about.license\n"),
         (["--shard-size", "5000"], "error: --shard-size: a recipe has no such key\n"),
+        (["--shard-frames", "3", "--ray", "local"], "error: --shard-frames: is for a scene or bag; a worker"),
         (["--scenes", "0"], "--scenes"),
     ],
 )

@@ -11,12 +11,14 @@ from typing import Any
 
 import pytest
 import yaml
+from commands import humansim
 from conftest import ROOT
 
 from humansim_ros import Scene
 from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.export.draws import DRAWS, ChoiceDraw, draw_at
-from humansim_ros.export.recipe import Recipe, is_recipe
+from humansim_ros.export.recipe import Recipe
+from humansim_ros.scene.config import is_recipe
 
 #: Two cameras around one or two people.
 RECIPE: dict[str, Any] = yaml.safe_load("""
@@ -89,7 +91,7 @@ def test_draws_have_their_distributions() -> None:
     choice = ChoiceDraw(choice=("a", "b", "c"), weights=(3.0, 0.0, 1.0))
     uniform = numbers()
     assert Counter(choice.value(uniform) for _ in range(1000)) == {"a": 750, "c": 250}
-    assert choice.ends == ["a", "c"]
+    assert choice.likely == [(0, "a"), (2, "c")]
     assert draw_at({"uniform": True}) is None  # a key of people
     assert set(DRAWS) == {"uniform", "integer", "normal", "choice"}
 
@@ -186,6 +188,22 @@ def test_no_body_is_in_two_splits(tmp_path: Path) -> None:
         ({"scene.variety.motions": {"choice": [["walk"], ["x.bvh"]]}}, "scene.variety.motions", "'x.bvh'"),
         ({"scene.variety.bodies": ["child"]}, "scene.variety.bodies", "2 splits need as many bodies"),
         ({"scene.humans": {"anna": "child"}}, "scene.humans.anna", "2 splits need as many bodies"),
+        (
+            {"ring.height": {"choice": [1, {"uniform": [1, 1001]}]}},
+            *("ring.height.choice.1", "with 1001.0: give a number from -100 to 1000"),
+        ),
+        (
+            {"scene.light": {"choice": [{}, {"strength": {"choice": [1, {"normal": [1, 1, -3, 2]}]}}]}},
+            *("scene.light.choice.1.strength.choice.1", "with -3"),
+        ),
+        (
+            {"scene.light": {"choice": [{}, {"strength": {"uniform": [1, 2]}, "sun_size_deg": -3}]}},
+            *("scene.light", "sun_size_deg: give a number"),
+        ),
+        (
+            {"scene.room": {"choice": [None, {"size": [6, {"uniform": [4, 6]}, 3]}]}},
+            *("scene.room.choice.1.size.1", "with 4"),
+        ),
         ({"scene.lihgt": {}}, "scene.lihgt", "did you mean `light`?"),
         ({"scene.light": {"strength": {"normal": [1, 0.1, 9, 9.5]}}}, "scene.light.strength", "nearly no"),
         ({"scene.light": {"strength": {"normal": [1, 0, 0, 2]}}}, "scene.light.strength.normal.1", "above 0"),
@@ -218,6 +236,18 @@ def test_files_of_a_recipe_are_told_from_others(tmp_path: Path) -> None:
     scene = tmp_path / "scene.yaml"
     scene.write_text("rate: 5\ncameras: {}\n")
     assert not is_recipe(scene) and not is_recipe(tmp_path / "no.yaml") and not is_recipe(tmp_path)
+    for words in (
+        ["check"],
+        ["run"],
+        ["record", "-o", tmp_path / "bag", "--frames", 1],
+        ["view", "--no-browser"],
+    ):
+        done = humansim(*words, path)
+        assert done.returncode == 2 and not done.stdout
+        assert done.stderr == (
+            f"error: {path}:1: recipe: this is a recipe of many scenes: `humansim export` draws them, and "
+            "each has a scene.yaml\n"
+        )
 
 
 def test_a_recipe_that_cannot_be_met_names_the_line_to_blame(tmp_path: Path) -> None:
@@ -227,6 +257,13 @@ def test_a_recipe_that_cannot_be_met_names_the_line_to_blame(tmp_path: Path) -> 
     error = caught.value
     assert error.key == "require.pixels" and "scene 1 (test) cannot be drawn: 3 of 3 draws" in error.message
     assert error.line and "pixels" in path.read_text().splitlines()[error.line - 1]
+    for require, blamed, text in (
+        ({"cameras": 3}, "require.cameras", "it has 2 cameras, not 3"),
+        ({"cameras": 1, "pixels": 37}, "require.pixels", "0 of its 2 images are 37 pixels high"),
+    ):
+        with pytest.raises(ExportError, match=text) as caught:
+            recipe(tmp_path, attempts=2, require=require).draw(0)
+        assert caught.value.key == blamed
     # more people than there is room for
     crowded = {"count": 4, "motions": ["wave"], "area": [0, 0, 0.1, 0.1]}
     with pytest.raises(ExportError, match="2 of 2 draws") as caught:

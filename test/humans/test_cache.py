@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import subprocess
 import sys
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -193,7 +196,36 @@ def test_the_cache_has_a_maximum_size(
     cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("humansim_ros.humans.loading.MAX_HUMANS", 2)
-    for number in range(4):
-        (tmp_path / "someone.yaml").write_text(f"mesh: figure.glb\nstature: {1 + number / 10}\n")
-        load_human(tmp_path / "someone.yaml")
-    assert len(list(cache.glob("*.npz"))) == 2
+    monkeypatch.setattr("humansim_ros.humans.loading.MAX_IN_USE", 4)
+
+    def made(numbers: Sequence[int]) -> set[Path]:
+        before = set(cache.glob("*.npz"))
+        for number in numbers:
+            (tmp_path / "someone.yaml").write_text(f"mesh: figure.glb\nstature: {1 + number / 10}\n")
+            load_human(tmp_path / "someone.yaml")
+        return set(cache.glob("*.npz")) - before
+
+    # those that were used lately, such as the pool of a recipe, are not made again
+    pool = made(range(4))
+    assert len(pool) == 4 and not made([0, 1, 2, 3, 0])
+    made([4, 5])
+    assert len(list(cache.glob("*.npz"))) == 4
+    # others are deleted but for the last
+    for file in cache.glob("*.npz"):
+        os.utime(file, (0, 0))
+    assert len(made([6])) == 1 and len(list(cache.glob("*.npz"))) == 2
+
+
+def test_a_human_that_another_process_deletes_meanwhile_is_no_warning(
+    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would be a finding of a recipe that must be clean, in some runs only."""
+    glob = Path.glob
+
+    def listed(self: Path, pattern: str) -> Iterator[Path]:
+        return iter([*glob(self, pattern), self / "gone.npz"])
+
+    monkeypatch.setattr(Path, "glob", listed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", HumansimWarning)
+        load_human(figure)

@@ -32,6 +32,18 @@ cam0:
 """
 
 
+def test_a_folder_with_a_scene_and_a_recipe_is_the_scene(tmp_path: Path) -> None:
+    (tmp_path / "room.yaml").write_text(SCENE)
+    (tmp_path / "recipe.yaml").write_text("recipe: many\nscene: {}\n")
+    opened = open_source(tmp_path)
+    assert opened.path == tmp_path / "room.yaml"
+    opened.source.close()
+    (tmp_path / "room.yaml").unlink()
+    opened = open_source(tmp_path)
+    assert opened.document is not None and opened.path is None  # a new scene
+    opened.source.close()
+
+
 @pytest.mark.parametrize("name", ["walk", "wave", "child", "adult_man"])
 def test_names_of_built_ins_are_opened(name: str) -> None:
     opened = open_source(Path(name))

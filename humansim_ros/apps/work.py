@@ -299,9 +299,10 @@ def recipe_data_set(
     """
     from humansim_ros.export.data_set import DataSet
     from humansim_ros.export.recipe import Recipe
-    from humansim_ros.scene.config import is_recipe
+    from humansim_ros.io.yaml import has_key
+    from humansim_ros.scene.config import RECIPE
 
-    if not isinstance(source, (str, os.PathLike)) or not is_recipe(Path(source)):
+    if not isinstance(source, (str, os.PathLike)) or not has_key(Path(source), RECIPE):
         if scenes is not None:
             raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
         return None

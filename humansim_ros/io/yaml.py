@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.io.files import read_text
+from humansim_ros.io.files import exists, read_text
 
 #: Size of a file; PyYAML takes many seconds for megabytes.
 MAX_BYTES = 1 << 20
@@ -73,6 +74,17 @@ def read_yaml(
 ) -> tuple[Any, yaml.Node | None]:
     """Read a YAML file: data and nodes as of :func:`parse_yaml`. ``what``: kind of file for messages."""
     return parse_yaml(read_text(path, error, what, MAX_BYTES), error, path)
+
+
+def has_key(path: Path, key: str) -> bool:
+    """Whether a YAML file has a key at its top. Of a file that cannot be read, the reader says why."""
+    if path.suffix.lower() not in (".yaml", ".yml") or not exists(path):
+        return False
+    try:
+        content, _ = read_yaml(path, HumansimError, "file")
+    except HumansimError:
+        return False
+    return isinstance(content, dict) and key in content
 
 
 def parse_yaml(

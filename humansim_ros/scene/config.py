@@ -6,14 +6,12 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints, field_validator, model_validator
 
 from humansim_ros.body.face_actions import ExpressionName, face_weights
-from humansim_ros.errors import MAX_FRAMES, HumansimError, MotionError, SceneError, printable
-from humansim_ros.io.files import exists
+from humansim_ros.errors import MAX_FRAMES, MotionError, SceneError, printable
 from humansim_ros.io.motion_formats import MOTION_TITLES
 from humansim_ros.io.schema import (
     Axis,
@@ -908,17 +906,6 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     """Read and check a scene file. Raises SceneError with file, line and key."""
     data, tree = read_yaml(path, SceneError, "scene")
     return check_config(data, path, tree)
-
-
-def is_recipe(path: Path) -> bool:
-    """Whether a file is a recipe: a YAML file that has the key ``recipe``."""
-    if path.suffix.lower() not in (".yaml", ".yml") or not exists(path):
-        return False
-    try:
-        content, _ = read_yaml(path, SceneError, "scene or recipe")
-    except HumansimError:
-        return False  # the reader of scenes names the line of the error
-    return isinstance(content, dict) and RECIPE in content
 
 
 def check_config(

@@ -13,7 +13,6 @@ from humansim_ros.camera.rigs import Optics, ring
 from humansim_ros.errors import (
     EvaluationError,
     HumansimError,
-    PhotographError,
     SceneError,
     did_you_mean,
     some_of,
@@ -26,11 +25,11 @@ from humansim_ros.humans.loading import find_human
 from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.motion_formats import motion_format
-from humansim_ros.io.yaml import read_yaml
+from humansim_ros.io.yaml import has_key, read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.files import find_motion
 from humansim_ros.motion.smpl_motion import is_smpl_motion
-from humansim_ros.scene.config import check_config, is_recipe, load_config
+from humansim_ros.scene.config import RECIPE, check_config, load_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.photo_document import PhotoDocument
@@ -134,7 +133,7 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return topics.beside(Opened(BagViewSource(what, **topics.arguments())))
     if topics is not None:
         return topics.beside(_compared(what, topics))
-    if what is not None and is_views_file(what):
+    if what is not None and has_key(what, "views"):
         return Opened(PhotoSource(PhotoDocument.load(what)))
     if what is None:
         demo = resource_path(DEMO_SCENE)
@@ -142,7 +141,7 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return Opened(SceneViewSource(copy.scene(), demo.stem), document=copy)
     if exists(what) and what.is_dir():
         return _open_folder(what)
-    if is_recipe(what):
+    if has_key(what, RECIPE):
         load_config(what)  # whose error says what to do with it
     make = _maker(what)
     if not exists(what):
@@ -289,17 +288,6 @@ def _is_scene(path: Path) -> bool:
     except HumansimError:
         return False
     return True
-
-
-def is_views_file(path: Path) -> bool:
-    """Whether a file has the key ``views``: photographs of a person (docs/from_photographs.md)."""
-    if path.suffix.lower() not in (".yaml", ".yml") or not exists(path):
-        return False
-    try:
-        value, _ = read_yaml(path, PhotographError, "views file")
-    except HumansimError:
-        return False  # the reader of scenes names the line of the error
-    return isinstance(value, Mapping) and "views" in value
 
 
 def _is_calibration(path: Path) -> bool:

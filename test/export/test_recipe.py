@@ -18,7 +18,7 @@ from humansim_ros import Scene
 from humansim_ros.errors import ExportError, SceneError
 from humansim_ros.export.draws import DRAWS, ChoiceDraw, draw_at
 from humansim_ros.export.recipe import Recipe
-from humansim_ros.scene.config import is_recipe
+from humansim_ros.io.yaml import has_key
 
 #: Two cameras around one or two people.
 RECIPE: dict[str, Any] = yaml.safe_load("""
@@ -230,12 +230,12 @@ def test_wrong_recipes_are_errors_with_file_line_and_key(
 
 def test_files_of_a_recipe_are_told_from_others(tmp_path: Path) -> None:
     path = written(tmp_path, {})
-    assert is_recipe(path)
+    assert has_key(path, "recipe")
     with pytest.raises(SceneError, match=r":1: recipe: this is a recipe of many scenes: `humansim export`"):
         Scene.load(path)
     scene = tmp_path / "scene.yaml"
     scene.write_text("rate: 5\ncameras: {}\n")
-    assert not is_recipe(scene) and not is_recipe(tmp_path / "no.yaml") and not is_recipe(tmp_path)
+    assert not any(has_key(other, "recipe") for other in (scene, tmp_path / "no.yaml", tmp_path))
     for words in (
         ["check"],
         ["run"],

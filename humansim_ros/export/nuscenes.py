@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from bisect import bisect_left
 from collections.abc import Iterable
 from typing import Any
 
@@ -251,7 +252,7 @@ class NuScenesWriter(FormatWriter):
                 if channel in record["data"]:
                     row, ego_pose, own = record["data"][channel]
                     # data between two samples belong to the later one, as in nuScenes
-                    sample = next((each for each in samples if each >= index), samples[-1])
+                    sample = samples[min(bisect_left(samples, index), len(samples) - 1)]
                     rows.append({**row, "sample_token": self._token("sample", sample)})
                     ego_poses.append(ego_pose)
                     calibrated[own["token"]] = own

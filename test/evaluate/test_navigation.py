@@ -156,6 +156,8 @@ def test_bodies_of_a_scene_are_those_of_the_simulation(tmp_path: Path) -> None:
     assert result["path"]["length"] == pytest.approx(2.4 + 0.9 + np.hypot(2.4, 0.9), abs=1.6 / 5)
     assert result["radius"] == 0.2
     assert "collisions" in compared.table and "collisions" in compared.page()
+    with pytest.raises(EvaluationError, match="a scene file has the topic /odom only"):
+        read_robot_path(f"{file}:/tf", None)
 
 
 # -- bags

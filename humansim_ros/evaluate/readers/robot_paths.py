@@ -24,6 +24,8 @@ from humansim_ros.types import Array
 
 #: Frame of the robot where the scene has no robot.
 _BASE_FRAME = "base_link"
+#: Topic of the robot of a scene file.
+_ODOMETRY = "/odom"
 _SCENE_SUFFIXES = (".yaml", ".yml")
 #: Pose of the robot in messages of each type; tf has it, too.
 _POSES: dict[str, Callable[[Any], Any]] = {
@@ -65,6 +67,8 @@ def read_robot_path(text: str, scene: Scene | None) -> RobotPath:
     name, topic = split_topic(text)
     assert topic is not None
     if Path(name).suffix.lower() in _SCENE_SUFFIXES:
+        if topic != _ODOMETRY:
+            raise EvaluationError(f"a scene file has the topic {_ODOMETRY} only", path=name, key="--estimate")
         return _scene_path(Scene.load(name), text)
     return _bag_path(Path(name), topic, scene)
 

@@ -198,7 +198,16 @@ def export(
         PosixPath('walk')
     """
     _work().write_data_set(
-        *(source, Path(output), formats, scenes, frames, keypoints, images, shard_size, jobs, resume),
+        source,
+        Path(output),
+        formats,
+        scenes,
+        frames,
+        keypoints,
+        images,
+        shard_size,
+        jobs,
+        resume,
         on_progress,
     )
     return Path(output)

@@ -526,8 +526,12 @@ def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
             raise RosError(f"a keypoint of {name} is visible, but not in the image")
         nothing = np.zeros(count)
         out[name] = JointView(
-            *(optical, pixels, own["visible"].astype(np.uint8)),
-            *(nothing.astype(np.uint8), nothing.astype(np.uint16), nothing.astype(np.float32)),
+            optical,
+            pixels,
+            own["visible"].astype(np.uint8),
+            nothing.astype(np.uint8),
+            nothing.astype(np.uint16),
+            nothing.astype(np.float32),
         )
     if len(rows) != count * len(out):
         raise RosError(f"{len(rows)} keypoints; {len(out)} people have {count * len(out)}")
@@ -659,7 +663,10 @@ def _detections_2d(scene: AdapterScene, config: BoxesConfig, usual: str) -> Iter
 
         needed = frozenset(REQUIRED_CHANNELS["boxes"])
         yield AdapterTopic.of(
-            *(VISION_MSGS, "Detection2DArray", name, build),
+            VISION_MSGS,
+            "Detection2DArray",
+            name,
+            build,
             camera=camera,
             channels=needed,
             people=False,
@@ -680,7 +687,10 @@ def _detections_3d(scene: AdapterScene, config: FramedConfig, usual: str) -> Ite
 
 def _label_info(topic: str, frame_id: str, camera: str = "") -> AdapterTopic:
     return AdapterTopic.of(
-        *(VISION_MSGS, "LabelInfo", f"{topic}/label_info", lambda *_: label_info_message(frame_id)),
+        VISION_MSGS,
+        "LabelInfo",
+        f"{topic}/label_info",
+        lambda *_: label_info_message(frame_id),
         camera=camera,
         latched=True,
         per_frame=False,
@@ -727,8 +737,13 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
             keypoints = truth.keypoints(HRI_KEYPOINTS)
             people = {
                 name: hri_person(
-                    *(name, links[name], frame.humans[name], truth.boxes[name].visible),
-                    *(keypoints[name], to_camera, size),
+                    name,
+                    links[name],
+                    frame.humans[name],
+                    truth.boxes[name].visible,
+                    keypoints[name],
+                    to_camera,
+                    size,
                 )
                 for name in actors
             }
@@ -749,7 +764,10 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
             return topic.build(described(frame), stamp)
 
         yield AdapterTopic(
-            *(topic.name, topic.type, build, lambda frame: frame),
+            topic.name,
+            topic.type,
+            build,
+            lambda frame: frame,
             latched=topic.latched,
             shown=not image,
             camera=camera,

@@ -324,20 +324,26 @@ def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Itera
 
     yield from pictures(body, "roi")
     yield topic(
-        *(body, "skeleton2d", skeleton),
+        body,
+        "skeleton2d",
+        skeleton,
         lambda person, _, head: skeleton(header=head, skeleton=_points(person.skeleton)),
     )
     yield topic(body, "joint_states", JointState, _joint_states_message)
     yield topic(body, "position", PointStamped, _position_message)
     yield topic(body, "velocity", TwistStamped, _velocity_message)
     yield topic(
-        *(body, "urdf", String),
+        body,
+        "urdf",
+        String,
         lambda person, *_: None if person.urdf is None else String(data=person.urdf(own)),
         latched=True,
     )
     yield from pictures(face, "face_roi", FACE_SIZE)
     yield topic(
-        *(face, "landmarks", landmarks),
+        face,
+        "landmarks",
+        landmarks,
         lambda person, _, head: landmarks(
             header=head, landmarks=_points(person.landmarks), width=width, height=height
         ),

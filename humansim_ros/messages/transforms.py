@@ -93,7 +93,10 @@ def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[Tran
     for name, moves in ((TF_STATIC_TOPIC, False), (TF_TOPIC, True)):
         if own := [part for part in parts if part.per_frame == moves]:
             yield TransformTopic(
-                *(name, TFMessage, message_of(own), lambda frame: frame),
+                name,
+                TFMessage,
+                message_of(own),
+                lambda frame: frame,
                 latched=not moves,
                 per_frame=moves,
                 # transforms of people are made of the truth of a camera

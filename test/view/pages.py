@@ -59,6 +59,7 @@ def served(*arguments: str, cwd: Path | None = None) -> Iterator[tuple[str, list
 @contextlib.contextmanager
 def running_app(path: Path, estimate: str | None = None) -> Iterator[Any]:
     """The page of a file, with an estimate beside it or not, served by a thread of this process."""
+    from humansim_ros.view import scene_source, tracks
     from humansim_ros.view.app import ViewApp
     from humansim_ros.view.inputs import TopicOptions, open_source
 
@@ -70,12 +71,16 @@ def running_app(path: Path, estimate: str | None = None) -> Iterator[Any]:
         made.close()  # in this thread, whose renderers it has
 
     thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield made
-    finally:
-        made.stop()
-        thread.join()
+    with pytest.MonkeyPatch.context() as patch:
+        # Chromium draws without a GPU: on a busy machine, nice workers would get no time beside it
+        for module in (scene_source, tracks):
+            patch.setattr(module, "_NICE", 0)
+        thread.start()
+        try:
+            yield made
+        finally:
+            made.stop()
+            thread.join()
 
 
 def told_app(opened: Any) -> tuple[Any, list[str]]:
@@ -196,7 +201,8 @@ def tracks_of(page: Any) -> Any:
 
 def wait_for_tracks(page: Any) -> None:
     """Wait until the timeline has its rows: they take room from the scene and the images."""
-    until(lambda: 0 < (table := tracks_of(page)).get("planned", 0) == len(table["sampled"]))
+    read = wait_until(lambda: 0 < (table := tracks_of(page)).get("planned", 0) == len(table["sampled"]))
+    assert read, str(tracks_of(page))[:500]
     page.get_by_role("list", name="Tracks").get_by_role("listitem").first.wait_for()
 
 

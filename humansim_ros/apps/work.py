@@ -244,7 +244,6 @@ def write_data_set(
         source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: As there.
         on_progress: As there.
     """
-    from humansim_ros.export import data_set
     from humansim_ros.export.exporting import Export, export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan
@@ -253,29 +252,17 @@ def write_data_set(
     def show(state: FrameProgress) -> None:
         on_progress(state.done, state.frames)
 
-    options = {"format": formats, "frames": frames, "keypoints": keypoints, "images": images}
-    drawn = recipe_data_set(source, output, scenes, options | {"shard-size": shard_size})
+    options = {"--format": formats, "--frames": frames, "--keypoints": keypoints, "--images": images}
+    drawn = recipe_data_set(source, output, scenes, options | {"--shard-size": shard_size})
     if drawn is not None:
+        from humansim_ros.export import data_set
+
         data_set.write_data_set(drawn, jobs or cores(), resume, show)
         return
     chosen = range(frames) if isinstance(frames, int) else frames
     opened = export_source(source, tuple(chosen_formats(formats)), keypoints)
     job = Export(opened, ExportPlan.of(opened, chosen, f".{images}", shard_size), output)
     export(job, jobs or cores(), resume, show)
-
-
-_HAS_IT = "the recipe has it: set its key "
-#: Options of an export that a recipe does not take: why, and the value if it is left out.
-_NOT_OF_RECIPES: dict[str, tuple[str, Any]] = {
-    "format": (f"{_HAS_IT}formats", ()),
-    "frames": (f"{_HAS_IT}frames", None),
-    "range": (f"{_HAS_IT}frames", None),
-    "keypoints": (f"{_HAS_IT}keypoints", "coco17"),
-    "images": (f"{_HAS_IT}images", "png"),
-    "license": (f"{_HAS_IT}about.license", ""),
-    "shard-size": ("a recipe has no such key", 1_000_000_000),
-    "shard-frames": ("is for a scene or bag; a worker of Ray writes ten scenes of a recipe at a time", 100),
-}
 
 
 def recipe_data_set(
@@ -290,15 +277,13 @@ def recipe_data_set(
         source: Scene, bag or recipe.
         output: Folder of the data set.
         scenes: Number of scenes, in place of that of the recipe.
-        options: Options of an export of one scene, by name.
+        options: Options of an export of one scene, by name, such as ``--format``.
 
     Raises:
         ExportError: The recipe is wrong, an option is given that it does not take, or ``scenes`` without a
             recipe.
         RenderError: OpenGL is missing.
     """
-    from humansim_ros.export.data_set import DataSet
-    from humansim_ros.export.recipe import Recipe
     from humansim_ros.io.yaml import has_key
     from humansim_ros.scene.config import RECIPE
 
@@ -306,10 +291,10 @@ def recipe_data_set(
         if scenes is not None:
             raise ExportError("is for recipes; a scene file is one scene", key="--scenes")
         return None
-    for name, value in options.items():
-        reason, left_out = _NOT_OF_RECIPES[name]
-        if value and value != left_out:
-            raise ExportError(reason, key=f"--{name}")
+    from humansim_ros.export.data_set import DataSet, check_options
+    from humansim_ros.export.recipe import Recipe
+
+    check_options(options)
     return DataSet.of(Recipe.load(source, scenes), output)
 
 

@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from humansim_ros.jobs.frame_job import FrameProgress
 
 
-#: Default of ``--shard-size``, bytes.
-_SHARD_SIZE = 1_000_000_000
-
-
 class _ImageFormat(str, Enum):
     png = "png"
     jpg = "jpg"
@@ -86,7 +82,7 @@ def export(
     images: Annotated[_ImageFormat, typer.Option(help="Format of colour images.")] = _ImageFormat.png,
     shard_size: Annotated[
         int, typer.Option(metavar="BYTES", help="Size of the shards of webdataset in bytes.", min=1)
-    ] = _SHARD_SIZE,
+    ] = 1_000_000_000,
     license_: Annotated[
         str,
         typer.Option(
@@ -124,9 +120,9 @@ def export(
     if scene is not None and not scene.exists():
         raise ExportError("no such scene file, recipe or bag; check the path", path=scene)
     root = Path(output) if ray is None else Path(output).resolve()
-    options: dict[str, object] = {"format": formats, "frames": frames, "range": range_}
-    options |= {"keypoints": keypoints, "images": images.value, "license": license_}
-    options |= {"shard-size": shard_size, "shard-frames": shard_frames}
+    options: dict[str, object] = {"--format": formats, "--frames": frames, "--range": range_}
+    options |= {"--keypoints": keypoints, "--images": images.value, "--license": license_}
+    options |= {"--shard-size": shard_size, "--shard-frames": shard_frames}
     if (data_set := recipe_data_set(scene, root, scenes, options)) is not None:
         _export_recipe(data_set, jobs or cores(), resume, ray)
         return

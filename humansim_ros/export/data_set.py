@@ -27,10 +27,10 @@ from humansim_ros.export.plan import DATA_SET_KEY, INDEX, ExportPlan, read_index
 from humansim_ros.export.recipe import DrawnScene, Recipe
 from humansim_ros.export.source import SimulatedSource, versions
 from humansim_ros.export.statistics import STATISTICS, Totals
-from humansim_ros.export.writer import ExportFolder, file_entry
+from humansim_ros.export.writer import SHARD_SIZE, ExportFolder, file_entry
 from humansim_ros.io.files import ANY_SIZE, read_json
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult, FrameWorker
-from humansim_ros.jobs.ray_cluster import ClusterPart, PartResult, connected, run_parts
+from humansim_ros.jobs.ray_cluster import PART_FRAMES, ClusterPart, PartResult, connected, run_parts
 from humansim_ros.jobs.workers import run_frames
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene.config import map_files
@@ -43,7 +43,21 @@ HASHES, README, DATASHEET = "SHA256SUMS", "README.md", "datasheet.html"
 #: The scene in its folder.
 SCENE_FILE = "scene.yaml"
 #: Keys of a recipe for the options of an export of one scene.
-_RECIPE_KEYS = {"--format": "formats", "--frames": "frames"}
+_RECIPE_KEYS = {
+    "--format": "formats",
+    "--frames": "frames",
+    "--range": "frames",
+    "--keypoints": "keypoints",
+    "--images": "images",
+    "--license": "about.license",
+}
+#: Options that are not given have these values, or are empty.
+_NOT_GIVEN = {
+    "--keypoints": "coco17",
+    "--images": "png",
+    "--shard-size": SHARD_SIZE,
+    "--shard-frames": PART_FRAMES,
+}
 #: Scenes of a task of a cluster.
 _PART_SCENES = 10
 #: Scenes that fail before a data set is given up: if all so far do, and if more than half of them do.
@@ -166,6 +180,24 @@ class SceneWorker:
 
     def close(self) -> None:
         """Do nothing: each scene has its own renderer."""
+
+
+def check_options(options: Mapping[str, Any]) -> None:
+    """Raise ExportError if an option of an export of one scene is given: a recipe has keys in its place.
+
+    ``options``: values by name, such as ``--format``.
+    """
+    for name, value in options.items():
+        if not value or value == _NOT_GIVEN.get(name):
+            continue
+        if name in _RECIPE_KEYS:
+            reason = f"the recipe has it: set its key {_RECIPE_KEYS[name]}"
+        elif name == "--shard-frames":
+            scenes = f"{_PART_SCENES} scenes of a recipe"
+            reason = f"is for a scene or bag; a worker of Ray writes {scenes} at a time"
+        else:
+            reason = "a recipe has no such key"
+        raise ExportError(reason, key=name)
 
 
 def _export_scene(data_set: DataSet, drawn: DrawnScene) -> int:

@@ -147,9 +147,7 @@ def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
 def _bag_bodies(
     bag: Path, times: NDArray[np.int64], places: Array, people: Sequence[str]
 ) -> dict[str, Array] | None:
-    """Distances (F,) of the nearest vertices by person who has any, inf without a message; None without
-    topics.
-    """
+    """Distances (F,) of the nearest vertices by person with topics, inf without a message; None without."""
     rows = {time: row for row, time in enumerate(times.tolist())}
     pattern = topic_pattern(_VERTICES)
     nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))

@@ -25,6 +25,8 @@ from humansim_ros.types import Array, Indices
 FIRST_STAMP = 1
 #: Most frames of a scene whose truth is computed: nine hours at 30 Hz.
 MAX_TRUTH_FRAMES = 1_000_000
+#: From this frame on, stamps are those of a wall clock.
+WALL_CLOCK_FRAME = 100 * MAX_TRUTH_FRAMES
 #: Frames that are computed at once.
 _BLOCK = 1000
 
@@ -131,7 +133,7 @@ def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, 
     margin = 0.5 + around * scene.config.rate
     first, last = ((time - FIRST_STAMP) * 1e-9 * scene.config.rate for time in span)
     first, last = max(0, int(first - margin)), max(1, int(last + margin))
-    if last - first >= MAX_TRUTH_FRAMES or first >= 100 * MAX_TRUTH_FRAMES:
+    if last - first >= MAX_TRUTH_FRAMES or first >= WALL_CLOCK_FRAME:
         start, end = (f"{time * 1e-9:.3f} s" for time in span)
         raise EvaluationError(
             f"the times of the estimate, {start} to {end}, are not times of a scene, which begins at 0 s: "

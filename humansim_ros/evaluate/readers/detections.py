@@ -18,7 +18,7 @@ from humansim_ros.errors import MAX_COORDINATE, EvaluationError, RosError, print
 from humansim_ros.evaluate.images import KEYS, Detections2D
 from humansim_ros.evaluate.readers.estimates import deserialised_message, is_bag, split_topic
 from humansim_ros.evaluate.readers.pose_files import MAX_BYTES, load_json
-from humansim_ros.evaluate.truth import FIRST_STAMP, MAX_TRUTH_FRAMES
+from humansim_ros.evaluate.truth import FIRST_STAMP, WALL_CLOCK_FRAME
 from humansim_ros.export.coco import encoded_mask, joined_keypoints
 from humansim_ros.io.files import open_file, read_bytes, read_json
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
@@ -194,7 +194,7 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
                 raise EvaluationError(error.message, path=path, key=topic) from None
             camera = parts[-1] if parts else frame_id.rpartition("/")[2].removesuffix("_optical_frame")
             frame = frame_at(stamp - FIRST_STAMP, images.rate)
-            known = camera in images.cameras and frame < 100 * MAX_TRUTH_FRAMES  # no stamp of a wall clock
+            known = camera in images.cameras and frame < WALL_CLOCK_FRAME
             number = images.number(camera, frame) if known else None
             if number is None:
                 what = f"frame {frame} (stamp {stamp} ns)" if camera in images.cameras else "camera"

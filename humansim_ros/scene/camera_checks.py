@@ -205,7 +205,8 @@ def misplaced(who: str, centers: Array, samples: SceneSamples, obstacles: Sequen
         inside = obstacle.contains(centers, samples.times)
         if inside.any():
             index = int(np.argmax(inside))
-            where = f"{numbers(centers[index])}{moments[index % len(moments)]}"
+            moment = f" at {samples.times[index]:.1f} s" if len(inside) > 1 else ""
+            where = f"{numbers(centers[index % len(centers)])}{moment}"
             return f"{who} is inside {obstacle.name}, at {where}: move one of them"
         if len(centers) > 1:
             # a thin wall may lie between two samples

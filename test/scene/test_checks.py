@@ -332,6 +332,16 @@ def test_a_person_inside_a_moving_object_is_found_with_the_time(tmp_path: Path) 
     assert 4.0 < float(seconds[1]) < 4.8
 
 
+def test_a_camera_into_which_an_object_moves_is_found_with_the_time(tmp_path: Path) -> None:
+    (tmp_path / "keys.xml").write_text(keyframes(300, 30, cart=((3, -6.1, 1.6), (3, -0.1, 1.6))))
+    cart = {"size": [0.5, 0.5, 1.0], "keyframes": str(tmp_path / "keys.xml")}
+    scene = scene_with(objects={"cart": cart}, room=None, cameras__front__position=[3, 0, 1.6])
+    texts = [finding.text for finding in findings(scene)]
+    seconds = [re.search(r"front is inside the object cart, at .* at ([\d.]+) s", text) for text in texts]
+    # the front of the cart is at y = -6.1 + 0.6 t + 0.25
+    assert [float(found[1]) for found in seconds if found] == [pytest.approx(9.8, abs=0.1)]
+
+
 def test_a_person_on_a_platform_or_on_a_seat_is_sound() -> None:
     seat = {"size": [0.5, 0.6, 0.4], "position": [-0.35, 0, 0.2]}
     scene = scene_with(humans__anna__motion="sit_stand", objects={"seat": seat}, room=None)

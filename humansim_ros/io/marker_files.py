@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from humansim_ros.errors import HumansimError, warn_about
-from humansim_ros.io.files import open_file, read_text
+from humansim_ros.io.c3d_file import C3dFile
+from humansim_ros.io.files import read_text
 from humansim_ros.types import Array
 
 #: Metres of each unit.
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001}
+_SPELLINGS = {"meter": "m", "decimeter": "dm", "centimeter": "cm", "millimeter": "mm"}
+#: Median distance of the points of a person from their middle, metres.
+_PERSON = 0.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +33,9 @@ class MarkerFile:
         times: (F,) seconds, as the file has them.
         lines: Line of each frame in a text file; nothing for others.
         rate: Frames per second that the file states; NaN if it states none.
+        screen_up: Axis of the file that points up or down on a screen (``x``, ``y`` or ``z``); empty if the
+            file does not state it.
+        segments: Origins of the segments whose rotations the file has as well; None if it has none.
     """
 
     labels: tuple[str, ...]
@@ -35,6 +43,8 @@ class MarkerFile:
     times: Array
     lines: tuple[int, ...]
     rate: float
+    screen_up: str = ""
+    segments: MarkerFile | None = None
 
 
 def label_parts(label: str) -> tuple[str, str]:
@@ -63,81 +73,119 @@ def number(text: str, error: type[HumansimError], path: Path, line: int, key: st
         raise error(f"{text[:40]!r} is not a number", path=path, line=line, key=key) from None
 
 
-def _metres(unit: str, error: type[HumansimError], path: Path, line: int | None, key: str) -> float:
-    if unit not in UNITS:
-        raise error(f"unknown unit {unit!r}; known are {', '.join(UNITS)}", path=path, line=line, key=key)
-    return UNITS[unit]
+def _unit(text: str) -> str:
+    """Short name of a unit, such as ``mm`` for ``Millimetres``; the text itself of an unknown one."""
+    word = re.sub(r"[^a-z]", "", text.lower()).replace("metre", "meter")
+    found = _SPELLINGS.get(word.removesuffix("s"), word)
+    repeated = re.fullmatch(r"(mm|cm|dm|m)\1*", found)
+    return repeated[1] if repeated else text
+
+
+def _metres(
+    units: Sequence[str], error: type[HumansimError], path: Path, line: int | None, key: str
+) -> float:
+    """Metres of the first known unit."""
+    known = [UNITS[unit] for unit in map(_unit, units) if unit in UNITS]
+    if not known:
+        message = f"unknown unit {units[0][:40]!r}; known are {', '.join(UNITS)}"
+        raise error(message, path=path, line=line, key=key)
+    return known[0]
 
 
 def read_trc_points(path: Path, error: type[HumansimError], most: int) -> MarkerFile:
-    """Read a TRC file, with tabs or commas between the fields.
+    """Read a TRC file, with tabs or commas between the fields. Points without a name are left out.
 
     ``most``: maximum size in bytes. Raises ``error`` with the line.
     """
     lines = read_text(path, error, "TRC", most).splitlines()
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise error("not a TRC file: it must begin with PathFileType", path=path, line=1)
-    mark = "\t" if "\t" in lines[0] else ","
-    facts = dict(zip(lines[1].split(mark), lines[2].split(mark), strict=False))
-    scale = _metres(facts.get("Units", "").strip(), error, path, 3, "Units")
-    labels = tuple(word.strip() for word in lines[3].split(mark)[2:] if word.strip())
-    if not labels:
+    mark = "\t" if "\t" in lines[3] else ","
+    keys, stated = ([word.strip() for word in line.split(mark)] for line in lines[1:3])
+    if len(filled := [word for word in stated if word]) == len(keys := [key for key in keys if key]):
+        stated = filled  # fields may have two separators between them
+    facts = dict(zip(keys, stated, strict=False))
+    scale = _metres([facts.get("Units", "")], error, path, 3, "Units")
+    names = {n: word.strip() for n, word in enumerate(lines[3].split(mark)[2:]) if word.strip()}
+    if not names:
         raise error("no marker names", path=path, line=4)
-    width = 2 + 3 * len(labels)
+    # a name has the first of three columns; some programs write the names without blank columns
+    in_order = any(n % 3 for n in names)
+    labels = {order if in_order else n // 3: word for order, (n, word) in enumerate(names.items())}
     rows, numbers = [], []
     for line, text in enumerate(lines[5:], 6):
         if not text.replace(mark, " ").strip():
             continue
         fields = text.split(mark)
         values = [number(field, error, path, line, f"column {i}") for i, field in enumerate(fields, 1)]
-        while len(values) > width and np.isnan(values[-1]):
-            values.pop()  # separators at the end of the line
-        values += [np.nan] * (width - len(values))
-        if len(values) != width:
-            message = f"{len(values)} numbers, but {width} for {len(labels)} markers"
-            raise error(message, path=path, line=line)
+        while len(values) > 2 and np.isnan(values[-1]):
+            values.pop()  # separators at the end of the line, or points that were not seen
         rows.append(values)
         numbers.append(line)
-    table = np.array(rows, dtype=float).reshape(-1, width)
+    lengths = sorted(map(len, rows)) or [2]
+    declared = int(text) if (text := facts.get("NumMarkers", "")).isdecimal() and len(text) < 6 else 0
+    named = max(labels) + 1
+    most_points = max(named, declared, len(lines[4].split()) // 3, (lengths[len(lengths) // 2] - 2) // 3)
+    for line, values in zip(numbers, rows, strict=True):
+        if len(values) > 2 + 3 * most_points:
+            message = f"{len(values)} numbers, but {2 + 3 * most_points} for {most_points} markers"
+            raise error(message, path=path, line=line)
+    count = max(named, -(-(lengths[-1] - 2) // 3))
+    table = np.full((len(rows), 2 + 3 * count), np.nan)
+    for row, values in zip(table, rows, strict=True):
+        row[: len(values)] = values
+    points = scale * table[:, 2:].reshape(len(table), count, 3)
+    if nameless := int(np.isfinite(np.delete(points, list(labels), axis=1)).any(axis=(0, 2)).sum()):
+        warn_about(path, f"{nameless} of {count} points have no name, and are left out")
     rate = math.nan
     for key in ("DataRate", "CameraRate"):
         if facts.get(key, "").strip() and not rate > 0:
             rate = number(facts[key], error, path, 3, key)
-    points = scale * table[:, 2:].reshape(len(table), len(labels), 3)
-    return MarkerFile(labels, points, table[:, 1], tuple(numbers), rate)
+    return MarkerFile(tuple(labels.values()), points[:, list(labels)], table[:, 1], tuple(numbers), rate)
 
 
 def read_c3d_points(path: Path, error: type[HumansimError], most: int) -> MarkerFile:
-    """Read the points of a C3D file. ``most``: maximum size in bytes. Raises ``error``."""
-    try:
-        import c3d
-    except ImportError:
-        raise error(
-            "C3D files need the library c3d; install it with: pip install 'humansim_ros[evaluate]'",
-            path=path,
-        ) from None
-    opened = open_file(path, error, "C3D", most)
-    try:
-        with opened as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as of a file without analog data
-            reader: Any = c3d.Reader(file)
-            last = int(reader.last_frame)  # a NumPy number of 16 bits overflows in the library
-            reader.__class__ = type("Reader", (c3d.Reader,), {"last_frame": last})
-            rows = np.array([row[:, :4] for _, row, _ in reader.read_frames()], float)
-            # a parameter holds at most 255 labels
-            parts = (reader.get(f"POINT:LABELS{number}") for number in ("", *range(2, 258)))
-            labels = [word.strip() for part in parts if part is not None for word in part.string_array]
-            unit, rate = reader.get_string("POINT:UNITS").strip(), float(reader.point_rate)
-            first, count = reader.first_frame - 1, reader.frame_count
-    except Exception as reason:  # the library documents no exceptions
-        raise error(f"not a C3D file that can be read: {reason}", path=path) from None
-    if len(rows) < count:
-        warn_about(path, f"the file ends after {len(rows)} of {count} frames")
-    rows = rows if len(rows) else np.zeros((0, len(labels), 4))
-    points = np.where(rows[..., 3:] < 0, np.nan, rows[..., :3])
-    scale = _metres(unit, error, path, None, "POINT:UNITS")
-    if not rate > 0:
+    """Read the points of a C3D file, or the origins of its segments if it has no points.
+
+    ``most``: maximum size in bytes. Raises ``error``.
+    """
+    file = C3dFile(path, error, most)
+    places, origins, units = file.points(), file.segment_origins(), file.texts("POINT:UNITS")
+    if not file.rates:
         raise error("the rate must be positive", path=path, key="POINT:RATE")
-    labels = labels[: points.shape[1]]
-    times = (first + np.arange(len(points))) / rate
-    return MarkerFile(tuple(labels), scale * points[:, : len(labels)], times, (), rate)
+    rate = file.rates[0]
+    if not math.isclose(rate, file.rates[-1], rel_tol=1e-3):
+        warn_about(path, f"rate {file.rates[-1]:g} in the header, but {rate:g} in POINT:RATE, which is used")
+    if stated := [unit for unit in units if unit]:
+        scale = _metres(stated, error, path, None, "POINT:UNITS")
+    else:
+        likely = _likely_unit(places if places.size else origins)
+        warn_about(path, f"POINT:UNITS states no unit: {likely}, by the size of the person")
+        scale = UNITS[likely]
+    scales = np.full(places.shape[1], scale)
+    if len(units) == len(scales):  # what is no length is left out, such as angles
+        scales = np.array([UNITS.get(_unit(unit), np.nan) if unit else scale for unit in units])
+    screen = "".join(file.texts("POINT:Y_SCREEN")[:1]).lower().strip("+-")
+
+    def marker_file(labels: Sequence[str], points: Array, segments: MarkerFile | None) -> MarkerFile:
+        times = (file.first_frame + np.arange(len(points))) / rate
+        labels = tuple(labels[: points.shape[1]])
+        return MarkerFile(labels, points[:, : len(labels)], times, (), rate, screen, segments)
+
+    names = [re.sub("_4x4$", "", name, flags=re.IGNORECASE) for name in file.labels("ROTATION")]
+    segments = marker_file(names, scale * origins, None) if names and origins.size else None
+    if segments is not None and not places.size:
+        return segments
+    if not places.shape[1] or not (labels := file.labels("POINT")):
+        what = "names of the points (POINT:LABELS)" if places.shape[1] else "points"
+        raise error(f"the file has no {what}", path=path)
+    return marker_file(labels, scales[:, None] * places, segments)
+
+
+def _likely_unit(points: Array) -> str:
+    """Unit in which points (F, K, 3) are as far from their middle as those of a person."""
+    seen = np.where((points == 0).all(axis=-1, keepdims=True), np.nan, points)[:: max(len(points) // 100, 1)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of frames without points
+        away = np.nanmedian(np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=-1))
+    return min(("mm", "cm", "m"), key=lambda unit: abs(math.log(max(away, 1e-9) * UNITS[unit] / _PERSON)))

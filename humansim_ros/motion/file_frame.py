@@ -133,6 +133,8 @@ _MOSTLY, _HALF = 0.8, 0.5
 _FLOOR_AT_ORIGIN = (-0.06, 0.1)
 #: Change of the height of the lowest joint, as a share of the height, of a person that leaves the floor.
 _LEAVES_FLOOR = 0.15
+#: Way of a person who goes about, and size of a person who lies across the floor, as shares of the height.
+_GOES_ABOUT, _LOW = 0.3, 0.35
 #: Confidence in an up axis that the motion contradicts, or that files do not have.
 _DOUBTFUL = 0.5
 
@@ -228,8 +230,11 @@ def detect_file_frame(
         motion.positions == "add"
     ):  # a root near the origin of the file is added to its OFFSET; or it lies there
         evidence = replace(evidence, origin=motion.offsets[motion.parents < 0].mean(0) / height)
-    is_rest = _is_turned_rest(transforms[0], roles)
-    found, warning = evidence.decide(rest_up if rest_stands else None, is_rest)
+    if motion.is_rest_made:
+        found, warning = evidence.decide_alone(motion.screen_up)
+    else:
+        is_rest = _is_turned_rest(transforms[0], roles)
+        found, warning = evidence.decide(rest_up if rest_stands else None, is_rest)
     up_axis, warning = (found, warning) if up is None else (axis_vector(up), None)
     if rest_stands:
         if (rest_up == up_axis).all():
@@ -309,6 +314,38 @@ class _UpEvidence:
         return mean if raised else witness, (
             f"{name} and most frames contradict each other: the head is above the feet along {up} in {name}, "
             f"along {other} on average. {taken} is taken as up; if it is wrong, give the axis (up: {instead})"
+        )
+
+    def decide_alone(self, screen_up: str) -> tuple[Array, str | None]:
+        """As :meth:`decide`, without a rest pose: the axis with the most signs that it points up.
+
+        Head and feet of a person who lies or crawls are along an axis of the floor, too. But only who stands
+        goes about across this axis, and the floor is at the origin of most files.
+
+        Args:
+            screen_up: Axis that points up or down on a screen; empty if unknown.
+        """
+        mean = nearest_axis(self.heads.mean(0))
+        is_along = angle_between(self.heads, mean) <= np.radians(_UPRIGHT_ANGLE)
+        stands = bool((self.lines.stands() & is_along).mean() >= _HALF)
+        ways = np.ptp(np.percentile(self.points[:, self.roles["LeftHip"]], [5, 95], axis=0), axis=0)
+        across, along = float(np.linalg.norm(ways * (mean == 0))), float(abs(ways @ mean))
+
+        def signs(axis: Array) -> float:
+            count = float(axis_name(abs(axis)) == screen_up)
+            if axis @ mean > 0:
+                count += self._is_on_floor(axis) + 0.5 * stands + 2.0 * (stands and across > _GOES_ABOUT)
+                return count - (not stands and along > max(across, _GOES_ABOUT))
+            is_low = not stands or axis @ mean < 0 or np.median(np.ptp(self.points @ axis, axis=1)) < _LOW
+            return count + (is_low and self._is_on_floor(axis))
+
+        up = max((mean, *np.eye(3)[:0:-1], -mean), key=signs)
+        if (up == mean).all():
+            return mean, self._doubt(mean)
+        return up, (
+            f"the head is above the feet along {axis_name(mean)} on average, but {axis_name(up)} is taken as "
+            "up: the person lies, crawls or stands on the hands there. If not, give the axis "
+            f"(up: {axis_name(mean)})"
         )
 
     def _doubt(self, up: Array) -> str | None:

@@ -60,6 +60,10 @@ class Motion(Pictured):
         positions: Whether position channels replace the OFFSET or are added to it.
         unit: Metres per file unit, where the file format defines it.
         up: File axis that points up (``y``, ``-z``), where it is known.
+        is_rest_made: Whether the reader made the OFFSETs, because the file has none: they do not show which
+            axis of the file points up.
+        screen_up: Axis (``z``) that points up or down on the screen of the program that wrote the file, as
+            far as it is known.
 
     Raises:
         MotionError: The parents have a cycle, or a joint is before its parent.
@@ -83,6 +87,8 @@ class Motion(Pictured):
     positions: Literal["replace", "add"] = "replace"
     unit: float | None = None
     up: str | None = field(default=None, compare=False)
+    is_rest_made: bool = field(default=False, compare=False)
+    screen_up: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         late = np.flatnonzero(self.parents >= np.arange(len(self.parents)))

@@ -9,20 +9,18 @@ are held at rest.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, some_of, warn_about
-from humansim_ros.io.marker_files import MarkerFile, label_parts, read_c3d_points, read_trc_points
-from humansim_ros.motion.joint_matching import loose_keys, loose_table_key
-from humansim_ros.motion.joint_tables import right_name
+from humansim_ros.io.marker_files import MarkerFile, read_c3d_points, read_trc_points
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
 from humansim_ros.rotations import (
+    nearest_axis,
     perpendicular,
     rotate,
     rotation_vector_to_matrix,
@@ -33,67 +31,9 @@ from humansim_ros.types import Array, Indices
 
 #: Largest file, and most labels and points of a file.
 _MAX_BYTES, _MAX_LABELS, _MAX_POINTS = 1 << 29, 2000, 50_000_000
-_SIDES = ("Left", "Right")
-#: Names of joints, of the left side for both.
-_JOINTS = {
-    "Hips": "MidHip Hips Hip Pelvis Root HumanoidRoot HipCenter CentreHip",
-    "LeftHip": "LeftHip LeftHJC LeftFEP LeftUpLeg LeftUpperLeg LeftThigh LeftFemur",
-    "LeftKnee": "LeftKnee LeftKJC LeftFEO LeftLowerLeg LeftLeg LeftShin LeftTibia",
-    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO LeftFoot",
-    "LeftToe": "LeftBigToe LeftToe LeftToeBase LeftFootIndex LeftFoot",
-    "LeftShoulder": "LeftSJC LeftUpperArm LeftArm LeftShoulder LeftHumerus",
-    "LeftElbow": "LeftElbow LeftEJC LeftForeArm LeftLowerArm LeftRadius",
-    "LeftWrist": "LeftWrist LeftWJC LeftHand",
-    "LeftFingers": "LeftFingers LeftMiddle1 LeftHand",
-    "Neck": "Neck Thorax NeckBase Spine3 vt1",
-    "Head": "Head HeadCenter vt3",
-    "Nose": "Nose",
-    "LeftEye": "LeftEye",
-    "LeftEar": "LeftEar",
-}
-#: Names of markers, of the left side for both.
-_MARKERS = {
-    "LeftASIS": "LeftASI LeftASIS LeftIAS LeftFWT LeftWaistFront",
-    "LeftPSIS": "LeftPSI LeftPSIS LeftIPS LeftBWT LeftWaistBack",
-    "Sacrum": "SACR Sacral VSacral Sacrum MPSI WaistBack",
-    "LeftKneeLateral": "LeftKNE LeftKneeLat LeftKneeLateral LeftKNEL LeftLKNE LeftFLE LeftLFC LeftKneeOut "
-    "LeftKnee LeftKnee1",
-    "LeftKneeMedial": "LeftKNM LeftKNEM LeftKneeMed LeftKneeMedial LeftMKNE LeftFME LeftMFC LeftKneeIn",
-    "LeftAnkleLateral": "LeftANK LeftAnkleLat LeftAnkleLateral LeftANKL LeftFAL LeftLMAL LeftAnkleOut "
-    "LeftMall LeftAnkle",
-    "LeftAnkleMedial": "LeftANKM LeftAnkleMed LeftAnkleMedial LeftMED LeftTAM LeftMMAL LeftMMA LeftAnkleIn",
-    "LeftHeel": "LeftHEE LeftHeel LeftHEL LeftFCC LeftCAL LeftHeelBack",
-    "LeftToe": "LeftTOE LeftToe LeftToeTip LeftFM2 LeftMT2 LeftForefoot2 LeftToeIn LeftMet",
-    "LeftAcromion": "LeftSHO LeftAcromion LeftAcromium LeftACR LeftSAE LeftShoulderTop LeftShould "
-    "LeftShoulder",
-    "LeftElbowLateral": "LeftELB LeftElbowLat LeftElbowLateral LeftELBL LeftHLE LeftLELB LeftLEL "
-    "LeftElbowOut LeftElbow",
-    "LeftElbowMedial": "LeftELBM LeftElbowMed LeftElbowMedial LeftHME LeftMELB LeftMEL LeftELM LeftElbowIn",
-    "LeftWristA": "LeftWRA LeftWristLat LeftRadius LeftFAradius LeftRSP LeftWristIn LeftWrist LeftWRI",
-    "LeftWristB": "LeftWRB LeftWristMed LeftUlna LeftFAulna LeftUSP LeftWristOut",
-    "LeftFingers": "LeftFIN LeftHand LeftHM2 LeftHand2 LeftHandOut",
-    "C7": "C7 CV7 NeckBack SpineTop BackTop",
-    "Clavicle": "CLAV SJN IJ SternumTop Sternum Chest",
-    "LeftFrontHead": "LeftFHD LeftHeadFront LeftHead",
-    "LeftBackHead": "LeftBHD LeftHeadBack",
-    "TopHead": "TopHead HeadTop TopOfHead",
-    "FrontHead": "FrontHead HeadFront",
-    "RearHead": "RearHead BackHead HeadRear HeadBack",
-}
-#: Parts that a person needs, of both sides.
-_NEEDED = ("Hip", "Knee", "Shoulder", "Elbow")
-_NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
 #: Distance from a lateral marker to the centre of the joint, and from the acromion's to the shoulder's: half
 #: the width of an adult's joint and the radius of a marker, metres.
 _KNEE, _ANKLE, _ELBOW, _SHOULDER = 0.057, 0.042, 0.047, 0.05
-#: Words for joints of the legs that no marker beside a segment has.
-_LEGS = {
-    "LeftHip": "LeftHip LeftHJC LeftFEP",
-    "LeftKnee": "LeftKnee LeftKJC LeftFEO",
-    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO",
-}
-#: A side within a name: ``WaistLFront``.
-_INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
 #: Shares of the stature [Winter 2009]: leg from hip to ankle, neck above the hips, head above the neck, half
 #: the width of the shoulders, upper arm and forearm.
 _LEG, _TRUNK, _HEAD, _HALF_WIDTH, _UPPER_ARM, _FOREARM = 0.491, 0.30, 0.10, 0.11, 0.186, 0.146
@@ -103,8 +43,13 @@ _HANGING = np.radians(10.0)
 _MOST_LEAN = 35.0
 #: Degrees by which the way from the neck to a point of the head leans forwards in a person who looks ahead.
 _HEAD_LEAN = {"Nose": 37.0, "Ear": 10.0}
-#: Least share of frames in which a point is seen to be used.
-_LEAST_SEEN = 0.5
+#: Least share of frames in which a point is seen to be used; and a needed point that is seen before and after
+#: its gaps.
+_LEAST_SEEN, _LEAST_NEEDED = 0.5, 0.2
+#: Most frames in which a person is out of sight between two frames that are played.
+_MOST_ABSENT = 25
+#: A person is mirrored if this share of the signs of their handedness, by size, is the wrong one.
+_MIRRORED = 0.8
 #: Hierarchy of the joints, and direction of each from its parent in the rest pose: y up, facing +z.
 _TREE = {
     "Hips": ("", (0.0, 0.0, 0.0)),
@@ -128,8 +73,9 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
 
     ``person``: name before the labels (``anna:LKNE``) where the file has several people.
 
-    Gaps are filled linearly, frames before the first and after the last sight of all points are left out,
-    and points that are seen in less than half of the frames are not used, each with a warning.
+    Gaps are filled linearly. Frames before the first and after the last sight of all points are left out;
+    if the person leaves and comes back, the longest stay is used. Other points that are seen in less than
+    half of the frames are not used. A mirrored person is mirrored back. Each has a warning.
 
     Raises:
         MotionError: The file is not valid, or its labels are not a person's; the message says what was
@@ -143,7 +89,10 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
         raise MotionError(message, path=path)
     if not len(found.points):
         raise MotionError("no frames", path=path)
-    people = _people(found.labels)
+    people = people_of(found)
+    if found.segments is not None and all(marks.missing for marks in people.values()):
+        found = found.segments
+        people = people_of(found)
     complete = {name: marks for name, marks in people.items() if not marks.missing}
     if person is not None and person not in people:
         raise MotionError(f"no person {person!r}; there are {some_of(people)}", path=path)
@@ -163,6 +112,14 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
             path=path,
         )
     points, frames = _filled(file, found, chosen)
+    if (axis := _mirrored_axis(points, chosen.kind)) is not None:
+        warn_about(
+            path,
+            "the person is mirrored: the axes of the file are left-handed, or left and right are exchanged "
+            f"in the names of the points. {'xyz'[axis]} is negated",
+        )
+        signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+        points = {landmark: place * signs for landmark, place in points.items()}
     pelvis = None
     if chosen.kind == "markers":
         joints, pelvis = _joint_centres(points)
@@ -170,148 +127,96 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
         joints = _known_joints(points)
     if chosen.held:
         joints = _hold(file, joints, chosen.held)
-    return _motion(file, joints, pelvis, _frame_time(file, found, frames))
+    motion = _motion(file, joints, pelvis, _frame_time(file, found, frames))
+    return replace(motion, is_rest_made=True, screen_up=found.screen_up)
 
 
-@dataclass(frozen=True)
-class _Marks:
-    """Points of a person.
+def _mirrored_axis(points: Points, kind: str) -> int | None:
+    """Number of the axis to negate so that a mirrored person is right; None if the person is not mirrored.
 
-    Attributes:
-        labels: Labels of the file.
-        kind: ``joints`` or ``markers``.
-        numbers: Landmark -> number of its point.
-        missing: Landmarks that a person needs.
-        held: Parts without points, which are held at rest.
+    Toes, the front of the pelvis and the nose are ahead; without them, the knees of bent legs are.
     """
-
-    labels: tuple[str, ...]
-    kind: str
-    numbers: Mapping[str, int]
-    missing: tuple[str, ...]
-    held: tuple[str, ...] = ()
-
-
-def _people(labels: Sequence[str]) -> dict[str, _Marks]:
-    """Points of each person of a file, by the name before the labels."""
-    groups: dict[str, list[int]] = {}
-    for number, label in enumerate(labels):
-        groups.setdefault(label_parts(label)[0], []).append(number)
-    return {
-        name: _marks([label_parts(labels[number])[1] for number in numbers], numbers)
-        for name, numbers in groups.items()
-    }
-
-
-def _marks(labels: Sequence[str], numbers: Sequence[int]) -> _Marks:
-    # a letter is a side only if the other side is there: so that one missing point is no reason, it is added
-    spelt = [_INNER_SIDE.sub(r"\2\1", label) for label in labels]
-    keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
-    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal ones the first
-    markers, joints = _named(_MARKERS, by_key), _named(_JOINTS, by_key)
-    held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
-    held_joints = _held(joints, ("Shoulder", "Elbow", "Ankle"))
-    if len(_named(_LEGS, by_key)) < 6:
-        held_joints = ()
-
-    def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
-        parts = parts[: len(parts) - len(held)]  # from below
-        return [side + part for part in parts for side in _SIDES if side + part not in found]
-
-    lacking_markers = missing(markers, _NEEDED_MARKERS, held_markers)
-    if "Sacrum" not in markers and not {"LeftPSIS", "RightPSIS"} <= markers.keys():
-        lacking_markers.append("Sacrum or both PSIS")
-    lacking_joints = missing(joints, _NEEDED, held_joints)
-    # joints that the file itself has computed come first; markers of the pelvis tell which kind it is
-    has_pelvis = {"LeftASIS", "RightASIS"} <= markers.keys()
-    centres = any(key.endswith("hjc") for key in by_key)
-    if not lacking_joints and (centres or not has_pelvis):
-        return _Marks(tuple(labels), "joints", joints, (), held_joints)
-    if has_pelvis or len(lacking_markers) < len(lacking_joints):
-        return _Marks(tuple(labels), "markers", markers, tuple(lacking_markers), held_markers)
-    return _Marks(tuple(labels), "joints", joints, tuple(lacking_joints), held_joints)
+    hip, knee, ankle, shoulder = (
+        ("ASIS", "KneeLateral", "AnkleLateral", "Acromion")
+        if kind == "markers"
+        else ("Hip", "Knee", "Ankle", "Shoulder")
+    )
+    left, hips = points["Left" + hip] - points["Right" + hip], _middle(points, hip)
+    trunk = (
+        _middle(points, shoulder) if "Left" + shoulder in points else 2 * hips - _middle(points, knee)
+    ) - hips
+    signs = []  # lines that go up, and lines that go ahead
+    for side in SIDES:
+        if {side + ankle, side + "Toe"} <= points.keys():
+            shank = points[side + knee] - points[side + ankle]
+            signs.append((shank, points[side + "Toe"] - points.get(side + "Heel", points[side + ankle])))
+    if kind == "markers":
+        signs.append((trunk, hips - _back(points)))
+    elif {"Nose", "LeftEar", "RightEar"} <= points.keys():
+        signs.append((trunk, points["Nose"] - _middle(points, "Ear")))
+    elif not signs and {"LeftAnkle", "RightAnkle"} <= points.keys():
+        signs = [
+            (points[side + hip] - points[side + ankle], points[side + knee] - points[side + ankle])
+            for side in SIDES
+        ]
+    handed = [(np.cross(left, up) * ahead).sum(axis=1) for up, ahead in signs]
+    if not handed or any(each.sum() > -_MIRRORED * np.abs(each).sum() for each in handed):
+        return None
+    return 1 if nearest_axis(trunk.mean(axis=0))[2] else 2
 
 
-def _held(found: Mapping[str, int], parts: tuple[str, str, str]) -> tuple[str, ...]:
-    """Parts of the upper body that a file of legs has left out on both sides, from below.
-
-    ``parts``: names of shoulder, elbow and ankle.
-    """
-    shoulder, elbow, ankle = (sum(side + part in found for side in _SIDES) for part in parts)
-    if ankle < 2 or elbow or shoulder == 1:
-        return ()
-    return ("the arms",) if shoulder else ("trunk, head", "arms")
-
-
-def _other_sides(labels: Sequence[str]) -> list[str]:
-    """Names of the same points on the other side."""
-    others = [right_name(label) for label in labels]
-    for label in labels:
-        for right, left in (("Right", "Left"), ("right", "left"), ("R", "L"), ("r", "l")):
-            other = left + label.removeprefix(right)
-            if label.startswith(right) and right_name(other) == label:
-                others.append(other)
-    return [other for other in others if other is not None and other not in labels]
-
-
-def _named(table: Mapping[str, str], by_key: Mapping[str, int]) -> dict[str, int]:
-    """Number of each landmark of a table; a point is only one landmark."""
-    found: dict[str, int] = {}
-    for landmark, words in table.items():
-        for side in _SIDES if landmark.startswith("Left") else ("",):
-            for word in words.split():
-                key = loose_table_key(landmark, word)
-                number = by_key.get(key.replace("left", "right", 1) if side == "Right" else key)
-                if number is not None and number not in found.values():
-                    found[side + landmark.removeprefix("Left")] = number
-                    break
-    return found
-
-
-def _filled(path: Path, file: MarkerFile, marks: _Marks) -> tuple[dict[str, Array], Indices]:
+def _filled(path: Path, file: MarkerFile, marks: Marks) -> tuple[dict[str, Array], Indices]:
     """Points (F, 3) of the landmarks without gaps, and the numbers (F) of their frames."""
-    raw: dict[str, Array] = {}
-    needed = {*(_NEEDED_MARKERS if marks.kind == "markers" else _NEEDED)}
+    count = len(file.points)
+    known = {landmark: is_seen(file.points[:, number]) for landmark, number in marks.numbers.items()}
+    present = np.flatnonzero(np.mean([*known.values()], axis=0) >= _LEAST_SEEN)
+    if not len(present):
+        raise MotionError(f"no frame has {_LEAST_SEEN:.0%} of the points of the person", path=path)
+    stays = np.split(present, np.flatnonzero(np.diff(present) > _MOST_ABSENT) + 1)
+    stay = max(stays, key=np.ptp)
+    first, last = int(stay[0]), int(stay[-1]) + 1
+    needed = {*(NEEDED_MARKERS if marks.kind == "markers" else NEEDED)}
     if marks.held:
         needed |= {"AnkleLateral", "Ankle"}
     seldom = []
-    for landmark, number in marks.numbers.items():
-        points = file.points[:, number]
-        # a point that was not seen is written as zeros, too
-        points = np.where((points == 0).all(axis=1, keepdims=True), np.nan, points)
-        points = np.where(np.abs(points) < 1e4, points, np.nan)
-        if np.isfinite(points).all(axis=1).mean() >= _LEAST_SEEN:
-            raw[landmark] = points
-        elif landmark[4:] in needed or landmark[5:] in needed:
+    for landmark, seen in list(known.items()):
+        label, here = file.labels[marks.numbers[landmark]], np.flatnonzero(seen[first:last])
+        if len(here) >= _LEAST_SEEN * (last - first):
+            continue
+        if landmark[4:] not in needed and landmark[5:] not in needed:
+            seldom.append(label)
+            del known[landmark]
+        elif len(here) < _LEAST_NEEDED * (last - first) or np.ptp(here) + 1 < _LEAST_SEEN * (last - first):
+            runs = np.split(here + first, np.flatnonzero(np.diff(here) > 1) + 1)
+            where = some_of(f"{run[0]} to {run[-1]}" for run in runs if len(run))
             raise MotionError(
-                f"{file.labels[number]!r} is seen in less than {_LEAST_SEEN:.0%} of the frames", path=path
+                f"{label!r} is seen in less than {_LEAST_SEEN:.0%} of the frames"
+                + (f": in frames {where}. Fill its gaps in the program that wrote the file" if where else ""),
+                path=path,
             )
-        else:
-            seldom.append(file.labels[number])
     if seldom:
         warn_about(path, f"{some_of(seldom)}: seen in less than {_LEAST_SEEN:.0%} of the frames, not used")
-    if marks.kind == "markers" and "Sacrum" not in raw and not {"LeftPSIS", "RightPSIS"} <= raw.keys():
+    if marks.kind == "markers" and "Sacrum" not in known and not {"LeftPSIS", "RightPSIS"} <= known.keys():
         raise MotionError("no marker at the back of the pelvis is seen in most frames", path=path)
-    known: dict[str, NDArray[np.bool_]] = {
-        landmark: np.asarray(np.isfinite(points).all(axis=1)) for landmark, points in raw.items()
-    }
-    start = max(int(np.argmax(seen)) for seen in known.values())
-    end = min(len(seen) - int(np.argmax(seen[::-1])) for seen in known.values())
-    count = len(file.points)
-    if end - start < _LEAST_SEEN * count:
-        start, end = 0, count  # hold points at the ends instead
-    elif end - start < count:
+    start = max(first + int(np.argmax(seen[first:last])) for seen in known.values())
+    end = min(last - int(np.argmax(seen[first:last][::-1])) for seen in known.values())
+    if end - start < _LEAST_SEEN * (last - first):
+        start, end = first, last  # hold points at the ends instead
+    if end - start < count:
         warn_about(path, f"frames {start} to {end - 1} of {count} are used: in others points are missing")
     frames = np.arange(start, end, dtype=np.intp)
-    filled, longest, gaps = {}, 0, []
-    for landmark, points in raw.items():
-        seen = np.flatnonzero(known[landmark])
-        filled[landmark] = np.stack([np.interp(frames, seen, column[seen]) for column in points.T], axis=1)
-        if not known[landmark][start:end].all():
+    filled, gaps, longest, where = {}, [], 0, ""
+    for landmark, is_known in known.items():
+        at, places = np.flatnonzero(is_known), file.points[:, marks.numbers[landmark]]
+        filled[landmark] = np.stack([np.interp(frames, at, column[at]) for column in places.T], axis=1)
+        if not is_known[start:end].all():
             gaps.append(file.labels[marks.numbers[landmark]])
-            longest = max(longest, int(np.diff(np.r_[start - 1, seen, end]).max()) - 1)
+            edges = np.r_[start - 1, at[(at >= start) & (at < end)], end]
+            gap = int(np.argmax(np.diff(edges)))
+            if (size := int(np.diff(edges)[gap]) - 1) > longest:
+                longest, where = size, f"{edges[gap] + 1} to {edges[gap] + size} of {gaps[-1]}"
     if gaps:
-        warn_about(path, f"gaps of {some_of(gaps)} are filled; the longest has {longest} frames")
+        warn_about(path, f"gaps of {some_of(gaps)} are filled; the longest has {longest} frames ({where})")
     return filled, frames
 
 
@@ -331,6 +236,11 @@ def _frame_time(path: Path, file: MarkerFile, frames: Indices) -> float:
 
 def _middle(points: Points, part: str) -> Array:
     return (points[f"Left{part}"] + points[f"Right{part}"]) / 2
+
+
+def _back(points: Points) -> Array:
+    """Middle of the back of the pelvis (F, 3)."""
+    return points["Sacrum"] if "Sacrum" in points else _middle(points, "PSIS")
 
 
 def _known_joints(points: Points) -> dict[str, Array]:
@@ -359,7 +269,7 @@ def _hold(path: Path, joints: Mapping[str, Array], held: Sequence[str]) -> dict[
     """Joints with a trunk that stands upright over the hips and arms that hang down, as ``held`` says."""
     links = [
         float(np.median(np.linalg.norm(joints[side + above] - joints[side + below], axis=1)))
-        for side in _SIDES
+        for side in SIDES
         for above, below in (("Hip", "Knee"), ("Knee", "Ankle"))
     ]
     stature, out = sum(links) / 2 / _LEG, dict(joints)
@@ -397,8 +307,7 @@ def _up_of_legs(path: Path, joints: Points) -> Array:
 
 def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
     """Joints (F, 3) of markers on the skin, and axes (F, 3, 3) of the pelvis: left, up, forward."""
-    front = _middle(points, "ASIS")
-    back = points["Sacrum"] if "Sacrum" in points else _middle(points, "PSIS")
+    front, back = _middle(points, "ASIS"), _back(points)
     left = unit_vectors(points["LeftASIS"] - points["RightASIS"])
     forward = unit_vectors(perpendicular(front - back, left))
     up = np.cross(forward, left)
@@ -419,6 +328,8 @@ def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
         knee = _centre(points[f"{side}KneeLateral"], at("KneeMedial"), hip, inwards, _KNEE)
         joints |= {f"{side}Hip": hip, f"{side}Knee": knee}
         heel, toe = at("Heel"), at("Toe")
+        if toe is None and {f"{side}Toe1", f"{side}Toe5"} <= points.keys():
+            toe = (points[f"{side}Toe1"] + points[f"{side}Toe5"]) / 2
         if (lateral := at("AnkleLateral")) is not None:
             if heel is not None and toe is not None:  # the foot tells where inwards is
                 inwards = sign * np.cross(unit_vectors(toe - heel), unit_vectors(knee - lateral))
@@ -483,10 +394,10 @@ def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
 
 
 _HEAD_MARKERS = (
-    *(f"{side}{end}Head" for side in _SIDES for end in ("Front", "Back")),
+    *(f"{side}{end}Head" for side in SIDES for end in ("Front", "Back")),
     *("FrontHead", "RearHead"),
 )
-_ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in _SIDES}
+_ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in SIDES}
 
 
 def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
@@ -508,7 +419,7 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
         own["Neck"] = own["Head"] = _axes(joints["LeftShoulder"] - joints["RightShoulder"], above)
     done: dict[str, Array] = {}
     for key, (above_key, direction) in _TREE.items():
-        for side in _SIDES if key.startswith("Left") else ("Left",):
+        for side in SIDES if key.startswith("Left") else ("Left",):
             name, parent = key.replace("Left", side), above_key.replace("Left", side)
             if name not in joints or (parent and parent not in done):
                 continue

@@ -1,0 +1,212 @@
+"""Names of joints and of markers on the skin, of which points in TRC and C3D files are a person's."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.io.marker_files import MarkerFile, label_parts
+from humansim_ros.motion.joint_matching import loose_keys, loose_table_key
+from humansim_ros.motion.joint_tables import right_name
+from humansim_ros.types import Array
+
+SIDES = ("Left", "Right")
+#: Names of joints, of the left side for both.
+_JOINTS = {
+    "Hips": "MidHip Hips Hip Pelvis Root HumanoidRoot HipCenter CentreHip",
+    "LeftHip": "LeftHip LeftHJC LeftFEP LeftUpLeg LeftUpperLeg LeftThigh LeftFemur",
+    "LeftKnee": "LeftKnee LeftKJC LeftFEO LeftLowerLeg LeftLeg LeftShin LeftShank LeftTibia",
+    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO LeftFoot",
+    "LeftToe": "LeftBigToe LeftToe LeftToeBase LeftToes LeftFootIndex LeftFoot",
+    "LeftShoulder": "LeftSJC LeftUpperArm LeftUArm LeftArm LeftShoulder LeftHumerus",
+    "LeftElbow": "LeftElbow LeftEJC LeftForeArm LeftLowerArm LeftLArm LeftRadius",
+    "LeftWrist": "LeftWrist LeftWJC LeftHand",
+    "LeftFingers": "LeftFingers LeftMiddle1 LeftHand",
+    "Neck": "Neck Thorax Torso NeckBase Spine3 vt1",
+    "Head": "Head HeadCenter vt3",
+    "Nose": "Nose",
+    "LeftEye": "LeftEye",
+    "LeftEar": "LeftEar",
+}
+#: Names of markers, of the left side for both.
+_MARKERS = {
+    "LeftASIS": "LeftASI LeftASIS LeftIAS LeftFWT LeftWaistFront LeftSIAS LeftEIAS",
+    "LeftPSIS": "LeftPSI LeftPSIS LeftIPS LeftBWT LeftWaistBack LeftSIPS LeftEIPS",
+    "Sacrum": "SACR Sacral VSacral Sacrum MPSI WaistBack",
+    "LeftKneeLateral": "LeftKNE LeftKneeLat LeftKneeLateral LeftKNEL LeftLKNE LeftFLE LeftLFC LeftKneeOut "
+    "LeftKnee LeftKnee1 LeftLE LeftLFE LeftLatKnee LeftKneeLatEpicondyle",
+    "LeftKneeMedial": "LeftKNM LeftKNEM LeftKneeMed LeftKneeMedial LeftMKNE LeftFME LeftMFC LeftKneeIn "
+    "LeftME LeftMFE LeftMedKnee LeftKneeMedEpicondyle LeftMKnee",
+    "LeftAnkleLateral": "LeftANK LeftAnkleLat LeftAnkleLateral LeftANKL LeftFAL LeftLMAL LeftAnkleOut "
+    "LeftMall LeftAnkle LeftLM LeftLMA LeftLLMA LeftLatAnkle LeftLatMalleolus",
+    "LeftAnkleMedial": "LeftANKM LeftAnkleMed LeftAnkleMedial LeftMED LeftTAM LeftMMAL LeftMMA LeftAnkleIn "
+    "LeftMM LeftANM LeftMedAnkle LeftMedMalleolus LeftMAnkle",
+    "LeftHeel": "LeftHEE LeftHeel LeftHEL LeftFCC LeftCAL LeftHeelBack LeftCA LeftCalc LeftCalcaneus "
+    "LeftHeelFoot",
+    "LeftToe": "LeftTOE LeftToe LeftToeTip LeftFM2 LeftMT2 LeftForefoot2 LeftToeIn LeftMet LeftSM LeftSMH "
+    "LeftToe2 Left2MT Left2MH",
+    "LeftToe1": "LeftFM1 LeftMT1 Left1MT LeftFMH LeftFM LeftFirstMetatarsal",
+    "LeftToe5": "LeftFM5 LeftMT5 Left5MT LeftVMH LeftVM LeftFifthMetatarsal Left5Meta",
+    "LeftAcromion": "LeftSHO LeftAcromion LeftAcromium LeftACR LeftSAE LeftShoulderTop LeftShould "
+    "LeftShoulder LeftSAJ LeftCAJ LeftACJ LeftACRO LeftACROM LeftSHLD",
+    "LeftElbowLateral": "LeftELB LeftElbowLat LeftElbowLateral LeftELBL LeftHLE LeftLELB LeftLEL "
+    "LeftElbowOut LeftElbow LeftELBO LeftEL LeftLHE LeftLatElbow LeftArmLatEpicondyle",
+    "LeftElbowMedial": "LeftELBM LeftElbowMed LeftElbowMedial LeftHME LeftMELB LeftMEL LeftELM LeftElbowIn "
+    "LeftEM LeftMHE LeftMedElbow LeftArmMedEpicondyle LeftMElbow",
+    "LeftWristA": "LeftWRA LeftWristLat LeftRadius LeftFAradius LeftRSP LeftWristIn LeftWrist LeftWRI "
+    "LeftRS LeftWRL LeftLWrist LeftRadialStyloid",
+    "LeftWristB": "LeftWRB LeftWristMed LeftUlna LeftFAulna LeftUSP LeftWristOut LeftUS LeftUHE LeftWRM "
+    "LeftMWrist LeftUlnarStyloid",
+    "LeftFingers": "LeftFIN LeftHand LeftHM2 LeftHand2 LeftHandOut LeftTopOfHand",
+    "C7": "C7 CV7 NeckBack SpineTop BackTop C7SpinalProcess",
+    "Clavicle": "CLAV SJN IJ SternumTop Sternum Chest SNJ",
+    "LeftFrontHead": "LeftFHD LeftHeadFront LeftHead LeftHDF LeftAuricularis",
+    "LeftBackHead": "LeftBHD LeftHeadBack LeftHDB",
+    "TopHead": "TopHead HeadTop TopOfHead",
+    "FrontHead": "FrontHead HeadFront",
+    "RearHead": "RearHead BackHead HeadRear HeadBack BackOfHead",
+}
+#: Names for landmarks that no name of :data:`_MARKERS` gives: of the sacrum if a PSIS is missing, of the
+#: acromions if both are where shoulders are.
+_SPARE = {
+    "Sacrum": "VSAC VSACR SAC SCRM MSACR PSAC S2 S1 L5S1 LS",
+    "LeftAcromion": "LeftAC LeftAP LeftAA LeftA",
+}
+#: A point that is farther away was not seen, metres.
+_MAX_DISTANCE = 1e4
+#: Least and most metres between the acromions, and between their middle and that of both ASIS.
+_SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
+#: Parts that a person needs, of both sides.
+NEEDED = ("Hip", "Knee", "Shoulder", "Elbow")
+NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
+#: Words for joints of the legs that no marker beside a segment has.
+_LEGS = {
+    "LeftHip": "LeftHip LeftHJC LeftFEP",
+    "LeftKnee": "LeftKnee LeftKJC LeftFEO",
+    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO",
+}
+#: Letter before the names of points of Xsens: ``pLeftASI``.
+_XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
+#: A side within a name: ``WaistLFront``.
+_INNER_SIDE = re.compile(r"(?<![A-Za-z])([A-Z][a-z]+)([LR])(?=[A-Z][a-z])")
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Points of a person.
+
+    Attributes:
+        labels: Labels of the file.
+        kind: ``joints`` or ``markers``.
+        numbers: Landmark -> number of its point.
+        missing: Landmarks that a person needs.
+        held: Parts without points, which are held at rest.
+    """
+
+    labels: tuple[str, ...]
+    kind: str
+    numbers: Mapping[str, int]
+    missing: tuple[str, ...]
+    held: tuple[str, ...] = ()
+
+
+def people_of(file: MarkerFile) -> dict[str, Marks]:
+    """Points of each person of a file that are seen at all, by the name before the labels."""
+    groups: dict[str, list[int]] = {}
+    seen = is_seen(file.points).any(axis=0)
+    for number in np.flatnonzero(seen | ~seen.any()).tolist():
+        groups.setdefault(label_parts(file.labels[number])[0], []).append(number)
+    return {name: _marks(file, numbers) for name, numbers in groups.items()}
+
+
+def is_seen(points: Array) -> NDArray[np.bool_]:
+    """Whether points (..., 3) were seen; a point that was not may be zeros."""
+    return np.asarray((np.abs(points) < _MAX_DISTANCE).all(axis=-1) & points.any(axis=-1))
+
+
+def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
+    labels = [label_parts(file.labels[number])[1] for number in numbers]
+    # a letter is a side only if the other side is there: so that one missing point is no reason, it is added
+    spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
+    keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
+    by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal ones the first
+    markers, joints = _named(_MARKERS, by_key), _named(_JOINTS, by_key)
+    markers |= _spare(file, markers, by_key)
+    held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
+    held_joints = _held(joints, ("Shoulder", "Elbow", "Ankle"))
+    if len(_named(_LEGS, by_key)) < 6:
+        held_joints = ()
+
+    def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
+        parts = parts[: len(parts) - len(held)]  # from below
+        return [side + part for part in parts for side in SIDES if side + part not in found]
+
+    lacking_markers = missing(markers, NEEDED_MARKERS, held_markers)
+    if "Sacrum" not in markers and not {"LeftPSIS", "RightPSIS"} <= markers.keys():
+        lacking_markers.append("Sacrum or both PSIS")
+    lacking_joints = missing(joints, NEEDED, held_joints)
+    # joints that the file itself has computed come first; markers of the pelvis tell which kind it is
+    has_pelvis = {"LeftASIS", "RightASIS"} <= markers.keys()
+    centres = any(key.endswith("hjc") for key in by_key)
+    if not lacking_joints and (centres or not has_pelvis):
+        return Marks(tuple(labels), "joints", joints, (), held_joints)
+    if has_pelvis or len(lacking_markers) < len(lacking_joints):
+        return Marks(tuple(labels), "markers", markers, tuple(lacking_markers), held_markers)
+    return Marks(tuple(labels), "joints", joints, tuple(lacking_joints), held_joints)
+
+
+def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
+    """Landmarks with names of :data:`_SPARE` that ``markers`` lack."""
+    free = {key: number for key, number in by_key.items() if number not in markers.values()}
+    spare = {name: number for name, number in _named(_SPARE, free).items() if name not in markers}
+    if {"LeftPSIS", "RightPSIS"} <= markers.keys():
+        spare.pop("Sacrum", None)
+    ends = [{**markers, **spare}.get(side + part) for part in ("Acromion", "ASIS") for side in SIDES]
+    if None not in ends:
+        points = file.points[:, [number for number in ends if number is not None]]
+        left, right, *hips = np.moveaxis(points[is_seen(points).all(axis=1)], 1, 0)
+        lines = (left - right, _SHOULDER_WIDTH), ((left + right - hips[0] - hips[1]) / 2, _TRUNK_LENGTH)
+        fits = all(low < np.median(np.linalg.norm(line, axis=-1)) < high for line, (low, high) in lines)
+    if None in ends or not fits:
+        spare = {name: number for name, number in spare.items() if "Acromion" not in name}
+    return spare
+
+
+def _held(found: Mapping[str, int], parts: tuple[str, str, str]) -> tuple[str, ...]:
+    """Parts of the upper body that a file of legs has left out on both sides, from below.
+
+    ``parts``: names of shoulder, elbow and ankle.
+    """
+    shoulder, elbow, ankle = (sum(side + part in found for side in SIDES) for part in parts)
+    if ankle < 2 or elbow or shoulder == 1:
+        return ()
+    return ("the arms",) if shoulder else ("trunk, head", "arms")
+
+
+def _other_sides(labels: Sequence[str]) -> list[str]:
+    """Names of the same points on the other side."""
+    others = [right_name(label) for label in labels]
+    for label in labels:
+        for right, left in (("Right", "Left"), ("right", "left"), ("R", "L"), ("r", "l")):
+            other = left + label.removeprefix(right)
+            if label.startswith(right) and right_name(other) == label:
+                others.append(other)
+    return [other for other in others if other is not None and other not in labels]
+
+
+def _named(table: Mapping[str, str], by_key: Mapping[str, int]) -> dict[str, int]:
+    """Number of each landmark of a table; a point is only one landmark."""
+    found: dict[str, int] = {}
+    for landmark, words in table.items():
+        for side in SIDES if landmark.startswith("Left") else ("",):
+            for word in words.split():
+                key = loose_table_key(landmark, word)
+                number = by_key.get(key.replace("left", "right", 1) if side == "Right" else key)
+                if number is not None and number not in found.values():
+                    found[side + landmark.removeprefix("Left")] = number
+                    break
+    return found

@@ -178,6 +178,44 @@ def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimE
         return data.decode("latin-1")
 
 
+#: Encodings of names in scripts of East Asia, and their names for people.
+ENCODINGS = {
+    "cp932": "Shift-JIS",
+    "gb18030": "GBK",
+    "cp949": "EUC-KR",
+    "big5": "Big5",
+    "euc_jp": "EUC-JP",
+}
+#: Share of such characters from which an encoding is taken.
+_LEAST_BODY = 0.2
+#: Characters of the names of joints in these scripts: left, right, and parts of the body.
+_BODY = frozenset(
+    "左右上下手足腕脚腳腿臂膝首頭头頸颈肩腰胸身骨根踝肘趾指髋髖盆脊親人中先大小捩両目"
+    "ンスセタルーひじざつまさき왼오른쪽팔다리발손머목허무릎어깨가슴척추골반꿈치"
+)
+
+
+def text_encoding(data: bytes) -> str:
+    """Encoding of a text that has names of joints, by the letters that are parts of the body in their script.
+
+    ``data``: start of the text; its last line, which may be cut, does not count.
+
+    Returns:
+        A codec of Python: ``utf-16`` or its like, one of :data:`ENCODINGS`, or ``latin-1``, also for UTF-8.
+    """
+    if b"\0" in data[:2] or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return {b"\0": "utf-16-be", b"\xff": "utf-16", b"\xfe": "utf-16"}.get(data[:1], "utf-16-le")
+    names = b"\n".join(line for line in data.splitlines()[:-1] if not line.isascii())
+    shares = {"latin-1": _LEAST_BODY}
+    for encoding in ("utf-8", *ENCODINGS):
+        with suppress(UnicodeDecodeError):
+            wide = [letter for letter in names.decode(encoding) if not letter.isascii()]
+            if encoding == "utf-8":
+                break
+            shares[encoding] = sum(letter in _BODY for letter in wide) / len(wide)
+    return max(shares, key=lambda encoding: shares[encoding])
+
+
 #: Most values of a JSON text, each of which needs some fifty bytes of memory, and most nested levels.
 MAX_JSON_VALUES, _MAX_JSON_DEPTH = 100_000_000, 100
 

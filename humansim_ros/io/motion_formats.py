@@ -28,7 +28,7 @@ class MotionFormat:
 
 #: All formats. A file with another suffix is read as BVH.
 MOTION_FORMATS = (
-    MotionFormat("bvh", "BVH", (".bvh",)),
+    MotionFormat("bvh", "BVH", (".bvh",), "root"),
     MotionFormat("acclaim", "ASF/AMC", (".amc", ".asf"), "skeleton file"),
     MotionFormat("zip", "BVH in ZIP", (".zip",), "file in the archive"),
     MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),

@@ -18,7 +18,7 @@ from typing import Literal, TextIO
 import numpy as np
 
 from humansim_ros.errors import MotionError, some_of, warn_about
-from humansim_ros.io.files import atomic_path, open_file, reading_errors
+from humansim_ros.io.files import atomic_path, open_file, reading_errors, text_encoding
 from humansim_ros.motion.bvh_text import (
     BRACE,
     FRAME_TIMES,
@@ -31,7 +31,15 @@ from humansim_ros.motion.bvh_text import (
 from humansim_ros.motion.kinematics import AXES, CHANNEL_NAMES, Motion
 from humansim_ros.types import Array
 
-_CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
+#: Channels of files by their name in lower case. Scales are read, and left out.
+_CANONICAL = {name.lower(): name for name in (*CHANNEL_NAMES, "Xscale", "Yscale", "Zscale")}
+#: Keywords whose words may go on in the next line, and pattern of these words.
+_GOES_ON = {
+    "OFFSET": re.compile(r"[-+.,\d\seE]+"),
+    "CHANNELS": re.compile(r"[\d\s,]*([xyz](rotation|position|scale)[\s,]*)*", re.IGNORECASE),
+    "ROOT": re.compile(r"(?!offset\b|channels\b|joint\b|end\b)[^{}]+", re.IGNORECASE),
+}
+_GOES_ON |= {"JOINT": _GOES_ON["ROOT"], "END": re.compile("site", re.IGNORECASE)}
 #: Most characters of a joint's name: every end site repeats the name of its joint.
 LONGEST_NAME = 1000
 #: Most joints, end sites included. A person with face, fingers and hair has some hundreds.
@@ -46,8 +54,8 @@ class Parser:
     The hierarchy is read statement by statement, the rows by :mod:`.bvh_text`.
     """
 
-    def __init__(self, path: str | os.PathLike[str], file: TextIO) -> None:
-        self.text = BvhText(path, file)
+    def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str = "latin-1") -> None:
+        self.text = BvhText(path, file, encoding)
         self.names: list[str] = []
         self.is_end: list[bool] = []
         self.joint_lines: list[int] = []
@@ -66,18 +74,33 @@ class Parser:
             joint_names=tuple(self.names),
             parents=np.array(self.parents, dtype=np.intp),
             offsets=np.array(self.offsets, dtype=float),
-            channels=tuple(names or () for names in self.channels),
-            values=values,
+            channels=tuple(
+                tuple(name for name in names or () if not name.endswith("scale")) for names in self.channels
+            ),
+            values=self._without_scales(values),
             frame_time=frame_time,
             path=self.text.path,
         )
 
-    def _statements(self) -> Iterator[str]:
-        """Statements of the hierarchy: lines, with braces as statements of their own."""
+    def _parts(self) -> Iterator[str]:
+        """Lines of the hierarchy, with braces as parts of their own."""
         while text := self.text.next_line():
             for part in BRACE.split(text):
                 if statement := part.strip():
                     yield statement
+
+    def _statements(self) -> Iterator[str]:
+        """Statements of the hierarchy. One that lacks words goes on in the next line, if they are there."""
+        parts, ahead = self._parts(), ""
+        while statement := ahead or next(parts, ""):
+            ahead, line = "", self.text.line
+            while _lacks_words(statement) and (ahead := next(parts, "")):
+                if not _GOES_ON[statement.split()[0].upper()].fullmatch(ahead):
+                    break
+                statement, ahead, line = f"{statement} {ahead}", "", self.text.line
+            last, self.text.line = self.text.line, line
+            yield statement
+            self.text.line = last
 
     def _hierarchy(self) -> bool:
         """Read the joints; True if a MOTION section follows."""
@@ -89,6 +112,11 @@ class Parser:
             keyword, rest = [*statement.split(maxsplit=1), ""][:2]
             keyword = keyword.upper()
             is_outside = not stack and pending is None and bool(self.names)
+            if keyword == "HIERARCHY" and is_outside and not rest:
+                continue
+            if keyword == "MOTION" and starts_motion(rest.strip()):
+                statement = keyword
+                text.unread(rest)
             if statement.rstrip(": \t").upper() == "MOTION" or (is_outside and starts_motion(statement)):
                 self._check_braces(stack, pending, surplus)
                 if starts_motion(statement):
@@ -260,6 +288,15 @@ class Parser:
             rows = self._rest_row()
         return rows, frame_time
 
+    def _without_scales(self, values: Array) -> Array:
+        """Values of all channels but scales, with a warning of these."""
+        scales = np.array([name.endswith("scale") for names in self.channels for name in names or ()])
+        if not scales.any():
+            return values
+        low, high = values[:, scales].min(), values[:, scales].max()
+        self.text.warn_file(f"the scale channels, which are from {low:g} to {high:g}, are not used")
+        return values[:, ~scales]
+
     def _rest_row(self) -> Array:
         """Channel values (1, C) of the rest pose."""
         pairs = zip(self.offsets, self.channels, strict=True)
@@ -271,13 +308,23 @@ class Parser:
         return np.array(values).reshape(1, -1)
 
 
+def _lacks_words(statement: str) -> bool:
+    """Whether a statement has a keyword, but not all words that it needs."""
+    keyword, *words = statement.split()
+    count = words[0] if words and words[0].isascii() and words[0].isdigit() else "0"
+    needed = {"OFFSET": 3, "ROOT": 1, "JOINT": 1, "END": 1, "CHANNELS": 1 + int(count[:4])}.get(
+        keyword.upper(), 0
+    )
+    return len(words) < needed
+
+
 __all__ = ["CHANNEL_NAMES", "Motion", "PositionChannels", "read_bvh", "write_bvh"]
 
 #: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.
 PositionChannels = Literal["auto", "replace", "add"]
 
-#: Largest file: an hour of 60 joints at 120 frames per second.
-_MAX_BYTES = 1 << 30
+#: Largest file: an hour of 60 joints at 120 frames per second; and its part that shows the encoding.
+_MAX_BYTES, _HEAD = 1 << 30, 1 << 16
 #: Positions are added to OFFSETs if they contain less than this share of the OFFSET.
 _ADDED_SHARE = 0.1
 #: Positions that vary by less than this share of the skeleton's size count as constant.
@@ -289,7 +336,7 @@ _MAX_INDENT = 40
 
 
 def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a BVH motion file: text in UTF-8 or Latin-1 with any line ends.
+    """Read a BVH motion file: text in UTF-8, UTF-16, an encoding of East Asia or Latin-1, with any line ends.
 
     ``positions``: whether position channels ``replace`` the OFFSET, as in nearly all programs, or are to
     ``add`` to it. ``auto`` detects files that add: their positions stay near 0 beside large OFFSETs.
@@ -311,11 +358,14 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
     """
     if positions not in ("auto", "replace", "add"):
         raise MotionError(f"positions are 'auto', 'replace' or 'add', not {positions!r}", path=path)
-    # Latin-1 decodes any byte; the parser decodes the lines of the hierarchy again
     what = "BVH motion"
-    file = io.TextIOWrapper(open_file(path, MotionError, what, _MAX_BYTES), "latin-1")
-    with file, reading_errors(path, MotionError, what):
-        motion = Parser(path, file).parse()
+    with open_file(path, MotionError, what, _MAX_BYTES) as stream, reading_errors(path, MotionError, what):
+        encoding = text_encoding(stream.read(_HEAD))
+        stream.seek(0)
+        # Latin-1 decodes any byte; the parser decodes the lines of the hierarchy again
+        decoded = encoding if encoding.startswith("utf-16") else "latin-1"
+        file = io.TextIOWrapper(stream, decoded, errors="replace")
+        motion = Parser(path, file, encoding).parse()
     if positions != "auto":
         return replace(motion, positions=positions)
     added = _joints_with_added_positions(motion)

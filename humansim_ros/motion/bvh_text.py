@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TextIO
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, some_of, warn_about
+from humansim_ros.io.files import ENCODINGS
 from humansim_ros.types import Array
 
 #: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
@@ -27,6 +29,8 @@ _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 #: A comma that separates numbers for certain: with white space beside it, or the second of a word.
 _SEPARATOR = re.compile(r",(?:\s|$)|,[^\s,]+,")
 _DECIMAL = re.compile(r"(?<=\d),(?=\d)")
+#: A comment: a line that starts with one of these marks, or the end of a line after a mark among white space.
+_COMMENT = re.compile(r"^[ \t]*(?://|/?\*|[#;%]).*|(?<=[ \t])(?://|[#;][ \t]).*", re.MULTILINE)
 
 
 class BvhText:
@@ -36,15 +40,18 @@ class BvhText:
         path: Path of the file, for messages.
         line: Number of the last line that was read.
         indent: Width of the white space before the last line of the hierarchy.
+
+    ``encoding``: as of ``text_encoding``. ``file`` decodes UTF-16, and every other text as Latin-1.
     """
 
-    def __init__(self, path: str | os.PathLike[str], file: TextIO) -> None:
+    def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str) -> None:
         self.path = os.fspath(path)
         self.line = 0
         self.indent = 0
         self._file = file
         self._unread = ""
-        self._is_latin = False
+        self._encoding = encoding
+        self._is_foreign = False
         self._odd: dict[str, tuple[int, str, int]] = {}
 
     def error(self, message: str, line: int | None = None) -> MotionError:
@@ -71,7 +78,7 @@ class BvhText:
         self._odd = {}
 
     def next_line(self) -> str:
-        """Next line with its line end; "" after the last."""
+        """Next line with its line end, without a comment; "" after the last."""
         if self._unread:
             text, self._unread = self._unread, ""
             self.line += 1
@@ -80,21 +87,24 @@ class BvhText:
         if not text:
             return text
         self.line += 1
-        if self.line == 1 and text.startswith(("ÿþ", "þÿ")):
-            raise MotionError("this is UTF-16 text: save it as UTF-8", path=self.path)
         if "\0" in text:
             raise MotionError("this is a binary file, not a BVH motion text file", path=self.path)
         if len(text) == _MAX_CHARACTERS:
             raise self.error(f"not a BVH file: a line of more than {_MAX_CHARACTERS} characters")
-        if not text.isascii():
-            try:
-                text = text.encode("latin-1").decode("utf-8-sig" if self.line == 1 else "utf-8")
-            except UnicodeDecodeError:
-                if not self._is_latin:
-                    self.warn("not UTF-8: read as Latin-1; names may look odd")
-                self._is_latin = True
+        if not text.isascii() and not self._encoding.startswith("utf-16"):
+            text = self._decoded(text.encode("latin-1"))
         self.indent = len(text[: len(text) - len(text.lstrip())].expandtabs(8))
-        return text
+        return _COMMENT.sub("", text)
+
+    def _decoded(self, line: bytes) -> str:
+        if self._encoding == "latin-1":
+            with suppress(UnicodeDecodeError):
+                return line.decode("utf-8-sig" if self.line == 1 else "utf-8")
+        if not self._is_foreign:
+            name = ENCODINGS.get(self._encoding, "Latin-1; names may look odd")
+            self.warn(f"not UTF-8: read as {name}")
+        self._is_foreign = True
+        return line.decode(self._encoding, "replace")
 
     def unread(self, text: str) -> None:
         """Give the last line back: the next line or block starts with ``text``."""
@@ -118,9 +128,9 @@ class BvhText:
                 raise self.error(f"a word of more than {_MAX_CHARACTERS} characters", self.line + 1)
             rest = text[cut:]
             if cut:
-                yield text[:cut]
+                yield _without_comments(text[:cut])
         if rest:
-            yield rest
+            yield _without_comments(rest)
 
     def numbers(self, text: str) -> list[float]:
         """Numbers of a text in the last line; ValueError if it has other words."""
@@ -128,6 +138,10 @@ class BvhText:
             self.note("comma", f"commas {comma_text(mark)}")
             text = text.replace(",", mark)
         return [to_float(word) for word in split_glued(text).split()]
+
+
+def _without_comments(rows: str) -> str:
+    return _COMMENT.sub("", rows) if any(mark in rows for mark in "#;%/*") else rows
 
 
 def to_float(word: str) -> float:
@@ -169,6 +183,8 @@ FRAME_TIMES = 1e-9, 1e6
 _USUAL_FRAME_TIME = 1 / 30
 #: A line of the header: its key, the colon and its value.
 _HEADER = re.compile(r"(frames|frame[\s_]*time)\s*(?P<colon>[:=]?)\s*(?P<value>.*)", re.IGNORECASE)
+#: White space between a line of the header and the next one, where both are on one line.
+_NEXT_KEY = re.compile(r"(?<=\S)\s+(?=frames\b|frame[\s_]*time\b)", re.IGNORECASE)
 _NUMBER_START = re.compile(r"[+-]?[.,]?\d")
 #: Whether a character, by its code, is part of plain numbers and white space.
 _PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
@@ -198,18 +214,23 @@ def read_motion_section(text: BvhText, angles: NDArray[np.bool_]) -> tuple[Array
 def _read_header(text: BvhText) -> tuple[float, float]:
     """Number of frames (NaN where it is missing) and frame time."""
     header: dict[str, tuple[int, str]] = {}
-    while len(header) < 2:
+    awaited = ""  # key whose number is on the next line
+    while len(header) < 2 or awaited:
         line = text.next_line()
         if not line:
             missing = "Frame Time" if "Frames" in header else "Frames"
             raise text.error(f"'{missing}:' is missing after MOTION: the file is truncated or damaged")
         if not (line := line.strip()):
             continue
-        if found := _HEADER.fullmatch(line):
-            key = "Frames" if found[1].lower() == "frames" else "Frame Time"
-            header[key] = text.line, found["value"]
-            if not found["colon"]:
-                text.warn(f"'{key}' without a colon")
+        if awaited and _NUMBER_START.match(line):
+            header[awaited], awaited = (text.line, line), ""
+        elif all(keys := [_HEADER.fullmatch(part) for part in _NEXT_KEY.split(line)]):
+            for found in filter(None, keys):
+                key = "Frames" if found[1].lower() == "frames" else "Frame Time"
+                header[key] = text.line, found["value"]
+                awaited = "" if found["value"] else key
+                if not found["colon"]:
+                    text.warn(f"'{key}' without a colon")
         elif _NUMBER_START.match(line):
             text.unread(line)
             break
@@ -223,6 +244,9 @@ def _read_header(text: BvhText) -> tuple[float, float]:
     if "Frame Time" in header:
         line_number, value = header["Frame Time"]
         frame_time = _header_number(text, "Frame Time", line_number, value)
+        if frame_time == 0:
+            text.warn("the Frame Time is 0: 30 frames per second are assumed", line_number)
+            frame_time = _USUAL_FRAME_TIME
         if not FRAME_TIMES[0] <= frame_time <= FRAME_TIMES[1]:
             raise text.error(
                 f"Frame Time must be above zero and below a million seconds, not {frame_time:g}", line_number
@@ -351,8 +375,9 @@ class _Rows:
             tail -= 1
         if self.n_values and tail < len(self.bad):
             first = self.bad[tail]
+            more = "; a second motion needs a file of its own" * (first.word.upper() == "HIERARCHY")
             self.text.warn(
-                f"the text from {first.word[:40]!r} on is not part of the motion: left out", first.line
+                f"the text from {first.word[:40]!r} on is not part of the motion: left out{more}", first.line
             )
             return self.bad[:tail]
         return self.bad
@@ -518,7 +543,7 @@ class _Layout:
 
 def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
     """Values of a text of plain finite numbers, and the number of them before each line end; else None."""
-    characters = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
+    characters = np.frombuffer(text.encode("latin-1", "replace"), dtype=np.uint8)
     # with these characters only, Python accepts no more than files do
     if not _PLAIN[characters].all():
         return None

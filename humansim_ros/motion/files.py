@@ -9,12 +9,13 @@ import zlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of
+from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of, warn_about
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import open_file, size_text, temporary_folder
 from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name
 from humansim_ros.motion.activity import is_activity, read_activity
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
+from humansim_ros.motion.joint_matching import is_person
 from humansim_ros.motion.kinematics import Motion
 
 #: Greatest size of an archive and of a file in it, and most files of an archive.
@@ -40,9 +41,10 @@ def find_motion(name: str, folder: Path | None = None, error: type[HumansimError
 def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
     """Read a motion: a built-in (``walk``), or a file of one of the formats in docs/motion.md.
 
-    ``path``: name or file. A name after ``#`` chooses a part of the file: the animation of a glTF file
-    (``figure.glb#Walk``; else the first), the skeleton of an AMC file (``07_01.amc#07.asf``), the file of an
-    archive (``all.zip#walk.bvh``, or ``all.zip/walk.bvh``), the seed of an activity (``activity#4``).
+    ``path``: name or file. A name after ``#`` chooses a part of the file: the root of a person in a BVH file
+    (``two.bvh#B_Hips``; else the first), the animation of a glTF file (``figure.glb#Walk``; else the first),
+    the skeleton of an AMC file (``07_01.amc#07.asf``), the file of an archive (``all.zip#walk.bvh``, or
+    ``all.zip/walk.bvh``), the seed of an activity (``activity#4``).
     ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.
 
     Raises:
@@ -79,9 +81,30 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         from humansim_ros.motion.marker_motion import read_marker_motion
 
         return read_marker_motion(file, part)
-    motion = read_bvh(file, positions)
+    motion = _one_person(read_bvh(file, positions), part)
     # people of built-in motions may lie or crawl all the time
     return replace(motion, up="y") if _is_built_in(Path(file)) else motion
+
+
+def _one_person(motion: Motion, root: str | None) -> Motion:
+    """The joints below a root of a motion. If None, those of the first person of several; else all joints."""
+    trees: dict[str, list[int]] = {}
+    tree_of: list[list[int]] = []
+    for joint, parent in enumerate(motion.parents.tolist()):
+        tree_of.append(tree_of[parent] if parent >= 0 else trees.setdefault(motion.joint_names[joint], []))
+        tree_of[joint].append(joint)
+    if root is not None:
+        if root not in trees:
+            hint = f"{did_you_mean(root, trees)}; there are {some_of(trees)}"
+            raise MotionError(f"no root {root!r} in the file{hint}", path=motion.path)
+        return motion.only(trees[root])
+    people = [name for name in trees if len(trees) > 1 and is_person(motion.only(trees[name]))]
+    if len(people) < 2:
+        return motion
+    found = f"{len(people)} people, with the roots {some_of(people)}"
+    other = f"{Path(motion.path).name}#{people[1]}"
+    warn_about(motion.path, f"{found}: the first is read; the others are read by name, such as {other}")
+    return motion.only(trees[people[0]])
 
 
 def _is_built_in(path: Path) -> bool:

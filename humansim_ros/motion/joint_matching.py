@@ -292,6 +292,15 @@ def match_motion(
     return match
 
 
+def is_person(motion: Motion) -> bool:
+    """Whether the joints of a motion are a person's."""
+    try:
+        match_motion(motion)
+    except MotionError:
+        return False
+    return True
+
+
 def match_names(
     joint_names: Sequence[str],
     table: str | os.PathLike[str] | None = None,

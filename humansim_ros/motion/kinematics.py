@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -126,6 +126,18 @@ class Motion(Pictured):
             raise MotionError(
                 f"no joint {name!r}; the joints are {', '.join(self.joint_names)}", path=self.path
             ) from None
+
+    def only(self, joints: Sequence[int]) -> Motion:
+        """The motion of some joints, in increasing order. A joint without its parent becomes a root."""
+        number = {joint: place for place, joint in enumerate(joints)}
+        return replace(
+            self,
+            joint_names=tuple(self.joint_names[joint] for joint in joints),
+            parents=np.array([number.get(int(self.parents[joint]), -1) for joint in joints], dtype=np.intp),
+            offsets=self.offsets[joints],
+            channels=tuple(self.channels[joint] for joint in joints),
+            values=self.values[:, [column for joint in joints for column in self.columns(joint)]],
+        )
 
     @cached_property
     def _levels(self) -> tuple[Indices, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Protocol
 
@@ -49,16 +49,7 @@ def joint_path(motion: Motion, joint: int) -> Array:
     chain = [joint]
     while motion.parents[chain[0]] >= 0:
         chain.insert(0, int(motion.parents[chain[0]]))
-    columns = [column for one in chain for column in motion.columns(one)]
-    above = replace(
-        motion,
-        joint_names=tuple(motion.joint_names[one] for one in chain),
-        parents=np.arange(len(chain)) - 1,
-        offsets=motion.offsets[chain],
-        channels=tuple(motion.channels[one] for one in chain),
-        values=motion.values[:, columns],
-    )
-    return above.world_positions()[:, -1]
+    return motion.only(chain).world_positions()[:, -1]
 
 
 def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:

@@ -39,6 +39,8 @@ _LINE_OF_BONE = {
 }
 _NONE = np.zeros(0, dtype=np.intp)
 _TOES = {"l_ankle": "l_metatarsal", "r_ankle": "r_metatarsal"}
+#: Arms without joints hang down, and lean outwards by this share.
+_OUTWARDS = 0.18
 #: A shorter link (metres) has no direction: its bone keeps the rotation that it inherits.
 SHORTEST_LINK = 1e-4
 
@@ -117,10 +119,22 @@ class BoneDrivers:
 
     def inherited(self, rotations: Array, bones: Indices) -> Array:
         """Rotations (N, b, 3, 3) that bones of one level inherit from their parents' rotations."""
-        local = self.skeleton.rest_in_parent[bones, :3, :3]
+        local = self._at_rest[bones]
         parents = self.skeleton.parents[bones]
         above = np.where((parents < 0)[:, None, None], WORLD_FROM_BODY, rotations[:, parents])
         return np.asarray(above @ local)
+
+    @cached_property
+    def _at_rest(self) -> Array:
+        """Rotations (B, 3, 3) at rest in the parents. Upper arms without a joint hang down."""
+        local = self.skeleton.rest_in_parent[:, :3, :3].copy()
+        for bone, side in (("l_shoulder", 1), ("r_shoulder", -1)):
+            if bone in self.match.held:
+                number = self.skeleton.bone(bone)
+                rest = self.skeleton.rest[[number], :3, :3]
+                hanging = swing_onto(rest[None], np.array([[[side * _OUTWARDS, -1.0, 0.0]]]))[0]
+                local[number] = local[number] @ (np.swapaxes(rest, -1, -2) @ hanging)[0]
+        return local
 
     def swing(self, positions: Array, joint_rotations: Array) -> Array:
         """Bone rotations (N, B, 3, 3) by the shortest rotation onto the links [thesis §7.2], level by level.
@@ -304,6 +318,8 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
         ("Spine", lines.left, _FLEXIBLE, 0.5),
         ("Chest", lines.shoulders, _SHOULDERS, 0.5),
     ):
+        if role != "Hips" and lines.shoulders is lines.hips:
+            continue  # without shoulders, no line shows how the trunk turns
         if role in roles and deviates(roles[role], line, most, left, share):
             joints.add(roles[role])
     for side in ("Left", "Right"):

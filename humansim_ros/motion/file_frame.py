@@ -28,6 +28,11 @@ _BONE_OF_ROLE = {
 _ARM_WEIGHT = 0.05
 
 
+def highest(roles: Mapping[str, int]) -> str:
+    """Role of the joint that shows where the trunk ends: of the neck, else of head, chest, spine or hips."""
+    return next(role for role in ("Neck", "Head", "Chest", "Spine", "Hips") if role in roles)
+
+
 @dataclass(frozen=True)
 class BodyLines:
     """Lines of a person in N poses, as vectors (N, 3) in the frame and unit of the joints.
@@ -35,7 +40,7 @@ class BodyLines:
     Attributes:
         hips: From the right hip to the left hip.
         shoulders: From the right shoulder to the left shoulder; the hips' line where shoulders are unknown.
-        trunk: From the middle of the hips to the middle of the shoulders, or to the neck or the head.
+        trunk: From the middle of the hips to the middle of the shoulders, or else to neck, head or spine.
         thighs: (2, N, 3), from the left and the right hip to the knee.
         arms: (A, N, 3), from the shoulders to the elbows that are known.
     """
@@ -57,9 +62,9 @@ class BodyLines:
         hips = at("LeftHip") - at("RightHip")
         if {"LeftShoulder", "RightShoulder"} <= roles.keys():
             shoulders = at("LeftShoulder") - at("RightShoulder")
-            top = (at("LeftShoulder") + at("RightShoulder")) / 2
+            top: Array | None = (at("LeftShoulder") + at("RightShoulder")) / 2
         else:
-            shoulders, top = hips, at(next(role for role in ("Neck", "Head", "Hips") if role in roles))
+            shoulders, top = hips, None if highest(roles) == "Hips" else at(highest(roles))
         thighs, arms = (
             [
                 at(side + end) - at(side + start)
@@ -68,7 +73,9 @@ class BodyLines:
             ]
             for start, end in (("Hip", "Knee"), ("Shoulder", "Elbow"))
         )
-        return cls(hips, shoulders, top - middle, np.array(thighs), np.array(arms).reshape(-1, *hips.shape))
+        # legs alone stand below a trunk that is in line with them
+        trunk = -np.mean(thighs, axis=0) if top is None else top - middle
+        return cls(hips, shoulders, trunk, np.array(thighs), np.array(arms).reshape(-1, *hips.shape))
 
     @classmethod
     def of_body(cls, posed: Array, skeleton: Skeleton) -> BodyLines:
@@ -117,6 +124,8 @@ class BodyLines:
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "cmu": 0.0254 / 0.45}
 #: Height of the ankle, which no joint link measures, as a share of the ankle-to-head height.
 _ANKLE_SHARE = 0.06
+#: Length of a leg from hip to ankle, as a share of the stature [Winter 2009]. Its two parts are equally long.
+_LEG_SHARE = 0.491
 _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
 #: Stature in metres between which the unit that a file format defines is accepted.
@@ -213,7 +222,7 @@ def detect_file_frame(
         np.unique(np.linspace(0, motion.n_frames - 1, _MAX_FRAMES).astype(int))
     )
     frames = transforms[..., :3, 3]
-    head = roles.get("Head", roles.get("Neck", roles["Hips"]))
+    head = roles.get("Head", roles[highest(roles)])
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
 
     height = ankle_to_head(rest, motion.parents, match)
@@ -465,19 +474,21 @@ def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], m
     def length(a: int, b: int) -> float:
         return float(np.linalg.norm(positions[a] - positions[b]))
 
-    legs = [
-        length(roles[f"{side}Hip"], roles[f"{side}Knee"])
-        + (length(roles[f"{side}Knee"], roles[f"{side}Ankle"]) if f"{side}Ankle" in roles else 0.0)
-        for side in ("Left", "Right")
-    ]
-    top = roles.get("Head", roles.get("Neck", roles["Hips"]))
+    legs = 0.0
+    for side in ("Left", "Right"):
+        hip, knee = (roles[side + part] for part in ("Hip", "Knee"))
+        thigh = length(hip, knee)
+        legs += (thigh + length(knee, roles.get(f"{side}Ankle", hip))) / 2
+    if not roles.keys() & {"Head", "Neck"}:
+        return legs / _LEG_SHARE / (1 + _ANKLE_SHARE)
+    top = roles.get("Head", roles[highest(roles)])
     head_link = match.parallel.get("vt3")
     trunk = length(*head_link) if head_link else _longest_link(positions, parents, top)
     while parents[top] >= 0 and top != roles["Hips"]:
         trunk += length(top, int(parents[top]))
         top = int(parents[top])
     hips = (positions[roles["LeftHip"]] + positions[roles["RightHip"]]) / 2
-    return sum(legs) / 2 + trunk + float(np.linalg.norm(positions[roles["Hips"]] - hips))
+    return legs + trunk + float(np.linalg.norm(positions[roles["Hips"]] - hips))
 
 
 def _longest_link(positions: Array, parents: Sequence[int] | NDArray[np.intp], joint: int) -> float:

@@ -28,6 +28,8 @@ REQUIRED_BONES = (
     "r_shoulder",
     "r_elbow",
 )
+#: Bones that a person may lack if there are no joints for them.
+ARM_BONES = ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
 #: A motion whose match has a lower confidence is refused: it is not a person's.
 MIN_CONFIDENCE = 0.12
 #: Below this confidence, scenes and commands state it.
@@ -77,8 +79,20 @@ class JointMatch:
         return replace(self, extra=extra, parallel={**self.parallel, **links})
 
     @property
+    def held(self) -> tuple[str, ...]:
+        """Bones of the arms without a driver: they hang down."""
+        return tuple(bone for bone in REQUIRED_BONES if bone in ARM_BONES and bone in self.missing)
+
+    @property
     def warning(self) -> str | None:
-        """The confidence and its reasons, where it is low."""
+        """What joints a person lacks, or the confidence and its reasons, where it is low."""
+        if self.held:
+            trunk = () if self.roles.keys() & {"Spine", "Chest", "Neck", "Head"} else ("trunk", "head")
+            lacking = ", ".join((*trunk, *self.held))
+            return (
+                f"the file has no joints for {lacking}: the arms hang down"
+                + " from an upright trunk" * bool(trunk)
+            )
         if self.confidence >= LOW_CONFIDENCE:
             return None
         why = "".join(f"; {reason}" for reason in self.reasons)

@@ -18,7 +18,13 @@ import numpy as np
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import exists
 from humansim_ros.motion.detail_joints import detail_joints
-from humansim_ros.motion.joint_match import MIN_CONFIDENCE, REQUIRED_BONES, JointMatch, match_roles
+from humansim_ros.motion.joint_match import (
+    ARM_BONES,
+    MIN_CONFIDENCE,
+    REQUIRED_BONES,
+    JointMatch,
+    match_roles,
+)
 from humansim_ros.motion.joint_tables import (
     REQUIRED_ROLES,
     JointTable,
@@ -327,11 +333,11 @@ def match_names(
         loose = _best_match(tables, joint_names, parents, loose=True)
         best = loose if loose.complete else best
 
-    if not best.complete:
-        lacking = [
-            bone for bone in REQUIRED_BONES if bone not in best.parallel and bone not in best.difference
-        ]
-        lacking += [role for role in REQUIRED_ROLES if role not in best.roles]
+    lacking = [
+        *(bone for bone in REQUIRED_BONES if bone not in best.parallel and bone not in best.difference),
+        *(role for role in REQUIRED_ROLES if role not in best.roles),
+    ]
+    if not set(lacking) <= set(ARM_BONES) or (lacking and _may_have_arms(best, joint_names, parents)):
         shown = ", ".join(joint_names[:12]) + (", …" if len(joint_names) > 12 else "")
         raise MotionError(
             f"no joint table fits these joints ({shown}); "
@@ -341,6 +347,35 @@ def match_names(
         )
     best = replace(best, details=detail_joints(joint_names, best.roles, parents))
     return best if table is None else replace(best, by="given")
+
+
+#: Roles from which arms may branch off.
+_ABOVE_ARMS = ("Hips", "Spine", "Chest", "Neck", "Head", "Collar", "Shoulder")
+
+
+def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | None) -> bool:
+    """Whether there may be arms without a match: two unknown joints branch off, or a wrist ends an arm."""
+    lacks = {bone[0] for bone in match.held}
+    if parents is None or any(
+        f"{side}Wrist" in match.roles and side[0].lower() in lacks for side in ("Left", "Right")
+    ):
+        return True
+    known: set[int] = set()
+    inner: set[int] = set()
+    for role, joint in match.roles.items():
+        is_inner = role.removeprefix("Left").removeprefix("Right") in _ABOVE_ARMS
+        path = [joint]
+        while parents[path[-1]] >= 0:
+            path.append(int(parents[path[-1]]))
+        known.update(path)
+        inner.update(path[role == "Head" :] if is_inner else ())
+    unknown = {
+        child for child, parent in enumerate(parents.tolist()) if parent in inner and child not in known
+    }
+    return any(
+        parent in unknown and not name.endswith("_end")
+        for name, parent in zip(names, parents.tolist(), strict=True)
+    )
 
 
 def _best_match(

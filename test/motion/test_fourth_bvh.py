@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from motion_files import stand_in, walk
+from stand_ins import motion_path, no_person
 
+from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
-from humansim_ros.motion import Motion, read_motion
+from humansim_ros.motion import Motion, read_motion, to_world
+from humansim_ros.motion.info import LoadedMotion, describe_motion
+from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.rotations import unit_vectors
 
 GOOD = """HIERARCHY
 ROOT Hips
@@ -192,3 +199,105 @@ def test_a_second_motion_behind_the_first_is_named(tmp_path: Path) -> None:
     assert (
         "'HIERARCHY' on is not part of the motion: left out; a second motion needs a file of its own" in said
     )
+
+
+# Missing limbs
+
+ARMS = ("LeftCollar", "RightCollar", "LeftShoulder", "RightShoulder")
+#: Roles that a file lacks with all joints below them, and what is said.
+LACKING = {
+    "arms": (ARMS, "l_shoulder, l_elbow, r_shoulder, r_elbow: the arms hang down"),
+    "the left arm": (ARMS[::2], "l_shoulder, l_elbow: the arms hang down"),
+    "forearms": (("LeftElbow", "RightElbow"), "l_elbow, r_elbow: the arms hang down"),
+    "arms and head": (
+        (*ARMS, "Neck", "Head"),
+        "l_shoulder, l_elbow, r_shoulder, r_elbow: the arms hang down",
+    ),
+    "all but legs": ((*ARMS, "Spine", "Chest", "Neck"), "trunk, head, l_shoulder"),
+    "the head": (("Neck", "Head"), ""),
+    "hands": (("LeftWrist", "RightWrist"), ""),
+    "feet": (("LeftAnkle", "RightAnkle"), "a confidence of 45%"),
+}
+
+
+def without(motion: Motion, *roles: str) -> Motion:
+    """A motion without the joints of roles, and without all joints below them."""
+    of_role = match_motion(motion).roles
+    gone = {of_role[role] for role in roles if role in of_role}
+    for joint, parent in enumerate(motion.parents.tolist()):
+        if parent in gone:
+            gone.add(joint)
+    return motion.only([joint for joint in range(motion.n_joints) if joint not in gone])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lacking", LACKING)
+@pytest.mark.parametrize("stem", ["own_humanik", "own_cmu", "own_rokoko", "own_makehuman"])
+def test_a_person_without_limbs_keeps_its_unit_and_its_way(stem: str, lacking: str) -> None:
+    roles, said = LACKING[lacking]
+    whole = read(motion_path(stem))[0]
+    expected, found = (describe_motion(LoadedMotion(m, ())) for m in (whole, without(whole, *roles)))
+    assert found.unknown is None and found.up == expected.up and found.unit_name == expected.unit_name
+    # the direction of the way counts from a rest pose, which is another frame where arms are missing
+    ways = [[one.speed, np.linalg.norm(one.travel)] for one in (found, expected)]
+    assert ways[0] == pytest.approx(ways[1])
+    assert found.stature == pytest.approx(expected.stature, rel=0.03)
+    assert said in "".join(found.warnings) and (said or not found.warnings)
+
+
+@pytest.mark.parametrize("roles", [("LeftHip",), ("LeftHip", "RightHip"), ("Hips",)])
+def test_a_person_needs_both_legs(roles: tuple[str, ...]) -> None:
+    motion = without(read(motion_path("own_humanik"))[0], *roles)
+    if not motion.n_joints:
+        motion = read(no_person("no_end_sites"))[0]
+    with pytest.raises(MotionError, match=r"finds nothing for .*l_hip, l_knee"):
+        match_motion(motion)
+
+
+def test_arms_with_unknown_names_are_not_held() -> None:
+    """Arms of other names and lengths may be there: such a person is not read as one without arms."""
+    motion = read(motion_path("own_humanik"))[0]
+    names = [name.replace("ForeArm", "Foo").replace("Arm", "Bar") for name in motion.joint_names]
+    offsets = motion.offsets.copy()
+    offsets[motion.joint("RightForeArm")] *= 3  # no pair of arms by its shape
+    with pytest.raises(MotionError, match="finds nothing for l_shoulder"):
+        match_motion(replace(motion, joint_names=tuple(names), offsets=offsets))
+
+
+@pytest.mark.parametrize("lacking", ["arms", "all but legs"])
+def test_arms_without_joints_hang_beside_the_body(lacking: str) -> None:
+    world = to_world(without(read(motion_path("own_humanik"))[0], *LACKING[lacking][0]))
+    skeleton = hanim_skeleton()
+    posed = Retargeter.fit(world, skeleton).pose(world.sample(world.frame_times[::10]))[..., :3, 3]
+    for side in "lr":
+        shoulder, elbow, wrist, hip = (
+            posed[:, skeleton.bone(f"{side}_{part}")] for part in ("shoulder", "elbow", "wrist", "hip")
+        )
+        arm = wrist - shoulder
+        assert (arm[:, 2] < -0.88 * np.linalg.norm(arm, axis=1)).all() and (elbow[:, 2] > wrist[:, 2]).all()
+        assert (np.linalg.norm((wrist - hip)[:, :2], axis=1) > 0.05).all()
+
+
+def test_a_walk_without_arms_is_a_walk(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = shared_data / "fourth" / "motion" / "no_arms.bvh"
+    found = info(capsys, path)
+    assert (found["up"], found["unit"], found["travel"][0]) == ("y", 0.01, pytest.approx(2.69, abs=0.01))
+    assert found["speed"] == pytest.approx(0.91, abs=0.03) and "arms hang down" in found["warnings"][0]
+    world, skeleton = to_world(read(path)[0]), hanim_skeleton()
+    posed = Retargeter.fit(world, skeleton).pose(world.sample(world.frame_times))[..., :3, 3]
+    hip, knee, ankle = (posed[:, skeleton.bone(f"l_{part}")] for part in ("hip", "knee", "ankle"))
+    thigh, shin = (unit_vectors(vector) for vector in (knee - hip, ankle - knee))
+    flexion = np.degrees(np.arccos((thigh * shin).sum(-1)))
+    assert flexion.argmax() == 39 and flexion.max() == pytest.approx(75.9, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["broken_channels", "comment_lines", "two_roots"])
+def test_walks_of_strangers_are_the_walk(
+    shared_data: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    found = info(capsys, shared_data / "fourth" / "motion" / f"{name}.bvh")
+    assert (found["frames"], found["table"], found["joints"]) == (90, "cmu", 31)
+    assert found["speed"] == pytest.approx(0.91, abs=0.01) and found["travel"] == pytest.approx(
+        [2.69, 0.07], abs=0.01
+    )
+    assert ["B_Hips" in text for text in found["warnings"]] == [True] * (name == "two_roots")

@@ -142,8 +142,9 @@ _MOSTLY, _HALF = 0.8, 0.5
 _FLOOR_AT_ORIGIN = (-0.06, 0.1)
 #: Change of the height of the lowest joint, as a share of the height, of a person that leaves the floor.
 _LEAVES_FLOOR = 0.15
-#: Way of a person who goes about, and size of a person who lies across the floor, as shares of the height.
-_GOES_ABOUT, _LOW = 0.3, 0.35
+#: Way of a person who goes about, and thickness of a person who lies, as shares of the height; and share of
+#: the frames in which a person who falls stands.
+_GOES_ABOUT, _LOW, _SOMETIMES = 0.2, 0.35, 0.1
 #: Confidence in an up axis that the motion contradicts, or that files do not have.
 _DOUBTFUL = 0.5
 
@@ -336,17 +337,20 @@ class _UpEvidence:
         """
         mean = nearest_axis(self.heads.mean(0))
         is_along = angle_between(self.heads, mean) <= np.radians(_UPRIGHT_ANGLE)
-        stands = bool((self.lines.stands() & is_along).mean() >= _HALF)
-        ways = np.ptp(np.percentile(self.points[:, self.roles["LeftHip"]], [5, 95], axis=0), axis=0)
+        standing = self.lines.stands() & is_along
+        stands = bool(standing.mean() >= _HALF)
+        hips = self.points[:, self.roles["LeftHip"]][standing if stands else ...]
+        ways = np.ptp(np.percentile(hips, [5, 95], axis=0), axis=0)
         across, along = float(np.linalg.norm(ways * (mean == 0))), float(abs(ways @ mean))
 
         def signs(axis: Array) -> float:
-            count = float(axis_name(abs(axis)) == screen_up)
+            count, is_on_floor = float(axis_name(abs(axis)) == screen_up), self._is_on_floor(axis)
             if axis @ mean > 0:
-                count += self._is_on_floor(axis) + 0.5 * stands + 2.0 * (stands and across > _GOES_ABOUT)
-                return count - (not stands and along > max(across, _GOES_ABOUT))
+                count += is_on_floor + 0.5 * stands + 2.0 * (stands and across > _GOES_ABOUT)
+                return count - (not stands and along > max(across, 2 * _GOES_ABOUT))
+            falls = self._upright(axis) > _SOMETIMES
             is_low = not stands or axis @ mean < 0 or np.median(np.ptp(self.points @ axis, axis=1)) < _LOW
-            return count + (is_low and self._is_on_floor(axis))
+            return count + (is_on_floor and (falls or is_low)) + falls
 
         up = max((mean, *np.eye(3)[:0:-1], -mean), key=signs)
         if (up == mean).all():

@@ -1,81 +1,23 @@
-"""Names of joints and of markers on the skin, of which points in TRC and C3D files are a person's."""
+"""Which points of TRC and C3D files are joints or markers of a person, by their names."""
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.marker_files import MarkerFile, label_parts
 from humansim_ros.motion.joint_matching import loose_keys, loose_table_key
 from humansim_ros.motion.joint_tables import right_name
 from humansim_ros.types import Array
 
 SIDES = ("Left", "Right")
-#: Names of joints, of the left side for both.
-_JOINTS = {
-    "Hips": "MidHip Hips Hip Pelvis Root HumanoidRoot HipCenter CentreHip",
-    "LeftHip": "LeftHip LeftHJC LeftFEP LeftUpLeg LeftUpperLeg LeftThigh LeftFemur",
-    "LeftKnee": "LeftKnee LeftKJC LeftFEO LeftLowerLeg LeftLeg LeftShin LeftShank LeftTibia",
-    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO LeftFoot",
-    "LeftToe": "LeftBigToe LeftToe LeftToeBase LeftToes LeftFootIndex LeftFoot",
-    "LeftShoulder": "LeftSJC LeftUpperArm LeftUArm LeftArm LeftShoulder LeftHumerus",
-    "LeftElbow": "LeftElbow LeftEJC LeftForeArm LeftLowerArm LeftLArm LeftRadius",
-    "LeftWrist": "LeftWrist LeftWJC LeftHand",
-    "LeftFingers": "LeftFingers LeftMiddle1 LeftHand",
-    "Neck": "Neck Thorax Torso NeckBase Spine3 vt1",
-    "Head": "Head HeadCenter vt3",
-    "Nose": "Nose",
-    "LeftEye": "LeftEye",
-    "LeftEar": "LeftEar",
-}
-#: Names of markers, of the left side for both.
-_MARKERS = {
-    "LeftASIS": "LeftASI LeftASIS LeftIAS LeftFWT LeftWaistFront LeftSIAS LeftEIAS",
-    "LeftPSIS": "LeftPSI LeftPSIS LeftIPS LeftBWT LeftWaistBack LeftSIPS LeftEIPS",
-    "Sacrum": "SACR Sacral VSacral Sacrum MPSI WaistBack",
-    "LeftKneeLateral": "LeftKNE LeftKneeLat LeftKneeLateral LeftKNEL LeftLKNE LeftFLE LeftLFC LeftKneeOut "
-    "LeftKnee LeftKnee1 LeftLE LeftLFE LeftLatKnee LeftKneeLatEpicondyle",
-    "LeftKneeMedial": "LeftKNM LeftKNEM LeftKneeMed LeftKneeMedial LeftMKNE LeftFME LeftMFC LeftKneeIn "
-    "LeftME LeftMFE LeftMedKnee LeftKneeMedEpicondyle LeftMKnee",
-    "LeftAnkleLateral": "LeftANK LeftAnkleLat LeftAnkleLateral LeftANKL LeftFAL LeftLMAL LeftAnkleOut "
-    "LeftMall LeftAnkle LeftLM LeftLMA LeftLLMA LeftLatAnkle LeftLatMalleolus",
-    "LeftAnkleMedial": "LeftANKM LeftAnkleMed LeftAnkleMedial LeftMED LeftTAM LeftMMAL LeftMMA LeftAnkleIn "
-    "LeftMM LeftANM LeftMedAnkle LeftMedMalleolus LeftMAnkle",
-    "LeftHeel": "LeftHEE LeftHeel LeftHEL LeftFCC LeftCAL LeftHeelBack LeftCA LeftCalc LeftCalcaneus "
-    "LeftHeelFoot",
-    "LeftToe": "LeftTOE LeftToe LeftToeTip LeftFM2 LeftMT2 LeftForefoot2 LeftToeIn LeftMet LeftSM LeftSMH "
-    "LeftToe2 Left2MT Left2MH",
-    "LeftToe1": "LeftFM1 LeftMT1 Left1MT LeftFMH LeftFM LeftFirstMetatarsal",
-    "LeftToe5": "LeftFM5 LeftMT5 Left5MT LeftVMH LeftVM LeftFifthMetatarsal Left5Meta",
-    "LeftAcromion": "LeftSHO LeftAcromion LeftAcromium LeftACR LeftSAE LeftShoulderTop LeftShould "
-    "LeftShoulder LeftSAJ LeftCAJ LeftACJ LeftACRO LeftACROM LeftSHLD",
-    "LeftElbowLateral": "LeftELB LeftElbowLat LeftElbowLateral LeftELBL LeftHLE LeftLELB LeftLEL "
-    "LeftElbowOut LeftElbow LeftELBO LeftEL LeftLHE LeftLatElbow LeftArmLatEpicondyle",
-    "LeftElbowMedial": "LeftELBM LeftElbowMed LeftElbowMedial LeftHME LeftMELB LeftMEL LeftELM LeftElbowIn "
-    "LeftEM LeftMHE LeftMedElbow LeftArmMedEpicondyle LeftMElbow",
-    "LeftWristA": "LeftWRA LeftWristLat LeftRadius LeftFAradius LeftRSP LeftWristIn LeftWrist LeftWRI "
-    "LeftRS LeftWRL LeftLWrist LeftRadialStyloid",
-    "LeftWristB": "LeftWRB LeftWristMed LeftUlna LeftFAulna LeftUSP LeftWristOut LeftUS LeftUHE LeftWRM "
-    "LeftMWrist LeftUlnarStyloid",
-    "LeftFingers": "LeftFIN LeftHand LeftHM2 LeftHand2 LeftHandOut LeftTopOfHand",
-    "C7": "C7 CV7 NeckBack SpineTop BackTop C7SpinalProcess",
-    "Clavicle": "CLAV SJN IJ SternumTop Sternum Chest SNJ",
-    "LeftFrontHead": "LeftFHD LeftHeadFront LeftHead LeftHDF LeftAuricularis",
-    "LeftBackHead": "LeftBHD LeftHeadBack LeftHDB",
-    "TopHead": "TopHead HeadTop TopOfHead",
-    "FrontHead": "FrontHead HeadFront",
-    "RearHead": "RearHead BackHead HeadRear HeadBack BackOfHead",
-}
-#: Names for landmarks that no name of :data:`_MARKERS` gives: of the sacrum if a PSIS is missing, of the
-#: acromions if both are where shoulders are.
-_SPARE = {
-    "Sacrum": "VSAC VSACR SAC SCRM MSACR PSAC S2 S1 L5S1 LS",
-    "LeftAcromion": "LeftAC LeftAP LeftAA LeftA",
-}
 #: A point that is farther away was not seen, metres.
 _MAX_DISTANCE = 1e4
 #: Least and most metres between the acromions, and between their middle and that of both ASIS.
@@ -83,12 +25,6 @@ _SHOULDER_WIDTH, _TRUNK_LENGTH = (0.2, 0.55), (0.25, 0.75)
 #: Parts that a person needs, of both sides.
 NEEDED = ("Hip", "Knee", "Shoulder", "Elbow")
 NEEDED_MARKERS = ("ASIS", "KneeLateral", "Acromion", "ElbowLateral")
-#: Words for joints of the legs that no marker beside a segment has.
-_LEGS = {
-    "LeftHip": "LeftHip LeftHJC LeftFEP",
-    "LeftKnee": "LeftKnee LeftKJC LeftFEO",
-    "LeftAnkle": "LeftAnkle LeftAJC LeftTIO",
-}
 #: Letter before the names of points of Xsens: ``pLeftASI``.
 _XSENS = re.compile(r"^p(?=(Left|Right|C7|IJ|Sacrum|TopOf|BackOf))")
 #: A side within a name: ``WaistLFront``.
@@ -134,11 +70,11 @@ def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
     spelt = [_INNER_SIDE.sub(r"\2\1", _XSENS.sub("", label)) for label in labels]
     keys = loose_keys((*spelt, *_other_sides(spelt)))[: len(labels)]
     by_key = dict(reversed(list(zip(keys, numbers, strict=True))))  # of equal ones the first
-    markers, joints = _named(_MARKERS, by_key), _named(_JOINTS, by_key)
+    markers, joints = _named("markers", by_key), _named("joints", by_key)
     markers |= _spare(file, markers, by_key)
     held_markers = _held(markers, ("Acromion", "ElbowLateral", "AnkleLateral"))
     held_joints = _held(joints, ("Shoulder", "Elbow", "Ankle"))
-    if len(_named(_LEGS, by_key)) < 6:
+    if len(_named("leg_joints", by_key)) < 6:
         held_joints = ()
 
     def missing(found: Mapping[str, int], parts: Sequence[str], held: Sequence[str]) -> list[str]:
@@ -160,9 +96,9 @@ def _marks(file: MarkerFile, numbers: Sequence[int]) -> Marks:
 
 
 def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, int]) -> dict[str, int]:
-    """Landmarks with names of :data:`_SPARE` that ``markers`` lack."""
+    """Landmarks with names of the table of spare markers, which ``markers`` lack."""
     free = {key: number for key, number in by_key.items() if number not in markers.values()}
-    spare = {name: number for name, number in _named(_SPARE, free).items() if name not in markers}
+    spare = {name: number for name, number in _named("spare_markers", free).items() if name not in markers}
     if {"LeftPSIS", "RightPSIS"} <= markers.keys():
         spare.pop("Sacrum", None)
     ends = [{**markers, **spare}.get(side + part) for part in ("Acromion", "ASIS") for side in SIDES]
@@ -198,12 +134,19 @@ def _other_sides(labels: Sequence[str]) -> list[str]:
     return [other for other in others if other is not None and other not in labels]
 
 
-def _named(table: Mapping[str, str], by_key: Mapping[str, int]) -> dict[str, int]:
+@functools.cache
+def _tables() -> Mapping[str, Mapping[str, Sequence[str]]]:
+    """Tables of names by landmark, from config/marker_names.yaml."""
+    file = resource_path("config/marker_names.yaml")
+    return dict(yaml.safe_load(file.read_text(encoding="utf-8")))
+
+
+def _named(table: str, by_key: Mapping[str, int]) -> dict[str, int]:
     """Number of each landmark of a table; a point is only one landmark."""
     found: dict[str, int] = {}
-    for landmark, words in table.items():
+    for landmark, words in _tables()[table].items():
         for side in SIDES if landmark.startswith("Left") else ("",):
-            for word in words.split():
+            for word in words:
                 key = loose_table_key(landmark, word)
                 number = by_key.get(key.replace("left", "right", 1) if side == "Right" else key)
                 if number is not None and number not in found.values():

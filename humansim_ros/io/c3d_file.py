@@ -10,7 +10,6 @@ import itertools
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,19 +22,6 @@ _BLOCK = 512
 _BYTE_ORDERS, _DEC = {84: "<", 85: "<", 86: ">"}, 85
 #: Largest section of parameters, bytes.
 _MAX_PARAMETERS = 1 << 20
-
-
-class _Layout(NamedTuple):
-    """Layout of the data: frames of points and analog numbers, as floats where ``scale`` is negative."""
-
-    scale: float
-    points: int
-    analog: int
-    frames: int
-
-    @property
-    def frame_bytes(self) -> int:
-        return (4 * self.points + self.analog) * (4 if self.scale < 0 else 2)
 
 
 class C3dFile:
@@ -109,22 +95,16 @@ class C3dFile:
         """Number of the first frame, from 0."""
         return max(int(self._number("TRIAL:ACTUAL_START_FIELD") or self._header[3]) - 1, 0)
 
-    @cached_property
-    def _place(self) -> tuple[int, int]:
-        """Bytes at which the data of the points begin and end."""
-        starts = (self._header[8], int(self._number("POINT:DATA_START")))
-        start = _BLOCK * (next((start for start in starts if start > self._data[0]), 1 + len(self._data)) - 1)
-        end = len(self._data)
-        if self._number("ROTATION:USED") and start < (rotations := self._rotations_start) < end:
-            end = rotations
-        return start, end
+    def _block(self, *numbers: float) -> int:
+        """Byte at which the first of these blocks behind the header begins; else the end of the file."""
+        starts = (_BLOCK * (int(number) - 1) for number in numbers if number > self._data[0])
+        return next((start for start in starts if start < len(self._data)), len(self._data))
 
-    @property
-    def _rotations_start(self) -> int:
-        return _BLOCK * (int(self._number("ROTATION:DATA_START")) - 1)
+    def _layout(self, room: int) -> tuple[float, int, int, int]:
+        """Scale, points and analog numbers of a frame, and frames, as the file states them and its size fits.
 
-    @cached_property
-    def _layout(self) -> _Layout:
+        ``room``: bytes of the data. A negative scale stands for floats.
+        """
         header, last = self._header, self._number("TRIAL:ACTUAL_END_FIELD")
         counts = (
             last - self.first_frame if last >= header[4] else 0,
@@ -138,43 +118,47 @@ class C3dFile:
             (header[2], *(round(self._number("ANALOG:USED") * sample) for sample in samples)),
             [int(count) for count in counts if count > 0] or [0],
         )
-        layouts = [_Layout(*choice) for choice in itertools.product(*choices)]
-        room = self._place[1] - self._place[0]
-        spare = [room - layout.frames * layout.frame_bytes for layout in layouts]
-        stated = layouts[0].frame_bytes
-        fits = [one for one, rest in zip(layouts, spare, strict=True) if 0 <= rest < _BLOCK] or [
-            one for one, rest in zip(layouts, spare, strict=True) if rest >= 0 and one.frame_bytes == stated
-        ]
-        return (*fits, layouts[0])[0]
+        layouts = list(itertools.product(*choices))
+        stated = _frame_bytes(*layouts[0])
 
-    def points(self) -> Array:
-        """Points (F, P, 3) in units and axes of the file, NaN where a point was not seen."""
-        scale, count, _, frames = layout = self._layout
-        start, end = self._place
-        size = layout.frame_bytes
-        whole = min(frames, max(end - start, 0) // size) if count else 0
+        def misfit(layout: tuple[float, int, int, int]) -> int:
+            size = _frame_bytes(*layout)
+            rest = room - size * layout[-1]
+            return 0 if 0 <= rest < _BLOCK else 1 if rest >= 0 and size == stated else 2
+
+        return min(layouts, key=misfit)
+
+    def places(self) -> tuple[Array, Array]:
+        """Points (F, P, 3) and origins (F, S, 3) of the segments of the group ROTATION, in units of the file.
+
+        They are NaN where they were not seen.
+        """
+        data, used = self._data, int(self._number("ROTATION:USED"))
+        start = self._block(self._header[8], self._number("POINT:DATA_START"))
+        rotations = self._block(self._number("ROTATION:DATA_START")) if used else len(data)
+        end = rotations if rotations > start else len(data)
+        scale, count, analog, frames = layout = self._layout(end - start)
+        size = _frame_bytes(*layout)
+        whole = min(frames, (end - start) // size) if count else 0
         if count and whole < frames:
             warn_about(self._path, f"the file ends after {whole} of {frames} frames")
         if scale > 0 and not math.isclose(scale, max(self._scale, 0.0) or scale, rel_tol=1e-3):
             text = f"scale {self._scale:g} in the header, but {scale:g} in POINT:SCALE, which is used"
             warn_about(self._path, text)
-        raw = self._data[start : start + whole * size]
+        raw = data[start : start + whole * size]
         words = self._floats(raw) if scale < 0 else np.frombuffer(raw, f"{self._order}i2")
-        table = words.reshape(whole, 4 * count + layout.analog)[:, : 4 * count].reshape(whole, count, 4)
+        table = words.reshape(whole, 4 * count + analog)[:, : 4 * count].reshape(whole, count, 4)
+        # of each segment a 4x4 matrix by columns, and its quality
+        turns, step = self._floats(data[rotations:]), max(int(self._number("ROTATION:RATIO")), 1)
+        samples = min(len(turns) // (17 * used), frames * step) if used else 0
+        turns = turns[: samples * 17 * used].reshape(samples, used, 17)[::step]
         with np.errstate(all="ignore"):
-            return _seen(table[..., :3] * (1.0 if scale < 0 else scale), table[..., 3:])
+            points = table[..., :3] * (1.0 if scale < 0 else scale)
+            return _seen(points, table[..., 3:]), _seen(turns[..., 12:15], turns[..., 16:])
 
-    def segment_origins(self) -> Array:
-        """Origins (F, S, 3) of the segments of the group ROTATION, as :meth:`points`; S is 0 without it."""
-        count, start = int(self._number("ROTATION:USED")), self._rotations_start
-        if not count or start < _BLOCK:
-            return np.zeros((0, 0, 3))
-        step = max(int(self._number("ROTATION:RATIO")), 1)
-        # of each segment a 4x4 matrix by columns, and its reliability
-        table = self._floats(self._data[start:])
-        samples = min(len(table) // (17 * count), self._layout.frames * step)
-        table = table[: samples * 17 * count].reshape(samples, count, 17)[::step]
-        return _seen(table[..., 12:15], table[..., 16:])
+
+def _frame_bytes(scale: float, points: int, analog: int, _: int) -> int:
+    return (4 * points + analog) * (4 if scale < 0 else 2)
 
 
 def _seen(points: Array, quality: Array) -> Array:

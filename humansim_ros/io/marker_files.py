@@ -102,9 +102,9 @@ def read_trc_points(path: Path, error: type[HumansimError], most: int) -> Marker
         raise error("not a TRC file: it must begin with PathFileType", path=path, line=1)
     mark = "\t" if "\t" in lines[3] else ","
     keys, stated = ([word.strip() for word in line.split(mark)] for line in lines[1:3])
-    if len(filled := [word for word in stated if word]) == len(keys := [key for key in keys if key]):
-        stated = filled  # fields may have two separators between them
-    facts = dict(zip(keys, stated, strict=False))
+    # fields may have two separators between them
+    choices = [dict(zip(keys, words, strict=False)) for words in (stated, [word for word in stated if word])]
+    facts = next((one for one in choices if _unit(one.get("Units", "")) in UNITS), choices[0])
     scale = _metres([facts.get("Units", "")], error, path, 3, "Units")
     names = {n: word.strip() for n, word in enumerate(lines[3].split(mark)[2:]) if word.strip()}
     if not names:
@@ -150,7 +150,12 @@ def read_c3d_points(path: Path, error: type[HumansimError], most: int) -> Marker
     ``most``: maximum size in bytes. Raises ``error``.
     """
     file = C3dFile(path, error, most)
-    places, origins, units = file.points(), file.segment_origins(), file.texts("POINT:UNITS")
+    (places, origins), units = file.places(), file.texts("POINT:UNITS")
+    names = [re.sub("_4x4$", "", name, flags=re.IGNORECASE) for name in file.labels("ROTATION")]
+    labels = file.labels("POINT") if places.shape[1] else names
+    if not labels:
+        what = "names of the points (POINT:LABELS)" if places.shape[1] else "points"
+        raise error(f"the file has no {what}", path=path)
     if not file.rates:
         raise error("the rate must be positive", path=path, key="POINT:RATE")
     rate = file.rates[0]
@@ -159,33 +164,29 @@ def read_c3d_points(path: Path, error: type[HumansimError], most: int) -> Marker
     if stated := [unit for unit in units if unit]:
         scale = _metres(stated, error, path, None, "POINT:UNITS")
     else:
-        likely = _likely_unit(places if places.size else origins)
-        warn_about(path, f"POINT:UNITS states no unit: {likely}, by the size of the person")
-        scale = UNITS[likely]
+        scale = likely_scale(places if places.size else origins, (0.001, 0.01, 1.0))
+        unit = next(unit for unit, metres in UNITS.items() if metres == scale)
+        warn_about(path, f"POINT:UNITS states no unit: {unit}, by the size of the person")
     scales = np.full(places.shape[1], scale)
     if len(units) == len(scales):  # what is no length is left out, such as angles
         scales = np.array([UNITS.get(_unit(unit), np.nan) if unit else scale for unit in units])
     screen = "".join(file.texts("POINT:Y_SCREEN")[:1]).lower().strip("+-")
 
-    def marker_file(labels: Sequence[str], points: Array, segments: MarkerFile | None) -> MarkerFile:
+    def marker_file(labels: Sequence[str], points: Array, segments: MarkerFile | None = None) -> MarkerFile:
         times = (file.first_frame + np.arange(len(points))) / rate
         labels = tuple(labels[: points.shape[1]])
         return MarkerFile(labels, points[:, : len(labels)], times, (), rate, screen, segments)
 
-    names = [re.sub("_4x4$", "", name, flags=re.IGNORECASE) for name in file.labels("ROTATION")]
-    segments = marker_file(names, scale * origins, None) if names and origins.size else None
-    if segments is not None and not places.size:
+    segments = marker_file(names, scale * origins) if names else None
+    if segments is not None and not places.shape[1]:
         return segments
-    if not places.shape[1] or not (labels := file.labels("POINT")):
-        what = "names of the points (POINT:LABELS)" if places.shape[1] else "points"
-        raise error(f"the file has no {what}", path=path)
     return marker_file(labels, scales[:, None] * places, segments)
 
 
-def _likely_unit(points: Array) -> str:
-    """Unit in which points (F, K, 3) are as far from their middle as those of a person."""
-    seen = np.where((points == 0).all(axis=-1, keepdims=True), np.nan, points)[:: max(len(points) // 100, 1)]
+def likely_scale(points: Array, scales: Sequence[float]) -> float:
+    """Scale with which points (F, K, 3) are as far from their middle as those of a person, metres."""
+    seen = np.where(points.any(axis=-1, keepdims=True), points, np.nan)[:: max(len(points) // 100, 1)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of frames without points
         away = np.nanmedian(np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=-1))
-    return min(("mm", "cm", "m"), key=lambda unit: abs(math.log(max(away, 1e-9) * UNITS[unit] / _PERSON)))
+    return min(scales, key=lambda scale: abs(math.log(max(away, 1e-9) * scale / _PERSON)))

@@ -350,7 +350,7 @@ class _UpEvidence:
                 return count - (not stands and along > max(across, 2 * _GOES_ABOUT))
             falls = self._upright(axis) > _SOMETIMES
             is_low = not stands or axis @ mean < 0 or np.median(np.ptp(self.points @ axis, axis=1)) < _LOW
-            return count + (is_on_floor and (falls or is_low)) + falls
+            return float(count + (is_on_floor and (falls or is_low)) + falls)
 
         up = max((mean, *np.eye(3)[:0:-1], -mean), key=signs)
         if (up == mean).all():

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MotionError, some_of, warn_about
-from humansim_ros.io.marker_files import MarkerFile, read_c3d_points, read_trc_points
+from humansim_ros.io.marker_files import MarkerFile, likely_scale, read_c3d_points, read_trc_points
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
 from humansim_ros.motion.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
 from humansim_ros.rotations import (
@@ -48,6 +48,8 @@ _HEAD_LEAN = {"Nose": 37.0, "Ear": 10.0}
 _LEAST_SEEN, _LEAST_NEEDED = 0.5, 0.2
 #: Most frames in which a person is out of sight between two frames that are played.
 _MOST_ABSENT = 25
+#: Factors by which a wrong unit makes a person larger or smaller.
+_UNIT_ERRORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)
 #: A person is mirrored if this share of the signs of their handedness, by size, is the wrong one.
 _MIRRORED = 0.8
 #: Hierarchy of the joints, and direction of each from its parent in the rest pose: y up, facing +z.
@@ -106,12 +108,19 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
     if chosen is None:
         chosen = min(people.values(), key=lambda marks: len(marks.missing))
     if chosen.missing:
+        unseen = np.array(found.labels)[~is_seen(found.points).any(axis=0)]
         raise MotionError(
             f"the points are not a person's: found {some_of(chosen.labels, 8)}; as {chosen.kind}, "
-            f"{', '.join(chosen.missing)} are missing",
+            f"{', '.join(chosen.missing)} are missing"
+            + (f". No frame has {some_of(unseen)}" if 0 < len(unseen) < len(found.labels) else ""),
             path=path,
         )
     points, frames = _filled(file, found, chosen)
+    if (scale := likely_scale(np.stack([*points.values()], axis=1), _UNIT_ERRORS)) != 1:
+        warn_about(
+            path, f"the person has no person's size in the unit of the file: {scale:g} times that size"
+        )
+        points = {landmark: scale * place for landmark, place in points.items()}
     if (axis := _mirrored_axis(points, chosen.kind)) is not None:
         warn_about(
             path,
@@ -134,7 +143,7 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
 def _mirrored_axis(points: Points, kind: str) -> int | None:
     """Number of the axis to negate so that a mirrored person is right; None if the person is not mirrored.
 
-    Toes, the front of the pelvis and the nose are ahead; without them, the knees of bent legs are.
+    Toes, the front of the pelvis and the nose are ahead; they must agree.
     """
     hip, knee, ankle, shoulder = (
         ("ASIS", "KneeLateral", "AnkleLateral", "Acromion")
@@ -154,11 +163,6 @@ def _mirrored_axis(points: Points, kind: str) -> int | None:
         signs.append((trunk, hips - _back(points)))
     elif {"Nose", "LeftEar", "RightEar"} <= points.keys():
         signs.append((trunk, points["Nose"] - _middle(points, "Ear")))
-    elif not signs and {"LeftAnkle", "RightAnkle"} <= points.keys():
-        signs = [
-            (points[side + hip] - points[side + ankle], points[side + knee] - points[side + ankle])
-            for side in SIDES
-        ]
     handed = [(np.cross(left, up) * ahead).sum(axis=1) for up, ahead in signs]
     if not handed or any(each.sum() > -_MIRRORED * np.abs(each).sum() for each in handed):
         return None

@@ -126,6 +126,7 @@ def read_trc_points(path: Path, error: type[HumansimError], most: int) -> Marker
     declared = int(text) if (text := facts.get("NumMarkers", "")).isdecimal() and len(text) < 6 else 0
     named = max(labels) + 1
     most_points = max(named, declared, len(lines[4].split()) // 3, (lengths[len(lengths) // 2] - 2) // 3)
+    most_points = named if in_order else most_points  # which points have no name is not known
     for line, values in zip(numbers, rows, strict=True):
         if len(values) > 2 + 3 * most_points:
             message = f"{len(values)} numbers, but {2 + 3 * most_points} for {most_points} markers"

@@ -20,6 +20,7 @@ from humansim_ros.io.marker_files import MarkerFile, likely_scale, read_c3d_poin
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
 from humansim_ros.motion.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
 from humansim_ros.rotations import (
+    are_rotations,
     nearest_axis,
     perpendicular,
     rotate,
@@ -118,7 +119,7 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
     points, frames = _filled(file, found, chosen)
     if (scale := likely_scale(np.stack([*points.values()], axis=1), _UNIT_ERRORS)) != 1:
         warn_about(
-            path, f"the person has no person's size in the unit of the file: {scale:g} times that size"
+            path, f"no person has this size in the unit of the file: lengths are multiplied by {scale:g}"
         )
         points = {landmark: scale * place for landmark, place in points.items()}
     if (axis := _mirrored_axis(points, chosen.kind)) is not None:
@@ -459,6 +460,8 @@ def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_ti
         back = np.swapaxes(done[parent], -1, -2)
         rotations.append(back @ done[name])
         positions[number] = rotate(back, joints[name] - joints[parent])
+    if not are_rotations(np.stack(rotations, axis=1)):
+        raise MotionError("points of the person are at one place or on one line", path=path)
     return motion_of_rotations(
         names,
         np.array(parents, dtype=np.intp),

@@ -104,10 +104,11 @@ def _spare(file: MarkerFile, markers: Mapping[str, int], by_key: Mapping[str, in
     ends = [{**markers, **spare}.get(side + part) for part in ("Acromion", "ASIS") for side in SIDES]
     if None not in ends:
         points = file.points[:, [number for number in ends if number is not None]]
-        left, right, *hips = np.moveaxis(points[is_seen(points).all(axis=1)], 1, 0)
+        points = points[is_seen(points).all(axis=1)]
+        left, right, *hips = np.moveaxis(points, 1, 0)
         lines = (left - right, _SHOULDER_WIDTH), ((left + right - hips[0] - hips[1]) / 2, _TRUNK_LENGTH)
-        fits = all(low < np.median(np.linalg.norm(line, axis=-1)) < high for line, (low, high) in lines)
-    if None in ends or not fits:
+        lengths = [(np.linalg.norm(line, axis=-1), limits) for line, limits in lines]
+    if None in ends or not all(len(size) and low < np.median(size) < high for size, (low, high) in lengths):
         spare = {name: number for name, number in spare.items() if "Acromion" not in name}
     return spare
 

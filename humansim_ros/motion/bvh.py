@@ -331,6 +331,9 @@ _ADDED_SHARE = 0.1
 _CONSTANT_SHARE = 0.005
 #: An OFFSET decides if it is at least this many standard deviations of the positions long.
 _MIN_SIGNIFICANCE = 3.0
+#: Links change their length if it changes by more than these shares of the skeleton's size and of the length,
+#: and by less than the factor: other joints do not belong to a link.
+_CHANGES, _CHANGED_SHARE, _MOST_CHANGED = 0.004, 0.02, 1.5
 #: Deeper joints are not indented further: a chain of thousands would be mostly tabs.
 _MAX_INDENT = 40
 
@@ -367,16 +370,42 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
         file = io.TextIOWrapper(stream, decoded, errors="replace")
         motion = Parser(path, file, encoding).parse()
     if positions != "auto":
-        return replace(motion, positions=positions)
-    added = _joints_with_added_positions(motion)
-    if not added:
-        return motion
-    warn_about(
-        motion.path,
-        f"the positions of {some_of((motion.joint_names[joint] for joint in added), 4)} stay near 0 "
-        "beside large OFFSETs: added to them (positions='replace' takes them as they are)",
-    )
-    return replace(motion, positions="add")
+        motion = replace(motion, positions=positions)
+    elif added := _joints_with_added_positions(motion):
+        warn_about(
+            motion.path,
+            f"the positions of {some_of((motion.joint_names[joint] for joint in added), 4)} stay near 0 "
+            "beside large OFFSETs: added to them (positions='replace' takes them as they are)",
+        )
+        motion = replace(motion, positions="add")
+    _warn_of_lengths(motion)
+    return motion
+
+
+def _warn_of_lengths(motion: Motion) -> None:
+    """Warn of links between joints that change their length, which those of a person do not."""
+    names, parents = motion.joint_names, motion.parents.tolist()
+    inner = {parent for name, parent in zip(names, parents, strict=True) if not name.endswith("_end")}
+    moved = {joint for joint, *_ in motion.position_columns if parents[joint] >= 0}
+    # joints that move as a whole: the only one below a root, and trackers
+    count = np.bincount(motion.parents + 1)
+    free = {j for j in moved if parents[parents[j]] < 0 and (j not in inner or count[parents[j] + 1] == 1)}
+    joints = sorted(moved - free)
+    if not joints:
+        return
+    frames = slice(None, None, max(1, motion.n_frames // 1000))
+    lengths = np.linalg.norm(motion.local_translations(frames)[:, joints], axis=-1)
+    low, high = lengths.min(axis=0), lengths.max(axis=0)
+    least = _CHANGES * float(np.ptp(motion.rest_positions(), axis=0).max())
+    is_odd = (high - low > np.maximum(least, _CHANGED_SHARE * high)) & (high < _MOST_CHANGED * low)
+    texts = [
+        f"{names[parents[joint]]} to {names[joint]} from {low[n]:.2f} to {high[n]:.2f} "
+        f"(OFFSET {np.linalg.norm(motion.offsets[joint]):.2f})"
+        for n, joint in enumerate(joints)
+        if is_odd[n]
+    ]
+    if texts:
+        warn_about(motion.path, f"links change their length by their position channels: {some_of(texts, 3)}")
 
 
 def _joints_with_added_positions(motion: Motion) -> list[int]:

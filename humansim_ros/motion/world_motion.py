@@ -15,6 +15,7 @@ from humansim_ros.errors import MotionError, some_of
 from humansim_ros.motion.file_frame import FileFrame
 from humansim_ros.motion.joint_match import JointMatch, opposite_joints
 from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.pace import pace_warning
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     matrix_to_quaternion,
@@ -442,8 +443,9 @@ _MOST = 0.5
 
 
 def playing_warnings(world: WorldMotion) -> list[str]:
-    """What the user of a scene must know of a motion: a low confidence, rest frames and jumps."""
-    warnings = [each for each in (world.match.warning, world.frame.warning) if each is not None]
+    """What the user of a scene must know: a low confidence, an unlikely frame rate, rest frames and jumps."""
+    pace = pace_warning(world.motion, world.match.roles, world.frame, world.speed)
+    warnings = [each for each in (world.match.warning, world.frame.warning, pace) if each is not None]
     jumps = list(world.jumps)
     frame_time = world.motion.frame_time
     if rest := leading_rest(world.motion, jumps):

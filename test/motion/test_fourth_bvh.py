@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +17,12 @@ from stand_ins import motion_path, no_person
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.cli.main import main
 from humansim_ros.errors import MotionError
-from humansim_ros.motion import Motion, read_motion, to_world
+from humansim_ros.io.assets import built_in_names
+from humansim_ros.motion import Motion, read_motion, to_world, write_bvh
 from humansim_ros.motion.info import LoadedMotion, describe_motion
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.world_motion import playing_warnings
 from humansim_ros.rotations import unit_vectors
 
 GOOD = """HIERARCHY
@@ -301,3 +304,105 @@ def test_walks_of_strangers_are_the_walk(
         [2.69, 0.07], abs=0.01
     )
     assert ["B_Hips" in text for text in found["warnings"]] == [True] * (name == "two_roots")
+
+
+# Frame rates
+
+
+def at_rate(motion: Motion, factor: float) -> list[str]:
+    """Warnings of a motion whose frame time is another by a factor, of those that concern the rate."""
+    faster = replace(motion, frame_time=motion.frame_time * factor)
+    return [text for text in playing_warnings(to_world(faster)) if "hardly right" in text]
+
+
+def likely(text: str) -> float:
+    return float(re.search(r"([\d.]+) are likely", text)[1])  # type: ignore[index]
+
+
+EVERYDAY = built_in_names("motions")
+WALKS = [name for name in EVERYDAY if re.fullmatch("walk(_brisk|_slow|_straight)?|limp", name)]
+
+
+@pytest.mark.parametrize("name", [*EVERYDAY, "activity#4", "own_cmu", "own_makehuman", "own_rokoko"])
+def test_no_built_in_motion_and_none_of_half_or_double_speed_has_an_unlikely_rate(name: str) -> None:
+    motion = read(motion_path(name) if name.startswith("own_") else name)[0]
+    for factor in (1, 0.5, 2):
+        assert at_rate(motion, factor) == []
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_a_walk_at_24_times_its_rate_or_a_24th_of_it_is_told_with_a_likely_rate(name: str) -> None:
+    motion = read(name)[0]
+    for factor in (1 / 24, 24):
+        (text,) = at_rate(motion, factor)
+        assert likely(text) == pytest.approx(1 / motion.frame_time, rel=0.01)
+
+
+@pytest.mark.parametrize("name", [name for name in EVERYDAY if name != "stand"])
+def test_a_rate_or_milliseconds_in_place_of_the_time_are_told(name: str) -> None:
+    motion = read(name)[0]
+    for factor in (1000, 1 / motion.frame_time**2):
+        (text,) = at_rate(motion, factor)
+        assert likely(text) == pytest.approx(1 / motion.frame_time, rel=0.01) and "too slow" in text
+
+
+def test_the_speed_of_the_warning_plays_the_motion_at_the_likely_rate() -> None:
+    motion = read("walk")[0]
+    fast = replace(motion, frame_time=motion.frame_time / 24)
+    (text,) = at_rate(motion, 1 / 24)
+    speed = float(re.search(r"speed: ([\d.]+)\)", text)[1])  # type: ignore[index]
+    assert speed == pytest.approx(1 / 24, rel=1e-3) and not playing_warnings(to_world(fast, speed=speed))
+
+
+def test_glitches_of_single_frames_do_not_make_a_rate_unlikely() -> None:
+    motion = read("walk")[0]
+    values = motion.values.copy()
+    values[10::40, 3:] += 40
+    assert at_rate(replace(motion, values=values), 1) == []
+
+
+@pytest.mark.parametrize("time", ["0.0013889", "30", "33.3333"])
+def test_a_wrong_frame_time_of_a_file_is_told_with_its_speed(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], time: str
+) -> None:
+    text = (shared_data / "fourth" / "motion" / "frame_time_24x_fast.bvh").read_text()
+    found = info(capsys, write(tmp_path, text.replace("0.0013889", time)))
+    (said,) = found["warnings"]
+    expected = 0.91 / 30 / float(time)
+    assert float(re.search(r"moves at ([\d.e-]+) m/s", said)[1]) == pytest.approx(expected, rel=0.05)  # type: ignore[index]
+    assert 24 <= likely(said) <= 40 and f"{1 / float(time):.5g}"[:5] in said
+
+
+# Links
+
+
+def stretched(share: float, name: str) -> Motion:
+    """The walk with position channels in all joints, and one link that changes its length by a share."""
+    motion = read(motion_path("own_all_channels"))[0]
+    joint = next(n for n in motion.joint_names if n == name)
+    values = motion.values.copy()
+    for number, _, column in motion.position_columns:
+        if motion.joint_names[number] == joint:
+            values[:, column] *= 1 + share * np.sin(np.arange(len(values)) / 9) / 2
+    return replace(motion, values=values)
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.0, False), (0.01, False), (0.03, True), (0.3, True)])
+def test_a_link_that_changes_its_length_is_told_with_its_lengths(
+    tmp_path: Path, share: float, is_told: bool
+) -> None:
+    motion = stretched(share, "LoLeg_R")
+    write_bvh(tmp_path / "walk.bvh", motion)
+    found, said = read(tmp_path / "walk.bvh")
+    lengths = np.linalg.norm(found.local_translations()[:, found.joint("LoLeg_R")], axis=-1)
+    text = f"UpLeg_R to LoLeg_R from {lengths.min():.2f} to {lengths.max():.2f} (OFFSET 42.96)"
+    assert said == "" if not is_told else said.endswith(f"by their position channels: {text}")
+    assert to_world(found).match.confidence == 1
+
+
+def test_a_shin_of_a_stranger_changes_its_length(
+    shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = info(capsys, shared_data / "fourth" / "motion" / "links_change_length.bvh")
+    assert "RightLeg to RightFoot from 43.18 to 44.32 (OFFSET 41.87)" in found["warnings"][0]
+    assert found["frames"] == 60 and found["unknown"] is None

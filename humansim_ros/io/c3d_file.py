@@ -106,10 +106,12 @@ class C3dFile:
         ``room``: bytes of the data. A negative scale stands for floats.
         """
         header, last = self._header, self._number("TRIAL:ACTUAL_END_FIELD")
+        trial = last - self.first_frame
         counts = (
-            last - self.first_frame if last >= header[4] else 0,
+            trial if last >= header[4] else 0,
             header[4] - header[3] + 1,
             *(self._number(f"POINT:{key}") for key in ("LONG_FRAMES", "FRAMES")),
+            trial,
         )
         samples = (header[9], self._number("ANALOG:RATE") / (*self.rates, 1.0)[0])
         choices = (

@@ -89,7 +89,8 @@ class CalibrationFile:
 
     Keys are paths into ``document``. Wrong values raise CameraError with file, key, and line where known.
     ``tree``, ``key_lines``: nodes of YAML, and lines of the keys of TOML. ``given_size``: image size that the
-    caller knows. ``syntax``: as of :class:`CalibrationFormat`.
+    caller knows. ``syntax``: as of :class:`CalibrationFormat`. ``renamed``: keys of ``document`` -> their
+    names in the file, where they differ.
     """
 
     path: str
@@ -99,9 +100,11 @@ class CalibrationFile:
     key_lines: Mapping[tuple[str, ...], int] = field(default_factory=dict)
     given_size: ImageSize | None = None
     syntax: str = "text"
+    renamed: Mapping[str, str] = field(default_factory=dict)
 
     def location(self, *keys: Key) -> SourceLocation:
         """Location of the value at a key path."""
+        keys = tuple(self.renamed.get(str(key), key) for key in keys)
         line = line_of(self.tree, keys)
         for length in range(len(keys), 0, -1):
             line = line or self.key_lines.get(tuple(map(str, keys[:length])))
@@ -311,6 +314,11 @@ class CalibrationFormat:
     also: tuple[str, ...] = ()
 
 
+def is_number(word: str) -> bool:
+    """Whether a word is a finite number."""
+    return len(word) < 40 and _NUMBER.fullmatch(word) is not None
+
+
 def to_number(value: Any) -> float:
     """Convert a value, which may be text (YAML 1.1 reads 1e-5 as text), to a finite number.
 
@@ -502,8 +510,10 @@ COUNTS = {model: len(coefficients) for model, coefficients in MODELS.items()}
 _FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 _ALIASES = {
     **dict.fromkeys(("fisheye", "kannala_brandt", "kannala_brandt4", "equi"), "equidistant"),
-    **dict.fromkeys(("radtan", "radial-tangential", "brown_conrady", "brown"), "plumb_bob"),
-    "rational": "rational_polynomial",
+    **dict.fromkeys(
+        ("radtan", "radial-tangential", "radialtangential", "brown_conrady", "brown"), "plumb_bob"
+    ),
+    **dict.fromkeys(("rational", "radialtangential8"), "rational_polynomial"),
 }
 _NONE = ("", "none", "null", "no", "pinhole")
 _KNOWN = ", ".join(MODELS)

@@ -619,7 +619,7 @@ MATRICES = CalibrationFormat(
     _write_json,
     lenses=COUNTS,
     find_unit=find_unit,
-    also=("yaml", "toml"),
+    also=("yaml", "toml", "xml", "text"),
 )
 MATRICES_NPZ = CalibrationFormat(
     "npz",

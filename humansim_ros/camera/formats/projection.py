@@ -36,6 +36,8 @@ from humansim_ros.errors import CameraError, located
 from humansim_ros.types import ImageSize
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
+#: Transforms beside the cameras of KITTI's calib.txt.
+_OTHER_SENSORS = re.compile(r"(?:Tr(?:_[a-z_]+)?|R0?_rect)[:\s]")
 _NAMED = re.compile(r"([A-Za-z_][^\s:=]*)\s*[:=]\s*(.*)")
 
 
@@ -52,7 +54,7 @@ def _rows(file: CalibrationFile) -> Iterator[tuple[int, str, list[str]]]:
         if text[:1] in ("#", ";", "%") or text.startswith("//"):
             name = text.lstrip("#;%/ ").strip()
             continue
-        if not text or text.upper() == "CONTOUR":
+        if not text or text.upper() == "CONTOUR" or _OTHER_SENSORS.match(text):
             continue
         named = _NAMED.fullmatch(text)
         if named:
@@ -88,7 +90,8 @@ def _read_projection(file: CalibrationFile) -> dict[str, RawCamera]:
         count = sum(len(values) for _, _, values in matrices) // 4
         message = f"found {count} rows of 4 numbers, which are not matrices P of three rows each"
         raise CameraError(f"{message}; missing: K or focal length", path=file.path, line=last)
-    rest = next((n for n, text in file.lines() if n > last and text[0] not in "%/"), None)
+    after = ((n, text) for n, text in file.lines() if n > last and not _OTHER_SENSORS.match(text))
+    rest = next((n for n, text in after if text[0] not in "%/"), None)
     if rest is not None:
         message = "rows of P have 4 numbers each, or all 12 on one line"
         raise CameraError(message, path=file.path, line=rest)
@@ -137,7 +140,8 @@ _MAX_COEFFICIENTS, _MAX_LINES = 14, 21
 
 
 def _is_krtd(file: CalibrationFile) -> bool:
-    return len(file.head) == 3 and all(len(line.split()) == 3 for line in file.head)
+    rows = [line.split() for line in file.head]
+    return len(rows) == 3 and all(len(row) == 3 and row[0][:1].strip("+-.0123456789") == "" for row in rows)
 
 
 def _read_krtd(file: CalibrationFile) -> dict[str, RawCamera]:

@@ -74,7 +74,11 @@ def _read_camera_info(file: CalibrationFile) -> dict[str, RawCamera]:
     ):  # a truncated file must not become an ideal camera
         raise file.error("is missing; a camera without distortion has zeros", "distortion_coefficients")
     name = str(file.get("camera_name") or "").strip()
-    return {name or Path(file.path).stem: _camera(file, size, _IN_FILE)}
+    keys = _IN_FILE
+    bent = str(file.get("camera_model")).lower().startswith(("fisheye", "equi", "kannala"))
+    if bent and file.get(*keys["model"]) is None:
+        keys = {**keys, "model": ("camera_model",)}
+    return {name or Path(file.path).stem: _camera(file, size, keys)}
 
 
 def _read_message(file: CalibrationFile) -> dict[str, RawCamera]:
@@ -146,7 +150,8 @@ _HEADING = re.compile(r"\[(.*)\]")
 
 def _is_ini(file: CalibrationFile) -> bool:
     first = next(iter(file.head), "")
-    return _HEADING.fullmatch(first) is not None and any(c.isalpha() for c in first)
+    assigns = any("=" in line or ":" in line for line in file.head[1:])
+    return _HEADING.fullmatch(first) is not None and any(c.isalpha() for c in first) and not assigns
 
 
 def _read_ini(file: CalibrationFile) -> dict[str, RawCamera]:

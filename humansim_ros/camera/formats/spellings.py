@@ -9,14 +9,16 @@ are K of a camera.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys
+from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys, is_number
 from humansim_ros.camera.formats.colmap import COLMAP_MODELS
+from humansim_ros.camera.formats.texts import BRACKETS, text_document
 
 
 def words(text: str) -> frozenset[str]:
@@ -29,7 +31,7 @@ _SPELLINGS = {
     "K": """k intrinsic intrinsics intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters intrmat
         cameramatrix cameramat cammatrix cammat cameraintrinsic cameraintrinsics camk kmat kmatrix mtx m
         matrix matrixk calibrationmatrix calibmatrix camint intmat internalmatrix intr intrin ks mtxs
-        cameramatrices intrinsicmatrices""",
+        cameramatrices intrinsicmatrices cameramtx""",
     "fx": "fx flx focalx focallengthx fu alphax",
     "fy": "fy fly focaly focallengthy fv alphay",
     "cx": "cx ppx principalpointx u0 px",
@@ -52,7 +54,8 @@ _SPELLINGS = {
         camcenter location c2wtranslation cameralocation origin""",
     "pose": """rt extrinsic extrinsics extrinsicmatrix extrinsicsmatrix extrinsicmat extmat extr extri w2c
         e worldtocam worldtocamera world2cam world2camera worldview viewmatrix viewmat tcw tcamworld
-        tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs""",
+        tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs
+        viewmtx""",
     "inverse": """c2w cam2world camera2world camtoworld cameratoworld pose posematrix campose camerapose
         cameraposematrix twc tworldcam tworldcamera worldfromcam worldfromcamera transform
         transformmatrix transformationmatrix poses c2ws""",
@@ -118,10 +121,37 @@ _SECTION = re.compile(
 _NAMES_OF_LISTS = ("rvecs", "tvecs")
 _MAX_DEPTH, _MAX_ENTRIES = 10, 100_000
 _WORD = re.compile(r"[^a-z0-9]+")
-#: Ends of keys that tell the direction of a transform: ``rotation_world_to_camera``.
-_DIRECTION = re.compile(r"(.+?)(w2c|world(?:to|2)cam(?:era)?|c2w|cam(?:era)?(?:to|2)world)", re.IGNORECASE)
+#: Frames in keys that tell the direction of a transform, from ``a`` to ``b``: ``rotation_world_to_camera``,
+#: ``cam_from_world``, ``world_T_cam``, ``R_cw``. Any words may be before and after them.
+_FRAME = "(?P<{}>world|w|camera|cam|c)"
+_DIRECTION = tuple(
+    re.compile(text.format(_FRAME.format("a"), _FRAME.format("b")))
+    for text in ("(.*?){}(?:to|2){}(.*)", "(.*?){1}from{0}(.*)", "(.*?){1}t{0}(.*)", "(.+?){1}{0}(.*)")
+)
+_WHOLE = words(
+    "t mat matrix tf transform transformation transformationmatrix rt se3 pose extrinsics extrinsic"
+)
 #: Parameter with a direction -> parameter from the camera to the world.
 _OPPOSITES = {"R": "Rinverse", "t": "center", "pose": "inverse"}
+#: Ends of keys of single numbers that are a vector, a quaternion or a matrix together, and their parameters.
+_ENDS = (
+    ({"x", "y", "z"}, "R rvec t center P"),
+    ({"w", "x", "y", "z"}, "R quaternion"),
+    *(
+        ({f"{i + first}{j + first}" for i in range(high) for j in range(wide)}, "K R P pose inverse")
+        for high, wide in ((3, 3), (3, 4), (4, 4))
+        for first in (0, 1)
+    ),
+    *((set(ends.split()), "t center") for ends in ("1 2 3", "0 1 2", "11 21 31")),
+    *(({str(i + first) for i in range(n)}, "distortion") for n in (4, 5, 8) for first in (0, 1)),
+)
+#: Keys of these vectors and quaternions, by the parameter and the number of numbers.
+_TURNED = {
+    **dict.fromkeys((("R", 4), ("quaternion", 4)), "quaternion_xyzw"),
+    ("R", 3): "rvec",
+    ("P", 3): "position",
+}
+_END = re.compile(r"(.+?)[_. -]?([wxyz]|[0-9]_?[0-9]?)")
 #: Keys of angles, which are no rotation vectors.
 _ANGLES = re.compile(r"euler|rpy|ypr|yaw|pitch|roll|degree", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
@@ -229,11 +259,16 @@ _COMPONENTS = (
 _MAX_NORMALISED = 200_000
 
 
-def plain(file: CalibrationFile) -> CalibrationFile:
-    """File with lists in place of mappings of x, y, z (and w), and numbers in place of lists of their texts.
+def plain(
+    file: CalibrationFile, rewrite: Callable[[dict[Any, Any]], dict[Any, Any]] = lambda items: items
+) -> CalibrationFile:
+    """File with lists in place of mappings of x, y, z (and w), and of single numbers such as K11 to K33.
 
-    The key of a quaternion gets the end ``_xyzw``, which tells its order.
+    Numbers are in place of their texts. The key of a quaternion gets the end ``_xyzw``, which is its order.
+    Plain text becomes a document. ``rewrite`` changes the items of each mapping.
     """
+    if file.document is None and file.syntax == "text":
+        file = text_document(file, role_of)
     budget = _MAX_NORMALISED
 
     def convert(value: Any, depth: int = 0) -> Any:
@@ -246,17 +281,51 @@ def plain(file: CalibrationFile) -> CalibrationFile:
             for key, item in value.items():
                 vector = _vector(item)
                 if vector is None:
-                    items[key] = convert(item, depth + 1)
+                    items[key] = convert(_simple(key, item), depth + 1)
                 else:
                     items[f"{key}_xyzw" if len(vector) == 4 else key] = vector
-            return items
+            return _joined(rewrite(items))
         if isinstance(value, list):
             if value and all(isinstance(item, str) and _NUMBER.fullmatch(item.strip()) for item in value):
                 return [float(item) for item in value]
+            if len(value) == 2 and isinstance(value[0], (int, float)) and isinstance(value[1], list):
+                return [value[0], *value[1]]  # a quaternion of real and imaginary part
             return [convert(item, depth + 1) for item in value]
         return value
 
     return replace(file, document=convert(file.document))
+
+
+def _simple(key: Any, value: Any) -> Any:
+    """Numbers of a text such as "1 0 0.5", and text of an element of XML; other values unchanged."""
+    if isinstance(value, list) and len(value) == 1 and isinstance(value[0], dict) and [*value[0]] == ["text"]:
+        value = value[0]["text"]
+    words = value.translate(BRACKETS).split() if isinstance(value, str) and len(value) < 2000 else []
+    several = len(words) > 1 and role_of(key) not in _TEXTS and all(map(is_number, words))
+    return [float(word) for word in words] if several else value
+
+
+def _joined(items: dict[Any, Any]) -> dict[Any, Any]:
+    """Items with a list in place of the single numbers of a vector, a quaternion or a matrix."""
+    parts: dict[str, dict[str, Any]] = {}
+    for key, item in items.items():
+        end = _END.fullmatch(key) if isinstance(key, str) and len(key) < 60 else None
+        single = not isinstance(item, bool) and is_number(str(item).strip())
+        if end and single and (end[2] not in "xy" or role_of(key) not in SCALARS or f"{end[1]}z" in items):
+            parts.setdefault(end[1], {})[end[2].replace("_", "")] = key
+    for stem, keys in parts.items():
+        role = role_of(stem)
+        if any(keys.keys() == ends and role in roles.split() for ends, roles in _ENDS):
+            values = [
+                float(items.pop(keys[end])) for end in sorted(keys, key=lambda end: end.replace("w", "~"))
+            ]
+            items.setdefault(_TURNED.get((str(role), len(values)), stem), values)
+    return items
+
+
+def keys_of(file: CalibrationFile) -> set[str]:
+    """Keys of the first thousands of values of a document."""
+    return {str(key) for keys, _ in islice(_leaves(file.document, (), 0), 2000) for key in keys}
 
 
 def _vector(value: Any) -> list[float] | None:
@@ -361,12 +430,13 @@ def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
         yield numbered  # K1 of 3 x 3 numbers is no k1; the sizes decide
     if role is not None:
         yield role, ()
-    directed = _DIRECTION.fullmatch(word)
-    if directed is not None:
-        bases = ("t", "pose") if directed[1] == "t" else (_ROLES.get(directed[1], ""),)
-        for base in bases:
+    for directed in (pattern.fullmatch(word) for pattern in _DIRECTION):
+        if directed is None or directed["a"][0] == directed["b"][0]:
+            continue
+        rest = directed[1] + directed[4]
+        for base in (_ROLES.get(rest, ""), "pose" if rest in _WHOLE or not rest else ""):
             if base in _OPPOSITES:
-                yield (_OPPOSITES[base] if directed[2][0] == "c" else base), ()
+                yield (_OPPOSITES[base] if directed["a"][0] == "c" else base), ()
     if role is None:
         split = _split(key)
         if split is not None:

@@ -42,6 +42,12 @@ TOML_HEAD = 1 << 14
 ZED_SECTION = re.compile(r"^\s*\[(?:LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
 #: Most dots of a line of TOML: parsing dotted keys takes the square of their length.
 _MAX_DOTS = 128
+#: Assignment of an INI file that is none of TOML: bare words or several numbers.
+_INI = re.compile(
+    r"^[ \t]*[\w.-]+[ \t]*[=:][ \t]*(?:(?!true|false|nan|inf)[A-Za-z]|[-+.\d]\S*[ ,;]+[-+.\d])", re.M
+)
+#: Lines of text that resembles YAML: of ``rs-enumerate-devices -c``, and of arrays that NumPy prints.
+_PLAIN = re.compile(r"^\s*Intrinsic of \"|^\s*\[+\s*[-+.\d]\S* +[-+.\d][^,\n]*$", re.MULTILINE)
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
 
 
@@ -72,13 +78,23 @@ def read_document(path: str | os.PathLike[str], most: int) -> CalibrationFile:
 
 
 def other_half(path: Path) -> Path | None:
-    """File with the other half of a calibration, whose name has extri in place of intri; None without one."""
-    for one, other in (("intri", "extri"), ("extri", "intri")):
-        if one in path.name:
-            sibling = path.with_name(path.name.replace(one, other))
+    """File with the other half of a calibration, whose name has extr in place of intr; None without one.
+
+    It is in the same folder or, as in WildTrack, in a folder whose name begins with intr or extr as well.
+    """
+    for one, other in (("intr", "extr"), ("extr", "intr")):
+        beside = path.parent.name.startswith(one)
+        folders = sorted(path.parent.parent.glob(f"{other}*"), reverse=True) if beside else []
+        for folder in (path.parent, *folders) if one in path.name else ():
+            sibling = folder / path.name.replace(one, other)
             if exists(sibling):
                 return sibling
     return None
+
+
+def name_of_half(stem: str) -> str:
+    """Name of a camera from the name of a file of WildTrack, such as intr_CVLab1."""
+    return re.sub(r"^(?:in|ex)tr_(?=.)", "", stem)
 
 
 def _read_npz(path: str | os.PathLike[str]) -> CalibrationFile:
@@ -99,6 +115,8 @@ _ROOTS = {
     "chunk": ("sensors",),
     "Cameras": ("Camera",),
     "calibrationProfile": ("Calibration/Cameras/Camera",),
+    "rig": ("camera/camera_model",),
+    "multi_camera_reconstructor": ("single_camera_calibration",),
 }
 
 
@@ -112,7 +130,7 @@ def detect_syntax(path: str, text: str) -> str:
     head = first[0].strip()[:1] if first else ""
     if head == "<":
         return "xml"
-    if ZED_SECTION.search(text, 0, TOML_HEAD):
+    if ZED_SECTION.search(text, 0, TOML_HEAD) or _PLAIN.search(text):
         return "text"
     if head != "{" and _TABLE.search(text, 0, TOML_HEAD) and _ASSIGNMENT.search(text, 0, TOML_HEAD):
         return "toml"
@@ -145,9 +163,13 @@ def parse(path: str, text: str, syntax: str) -> CalibrationFile:
     if syntax == "json":
         return CalibrationFile(path, text, _parse_json(path, text), syntax=syntax)
     if syntax == "toml":
-        return CalibrationFile(
-            path, text, _parse_toml(path, text), key_lines=_toml_lines(text), syntax=syntax
-        )
+        try:
+            document = _parse_toml(path, text)
+        except CameraError:
+            if not _INI.search(text):
+                raise
+            return CalibrationFile(path, text)
+        return CalibrationFile(path, text, document, key_lines=_toml_lines(text), syntax=syntax)
     if syntax == "xml":
         return CalibrationFile(path, text, _parse_xml(path, text), syntax=syntax)
     return CalibrationFile(path, text)
@@ -225,7 +247,7 @@ def _parse_xml(path: str, text: str) -> Any:
     if root.tag in _ROOTS and any(root.find(place) is not None for place in _ROOTS[root.tag]):
         return {root.tag: _attributes(root, path)}
     if root.tag != "opencv_storage":
-        known = "OpenCV, Qualisys, Theia3D, Vicon, Motive and Metashape"
+        known = "OpenCV, Qualisys, Theia3D, Vicon, Motive, Metashape, Calibu and flydra"
         message = f"XML with <{root.tag[:40]}> is not a known calibration format; known is XML of {known}"
         raise CameraError(message, path=path)
     return _value(root, path)

@@ -19,7 +19,14 @@ import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
 from humansim_ros.camera.checks import check_image_size, guess_image_size, has_pose, image_size
-from humansim_ros.camera.formats import FORMATS, CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
+from humansim_ros.camera.formats import (
+    FORMATS,
+    READ_FORMATS,
+    CalibrationFile,
+    CalibrationFormat,
+    RawCamera,
+    SourceLocation,
+)
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.matrices import (
@@ -37,7 +44,7 @@ from humansim_ros.camera.formats.spellings import (
     numbers_found,
     plain,
 )
-from humansim_ros.camera.formats.syntax import other_half, read_document
+from humansim_ros.camera.formats.syntax import name_of_half, other_half, read_document
 from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
 from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists
@@ -56,8 +63,14 @@ _MAX_BYTES = 8 << 20
 #: Suffixes of calibration files in a folder.
 _SUFFIXES = (
     *(".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd", ".npz", ".csv", ".conf"),
-    *(".xcp", ".mcal", ".sfm", ".out"),
+    *(".xcp", ".mcal", ".sfm", ".out", ".cal", ".calib", ".calibration"),
 )
+#: Folder of WildTrack for images as they were taken; those of the data set are without distortion.
+_TAKEN, _UNDISTORTED = "intrinsic_original", "intrinsic_zero"
+#: Most files in the folders of a folder: more are frames, not cameras.
+_MOST_BELOW = 200
+#: File of a folder of nuScenes that has all cameras.
+_SENSORS = "calibrated_sensor.json"
 #: Formats by the usual ends of their file names, where the suffix alone does not tell.
 _USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
 #: Largest distance of principal points of equal images from their median, as a fraction.
@@ -167,6 +180,7 @@ def load_calibration(
     file = _file_of(path)
     if exists(file) and file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
+    file = file / _SENSORS if (file / _SENSORS).is_file() else file
     if exists(file) and file.is_dir():
         if extrinsics is not None:
             raise CameraError("extrinsics go with a file, not with a folder", path=file)
@@ -220,9 +234,23 @@ def has_only_extrinsics(path: str | os.PathLike[str]) -> bool:
     if not file.is_file():
         return False
     parsed = _parse(file, None)
-    if parsed.document is None or _format_or_none(parsed) is not None:
+    if parsed.document is None or _other_format(parsed) is not None:
         return False
-    return bool(find_parameters(parsed).having(POSE))
+    return bool(find_parameters(plain(parsed)).having(POSE))
+
+
+def paired(inner: Sequence[str], outer: Sequence[str]) -> list[tuple[str, str]]:
+    """Files of intrinsics with those of extrinsics: by their names, else in their order."""
+    named = {name_of_half(Path(file).stem): file for file in outer}
+    found = [named.get(name_of_half(Path(file).stem), "") for file in inner]
+    return list(zip(inner, found if {*found} == {*outer} else outer, strict=True))
+
+
+def _other_format(file: CalibrationFile) -> CalibrationFormat | None:
+    """Format of a file; None for an unknown one, and for one of OpenCV that has no intrinsics."""
+    format = _format_or_none(file)
+    opencv = format is not None and format.name.startswith("opencv")
+    return None if opencv and not find_parameters(plain(file)).having(INTRINSIC) else format
 
 
 def _read_pair(
@@ -232,25 +260,31 @@ def _read_pair(
     if not is_matrices(inner) and is_matrices(outer):
         inner, outer = outer, inner
     plain = [
-        file.document is not None and _format_or_none(file) in (None, MATRICES, MATRICES_NPZ)
+        file.document is not None and _other_format(file) in (None, MATRICES, MATRICES_NPZ)
         for file in (inner, outer)
     ]
     if all(plain):
         return MATRICES, read_matrices(inner, outer)
     format = _detect_format(inner)
     raw = format.read(inner)
-    other = _format_or_none(outer)
+    other = _other_format(outer)
     posed = read_poses(outer) if other is None else other.read(outer)
     posed = {name: camera for name, camera in posed.items() if camera.R is not None}
     if not posed:
         raise CameraError("the file has no extrinsics", path=outer.path)
     if set(posed).isdisjoint(raw):
+        if other is not None and all(camera.R is not None for camera in raw.values()):
+            message = "both files have intrinsics and extrinsics: give one of them, or a folder with both"
+            raise CameraError(message, path=outer.path)
         if len(posed) != len(raw):
             message = (
                 f"no camera of this file, such as {some_of(posed, 3)}, is in {inner.path} ({some_of(raw, 3)})"
             )
             raise CameraError(message, path=outer.path)
-        warn_about(outer.path, f"{some_of(posed, 3)} are taken for {some_of(raw, 3)}, in their order")
+        named, others = [list(map(name_of_half, names)) for names in (raw, posed)]
+        if named != others:
+            warn_about(outer.path, f"{some_of(posed, 3)} are taken for {some_of(raw, 3)}, in their order")
+        raw = dict(zip(named, raw.values(), strict=True))
         posed = dict(zip(raw, posed.values(), strict=True))
     joined = {}
     for name, camera in raw.items():
@@ -283,20 +317,13 @@ def _folder(
     folder: Path, size: ImageSize | None, unit: float | None, up: str | None, all_cameras: bool
 ) -> Calibration:
     """Read all calibrations of a folder; arguments as for :func:`load_calibration`."""
-    try:
-        files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES and f.is_file())
-    except OSError as reason:
-        raise CameraError(f"cannot read the folder: {reason.strerror}", path=folder) from None
-    # the reader of a file with intrinsics reads the one with extrinsics
-    files = [
-        f for f in files if not ("extri" in f.name and f.with_name(f.name.replace("extri", "intri")) in files)
-    ]
     read: dict[Path, Calibration] = {}
-    for file in files:
-        try:
-            read[file] = load_calibration(file, size=size, unit=unit, up=up, all_cameras=all_cameras)
-        except _UnknownFormat:
-            warn_about(file, "is not a known calibration format: ignored")
+    for pattern in ("*", "*/*"):  # EuRoC and WildTrack have the files in folders of a folder
+        for file in [] if read else _files(folder, pattern):
+            try:
+                read[file] = load_calibration(file, size=size, unit=unit, up=up, all_cameras=all_cameras)
+            except _UnknownFormat:
+                warn_about(file, "is not a known calibration format: ignored")
     if not read:
         hint = "its cameras.bin can be read after colmap model_converter --output_type TXT"
         binary = f"; {hint}" if (folder / "cameras.bin").is_file() else ""
@@ -317,6 +344,21 @@ def _folder(
     return Calibration(
         cameras, first.format if alike else None, first.unit, first.up, sizes, frozenset(posed)
     )
+
+
+def _files(folder: Path, pattern: str) -> list[Path]:
+    """Calibration files in a folder, without those that another one is read with. Raises CameraError."""
+    try:
+        next(folder.iterdir(), None)
+        files = sorted(f for f in folder.glob(pattern) if f.suffix.lower() in _SUFFIXES and f.is_file())
+    except OSError as reason:
+        raise CameraError(f"cannot read the folder: {reason.strerror}", path=folder) from None
+    if "/" in pattern and len(files) > _MOST_BELOW:
+        return []
+    matrices = [f for f in files if f.name.lower().endswith(".pmat.cal")]  # MultiCamSelfCal
+    halves = {other_half(f) for f in files if "intr" in f.name}
+    taken = {f.parent for f in files if f.parent.name == _TAKEN and (f.parent.parent / _UNDISTORTED).is_dir()}
+    return [f for f in matrices or files if f not in halves and f.parent not in taken]
 
 
 def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
@@ -351,8 +393,8 @@ def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], st
 
 def _format_or_none(file: CalibrationFile) -> CalibrationFormat | None:
     """First format that recognises a file."""
-    own = [format for format in FORMATS if format.syntax == file.syntax]
-    others = [format for format in FORMATS if file.syntax in format.also]
+    own = [format for format in READ_FORMATS if format.syntax == file.syntax]
+    others = [format for format in READ_FORMATS if file.syntax in format.also]
     return next((format for format in (*own, *others) if format.matches(file)), None)
 
 
@@ -370,7 +412,8 @@ def _detect_format(file: CalibrationFile) -> CalibrationFormat:
         content += f" {said[:1].upper()}{said[1:]}."
         if not found.cameras and (numbers := numbers_found(plain(file))):
             content += f" Numbers under unknown keys: {', '.join(numbers)}."
-    known = ", ".join(format.title for format in FORMATS if format.syntax == file.syntax)
+    titles = [one.title for one in (*FORMATS, *READ_FORMATS) if one.syntax == file.syntax]
+    known = ", ".join(dict.fromkeys(titles))
     kind = "text" if file.syntax == "text" else file.syntax.upper()
     message = f"is not a known calibration format.{content} Known in {kind}: {known}"
     raise _UnknownFormat(message, path=file.path)

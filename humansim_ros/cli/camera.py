@@ -41,7 +41,8 @@ if TYPE_CHECKING:
 def show(
     file: CalibrationArgument,
     extrinsics: Annotated[
-        str | None, typer.Argument(help="File with the extrinsics, if FILE has only intrinsics.")
+        list[str] | None,
+        typer.Argument(help="File with the extrinsics, if FILE has only intrinsics; then more such files."),
     ] = None,
     as_json: JsonOption = False,
     size: SizeOption = None,
@@ -51,12 +52,17 @@ def show(
     camera: CameraOption = None,
 ) -> None:
     """Print the cameras of a calibration: K, lens, pose, field of view, and implausible values."""
+    from humansim_ros.camera.calibration import Calibration
     from humansim_ros.camera.checks import check_rig, note_principal_points
 
     reading = Reading(size, image, unit, up)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        calibration = reading.load_or_scene(file) if extrinsics is None else reading.load(file, extrinsics)
+        if len(extrinsics or ()) < 2:
+            calibration = reading.load(file, *extrinsics) if extrinsics else reading.load_or_scene(file)
+        else:
+            joined = reading.cameras([file, *(extrinsics or ())])
+            calibration = Calibration(joined, None, unit or 1.0, up or "z", {}, frozenset(joined))
     cameras = select_cameras(calibration.cameras, camera, file)
     described = [describe_camera(name, cam) for name, cam in cameras.items()]
     of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
@@ -229,13 +235,13 @@ class Reading:
         return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
 
     def cameras(self, files: Sequence[str]) -> dict[str, Camera]:
-        """Cameras of calibrations and scenes with a rig, or of a file of intrinsics and one of extrinsics."""
-        from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations
+        """Cameras of calibrations and scenes with a rig, or of as many files of intrinsics and extrinsics."""
+        from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations, paired
 
-        if len(files) == 2:
-            for inner, outer in (files, files[::-1]):
-                if has_only_extrinsics(outer):
-                    return self.load(inner, outer).cameras
+        outer = [file for file in files if len(files) % 2 == 0 and has_only_extrinsics(file)]
+        inner = [file for file in files if file not in outer]
+        if outer and len(inner) == len(outer):
+            return join_calibrations({a: self.load(a, b).cameras for a, b in paired(inner, outer)})
         return join_calibrations({file: self.load_or_scene(file).cameras for file in files})
 
 

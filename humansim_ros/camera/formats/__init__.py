@@ -12,6 +12,7 @@ from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat,
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.devices import K4A, OPEN3D, REALSENSE, ZED
+from humansim_ros.camera.formats.layouts import LAYOUTS
 from humansim_ros.camera.formats.matrices import MATRICES, MATRICES_NPZ
 from humansim_ros.camera.formats.mocap import DLT, EGOEXO, MOTIVE, QUALISYS, THEIA, VICON
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
@@ -32,4 +33,7 @@ FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
 )
 
-__all__ = ["FORMATS", "CalibrationFile", "CalibrationFormat", "RawCamera", "SourceLocation"]
+#: All formats that are read, in this order: some are not written.
+READ_FORMATS = (*LAYOUTS, *FORMATS)
+
+__all__ = ["FORMATS", "READ_FORMATS", "CalibrationFile", "CalibrationFormat", "RawCamera", "SourceLocation"]

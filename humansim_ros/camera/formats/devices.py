@@ -128,7 +128,9 @@ def _zed_camera(
 ) -> RawCamera:
     fx, fy, cx, cy = (_zed_number(file, sections, name, key) for key in ("fx", "fy", "cx", "cy"))
     keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    lens = np.array([_zed_number(file, sections, name, key, needed=key == "k1") for key in keys])
+    shared = f"{side}_DISTO"  # of ZED X, for all modes
+    lens_at = shared if shared in sections and "k1" not in sections[name][1] else name
+    lens = np.array([_zed_number(file, sections, lens_at, key, needed=key == "k1") for key in keys])
     rotation, t = np.eye(3), np.zeros(3)
     if side == "RIGHT":
         base = _zed_number(file, sections, "STEREO", "Baseline")

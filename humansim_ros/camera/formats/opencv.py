@@ -33,7 +33,7 @@ from humansim_ros.camera.formats.base import (
     row,
     vector_of,
 )
-from humansim_ros.camera.formats.syntax import Matrix, other_half, read_document
+from humansim_ros.camera.formats.syntax import Matrix, name_of_half, other_half, read_document
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
@@ -129,10 +129,11 @@ def _table(files: Sequence[CalibrationFile]) -> _Table:
 
 
 def _read(file: CalibrationFile) -> dict[str, RawCamera]:
-    table = _table([file])
+    table, stem = _table([file]), Path(file.path).stem
     if not table["K"] or not (table["R"] or table["t"] or table["rectified"]):
         half = other_half(Path(file.path))
         if half is not None:
+            stem = name_of_half(stem)
             table = _table([file, read_document(half, 8 << 20)])
     if not table["K"]:
         message = f"the file has no camera matrix; its known names are {', '.join(_NAMES['K'])}"
@@ -140,7 +141,7 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     stereo = list(table["K"]) == ["1", "2"] and "" in table["R"] and "" in table["t"]
     for suffix in table["K"]:
-        name = suffix or str(file.get("camera_name") or "").strip() or Path(file.path).stem
+        name = suffix or str(file.get("camera_name") or "").strip() or stem
         entries = {part: _entry_of(by_suffix, suffix, part) for part, by_suffix in table.items()}
         file.add(cameras, name, _camera(entries, suffix, stereo, table))
     return cameras

@@ -1,0 +1,299 @@
+"""Files of programs that ``camera/formats/matrices.py`` reads under other keys: rows of a table.
+
+A row of ``config/calibration_layouts.json`` has ``name`` and ``title`` of the format, ``syntax``, ``known``
+(patterns of keys that a file has; of path and text for plain text), ``renamed`` (pattern of a key -> its name
+here, with ' for a matrix in column order; "" leaves the key out), ``unit`` (metres; without it, the
+program does not define one), ``up``, ``direction`` of R and t where their keys do not say it, ``arrange``: a
+function below, where the cameras of a file are no mappings of keys.
+
+Sources: devkits of KITTI, nuScenes, EuRoC, InterHand2.6M, RICH and MPI-INF-3DHP (Skeletool); on github.com
+rameau-fr/MC-Calib, ethz-asl/okvis, stella-cv/stella_vslam, facebookresearch/projectaria_tools, arpg/Calibu,
+strawlab/flydra, strawlab/MultiCamSelfCal, backyardbiomech/argus_gui, DLR-RM/BlenderProc (CalLab),
+IntelRealSense/librealsense; https://jarvis-mocap.github.io, https://captury.com.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.formats.base import (
+    CalibrationFile,
+    CalibrationFormat,
+    RawCamera,
+    fitted_lens,
+    nested,
+)
+from humansim_ros.camera.formats.matrices import MATRICES, read_matrices
+from humansim_ros.camera.formats.spellings import keys_of, plain, words
+from humansim_ros.camera.formats.syntax import read_document
+from humansim_ros.camera.lens import Lens
+from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.io.assets import resource_path
+from humansim_ros.io.files import exists, read_text
+from humansim_ros.types import Array
+
+_TABLE, _MOST_BYTES = "config/calibration_layouts.json", 8 << 20
+#: Cameras by name, or in a list, as mappings of keys.
+_Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
+#: Lenses whose names do not tell the names of their parameters.
+_LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
+_FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
+_FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
+#: Columns of the texts of Argus, by their number.
+_ARGUS = {
+    12: "name fx width height cx cy aspect k1 k2 p1 p2 k3",
+    10: "name fx cx cy aspect k1 k2 p1 p2 k3",
+    17: "fx cx cy aspect skew k1 k2 p1 p2 k3 qw qx qy qz tx ty tz",
+}
+
+
+def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict[Any, Any]:
+    """Items with the numbers under ``params`` by their names, which the lens tells; ``key``: of the lens."""
+    if "params" not in items:
+        return items
+    model, numbers = str(items.get("model")), np.ravel(items.pop("params")).tolist()
+    names = _LENSES.get(model, model.removeprefix("calibu_")).replace("kb4", "k1_k2_k3_k4").split("_")
+    if len(names) != len(numbers) or not {*names} <= words("f fu fv u0 v0 fx fy cx cy k1 k2 k3 k4"):
+        message = f"the lens {model[:60]!r} with {len(numbers)} numbers is not supported"
+        raise CameraError(message, path=file.path, key=key)
+    return {**items, "model": "none", "fisheye": "k4" in names, **dict(zip(names, numbers, strict=True))}
+
+
+def _transposed(value: Any) -> Any:
+    """Square matrix in column order; a matrix of OpenCV has its numbers under ``data``."""
+    if isinstance(value, Mapping):
+        return {**value, "data": _transposed(value.get("data"))}
+    side = int(np.size(value) ** 0.5)
+    return np.reshape(value, (side, side)).T.tolist() if side * side == np.size(value) else value
+
+
+def _placed(rotation: Array, center: Array) -> dict[str, Any]:
+    """Pose of a camera: rotation (3, 3) from the camera to the world, and centre (3,)."""
+    return {"c2w": nested(np.column_stack([rotation, center]))}
+
+
+def _nuscenes(file: CalibrationFile) -> _Cameras:
+    """Cameras with the channel of their sensor, from the table ``sensor`` in the same folder."""
+    path = Path(file.path).with_name("sensor.json")
+    table = read_document(path, _MOST_BYTES).document if exists(path) else []
+    names = {one.get("token"): one.get("channel") for one in table if isinstance(one, Mapping)}
+    cameras = [one for one in file.document if isinstance(one, Mapping) and one.get("camera_intrinsic")]
+    return [{**one, "name": names.get(one.get("sensor_token"), "")} for one in cameras]
+
+
+def _calibu(file: CalibrationFile) -> _Cameras:
+    """Cameras whose axes ``right``, ``down`` and ``forward`` are turned to those of OpenCV."""
+    file, cameras = plain(file), []
+    for index, camera in enumerate(file.items("rig", "camera")):
+        lens, pose = ("rig", "camera", index, "camera_model", 0), ("rig", "camera", index, "pose", 0, "T_wc")
+        axes = np.array([file.numbers((3,), *lens, axis) for axis in ("right", "down", "forward")])
+        matrix = np.eye(4) if file.get(*pose) is None else file.some_numbers(*pose)[:12].reshape(3, 4)
+        cameras.append({**camera["camera_model"][0], **_placed(matrix[:3, :3] @ axes.T, matrix[:3, 3])})
+    return cameras
+
+
+def _through(
+    file: CalibrationFile, name: str, p: Array, k: Array, lens: Sequence[float], size: Sequence[float] | Array
+) -> dict[str, Any]:
+    """Camera of a matrix P (3, 4) of undistorted pixels, whose lens has a K (3, 3) of its own."""
+    camera = {"P": nested(p), "distortion": list(lens), **({"size": list(size)} if len(size) else {})}
+    own = Camera.from_projection_matrix(p, (1, 1)).K
+    if not any(lens) or np.allclose(own, k, rtol=1e-4, atol=0.05):
+        return camera
+    width, height = size if len(size) else 2 * k[:2, 2]
+    bent = np.stack(np.meshgrid(np.linspace(0, width, 24), np.linspace(0, height, 24)), -1).reshape(-1, 2)
+    straight = Lens.of(lens).undistort((bent - k[:2, 2]) / k[[0, 1], [0, 1]]) * k[[0, 1], [0, 1]] + k[:2, 2]
+    straight, bent = ((each - own[:2, 2]) @ np.linalg.inv(own[:2, :2]).T for each in (straight, bent))
+    seen = np.isfinite(straight).all(axis=1)
+    fitted = fitted_lens(file, f"{name}: a lens with another K than P", straight[seen], bent[seen], own[0, 0])
+    return {**camera, "distortion": list(fitted.coefficients), "model": fitted.model}
+
+
+def _flydra(file: CalibrationFile) -> _Cameras:
+    file, cameras = plain(file), {}
+    for index, _ in enumerate(file.items("multi_camera_reconstructor", "single_camera_calibration")):
+        at = ("multi_camera_reconstructor", "single_camera_calibration", index)
+        fx, fy, cx, cy, *d = (file.number(*at, "non_linear_parameters", 0, key) for key in _FLYDRA)
+        p = file.numbers((3, 4), *at, "calibration_matrix")
+        p[:, 3] *= file.number(*at, "scale_factor", otherwise=1.0)
+        name, size = str(file.need(*at, "cam_id")), file.optional_numbers(*at, "resolution")
+        cameras[name] = _through(file, name, p, pinhole(fx, fy, cx, cy), d, size)
+    if file.get("multi_camera_reconstructor", "water") is not None:
+        warn_about(file.path, "water is ignored: the cameras see through air")
+    return cameras
+
+
+def _selfcal(file: CalibrationFile) -> _Cameras:
+    """Camera of ``cameraN.Pmat.cal``, with ``*N.rad``, and line N of Res.dat and camera_order.txt."""
+    path = Path(file.path)
+    number = int((re.search(r"([0-9]{1,4})\.Pmat", path.name, re.IGNORECASE) or "00")[1])
+    name, size = (_line(path.with_name(other), number) for other in ("camera_order.txt", "Res.dat"))
+    name = name or path.name[: -len(".Pmat.cal")]
+    p = np.array([value for line, text in file.lines() for value in file.row(text.split(), line)])
+    if p.shape != (12,):
+        raise CameraError(f"needs 3 x 4 numbers, not {p.size}", path=file.path)
+    k, lens = np.eye(3), np.zeros(0)
+    for rad in sorted(path.parent.glob(f"*[!0-9]{number}.rad"))[:1]:
+        inner = plain(read_document(rad, _MOST_BYTES))
+        k, lens = inner.numbers((3, 3), "K"), inner.some_numbers("kc")
+    return {name: _through(file, name, p.reshape(3, 4), k, lens.tolist(), file.row(size.split()[:2], number))}
+
+
+def _line(path: Path, number: int) -> str:
+    """Line of a text, from 1; empty if it is missing."""
+    lines = read_text(path, CameraError, "calibration", _MOST_BYTES).splitlines() if exists(path) else []
+    return lines[number - 1].strip() if 0 < number <= len(lines) else ""
+
+
+def _selfcal_center(file: CalibrationFile) -> _Cameras:
+    """Camera of ``*.cal`` of MultiCamSelfCal: its centre, and the inverse of K R."""
+    file = plain(file)
+    kr = np.linalg.pinv(file.numbers((3, 3), "P"))
+    center = kr @ [file.number(f"C{i}") for i in (1, 2, 3)]
+    return {Path(file.path).stem: {"P": nested(np.column_stack([kr, -center]))}}
+
+
+def _captury(file: CalibrationFile) -> _Cameras:
+    """Cameras of Captury, whose lengths on the sensor are in mm."""
+    if file.given_size is None:
+        raise CameraError("the file has no image size: give the size", path=file.path, key="size")
+    size, cameras = np.array(file.given_size, dtype=float), {}
+    file = plain(file)
+    blocks: list[tuple[str, ...]] = [("cameras", key) for key in file.get("cameras") or ()] or [()]
+    for at in blocks:
+        scale = size / file.numbers((2,), *at, "sensorSize")
+        f = file.number(*at, "focalLength") * scale[0]
+        center = size / 2 + file.numbers((2,), *at, "centerOffset") * scale
+        up, right = (file.numbers((3,), *at, key) for key in ("up", "right"))
+        pose = _placed(np.column_stack([right, -up, np.cross(right, -up)]), file.numbers((3,), *at, "origin"))
+        k = [f, f * file.number(*at, "pixelAspect", otherwise=1.0), *center]
+        lens = file.optional_numbers(*at, "distortion").tolist()
+        cameras[str(file.need(*at, "camera")).split()[0]] = {"K": k, "distortion": lens, **pose}
+    return cameras
+
+
+def _realsense(file: CalibrationFile) -> _Cameras:
+    """Modes of streams; the world is the depth camera."""
+    start = file.text.rfind("\n", 0, file.text.index('Intrinsic of "')) + 1
+    document, cameras = plain(replace(file, text=file.text[start:])).document or {}, {}
+    depth = {"Depth": {"Rotation Matrix": nested(np.eye(3)), "Translation Vector": [0.0] * 3}}
+    poses = {match[1]: value for key, value in document.items() if (match := _FROM_DEPTH.match(key))} | depth
+    for key, value in document.items():
+        mode = re.match(r'Intrinsic of "(.+?)"[\s/]+([0-9]+x[0-9]+)', key)
+        if mode and file.given_size in (None, tuple(map(int, mode[2].split("x")))):
+            lens = str(value.get("Distortion")).lower().replace(" ", "_")
+            if lens.startswith(("inverse", "modified")) and np.any(value.get("Coeffs", 0)):
+                warn_about(file.path, f"{key}: {lens} is taken for plumb_bob, as realsense-ros does")
+            lens = re.sub("^(inverse|modified)_", "", lens)
+            cameras[f"{mode[1]}_{mode[2]}"] = {**value, **poses.get(mode[1], {}), "Distortion": lens}
+    return cameras
+
+
+def _rectified(file: CalibrationFile, key: str, baseline: float, **shared: Any) -> _Cameras:
+    """Left and right camera, whose rotations are to the rectified images. ``key``: of a part of a side."""
+    parts = {
+        side: [file.some_numbers(*key.format(part, side, side.upper()).split("/")) for part in "KDR"]
+        for side in ("left", "right")
+    }
+    left, right = (file_r.reshape(3, 3) for _, _, file_r in parts.values())
+    poses = {"left": (np.eye(3), np.zeros(3)), "right": (right.T @ left, -right.T @ [baseline, 0, 0])}
+    return {
+        side: {
+            "K": nested(k),
+            "distortion": nested(d),
+            **dict(zip("Rt", map(nested, poses[side]), strict=True)),
+        }
+        | shared
+        for side, (k, d, _) in parts.items()
+    }
+
+
+def _stella(file: CalibrationFile) -> _Cameras:
+    base = file.number("Camera", "focal_x_baseline") / file.number("Camera", "fx")
+    size = {"width": file.need("Camera", "cols"), "height": file.need("Camera", "rows")}
+    return _rectified(
+        file, "StereoRectifier/{0}_{1}", base, model=file.get("StereoRectifier", "model"), **size
+    )
+
+
+def _orbslam(file: CalibrationFile) -> _Cameras:
+    base = file.number("Camera.bf") / file.number("Camera.fx")
+    return _rectified(
+        file, "{2}.{0}/data", base, width=file.get("LEFT.width"), height=file.get("LEFT.height")
+    )
+
+
+def _argus(file: CalibrationFile) -> _Cameras:
+    cameras: dict[str, dict[str, Any]] = {}
+    for line, text in file.lines():
+        values = file.row(text.replace(",", " ").split(), line)
+        if len(values) not in _ARGUS:
+            message = f"needs {', '.join(map(str, _ARGUS))} numbers, not {len(values)}"
+            raise CameraError(message, path=file.path, line=line)
+        camera = dict(zip(_ARGUS[len(values)].split(), values, strict=True))
+        name = str(int(camera.pop("name", len(cameras) + 1)))
+        cameras[name] = {"fy": camera["fx"] * camera.pop("aspect"), **camera}
+    return cameras
+
+
+_ARRANGED: dict[str, Callable[[CalibrationFile], _Cameras]] = {
+    "nuscenes": _nuscenes,
+    "calibu": _calibu,
+    "flydra": _flydra,
+    "selfcal": _selfcal,
+    "selfcal_center": _selfcal_center,
+    "captury": _captury,
+    "realsense": _realsense,
+    "stella": _stella,
+    "orbslam": _orbslam,
+    "argus": _argus,
+}
+
+
+def _format(row: Mapping[str, Any]) -> CalibrationFormat:
+    renamed: Mapping[str, str] = row.get("renamed", {})
+
+    def matches(file: CalibrationFile) -> bool:
+        if file.syntax == "text":
+            text = f"{file.path}\n{file.text[: 1 << 16]}"
+            return all(re.search(one, text, re.MULTILINE) for one in row["known"])
+        keys = keys_of(file)
+        return all(any(re.fullmatch(one, key) for key in keys) for one in row["known"])
+
+    def read(file: CalibrationFile) -> dict[str, RawCamera]:
+        back: dict[str, str] = {}
+
+        def rewrite(items: dict[Any, Any]) -> dict[Any, Any]:
+            result: dict[Any, Any] = {}
+            for key, value in items.items():
+                found = ((re.fullmatch(one, str(key)), new) for one, new in renamed.items())
+                match, new = next(((match, new) for match, new in found if match), (None, ""))
+                here = key if match is None else match.expand(new.rstrip("'"))
+                back.setdefault(str(here), str(key))
+                if here != "":
+                    result[here] = _transposed(value) if new.endswith("'") else value
+            return _with_params(file, result, back.get("model", "model"))
+
+        arranged = file if "arrange" not in row else replace(file, document=_ARRANGED[row["arrange"]](file))
+        document = plain(arranged, rewrite).document
+        cameras = document if isinstance(document, dict) else {"cameras": document}
+        stated = {"convention": row.get("direction", "w2c"), **cameras}
+        read = read_matrices(replace(file, document=stated, renamed=back))
+        path = Path(file.path)
+        return {path.parent.name: read[path.stem]} if [*read] == [path.stem] == ["sensor"] else read
+
+    names = {key: row[key] for key in ("name", "title", "syntax", "up", "unit") if key in row}
+    format = replace(MATRICES, **names, also=(), matches=matches, read=read)
+    return replace(format, find_unit=None) if "unit" in row else format
+
+
+#: Formats that are only read.
+LAYOUTS = tuple(_format(row) for row in json.loads(resource_path(_TABLE).read_text()))

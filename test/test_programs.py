@@ -17,6 +17,7 @@ from waiting import PATIENCE
 BENCHMARKS = {
     "bvh_reading": (),
     "close_detector": ("--help",),  # the detector has an environment of its own
+    "conventions": ("--rings", "2"),
     "core": ("--rounds", "2"),
     "distinct": ("--count", "2"),
     "fit": ("--seeds", "1", "--frames", "4"),

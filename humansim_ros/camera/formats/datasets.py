@@ -38,7 +38,7 @@ from humansim_ros.camera.formats.base import (
     stated_unit,
     vector_of,
 )
-from humansim_ros.camera.formats.matrices import FilePose, resolved
+from humansim_ros.camera.formats.conventions import FilePose, resolved
 from humansim_ros.camera.formats.spellings import role_of
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError

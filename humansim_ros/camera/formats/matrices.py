@@ -15,8 +15,8 @@ https://github.com/Totoro97/NeuS
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,7 @@ from humansim_ros.camera.formats.base import (
     without_suffix,
 )
 from humansim_ros.camera.formats.colmap import camera_of_model
+from humansim_ros.camera.formats.conventions import FilePose, resolved
 from humansim_ros.camera.formats.spellings import (
     INTRINSIC,
     POSE,
@@ -57,58 +58,17 @@ from humansim_ros.io.npz import npz_bytes
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
-#: Rotation from the camera axes of OpenGL to the axes of OpenCV.
-_FLIP = np.diag([1.0, -1.0, -1.0])
 #: Keys that do not say the direction of a transform.
 _UNCLEAR = words(
     """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat t translation translationvector trans tr
     extrinsic extrinsics extrinsicmatrix extrinsicsmatrix pose poses rt transform transformmatrix orientation
     quaternion quat q qvec rotationquaternion rotationvector"""
 )
-#: Error of a view that tells a convention, and factor by which another one must be better.
-_SURE, _BETTER = 0.35, 3.0
-_CONVENTIONS = {"world_to_camera": 0, "w2c": 0, "opencv": 0, "camera_to_world": 1, "c2w": 1}
 _CENTRED = 0.5
 #: Camera models whose coefficients are as OpenCV has them.
 _UNNAMED = words("pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial")
 
 
-@dataclass(frozen=True)
-class FilePose:
-    """Rotation and translation as they are in a file.
-
-    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)) or ``placed`` (a
-    rotation beside a position: ``camera`` rather than ``center``) or ``shelf`` (as ``center``; a warning only
-    where the views decide otherwise). ``clear``: whether the keys say so.
-    """
-
-    R: Array
-    t: Array
-    kind: str
-    clear: bool
-    locations: Mapping[str, SourceLocation]
-
-
-#: Conventions of R and t, in order of precedence: (R, t) -> (R from world to camera, camera centre).
-_READINGS: tuple[tuple[str, Callable[[Array, Array], tuple[Array, Array]]], ...] = (
-    ("from the world to the camera (x = R X + t)", lambda r, t: (r, -r.T @ t)),
-    ("from the camera to the world (X = R x + t)", lambda r, t: (r.T, t)),
-    ("a rotation from the world and a camera centre (x = R (X - t))", lambda r, t: (r, t)),
-    ("transposed (x = R^T X + t), as in MATLAB", lambda r, t: (r.T, -r @ t)),
-    (
-        "from the camera to the world with the camera axes of OpenGL (y up, z backward)",
-        lambda r, t: (_FLIP @ r.T, t),
-    ),
-)
-_FIRST = {"world": 0, "camera": 1, "center": 2, "placed": 1, "shelf": 2}
-#: Readings that a kind of keys allows, where they are not clear.
-_ALLOWED = {
-    "world": (0, 1, 2, 3),
-    "camera": (1, 4, 0),
-    "center": (2, 1, 4),
-    "placed": (1, 2, 4),
-    "shelf": (2, 0, 1, 3),
-}
 #: Keys of a camera's place. Beside a ``rotation``, they are its pose, as in 3D Gaussian Splatting.
 _PLACES = words("position pos cameraposition camposition campos location cameralocation")
 
@@ -490,83 +450,6 @@ def _rotation(entry: Entry) -> Array:
             warn_about(entry.file.path, f"{where} is taken as {order}")
         return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
     return rotation_of(entry.file, *entry.keys)
-
-
-def resolved(
-    file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, FilePose]
-) -> dict[str, RawCamera]:
-    """Cameras with R and t; the convention of unclear ones is found by the views."""
-    if not poses:
-        return {}
-    reading, said = _reading(file, list(poses.values()))
-    if said:
-        warn_about(file.path, said)
-    posed = {}
-    for name, pose in poses.items():
-        convention = reading if not pose.clear else _FIRST[pose.kind]
-        r, center = _READINGS[convention][1](pose.R, pose.t)
-        locations = {**cameras[name].locations, **pose.locations}
-        camera = replace(cameras[name], R=r, locations=locations)
-        posed[name] = (
-            replace(camera, t=pose.t, center=None) if convention == 0 else replace(camera, center=center)
-        )
-    return posed
-
-
-def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
-    """Index of the convention of the unclear poses of a file, and a sentence about it."""
-    unclear = [pose for pose in poses if not pose.clear]
-    if not unclear:
-        return 0, ""
-    first = _FIRST[unclear[0].kind]
-    stated = str(file.get("convention") or "").strip().lower()
-    if stated in _CONVENTIONS:
-        return _CONVENTIONS[stated], ""
-    keys = " and ".join(
-        dict.fromkeys(str(pose_at.key).split(".")[-1] for pose_at in unclear[0].locations.values())
-    )
-    errors = {index: _view_error(unclear, index) for index in _ALLOWED[unclear[0].kind]}
-    best = min(errors, key=errors.__getitem__)
-    decided = errors[best] <= _SURE and errors[best] * _BETTER <= errors[first]
-    if unclear[0].kind == "shelf" and not decided:
-        return first, ""
-    usual = errors[first] < _SURE and unclear[0].kind in ("world", "camera")
-    if usual or not decided:
-        why = "because the cameras then look at a common place" if errors[first] < _SURE else "as in OpenCV"
-        if first and errors[first] >= _SURE:
-            why = "as the key says" if first == 1 else "as is usual"
-        return first, f"{keys}: taken as {_READINGS[first][0]}, {why}; the file does not say it"
-    return (
-        best,
-        f"{keys}: taken as {_READINGS[best][0]}, because only then do the cameras look at a common place",
-    )
-
-
-def _view_error(poses: list[FilePose], reading: int) -> float:
-    """How badly the optical axes meet in front of the cameras: 0 if they meet in a point, 1 and more if not.
-
-    The mean distance of the axes from their common point, as a fraction of the distance of the cameras from
-    it, and the share of cameras that look away from it. Infinity for less than three cameras.
-    """
-    if len(poses) < 3:
-        return np.inf
-    transform = _READINGS[reading][1]
-    pairs = [transform(pose.R, pose.t) for pose in poses]
-    centers = np.array([center for _, center in pairs])
-    forward = np.array([r[2] for r, _ in pairs])
-    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
-    matrix = across.sum(axis=0)
-    if np.linalg.cond(matrix) > 1e4:
-        return np.inf
-    point = np.linalg.solve(matrix, np.einsum("nij,nj->i", across, centers))
-    away = point - centers
-    distance = np.linalg.norm(away, axis=1).mean()
-    spread = np.linalg.norm(np.ptp(centers, axis=0))
-    if spread < 0.1 * max(distance, 1e-12):
-        return np.inf
-    miss = np.linalg.norm(np.einsum("nij,nj->ni", across, away), axis=1).mean()
-    behind = float((np.einsum("ni,ni->n", away, forward) <= 0).mean())
-    return float(miss / distance + behind)
 
 
 # -- writing

@@ -103,7 +103,8 @@ def read_trc_points(path: Path, error: type[HumansimError], most: int) -> Marker
     mark = "\t" if "\t" in lines[3] else ","
     keys, stated = ([word.strip() for word in line.split(mark)] for line in lines[1:3])
     # fields may have two separators between them
-    choices = [dict(zip(keys, words, strict=False)) for words in (stated, [word for word in stated if word])]
+    filled = ([word for word in words if word] for words in (keys, stated))
+    choices = [dict(zip(*pair, strict=False)) for pair in ((keys, stated), filled)]
     facts = next((one for one in choices if _unit(one.get("Units", "")) in UNITS), choices[0])
     scale = _metres([facts.get("Units", "")], error, path, 3, "Units")
     names = {n: word.strip() for n, word in enumerate(lines[3].split(mark)[2:]) if word.strip()}

@@ -441,6 +441,10 @@ COLUMNS: dict[str, tuple[Trc, str]] = {
     "nameless and blank": (add_columns(9, False), ""),
     "names without blank columns": (lines(lambda rows: rows[3].__setitem__(slice(2, None), LABELS)), ""),
     "two tabs in the header": (header(" 50.0,, 50.0,,   40,,  28,, mm"), ""),
+    "two tabs in the names, too": (
+        lambda text: header(" 50.0,, 50.0,,   40,,  28,, mm")(text).replace("\tCamera", "\t\tCamera"),
+        "",
+    ),
     "spelt unit": (header("50.0,50.0,40,28,Millimeters"), ""),
     "wrong unit": (header("50.0,50.0,40,28,m"), "lengths are multiplied by 0.001"),
     "untrue number of points": (header("50.0,50.0,40,99999,mm"), ""),

@@ -130,8 +130,8 @@ class C3dWriter:
         places = np.nan_to_num(points) * self.unit / (1.0 if self.scale < 0 else self.scale)
         rows = np.concatenate([places, residuals], axis=-1).reshape(len(points), -1)
         noise = np.random.default_rng(1).integers(-2000, 2000, (len(points), self.analog))
-        rows = np.concatenate([rows, noise], axis=1).ravel()
-        return self.floats(*rows) if self.scale < 0 else self.words(*np.round(rows))
+        numbers = np.concatenate([rows, noise], axis=1).ravel()
+        return self.floats(*numbers) if self.scale < 0 else self.words(*np.round(numbers))
 
     def _turns(self) -> bytes:
         """Unit rotations of the segments, at their origins."""

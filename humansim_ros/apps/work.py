@@ -96,9 +96,10 @@ def _poses(
     shift = round((late or 0.0) * 1e9)
     if points is None and isinstance(source, SceneTruth):
         points = set_of_names(estimated.names)
-    first, last = int(estimated.times[0]) - shift, int(estimated.times[-1]) - shift
+    times = estimated.times.tolist() or [source.start + shift]  # of a scene, the first frames
+    span = times[0] - shift, times[-1] - shift
     result = evaluate_poses(
-        source.poses((first, last), MAX_OFFSET, points),
+        source.poses(span, MAX_OFFSET if estimated.count else 0.0, points),
         estimated,
         names=given if isinstance(given, dict) else None,
         gate=DEFAULT_GATE if gate is None else gate,

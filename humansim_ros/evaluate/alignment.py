@@ -81,12 +81,15 @@ def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
 
     Frames of the truth between the first and the last pair that have no frame of the estimate are compared
     as well, because everybody in them is missed. If the estimate has fewer frames per second than the truth,
-    gaps are compared at the rate of the estimate.
+    gaps are compared at the rate of the estimate. If the estimate has no frame, all of the truth are
+    compared.
 
     Raises:
         EvaluationError: They do not overlap in time.
     """
     times, own = truth.times, estimate.times
+    if not len(own):
+        return FramePairs(np.arange(len(times)), np.full(len(times), -1), 0)
     _check_overlap(truth, estimate)
     period = truth.period or estimate.period or 1
     after = np.clip(np.searchsorted(times, own), 1, max(1, len(times) - 1))
@@ -138,8 +141,8 @@ def _check_overlap(truth: PoseSequence, estimate: PoseSequence) -> None:
 
 def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -> None:
     """Raise EvaluationError if people of the truth and of the estimate differ in size."""
-    sizes = [_size(people.values()) for people in _frames(truth, pairs.truth)]
-    own = [_size(people.values()) for people in _frames(estimate, pairs.estimate)]
+    sizes = [body_size(people.values()) for people in _frames(truth, pairs.truth)]
+    own = [body_size(people.values()) for people in _frames(estimate, pairs.estimate)]
     if not np.isfinite(sizes).any() or not np.isfinite(own).any():
         return  # people of one point have no size
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -156,7 +159,7 @@ def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -
     )
 
 
-def _size(people: Iterable[Array]) -> float:
+def body_size(people: Iterable[Array]) -> float:
     """Median spread of the joints of people, metres; NaN without people."""
     spreads = [
         float(np.sqrt(np.nanvar(pose, axis=0).sum()))
@@ -220,13 +223,17 @@ def _all_axes() -> list[str]:
 def _paired(pairs: FramePairs) -> NDArray[np.intp]:
     """Up to :data:`_CHECKED_FRAMES` of the frames (N, 2) that both have, spread over all."""
     both = np.stack([pairs.truth, pairs.estimate], axis=1)[pairs.estimate >= 0]
-    return both[np.unique(np.linspace(0, len(both) - 1, _CHECKED_FRAMES).astype(np.intp))]
+    return both[_spread(len(both))]
 
 
 def _frames(sequence: PoseSequence, frames: Indices) -> list[People]:
     chosen = frames[frames >= 0]
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _CHECKED_FRAMES).astype(np.intp))]
-    return [sequence.people[frame] for frame in chosen]
+    return [sequence.people[frame] for frame in chosen[_spread(len(chosen))]]
+
+
+def _spread(count: int) -> Indices:
+    """At most :data:`_CHECKED_FRAMES` numbers below ``count``, at even distances."""
+    return np.linspace(0, count - 1, min(_CHECKED_FRAMES, count)).astype(np.intp)
 
 
 def measure_offset(truth: PoseSequence, estimate: PoseSequence) -> float | None:

@@ -97,7 +97,7 @@ def evaluate_boxes(truth: BoxTracks, estimate: BoxTracks, gate: float = DEFAULT_
         gate: Greatest distance of the centres on the floor of a person who counts as found, metres.
 
     Raises:
-        EvaluationError: A frame of the estimate is not in the truth, or one of both has nobody.
+        EvaluationError: A frame of the estimate is not in the truth, or the truth has nobody.
     """
     for frame in estimate.frames:
         if frame not in truth.frames:
@@ -108,9 +108,8 @@ def evaluate_boxes(truth: BoxTracks, estimate: BoxTracks, gate: float = DEFAULT_
                 line=estimate.lines.get(frame),
                 key="frame_id",
             )
-    for tracks in (truth, estimate):
-        if not any(len(identities) for identities, _ in tracks.frames.values()):
-            raise EvaluationError("there is nobody in it", path=tracks.source)
+    if not any(len(identities) for identities, _ in truth.frames.values()):
+        raise EvaluationError("there is nobody in it", path=truth.source)
     numbers: tuple[dict[int, int], dict[int, int]] = ({}, {})
     tracked: dict[str, list[TrackedFrame]] = {"iou": [], "distance": []}
     pairs: list[Array] = []

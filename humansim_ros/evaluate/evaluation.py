@@ -262,10 +262,14 @@ def _with_common_joints(
 ) -> tuple[PoseSequence, PoseSequence]:
     """Both with the joints that both have, under the names of the truth.
 
-    An estimate of one point a person is compared on the floor.
+    An estimate of one point a person is compared on the floor. If nobody is in the estimate, the truth keeps
+    all joints.
     """
+    truth = truth.checked()
     if estimate.names == (GROUND,):
         truth, estimate = _below_hips(truth), estimate.mapped(_ON_FLOOR)
+    if not any(estimate.people):
+        return truth, replace(estimate, names=truth.names)
     common = pair_joints(truth.names, estimate.names, names)
     joints = tuple(truth.names[t] for t, _ in common)
     truth = truth.with_joints([t for t, _ in common], joints)
@@ -410,7 +414,9 @@ class _Comparison:
     def evaluation(self, offset: TimeOffset) -> Evaluation:
         """All metrics."""
         times = self.truth.times[self.pairs.truth]
-        if not len(self.matches.frame):
+        if not self.estimate.count:
+            warn_about(self.estimate.source, "nobody is in the estimate: everybody is missed")
+        elif not len(self.matches.frame):
             warn_about(
                 self.estimate.source,
                 f"no person of the estimate is within {self.gate:g} m of the truth; are both in map?",

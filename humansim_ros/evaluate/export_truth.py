@@ -336,4 +336,5 @@ def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
             path=path,
             key="--truth",
         )
-    return scene_boxes(Scene.load(path), range(min(estimate.frames), max(estimate.frames) + 1))
+    first, last = min(estimate.frames, default=0), max(estimate.frames, default=0)
+    return scene_boxes(Scene.load(path), range(first, last + 1))

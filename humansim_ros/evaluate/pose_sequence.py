@@ -70,6 +70,12 @@ class PoseSequence:
         """Number of poses in all frames."""
         return sum(map(len, self.people))
 
+    def checked(self) -> PoseSequence:
+        """The sequence itself. Raises EvaluationError if nobody is in it, which a truth cannot be."""
+        if not any(self.people):
+            raise EvaluationError("there are no poses in it", path=self.source)
+        return self
+
     def with_joints(self, joints: Sequence[int], names: Sequence[str]) -> PoseSequence:
         """The sequence with some of its joints, under other names; people without any are left out."""
         index = list(joints)
@@ -152,19 +158,18 @@ class SequenceBuilder:
             self._scores.setdefault(time, {})[person] = score
 
     def build(self) -> PoseSequence:
-        """The sequence.
+        """Make the sequence. It may have frames without people, or no frames at all.
 
         Raises:
-            EvaluationError: There is no pose, no position is finite, or a position is beyond any room.
+            EvaluationError: A position is beyond any room, or nobody is left without infinite positions.
         """
-        if not any(self._frames.values()):
-            raise EvaluationError("there are no poses in it", path=self.source)
         names = tuple(self._joints)
         times = sorted(self._frames)
         people = [{who: self._pose(*pose) for who, pose in self._frames[time].items()} for time in times]
         people = [{who: pose for who, pose in frame.items() if _present(pose)} for frame in people]
-        if not any(people):
-            raise EvaluationError("no position in it is finite: all are NaN or missing", path=self.source)
+        poses = (pose for frame in self._frames.values() for _, pose in frame.values())
+        if not any(people) and any(np.isinf(pose).any() for pose in poses):
+            raise EvaluationError("no position in it is finite", path=self.source)
         scores = [self._scores.get(time, {}) for time in times] if self._scores else None
         return PoseSequence(
             names, np.array(times, np.int64), people, scores, self.source, self.has_identities

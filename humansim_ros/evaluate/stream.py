@@ -152,7 +152,7 @@ class EstimateStream:
         """The poses of frames with stamps from ``since`` on, nanoseconds; also while messages are added.
 
         Raises:
-            EvaluationError: There is no pose, or no position is finite.
+            EvaluationError: There is no frame, or no position is finite.
         """
         builder = SequenceBuilder(self.source, self._has_identities)
         last = []
@@ -163,6 +163,8 @@ class EstimateStream:
                 last.append(list(parts.values())[-1])
             for person, pose in _people_of(parts).items():
                 builder.add(stamp, person, pose.names, pose.positions, pose.score)
+        if not last:
+            raise EvaluationError("there are no poses in it", path=self.source)
         latencies = [part.latency for part in last if part.latency is not None]
         arrivals = Arrivals(
             np.array([part.arrival for part in last], np.int64),

@@ -170,7 +170,7 @@ def bag_truth(path: str | os.PathLike[str], keypoints: KeypointSet | None = None
     """
     kind = "joints" if keypoints is None else f"keypoints/{keypoints.name}"
     try:
-        return read_bag_topic(path, f"/humans/*/{kind}", ReadOptions()).sequence()
+        return read_bag_topic(path, f"/humans/*/{kind}", ReadOptions()).sequence().checked()
     except EvaluationError as error:
         if "no topic" not in error.message:
             raise

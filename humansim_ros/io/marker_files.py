@@ -98,7 +98,7 @@ def read_trc_points(path: Path, error: type[HumansimError], most: int) -> Marker
     ``most``: maximum size in bytes. Raises ``error`` with the line.
     """
     lines = read_text(path, error, "TRC", most).splitlines()
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise error("not a TRC file: it must begin with PathFileType", path=path, line=1)
     mark = "\t" if "\t" in lines[3] else ","
     keys, stated = ([word.strip() for word in line.split(mark)] for line in lines[1:3])
@@ -155,9 +155,10 @@ def read_c3d_points(path: Path, error: type[HumansimError], most: int) -> Marker
     (places, origins), units = file.places(), file.texts("POINT:UNITS")
     names = [re.sub("_4x4$", "", name, flags=re.IGNORECASE) for name in file.labels("ROTATION")]
     labels = file.labels("POINT") if places.shape[1] else names
+    if not labels and not places.shape[1]:
+        return MarkerFile((), np.zeros((0, 0, 3)), np.zeros(0), (), math.nan)
     if not labels:
-        what = "names of the points (POINT:LABELS)" if places.shape[1] else "points"
-        raise error(f"the file has no {what}", path=path)
+        raise error("the file has no names of the points (POINT:LABELS)", path=path)
     if not file.rates:
         raise error("the rate must be positive", path=path, key="POINT:RATE")
     rate = file.rates[0]

@@ -64,7 +64,7 @@ def read_npz(
                 with archive.open(entry) as member:
                     content = member.read(entry.file_size + 1)
                 try:
-                    arrays[name] = _array(content)
+                    arrays[name] = npy_array(content)
                 except ValueError as reason:
                     raise error(str(reason), path=path, key=name) from None
     except (
@@ -81,8 +81,8 @@ def read_npz(
     return arrays
 
 
-def _array(content: bytes) -> NDArray[Any]:
-    """Array of a .npy file. Raises ValueError if it is wrong or incomplete."""
+def npy_array(content: bytes) -> NDArray[Any]:
+    """Array of a .npy file, without any object. Raises ValueError if it is wrong or incomplete."""
     stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TypeVar
@@ -86,6 +86,11 @@ class KeypointSet:
             for part, own in names.items()
             if set(own) <= set(self.names)
         }
+
+    def subset(self, numbers: Sequence[int], sigmas: tuple[float, ...] | None = None) -> KeypointSet:
+        """Set of some of the keypoints, without lines. ``sigmas``: their OKS constants."""
+        names, points = (tuple(each[number] for number in numbers) for each in (self.names, self.points))
+        return replace(self, names=names, points=points, edges=(), sigmas=sigmas)
 
     @cached_property
     def openpose_fields(self) -> Mapping[str, tuple[int, ...]]:
@@ -661,5 +666,15 @@ KEYPOINT_SETS: Mapping[str, KeypointSet] = {
         *(_COCO17, _HALPE26, _BODY25, _H36M17, _PANOPTIC19, _SMPL24, _MEDIAPIPE33, _PLUG_IN_GAIT),
         *(_LEFT_HAND21, _RIGHT_HAND21, _FACE68, _FACE70, _FACE468, _WHOLEBODY133, _HALPE136),
         _OPENPOSE137,
+    )
+}
+
+#: Sets of detectors that write keypoints without names, by the number of the keypoints. 18 are those of
+#: OpenPose's model COCO: BODY_25 without the middle of the hips and the feet.
+COUNTED_SETS: Mapping[int, KeypointSet] = {
+    len(keypoints): keypoints
+    for keypoints in (
+        *(_COCO17, _HALPE26, _BODY25, _MEDIAPIPE33, _WHOLEBODY133, _HALPE136),
+        _BODY25.subset((*range(8), *range(9, 19))),
     )
 }

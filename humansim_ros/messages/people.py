@@ -26,7 +26,7 @@ MAX_POSITION = MAX_COORDINATE * 1000
 #: Name of the only point of people who have no joints: it counts as the point on the floor below the hips.
 GROUND = "ground"
 #: Classes of detections that are people, in small letters: names, and the number of YOLO's models.
-_PERSON_CLASSES = frozenset({"person", "people", "pedestrian", "human", "0"})
+PERSON_CLASSES = frozenset({"person", "people", "pedestrian", "human", "0"})
 #: Type of the messages with boxes in images.
 DETECTIONS_2D = "vision_msgs/msg/Detection2DArray"
 #: Variance from which a number of spencer_tracking_msgs is not set.
@@ -137,6 +137,8 @@ def _multi_dof(message: Any, _: PointNames) -> Iterator[Pose]:
 
 def _of_points(points: Array, names: PointNames) -> Iterator[Pose]:
     """People of a list of points (N, 3) in the order of the joints, one person after the other."""
+    if not len(points):
+        return
     names = _required(names)
     if len(points) % len(names):
         raise EvaluationError(
@@ -161,11 +163,11 @@ def _pose_array(message: Any, names: PointNames) -> Iterator[Pose]:
 
 
 def _markers(message: Any, names: PointNames) -> Iterator[Pose]:
-    names = _required(names)
     single: dict[str, dict[str, tuple[float, float, float]]] = {}
     for marker in message.markers:
         if marker.action in _DELETE:
             continue
+        names = _required(names)
         if marker.type in _LISTS:
             points = np.array([(p.x, p.y, p.z) for p in marker.points]).reshape(-1, 3)
             if len(points) != len(names):
@@ -184,6 +186,8 @@ def _marker_person(marker: Any) -> str:
 
 
 def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
+    if not message.width * message.height:  # such a cloud may have no fields
+        return
     names = _required(names)
     points = point_rows(message)
     fields = points.dtype.names or ()
@@ -237,7 +241,7 @@ def _detected_people(message: Any) -> Iterator[tuple[Any, float | None]]:
     """Detections of people of a message of vision_msgs, each with its score; None without a hypothesis."""
     for found in message.detections:
         best = max((each.hypothesis for each in found.results), key=lambda each: each.score, default=None)
-        if best is None or str(best.class_id).lower() in _PERSON_CLASSES:
+        if best is None or str(best.class_id).lower() in PERSON_CLASSES:
             yield found, None if best is None else float(best.score)
 
 

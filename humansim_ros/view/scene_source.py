@@ -106,7 +106,8 @@ class SceneViewSource(ViewSource):
         tracks += [item.keyframes for item in self.scene.moving_objects.values()]
         lasting = [track.timeline.duration for track in tracks if track is not None]
         lasting += [actor.motion.duration for actor in self.scene.actors.values()]
-        if self.estimate is not None:  # its frames, too, if the motions are played several times
+        if self.estimate is not None and len(self.estimate.poses.times):
+            # its frames, too, if the motions are played several times
             first, last = (int(stamp) * 1e-9 for stamp in self.estimate.poses.times[[0, -1]])
             if first < _LONGEST:  # not of another clock
                 lasting.append(last - FIRST_STAMP * 1e-9 + self.period * 1e-9)

@@ -394,6 +394,8 @@ class Estimate:
 
     def at(self, stamp: int, half: int) -> list[Pose]:
         """People in the frame that is nearest to a stamp, if it is at most ``half`` nanoseconds away."""
+        if not len(self.poses.times):
+            return []
         row = int(np.argmin(np.abs(self.poses.times - stamp)))
         if abs(int(self.poses.times[row]) - stamp) > half:
             return []

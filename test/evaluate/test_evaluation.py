@@ -206,7 +206,7 @@ def test_an_estimate_elsewhere_is_warned_about_and_all_people_are_missed() -> No
     assert result.tracking is not None and result.tracking.hota == 0
 
 
-def test_nan_joints_are_absent_and_nan_only_is_an_error() -> None:
+def test_nan_joints_are_absent() -> None:
     def blind(frame: int, person: str, joints: Array) -> Array:
         damaged = joints.copy()
         damaged[NAMES.index("l_knee")] = np.nan
@@ -215,13 +215,24 @@ def test_nan_joints_are_absent_and_nan_only_is_an_error() -> None:
     result = evaluate_poses(walking(), changed(walking(), blind))
     assert result.by_joint["l_knee"].mpjpe is None and result.by_joint["l_knee"].pck == 0
     assert result.position.mpjpe == 0 and result.position.pck == pytest.approx(13 / 14)
+
+
+def test_nobody_is_an_estimate_and_no_truth() -> None:
     builder = SequenceBuilder("file.csv")
     builder.add(1, "anna", NAMES, np.full((len(NAMES), 3), np.nan))
-    with pytest.raises(EvaluationError, match=r"file\.csv: no position in it is finite"):
-        builder.build()
+    blank = builder.build()
     builder = SequenceBuilder("file.csv")
-    builder.add_frame(1)
-    with pytest.raises(EvaluationError, match="there are no poses in it"):
+    assert blank.count == builder.build().count == 0
+    for nobody, compared in ((blank, 1), (builder.build(), 50)):
+        with pytest.warns(HumansimWarning, match="nobody is in the estimate: everybody is missed"):
+            result = evaluate_poses(walking(), nobody, offset=None)
+        assert result.frames.compared == compared and result.people.missed == 2 * compared
+        assert result.people.recall == result.position.pck == result.detection.mean_ap == 0
+        assert result.tracking is None and result.joints == NAMES
+        with pytest.raises(EvaluationError, match=r"file\.csv: there are no poses in it"):
+            evaluate_poses(nobody, walking())
+    builder.add(1, "anna", NAMES, np.full((len(NAMES), 3), np.inf))
+    with pytest.raises(EvaluationError, match=r"file\.csv: no position in it is finite"):
         builder.build()
 
 

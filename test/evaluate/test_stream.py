@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from evaluate_support import NAMES, PERIOD, pose, walking
 
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, HumansimWarning
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
 from humansim_ros.evaluate.pose_sequence import PoseSequence
@@ -108,3 +108,14 @@ def test_the_truth_of_a_scene_is_computed_for_all_frames_although_a_window_comes
         live.add_estimate(frame(index, "anna", "bert"), "/poses", index)
     assert live.window(5 * PERIOD * 1e-9).frames.compared < 10
     assert live.total().frames.compared == 20
+
+
+def test_a_tracker_that_finds_nobody_is_evaluated() -> None:
+    live = LiveEvaluation("live", LiveOptions())
+    for index in range(10):
+        live.add_truth(frame(index, "anna", "bert"), "/truth", index, None)
+        live.add_estimate(frame(index), "/poses", index)
+    with pytest.warns(HumansimWarning, match="nobody is in the estimate: everybody is missed"):
+        total = live.total()
+    assert total.people.missed == 20 and total.people.recall == 0
+    assert total.live is not None and total.live.lost == 0 and total.live.frames == 10

@@ -343,6 +343,24 @@ def test_files_of_an_estimate_are_compared_with_a_scene_and_a_bag_as_evaluate_do
     assert 1000 * judge["position"]["mpjpe"] == pytest.approx(35.0, abs=0.1)
 
 
+@pytest.mark.parametrize("rows", ["", "0,,,\n3,,,\n"])
+def test_an_estimate_of_nobody_is_shown_with_a_note(rows: str, tmp_path: Path, scene: Scene) -> None:
+    from humansim_ros.view.inputs import TopicOptions, open_source
+
+    assert scene.path is not None
+    path = tmp_path / "nobody.csv"
+    path.write_text(f"frame,l_knee_x,l_knee_y,l_knee_z\n{rows}")
+    source = open_source(scene.path, TopicOptions([str(path)])).source
+    job = source.tracks()
+    assert job is not None and source.frames > 3
+    tracker = pickle.loads(pickle.dumps(job)).start()
+    found = tracker.work(_Asked(1, "errors")).value
+    assert not any(found.errors) and ("no poses" in found.note or "no person" in found.note)
+    assert not source.frame(3).estimate
+    tracker.close()
+    source.close()
+
+
 def test_an_estimate_that_is_longer_than_the_motions_is_shown_to_its_end(
     tmp_path: Path, scene: Scene
 ) -> None:

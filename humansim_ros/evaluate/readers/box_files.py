@@ -12,7 +12,7 @@ from humansim_ros.errors import EvaluationError, some_of, warn_about
 from humansim_ros.evaluate.boxes import BoxTracks
 from humansim_ros.evaluate.readers.pose_files import MAX_BYTES
 from humansim_ros.export.aicity import CLASSES, COLUMNS
-from humansim_ros.io.files import read_text
+from humansim_ros.io.files import decode_text, open_file
 
 #: Suffix of result files.
 SUFFIX = ".txt"
@@ -24,20 +24,22 @@ _SIZES = slice(3, 6)  # of the other columns
 
 
 def is_box_file(text: str) -> bool:
-    """Whether an estimate is a result file."""
-    return Path(text).suffix.lower() == SUFFIX and ":/" not in text
+    """Whether an estimate is a result file; other files of that suffix are detections in images."""
+    return Path(text).suffix.lower() == SUFFIX and ":/" not in text and not Path(text).is_dir()
 
 
 def read_box_file(path: Path) -> BoxTracks:
     """Read the people of a result file of one scene.
 
     Raises:
-        EvaluationError: The file is missing or has no person, or a line is wrong; with file and line.
+        EvaluationError: The file is missing, or a line is wrong; with file and line.
     """
     frames: dict[int, dict[int, list[float]]] = {}
     lines: dict[int, int] = {}
     scene, others, known = -1, 0, set[tuple[int, ...]]()
-    for line, text in enumerate(read_text(path, EvaluationError, "result", MAX_BYTES).splitlines(), 1):
+    with open_file(path, EvaluationError, "result", MAX_BYTES, may_be_empty=True) as file:
+        content = decode_text(file.read(), path, EvaluationError, "result")
+    for line, text in enumerate(content.splitlines(), 1):
         words = text.replace(",", " ").split()
         if not words:
             continue
@@ -78,7 +80,7 @@ def read_box_file(path: Path) -> BoxTracks:
     if others:
         warn_about(path, f"{others} boxes of other classes than {CLASSES[_PERSON]} are left out")
     if not frames:
-        raise EvaluationError("there is no person in it", path=path)
+        warn_about(path, "nobody is in the estimate: everybody is missed")
     tables = {
         frame: (np.array(list(rows), np.intp), np.array(list(rows.values()), float))
         for frame, rows in sorted(frames.items())

@@ -6,6 +6,7 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,14 @@ from humansim_ros.bags.topics import BagTopic, types_of
 from humansim_ros.errors import EvaluationError, did_you_mean, located, printable, warn_about
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
-from humansim_ros.evaluate.readers.pose_files import ReadOptions, read_c3d, read_csv, read_json_3d, read_trc
+from humansim_ros.evaluate.readers.pose_files import (
+    ReadOptions,
+    read_c3d,
+    read_csv,
+    read_json_3d,
+    read_npy,
+    read_trc,
+)
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.io.files import missing_file
 from humansim_ros.messages.headers import WORLD_FRAME
@@ -31,7 +39,10 @@ _READERS: dict[str, tuple[_Reader, str]] = {
     ".trc": (read_trc, "y-up"),
     ".c3d": (read_c3d, "z-up"),
     ".json": (read_json_3d, "z-up"),
+    ".npy": (read_npy, "z-up"),
 }
+#: Suffixes of files of which a folder may have one a person.
+_ONE_PERSON = (".csv", ".trc", ".c3d")
 #: Suffixes of files of estimates, besides bags.
 ESTIMATE_SUFFIXES = tuple(_READERS)
 _BAG_SUFFIXES = (".mcap", ".db3")
@@ -93,10 +104,10 @@ def is_bag(path: Path) -> bool:
 
 def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:
     """A file a frame in JSON, or a file a person in another format."""
-    if any(path.glob("*.json")):
+    if any(any(path.glob(pattern)) for pattern in ("*.json", "hdPose3d_*/*.json", "keypoints3d/*.json")):
         reader, axes = _READERS[".json"]
         return in_map(reader(path, options), axes, options)
-    files = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _READERS]
+    files = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _ONE_PERSON]
     if not files:
         raise EvaluationError(f"no file of a known kind ({', '.join(_READERS)}) in this folder", path=path)
     return read_estimates([str(file) for file in files], options)
@@ -135,10 +146,12 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
 
     ``*`` in the name of the topic stands for the name of a person, or any other part without ``/``. Several
     messages with one stamp on one topic are several people without names. Latencies are those from stamp to
-    log time; unknown if the bag was recorded with a time that stands while a frame is computed.
+    log time; unknown if the bag was recorded with a time that stands while a frame is computed. If no message
+    has a stamp, because all are arrays of no marker, their log times stand for the stamps.
 
     Raises:
-        EvaluationError: No topic matches, its type holds no poses, or its messages cannot be read.
+        EvaluationError: No topic matches, it has no message, its type holds no poses, or its messages cannot
+            be read.
         BagError: The bag cannot be read.
     """
     pattern = topic_pattern(topic)
@@ -161,6 +174,11 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
             with located(EvaluationError, path, key=kind.name):
                 content = read_people(kind.type, deserialised_message(message.data, kind), options.names)
             found.append((message._replace(data=b""), content))
+        if not found:
+            listed = _poses_of([each for index, each in enumerate(reader.topics) if index not in people])
+            raise EvaluationError(f"there is no message on {topic}; the bag has {listed}", path=path)
+        if all(content.stamp is None for _, content in found):  # markers of nobody have no header
+            found = [(message, replace(content, stamp=message.stamp)) for message, content in found]
         transforms = bag_transforms(path, {content.frame_id for _, content in found} - {""})
         stream = EstimateStream(source)
         others = set[str]()

@@ -1,4 +1,4 @@
-"""Files of 3D poses: CSV, TRC, C3D, and JSON of CMU Panoptic and OpenPose."""
+"""Files of 3D poses: CSV, TRC, C3D, NumPy arrays, and JSON of CMU Panoptic, OpenPose and EasyMocap."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.errors import EvaluationError
-from humansim_ros.evaluate.alignment import axes_matrix
+from humansim_ros.evaluate.alignment import axes_matrix, body_size
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
-from humansim_ros.io.files import read_json, read_text
+from humansim_ros.io.files import read_bytes, read_json, read_text
 from humansim_ros.io.marker_files import MarkerFile, label_parts, number, read_c3d_points, read_trc_points
+from humansim_ros.io.npz import npy_array
+from humansim_ros.keypoints import keypoint_set
+from humansim_ros.keypoints.sets import COUNTED_SETS
 from humansim_ros.types import Array
 
 #: Greatest size of a file of poses: as text, an hour of ten people at 30 Hz.
@@ -29,8 +32,14 @@ _HELP = (
     "the first line must name the columns: time (seconds), stamp (nanoseconds) or frame; person, if there "
     "are several; then joint, x, y, z, or three columns of each joint, such as l_knee_x, l_knee_y, l_knee_z"
 )
-#: Metres of a unit of Panoptic.
-_CENTIMETRE = 0.01
+#: Columns of Anipose and FreeMoCap that have other names here.
+_FOREIGN = {"fnum": "frame", "keypoint": "joint"}
+#: Columns of FreeMoCap: times beside one frame a row, and contents of those that select the rows of the body.
+_TIMES, _BODY_ROWS = {"timestamp", "timestamp_by_camera"}, {"model": ".*body", "trajectory": "3d_xyz"}
+#: Points of arrays of FreeMoCap: the body comes first, and then hands and face.
+_BODY, _FREEMOCAP = "mediapipe33", (33, 75, 543, 553)
+#: Metres of a unit of Panoptic, and of FreeMoCap; spread of the joints of nobody, metres.
+_CENTIMETRE, _MILLIMETRE, _GIANT = 0.01, 0.001, 20.0
 #: Names of the joints of Panoptic [Joo 2015] by the key of their list.
 _PANOPTIC: dict[str, tuple[str, ...]] = {
     "joints19": (
@@ -96,22 +105,31 @@ def read_csv(path: Path, options: ReadOptions) -> PoseSequence:
 def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
     header = [word.strip() for word in next(rows)]
     columns = {word.lower(): index for index, word in enumerate(header)}
+    foreign = {new: columns[old] for old, new in _FOREIGN.items() if old in columns and new not in columns}
+    columns |= foreign
     clock = next((word for word in ("time", "stamp", "frame") if word in columns), None)
     by_joint = {"joint", "x", "y", "z"} <= columns.keys()
     joints = {} if by_joint else _joint_columns(header)
+    if clock is None and joints and 3 * len(joints) == len(columns.keys() - _TIMES):
+        clock, joints = "row", {name.removeprefix("body_"): places for name, places in joints.items()}
     if clock is None or not (by_joint or joints):
         raise EvaluationError(_HELP, path=path, line=1)
-    if clock == "frame" and not options.period:
+    if clock in ("frame", "row") and not options.period:
         raise EvaluationError("frame numbers need a truth with more than one frame", path=path, line=1)
+    chosen = {name: text for name, text in _BODY_ROWS.items() if name in columns and "joint" in foreign}
+    alone = path.stem if foreign or clock == "row" else "1"
     poses: dict[tuple[int, str], tuple[list[str], list[list[float]], float | None]] = {}
     for row in rows:
         line = rows.line_num
-        if not any(field.strip() for field in row):
+        if not any(field.strip() for field in row) and not (row and clock == "row"):
             continue
         if len(row) != len(header):
             raise EvaluationError(f"{len(row)} fields, but {len(header)} column names", path=path, line=line)
-        time = _csv_time(row[columns[clock]], clock, options, path, line)
-        person = row[columns["person"]].strip() if "person" in columns else "1"
+        if not all(re.fullmatch(text, row[columns[name]]) for name, text in chosen.items()):
+            continue
+        word = row[columns[clock]] if clock in columns else str(len(poses))
+        time = _csv_time(word, clock, options, path, line)
+        person = row[columns["person"]].strip() if "person" in columns else alone
         score = (
             number(row[columns["score"]], EvaluationError, path, line, "score")
             if "score" in columns
@@ -131,7 +149,13 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
     builder = SequenceBuilder(str(path))
     for (time, person), (names, positions, score) in poses.items():
         builder.add(time, person, tuple(names), np.array(positions), score)
-    return builder.build()
+    return builder.build() if alone == "1" else _metres(builder.build(), options)
+
+
+def _metres(sequence: PoseSequence, options: ReadOptions) -> PoseSequence:
+    """Poses whose unit is not stated. Without a scale, it is millimetres if metres would make giants."""
+    size = body_size(pose for people in sequence.people for pose in people.values())
+    return sequence.mapped(_MILLIMETRE * np.eye(3)) if options.scale == 1 and size > _GIANT else sequence
 
 
 def _csv_time(text: str, clock: str, options: ReadOptions, path: Path, line: int) -> int:
@@ -140,7 +164,7 @@ def _csv_time(text: str, clock: str, options: ReadOptions, path: Path, line: int
     value = number(text, EvaluationError, path, line, clock)
     if clock == "stamp":
         return nanoseconds(value * 1e-9, path, line, clock)
-    if clock == "frame":
+    if clock in ("frame", "row"):
         return options.start + nanoseconds(value * options.period * 1e-9, path, line, clock)
     return nanoseconds(value, path, line, clock)
 
@@ -176,6 +200,7 @@ def _of_markers(path: Path, file: MarkerFile, stamps: Sequence[int]) -> PoseSequ
         people.setdefault(person, []).append(index)
     builder = SequenceBuilder(str(path))
     for stamp, positions in zip(stamps, file.points, strict=True):
+        builder.add_frame(stamp)
         for person, indices in people.items():
             builder.add(stamp, person, tuple(markers[i][1] for i in indices), positions[indices])
     return builder.build()
@@ -192,35 +217,59 @@ def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
-    """Read a folder with a file a frame, or one such file. The folder may be a sequence of Panoptic.
+    """Read a folder with a file a frame, or one such file. The folder may be a sequence of Panoptic, or the
+    output of EasyMocap.
 
     Positions of Panoptic (centimetres, y down) are converted to ``map``. The last number in the name of a
     file is its frame. Raises EvaluationError.
     """
-    sequence = sorted(path.glob("hdPose3d_*/*.json"))
+    sequence = sorted(path.glob("hdPose3d_*/*.json")) or sorted(path.glob("keypoints3d/*.json"))
     files = (sequence or sorted(path.glob("*.json"))) if path.is_dir() else [path]
     if not files:
         raise EvaluationError("there are no .json files in this folder", path=path)
     builder = SequenceBuilder(str(path))
     for file in files:
-        content = load_json(file)
+        content = read_json(file, EvaluationError, "JSON", MAX_BYTES, nan=True)
         time = _file_time(file, options)
         builder.add_frame(time)
-        if isinstance(content.get("bodies"), list):
-            _add_panoptic(builder, time, content["bodies"], file, options)
-        elif isinstance(content.get("people"), list):
-            _add_openpose(builder, time, content["people"], file, options)
+        facts = content if isinstance(content, dict) else {}
+        if isinstance(content, list):
+            _add_people(builder, time, content, "keypoints3d", file, options)
+        elif isinstance(facts.get("bodies"), list):
+            _add_panoptic(builder, time, facts["bodies"], file, options)
+        elif isinstance(facts.get("people"), list):
+            _add_people(builder, time, facts["people"], "pose_keypoints_3d", file, options)
         else:
-            raise EvaluationError("neither Panoptic (key bodies) nor OpenPose (key people)", path=file)
+            text = "neither Panoptic (key bodies), OpenPose (key people) nor EasyMocap (a list)"
+            raise EvaluationError(text, path=file)
     return builder.build()
 
 
-def load_json(path: Path) -> dict[str, Any]:
-    """Content of a JSON file, a mapping. Raises EvaluationError."""
-    content = read_json(path, EvaluationError, "JSON", MAX_BYTES, nan=True)
-    if not isinstance(content, dict):
-        raise EvaluationError("a list at the top; 3D poses of Panoptic or OpenPose are a mapping", path=path)
-    return content
+def read_npy(path: Path, options: ReadOptions) -> PoseSequence:
+    """Read an array (frames, points, 3) of one person, as FreeMoCap writes it. Raises EvaluationError."""
+    try:
+        values = npy_array(read_bytes(path, EvaluationError, "NumPy", MAX_BYTES))
+        if values.ndim != 3 or values.shape[2] != 3 or values.dtype.kind not in "iuf" or not options.period:
+            raise ValueError(
+                f"needed are numbers (frames, points, 3) and a truth of several frames, not {values.shape}"
+            )
+    except ValueError as reason:
+        raise EvaluationError(f"no poses of FreeMoCap: {reason}", path=path) from None
+    body, count = keypoint_set(_BODY).names, values.shape[1]
+    names = body if count in _FREEMOCAP and options.names in (None, body) else _names(count, path, options)
+    builder = SequenceBuilder(str(path))
+    for frame, points in enumerate(values[:, : len(names)].astype(float)):
+        builder.add(options.start + frame * options.period, path.stem, names, points)
+    return _metres(builder.build(), options)
+
+
+def _names(count: int, path: Path, options: ReadOptions, key: str | None = None) -> tuple[str, ...]:
+    """Names of points: those of the options, else of a set with as many points. Raises EvaluationError."""
+    names = options.names or (COUNTED_SETS[count].names if count in COUNTED_SETS else ())
+    if len(names) != count:
+        known = f"the set has {len(names)}" if names else "give --keypoints"
+        raise EvaluationError(f"{count} keypoints without names; {known}", path=path, key=key)
+    return names
 
 
 def _file_time(path: Path, options: ReadOptions) -> int:
@@ -255,26 +304,30 @@ def _add_panoptic(
         )
 
 
-def _add_openpose(
-    builder: SequenceBuilder, time: int, people: Sequence[Any], path: Path, options: ReadOptions
+def _add_people(
+    builder: SequenceBuilder,
+    time: int,
+    people: Sequence[Any],
+    field: str,
+    path: Path,
+    options: ReadOptions,
 ) -> None:
+    """Add people of OpenPose or EasyMocap, whose points are in a field."""
     for person in people:
-        points = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
+        points = person.get(field) if isinstance(person, dict) else None
         if not points:
             raise EvaluationError(
-                "these are 2D keypoints of one camera (pose_keypoints_3d is empty); give a 3D estimate",
+                f"these are 2D keypoints of one camera ({field} is empty); give a 3D estimate",
                 path=path,
                 key="people",
             )
-        values = _matrix(points, 4, path, "people.pose_keypoints_3d")
-        if options.names is None or len(options.names) != len(values):
-            known = f"the set has {len(options.names)}" if options.names else "give --keypoints"
-            raise EvaluationError(f"{len(values)} keypoints without names; {known}", path=path, key="people")
-        values[values[:, 3] <= 0] = np.nan  # OpenPose marks absent keypoints so
-        number = person.get("person_id", [-1])
+        values = _matrix(points, 4, path, f"people.{field}")
+        names = _names(len(values), path, options, "people")
+        values[values[:, 3] <= 0] = np.nan  # both mark absent keypoints so
+        number = person.get("person_id", person.get("id", -1))
         number = number[0] if isinstance(number, list) and number else number
         name = str(number) if isinstance(number, int) and number >= 0 else None
-        builder.add(time, name, options.names, values[:, :3])
+        builder.add(time, name, names, values[:, :3])
 
 
 def _matrix(values: Any, columns: int, path: Path, key: str) -> Array:
@@ -282,6 +335,8 @@ def _matrix(values: Any, columns: int, path: Path, key: str) -> Array:
         numbers = np.array(values, dtype=float)
     except (TypeError, ValueError):
         raise EvaluationError("not a list of numbers", path=path, key=key) from None
+    if numbers.ndim == 2 and numbers.shape[1] == columns:
+        return numbers
     if numbers.ndim != 1 or len(numbers) % columns or not len(numbers):
         raise EvaluationError(f"the numbers must come in groups of {columns}", path=path, key=key)
     return numbers.reshape(-1, columns)

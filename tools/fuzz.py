@@ -34,7 +34,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from types import FrameType
-from typing import get_args
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -256,6 +256,7 @@ class OneImage:
 
     cameras = ("left",)
     keypoints = keypoint_set("coco17")
+    rate, first = 30.0, 0
 
     def number(self, camera: str, frame: int) -> int | None:
         """The only number."""
@@ -272,7 +273,7 @@ def reading_estimate(path: Path) -> None:
 
 
 def reading_detections(path: Path) -> None:
-    """Read COCO results as detections in images."""
+    """Read keypoints and boxes of a detector, as any program writes them."""
     read_image_estimates([str(path)], OneImage())
 
 
@@ -323,7 +324,9 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "joint limits": (load_limits, "*.limits"),
     "image size": (image_size, "*.png"),
     "boxes": (read_box_file, "*.txt"),
-    "detections": (reading_detections, "*.json"),
+    "detections": (reading_detections, "*_0.json"),
+    "detections csv": (reading_detections, "*_0.csv"),
+    "detections txt": (reading_detections, "*_0.txt"),
     "openpose": (reading_openpose, "*.json"),
     "points": (reading_points, "*.json"),
 }
@@ -589,10 +592,15 @@ CSV = b"""frame,person,joint,x,y,z,score
 1,anna,nose,0.1,,1e-3,1
 1,,left_hip,1,2,3,0
 """
-#: 3D poses of Panoptic and of OpenPose.
+ANIPOSE = b"nose_x,nose_y,nose_z,nose_error,M_00,fnum\n100,200.5,1500,0.4,1,0\n,,,,1,1\n"
+FREEMOCAP = (
+    b"frame,keypoint,x,y,z,model,trajectory\n0,nose,1,2,1500,a.body,3d_xyz\n1,nose,1,,3,a.body,rigid_3d_xyz\n"
+)
+#: 3D poses of Panoptic, of OpenPose and of EasyMocap.
 POSES_3D = [
     {"version": 0.7, "univTime": 5.5, "bodies": [{"id": 1, "joints19": 19 * [10.0, -150.5, 3.0, 0.7]}]},
     {"people": [{"person_id": [3], "pose_keypoints_3d": 17 * [0.1, -0.2, 1.5, 0.9]}]},
+    [{"id": 3, "keypoints3d": 17 * [[0.1, -0.2, 1.5, 0.9]]}],
 ]
 RESULT = {"image_id": 0, "category_id": 1, "keypoints": 17 * [30.5, 20, 0.7], "score": 0.9}
 BOXES = [
@@ -607,12 +615,39 @@ BOXES = [
 ]
 PEOPLE_2D = {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": 17 * [30.5, 20, 0.7]}]}
 COCO_2D = {"images": [{"id": 0, "file_name": "left.png"}], "annotations": [RESULT]}
+MMPOSE = [{"keypoints": 17 * [[30.5, 20]], "keypoint_scores": 17 * [0.7], "bbox": [[3, 4, 20.5, 30]]}]
+YOLO = {"name": "person", "class": 0, "confidence": 0.5, "box": {"x1": 3, "y1": 4, "x2": 20, "y2": 30.5}}
+#: Detections of AlphaPose, MMPose and ultralytics, and a labelled data set.
+DETECTIONS = [
+    {"left_0.png": {"version": "AlphaPose v0.3", "bodies": [{"joints": 18 * [30.5, 20, 0.7]}]}},
+    {"meta_info": {"keypoint_id2name": {"0": "nose"}}, "instance_info": [{"frame_id": 1, "instances": []}]},
+    MMPOSE,
+    [{"frame_id": 0, "instances": MMPOSE}],
+    [YOLO | {"keypoints": {"x": 17 * [30.5], "y": 17 * [20], "visible": 17 * [0.9]}}],
+    COCO_2D,
+]
+#: Labels of ultralytics, results of MOTChallenge, and of the AI City Challenge of 2024.
+LABELS = [
+    b"0 0.5 0.5 0.1 0.2 " + 17 * b"0.4 0.5 0.9 " + b"0.8 3\n56 0.5 0.5 0.1 0.2\n",
+    b"1,2,3.5,4,20,30,0.9,-1,-1,-1\n1,3,3,4,20,30,-1,-1,-1,-1\n",
+    b"0 2 0 3.5 4 20 30 1.5 -2.5\n",
+]
+DEEPLABCUT = (
+    b"scorer,a,a,a\nindividuals,b,b,b\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,30.5,20,0.9\n"
+)
 OWN_POINTS = {"keypoints": "coco17", "frames": [{"nose": [30.5, 20, 0.7], "left_hip": [30, 20]}]}
 
 
 def as_json(*values: object) -> list[bytes]:
     """Texts of JSON values."""
     return [json.dumps(value).encode() for value in values]
+
+
+def npy(array: np.ndarray[Any, Any]) -> bytes:
+    """Content of a file of NumPy."""
+    content = io.BytesIO()
+    np.save(content, array)
+    return content.getvalue()
 
 
 SEEDS = {
@@ -647,14 +682,17 @@ SEEDS = {
     "off": [exported("off")],
     "dae": [exported("dae")],
     "3mf": [exported("3mf")],
-    "estimate csv": [CSV],
+    "estimate csv": [CSV, ANIPOSE, FREEMOCAP],
+    "estimate npy": [npy(np.full((2, 17, 3), 1.5)), npy(np.ones((2, 17, 3), np.float32))],
     "estimate trc": [MOTIONS[".trc"]],
     "estimate c3d": [MOTIONS[".c3d"]],
     "estimate json": as_json(*POSES_3D),
     "boxes": [
         b"0 0 1 0 1.0 2.0 0.9 0.4 0.6 1.8 0.1\n0 0 2 0 -1 2 0.9 0.4 0.6 1.8 3.1\n0 1 2 1 0 0 1 1 1 1 0\n"
     ],
-    "detections": as_json([RESULT], BOXES),
+    "detections": as_json([RESULT], BOXES, *DETECTIONS),
+    "detections csv": [DEEPLABCUT],
+    "detections txt": LABELS,
     "openpose": as_json(PEOPLE_2D),
     "points": as_json(PEOPLE_2D, COCO_2D, OWN_POINTS, [RESULT]),
 }

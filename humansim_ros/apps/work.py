@@ -38,11 +38,12 @@ def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **opt
     if radius is not None:
         text = f"is for paths of robots; {', '.join(estimate)} is not there, or is none"
         raise EvaluationError(text, key="--radius")
-    if any(map(is_box_file, estimate)):
+    in_images = any(map(is_of_images, estimate))
+    if any(map(is_box_file, estimate)) and not in_images:
         gate = options.pop("gate")
         _refuse({**options, "min-score": min_score}, "upright boxes")
         return _boxes(truth, estimate, gate)
-    if any(map(is_of_images, estimate)):
+    if in_images:
         keypoints = options.pop("keypoints")
         _refuse(options, "detections in images")
         return _images(truth, estimate, keypoints, min_score)
@@ -125,7 +126,7 @@ def _poses(
 def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparison:
     """Compare upright boxes."""
     from humansim_ros.evaluate.boxes import DEFAULT_GATE, evaluate_boxes
-    from humansim_ros.evaluate.export_truth import open_box_truth
+    from humansim_ros.evaluate.export_truth import ExportTruth, is_export, open_box_truth
     from humansim_ros.evaluate.html import table_html_report
     from humansim_ros.evaluate.readers.box_files import read_box_file
     from humansim_ros.evaluate.report import BOX_HEADER, box_rows, box_summary, show_boxes, to_data
@@ -133,6 +134,8 @@ def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparis
     if len(estimate) > 1:
         raise EvaluationError("give one file of boxes", key="--estimate")
     found = read_box_file(Path(estimate[0]))
+    if not found.frames and is_export(truth) and "aicity" not in ExportTruth(truth).formats:
+        return _images(truth, estimate, None, None)  # of MOTChallenge
     result = evaluate_boxes(open_box_truth(truth, found), found, DEFAULT_GATE if gate is None else gate)
 
     def page() -> str:
@@ -185,11 +188,12 @@ def _images(
     from humansim_ros.evaluate.images import evaluate_images
     from humansim_ros.evaluate.readers.detections import read_image_estimates
     from humansim_ros.evaluate.report import show_images, to_data
+    from humansim_ros.keypoints import keypoint_set
 
     source = open_image_truth(truth, keypoints)
-    found = read_image_estimates(estimate, source)
+    found = read_image_estimates(estimate, source, keypoint_set(keypoints) if keypoints else None)
     numbers = found.images if found.images is not None else {row["image_id"] for row in found.results}
-    result = evaluate_images(source.images(numbers), found, min_score or 0.0)
+    result = evaluate_images(source.images(numbers, found.keypoints), found, min_score or 0.0)
 
     def page() -> str:
         with closing(source.pictures()) as pictures:

@@ -39,8 +39,8 @@ def evaluate(
         list_option(
             "--estimate",
             "PATH",
-            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json, .txt) or a "
-            "folder of files; several, such as one file a person.",
+            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json, .npy, .txt) or "
+            "a folder of files; several, such as one file a person.",
         ),
     ],
     keypoints: KeypointsOption = None,

@@ -103,8 +103,13 @@ class ExportTruth:
         """Width and height of an image; None if there is none with this number."""
         return self._sizes.get(number)
 
-    def images(self, numbers: Collection[int] | None) -> ImageTruth:
-        """Truth of the images of its COCO file; ``numbers`` does not matter."""
+    @property
+    def first(self) -> int:
+        """Number of the first frame."""
+        return self._frames.start
+
+    def images(self, numbers: Collection[int], keypoints: KeypointSet | None) -> ImageTruth:
+        """Truth of the images of its COCO file; the parameters are for scenes."""
         document = self._document
         return ImageTruth(
             document["images"],
@@ -218,12 +223,12 @@ class SceneImages:
     Images have the numbers of an export from frame 0 on: from 1, frame by frame, in each in the order of the
     cameras.
 
-    ``keypoints``: set of the keypoints.
+    ``keypoints``: set of the keypoints of an estimate without names.
     """
 
     def __init__(self, scene: Scene, keypoints: KeypointSet) -> None:
         self.scene, self.keypoints = scene, keypoints
-        self.rate = scene.config.rate
+        self.rate, self.first = scene.config.rate, 0
 
     @property
     def cameras(self) -> Sequence[str]:
@@ -257,15 +262,21 @@ class SceneImages:
         last = (number + 1) * max(timing.step for timing in timings)
         return bisect_right(range(last), number, key=self._first) - 1
 
-    def images(self, numbers: Collection[int]) -> ImageTruth:
+    def images(self, numbers: Collection[int], keypoints: KeypointSet | None) -> ImageTruth:
         """Render the frames from the first to the last of some images; needs OpenGL.
 
+        Args:
+            numbers: Numbers of the images; if there is none, the first frame is rendered.
+            keypoints: Set of the estimate. The truth has this set, else its own, else coco17: the first one
+                with published OKS constants.
+
         Raises:
-            EvaluationError: There are no numbers, or too many frames.
+            EvaluationError: There are too many frames.
             RenderError: OpenGL is missing.
         """
-        if not numbers:
-            raise EvaluationError("the estimate is of no image", key="--estimate")
+        sets = (keypoints, self.keypoints, keypoint_set("coco17"))
+        judged = next(each for each in sets if each is not None and each.sigmas is not None)
+        numbers = numbers or [1]
         frames = range(self._frame_of(min(numbers)), self._frame_of(max(numbers)) + 1)
         if len(frames) > MAX_RENDERED_FRAMES:
             raise EvaluationError(
@@ -276,20 +287,16 @@ class SceneImages:
                 key="--truth",
             )
         described = ExportScene.of(self.scene)
-        settings = ExportSettings(described, frames, self.keypoints.name)
+        settings = ExportSettings(described, frames, judged.name)
         writer, folder = CocoWriter(settings), ExportFolder(Path())
         with Simulation(self.scene, CHANNELS) as simulation:
             records = [
                 (index, writer.frame(ExportFrame(simulation.frame(index), settings), folder))
                 for index in frames
             ]
-        document = coco_document(
-            records, *scene_categories(described, self.keypoints), first=self._first(frames[0])
-        )
+        document = coco_document(records, *scene_categories(described, judged), first=self._first(frames[0]))
         source = str(self.scene.path or "the scene")
-        return ImageTruth(
-            document["images"], document["annotations"], document["categories"], self.keypoints, source
-        )
+        return ImageTruth(document["images"], document["annotations"], document["categories"], judged, source)
 
     def pictures(self) -> ScenePictures:
         """Images of the scene."""
@@ -299,20 +306,13 @@ class SceneImages:
 def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
     """Open the truth of images: an export, or a scene, which is rendered.
 
-    ``keypoints``: name of the keypoint set; if None, the set of the export, or coco17.
+    ``keypoints``: name of the keypoint set of a scene; coco17 if None.
 
     Raises:
-        HumansimError: The scene or export is wrong, is a bag, or has other keypoints.
+        HumansimError: The scene or export is wrong, or is a bag.
     """
     if is_export(path):
-        export = ExportTruth(path)
-        if keypoints not in (None, export.keypoints.name):
-            raise EvaluationError(
-                f"the export has keypoints of {export.keypoints.name}, not {keypoints}",
-                path=path,
-                key="--keypoints",
-            )
-        return export
+        return ExportTruth(path)
     if is_bag(path) or path.is_dir():
         raise EvaluationError(
             "the truth of detections in images is a scene, or a folder of humansim export",

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from humansim_ros.errors import EvaluationError, warn_about
 from humansim_ros.evaluate.metrics import mean_error
 from humansim_ros.export.coco import joined_keypoints
-from humansim_ros.keypoints import KeypointSet
+from humansim_ros.keypoints import KeypointSet, keypoint_set
 from humansim_ros.types import Array
 
 #: Least OKS or IoU of a match that counts as found.
@@ -77,11 +77,17 @@ class Detections2D:
             ``bbox`` or ``segmentation`` (compressed RLE).
         images: Numbers of the images that were searched; None: all.
         source: Where they come from, for messages.
+        keypoints: Set of the keypoints; None: that of the truth.
+        kinds: Kinds of detections that are scored if there is none at all.
+        cameras: Cameras whose images were searched; None: all.
     """
 
     results: Sequence[_Record]
     images: Collection[int] | None = None
     source: str = ""
+    keypoints: KeypointSet | None = None
+    kinds: Sequence[str] = tuple(KEYS)
+    cameras: Collection[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -210,10 +216,15 @@ def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float 
     ``min_score``: detections with a lower score count for average precision only.
 
     Raises:
-        EvaluationError: The detections are of no image or category of the truth, or of keypoints without
-            published OKS constants.
+        EvaluationError: The detections are of no image or category of the truth, or have no keypoint with a
+            published OKS constant in common with it.
     """
-    images = [row for row in truth.images if estimate.images is None or row["id"] in estimate.images]
+    images = [
+        row
+        for row in truth.images
+        if (estimate.images is None or row["id"] in estimate.images)
+        and (estimate.cameras is None or row["camera"] in estimate.cameras)
+    ]
     known = {row["id"] for row in images}
     results = [row for row in estimate.results if row["image_id"] in known]
     if not known or (estimate.results and not results):
@@ -221,13 +232,15 @@ def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float 
     results = _of_known_categories(truth, results, estimate.source)
     whole = [joined_keypoints(row, truth.keypoints.name) for row in truth.annotations]
     truth = replace(truth, annotations=whole)
-    kinds = [kind for kind, key in KEYS.items() if any(key in row for row in results)]
-    if not kinds:
-        raise EvaluationError("there is no detection in it", path=estimate.source)
+    kinds = [kind for kind, key in KEYS.items() if any(key in row for row in results)] or estimate.kinds
+    if not results:
+        warn_about(estimate.source, "nobody is in the estimate: everybody is missed")
+    if "keypoints" in kinds:
+        truth, results = _with_common_keypoints(truth, results, estimate)
     matches: dict[tuple[str, int, str], tuple[_Record, _Record | None]] = {}
     scores: dict[str, KindScores] = {}
     for kind in kinds:
-        comparison = _Comparison(truth, images, results, kind, min_score, estimate.source)
+        comparison = _Comparison(truth, images, results, kind, min_score)
         scores[kind] = comparison.scores()
         matches |= {(kind, image, name): pair for (image, name), pair in comparison.pairs.items()}
     return ImageEvaluation(
@@ -241,6 +254,38 @@ def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float 
         masks=scores.get("masks"),
         matches=matches,
     )
+
+
+def _with_common_keypoints(
+    truth: ImageTruth, results: list[_Record], estimate: Detections2D
+) -> tuple[ImageTruth, list[_Record]]:
+    """Both with the keypoints that are the same anatomical point in both sets, and have an OKS constant.
+
+    The constants are those of the set of the truth, or of coco17 if that set has none.
+    """
+    own, found = truth.keypoints, estimate.keypoints or truth.keypoints
+    if found == own and own.sigmas is not None:
+        return truth, results
+    judge = own if own.sigmas is not None else keypoint_set("coco17")
+    sigmas = dict(zip(judge.points[::-1], (judge.sigmas or ())[::-1], strict=True))
+    places = {point: number for number, point in reversed([*enumerate(found.points)]) if point in sigmas}
+    pairs = [(number, places.pop(point)) for number, point in enumerate(own.points) if point in places]
+    if not pairs:
+        text = (
+            f"no keypoint with an OKS constant is in both {found.name} and {own.name}, the set of the truth"
+        )
+        raise EvaluationError(text, path=estimate.source, key="--keypoints")
+
+    def chosen(row: _Record, numbers: Sequence[int]) -> _Record:
+        if "keypoints" not in row:
+            return row
+        points = np.reshape(row["keypoints"], (-1, 3))[list(numbers)]
+        return row | {"keypoints": points.ravel().tolist(), "num_keypoints": int((points[:, 2] > 0).sum())}
+
+    kept, taken = zip(*pairs, strict=True)
+    common = own.subset(kept, tuple(sigmas[own.points[number]] for number in kept))
+    rows = [chosen(row, kept) for row in truth.annotations]
+    return replace(truth, annotations=rows, keypoints=common), [chosen(row, taken) for row in results]
 
 
 def _of_known_categories(truth: ImageTruth, results: list[_Record], source: str) -> list[_Record]:
@@ -276,17 +321,9 @@ class _Comparison:
         results: Sequence[_Record],
         kind: str,
         min_score: float,
-        source: str,
     ) -> None:
         self.truth, self.kind, self.min_score = truth, kind, min_score
         self.images = {row["id"]: row for row in images}
-        if kind == "keypoints" and truth.keypoints.sigmas is None:
-            raise EvaluationError(
-                f"the keypoint set {truth.keypoints.name} has no published OKS constants; "
-                "compare with coco17",
-                path=source,
-                key="--keypoints",
-            )
         own = [dict(row) for row in results if KEYS[kind] in row]
         # pycocotools takes the keys of the first row to be in all
         partial = {key for key in KEYS.values() if any(key not in row for row in own)}
@@ -465,7 +502,7 @@ class _Judge:
                 "categories": list(truth.categories),
             }
             self._coco.createIndex()
-            self._results = self._coco.loadRes(results)
+            self._results = self._coco.loadRes(results) if results else coco_class()
         self._first: Any = None
 
     def precision(self, images: list[int]) -> dict[str, float | None]:

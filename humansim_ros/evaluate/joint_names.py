@@ -139,6 +139,20 @@ def set_of_names(names: Sequence[str]) -> KeypointSet | None:
     return min(sets, key=len)
 
 
+@cache
+def set_with_names(names: tuple[str, ...]) -> KeypointSet:
+    """Keypoint set with names of a file, and with the points that these names stand for, as far as known.
+
+    Example:
+        >>> set_with_names(("nose", "LKnee", "tail")).points
+        ('nose', 'l_knee', 'tail')
+    """
+    sets = [*KEYPOINT_SETS.values()][::-1]
+    places = {_plain(n): p for each in sets for n, p in zip(each.names, each.points, strict=True)}
+    points = tuple(places.get(_plain(name)) or body_joint(name) or name for name in names)
+    return KeypointSet("the file", "", names, points, (), None, "")
+
+
 def read_names(path: Path) -> dict[str, str] | list[str]:
     """Read a YAML file: name in the truth by name in the estimate, or the names of points in their order.
 

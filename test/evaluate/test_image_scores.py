@@ -263,11 +263,63 @@ def test_what_cannot_be_compared(truth: ImageTruth) -> None:
         )
     with pytest.raises(EvaluationError, match="none of its images"):
         evaluate_images(truth, Detections2D(found(truth).results, {99}, ""))
-    with pytest.raises(EvaluationError, match="no detection in it"):
-        evaluate_images(truth, Detections2D([], {10}, ""))
-    h36m = ImageTruth(truth.images, truth.annotations, truth.categories, keypoint_set("h36m17"), "")
-    with pytest.raises(EvaluationError, match="h36m17 has no published OKS constants"):
-        evaluate_images(h36m, found(truth))
+    hand = replace(found(truth), keypoints=keypoint_set("left_hand21").subset(range(1, 21)))
+    with pytest.raises(EvaluationError, match="no keypoint with an OKS constant is in both left_hand21 and"):
+        evaluate_images(truth, hand)
+
+
+@pytest.mark.parametrize("kinds", [("keypoints",), ("boxes", "masks")])
+def test_nobody_is_found_and_all_are_missed(truth: ImageTruth, kinds: tuple[str, ...]) -> None:
+    with pytest.warns(HumansimWarning, match="nobody is in the estimate: everybody is missed"):
+        result = evaluate_images(truth, Detections2D([], {10, 13}, "", kinds=kinds))
+    assert result.images == 2 and tuple(result.kinds) == kinds
+    for kind, scores in result.kinds.items():
+        people = scores.by_name["anna"], scores.by_name["bert"]
+        assert [each.present for each in people] == [2, 1] and not any(each.found for each in people)
+        assert scores.all.present == (3 if kind == "keypoints" else 5) and scores.all.false == 0
+        assert scores.all.precision["ap"] == scores.all.similarity == 0
+
+
+#: Sets without published OKS constants, and number of the points that coco17 has, too.
+@pytest.mark.parametrize(
+    ("name", "common"), [("body25", 17), ("h36m17", 12), ("mediapipe33", 17), ("smpl24", 12)]
+)
+@pytest.mark.parametrize("is_truth", [False, True])
+def test_other_sets_are_compared_by_the_points_of_coco17(
+    truth: ImageTruth, name: str, common: int, is_truth: bool
+) -> None:
+    """OKS by the formula of COCO over the common points; those of the estimate are 3 pixels beside."""
+    points = keypoint_set(name)
+    places = [points.points.index(point) if point in points.points else -1 for point in COCO17.points]
+    kept = [number for number, place in enumerate(places) if place >= 0]
+    assert len(kept) == common
+
+    def other(row: Record, shift: float) -> Record:
+        if "keypoints" not in row:
+            return row
+        own = np.reshape(row["keypoints"], (-1, 3))
+        table = np.full((len(points), 3), 7.0)  # what coco17 has not
+        table[[places[number] for number in kept]] = own[kept] + np.array([shift, 0, 0]) * (own[kept, 2:] > 0)
+        return row | {"keypoints": table.ravel().tolist(), "num_keypoints": len(points)}
+
+    if is_truth:
+        own = replace(truth, annotations=[other(row, 0) for row in truth.annotations], keypoints=points)
+        estimate = found(truth, moved((3, 0)))
+        estimate = replace(estimate, keypoints=COCO17)
+    else:
+        own, estimate = truth, found(truth)
+        estimate = replace(estimate, results=[other(row, 3) for row in estimate.results], keypoints=points)
+    scores = evaluate_images(own, estimate).keypoints
+    assert scores is not None and scores.all.error is not None
+    assert scores.all.found == 7 and scores.all.error.mean == pytest.approx(3)
+    similarity = []
+    for row in truth.annotations:
+        if "keypoints" in row:
+            shown = [n for n in kept if row["keypoints"][3 * n + 2] > 0]
+            sigmas = np.array(COCO17.sigmas)[shown]
+            similarity.append(np.exp(-9 / (2 * row["area"] * (2 * sigmas) ** 2)).mean())
+    assert scores.all.similarity == pytest.approx(np.mean(similarity), rel=1e-9)
+    assert len(scores.by_keypoint) == common
 
 
 WHOLE_BODY = keypoint_set("wholebody133")

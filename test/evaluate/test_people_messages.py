@@ -14,12 +14,13 @@ from humansim_ros import Scene, Simulation, evaluate, messages
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.bags.topics import BagTopic, described, message_types
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import EvaluationError, RosError
+from humansim_ros.errors import EvaluationError, HumansimWarning, RosError
 from humansim_ros.evaluate.readers.estimates import bag_transforms
 from humansim_ros.messages.adapters import adapter_topics
 from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.messages.transforms import TF, Transforms, read_links
-from humansim_ros.messages.types import made_type
+from humansim_ros.messages.types import made_type, readable_type
 from humansim_ros.scene.simulation import Frame
 
 FRAMES = 12
@@ -401,3 +402,28 @@ def test_the_page_matches_people_of_one_point(tmp_path: Path) -> None:
     points, errors = beside_truth(estimate, truth, LiveOptions.of("", "", 1.0, "", 0.5))
     assert points.keys() == errors.keys() == {"anna", "ben"}
     assert list(errors.values()) == pytest.approx([40.0, 40.0])
+
+
+@pytest.mark.parametrize("kind", [*MESSAGE_TYPES, DETECTIONS_2D])
+def test_messages_without_people_are_frames_in_which_nobody_is_found(kind: str, tmp_path: Path) -> None:
+    """Of every type, without a keypoint set. Markers of nobody have no stamp: the log time stands for it."""
+    scene, rows = scene_with(tmp_path / "scene.yaml", {}), []
+    for index in range(FRAMES):
+        stamp, message = 1 + scene.frame_time(index), readable_type(kind)()
+        if hasattr(message, "header"):
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+            message.header.frame_id = "map"
+        rows.append(("/ahead/found", stamp, message))
+    bag = write(tmp_path / "bag", {"/ahead/found": kind, "/none": kind}, rows)
+    with pytest.warns(HumansimWarning, match="nobody is in the estimate: everybody is missed"):
+        data = evaluate(tmp_path / "scene.yaml", f"{bag}:/ahead/found").data
+    if kind == DETECTIONS_2D:
+        assert data["images"] == FRAMES and data["keypoints"] is None
+        assert data["boxes"]["all"]["found"] == data["boxes"]["all"]["false"] == 0
+    else:
+        assert data["frames"]["compared"] == FRAMES and data["frames"]["without_estimate"] == 0
+        assert data["people"]["missed"] == 2 * FRAMES and data["people"]["recall"] == 0
+        with pytest.raises(
+            EvaluationError, match=r"there is no message on /none; the bag has poses on /ahead"
+        ):
+            evaluate(tmp_path / "scene.yaml", f"{bag}:/none")

@@ -1,112 +1,61 @@
-"""Read detections in images of any known format: COCO results, label images, 2D keypoints of OpenPose."""
+"""Read detections in images of any known format: COCO results, label images, and files of other programs."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.errors import MAX_COORDINATE, EvaluationError, RosError, printable
+from humansim_ros.errors import (
+    MAX_COORDINATE,
+    EvaluationError,
+    RosError,
+    located,
+    printable,
+    warn_about,
+)
 from humansim_ros.evaluate.images import KEYS, Detections2D
+from humansim_ros.evaluate.joint_names import set_with_names
 from humansim_ros.evaluate.readers.estimates import deserialised_message, is_bag, split_topic
-from humansim_ros.evaluate.readers.pose_files import MAX_BYTES, load_json
+from humansim_ros.evaluate.readers.image_files import (
+    LAYOUTS,
+    PERSON,
+    ImageFile,
+    ImageNumbers,
+    camera_files,
+    content_of,
+    is_2d,
+)
+from humansim_ros.evaluate.readers.pose_files import MAX_BYTES
 from humansim_ros.evaluate.truth import FIRST_STAMP, WALL_CLOCK_FRAME
+from humansim_ros.export.aicity import COLUMNS
 from humansim_ros.export.coco import encoded_mask, joined_keypoints
-from humansim_ros.io.files import open_file, read_bytes, read_json
+from humansim_ros.io.files import decode_text, open_file, read_bytes, read_json
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.keypoints import KeypointSet
+from humansim_ros.keypoints.sets import COUNTED_SETS
 from humansim_ros.messages.headers import to_nanoseconds
 from humansim_ros.messages.people import DETECTIONS_2D, read_boxes_2d
 from humansim_ros.scene.config import frame_at
 
 #: Files that are looked at to find the kind of a folder.
 _LOOKED_AT = 200
-#: Bytes of a file in which a list begins.
-_BEGINNING = 64
+#: Bytes of a file that tell its kind.
+_BEGINNING = 4096
 #: Longest outline of a polygon in pixels; pycocotools makes five points for each pixel of it.
 _MAX_OUTLINE = 1_000_000
 _Record = dict[str, Any]
-_PERSON = 1
-
-
-class ImageNumbers(Protocol):
-    """Images of a truth: their cameras, numbers, sizes and rate, and the set of its keypoints."""
-
-    @property
-    def cameras(self) -> Sequence[str]:
-        """Names of the cameras."""
-
-    @property
-    def keypoints(self) -> KeypointSet:
-        """Set of the keypoints."""
-
-    @property
-    def rate(self) -> float:
-        """Frames per second."""
-
-    def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame; None if there is none."""
-
-    def size(self, number: int) -> tuple[int, int] | None:
-        """Width and height of an image; None if there is none with this number."""
-
-
-def camera_folders(path: Path, suffix: str, images: ImageNumbers) -> dict[str, list[Path]]:
-    """Files by camera.
-
-    A folder for each camera has its name, with or without ``_json`` at the end; below ``pose`` as in a
-    project of Pose2Sim, below ``instance`` as in an export.
-    With one camera, the files may be in the folder itself.
-
-    Args:
-        path: The folder.
-        suffix: Suffix of the files, such as ``.json``.
-        images: Images of the truth.
-
-    Raises:
-        EvaluationError: There is no file of a camera of the truth.
-    """
-    found: dict[str, list[Path]] = {}
-    for root in (path, path / "pose", path / "instance"):
-        for camera in images.cameras:
-            for folder in (root / f"{camera}_json", root / camera):
-                if files := sorted(folder.glob(f"*{suffix}")):
-                    found.setdefault(camera, files)
-    if not found and (path.name.removesuffix("_json") in images.cameras or len(images.cameras) == 1):
-        name = path.name.removesuffix("_json")
-        camera = name if name in images.cameras else images.cameras[0]
-        if files := sorted(path.glob(f"*{suffix}")):
-            found[camera] = files
-    if not found:
-        raise EvaluationError(
-            f"no {suffix} file of a camera: a folder for each is needed, with its name "
-            f"({', '.join(list(images.cameras)[:6])})",
-            path=path,
-        )
-    return found
-
-
-def image_of(path: Path, camera: str, images: ImageNumbers) -> int:
-    """Number of the image whose frame is the last number in the name of a file. Raises EvaluationError."""
-    found = re.findall(r"\d+", path.stem.replace("_keypoints", ""))
-    if not found:
-        raise EvaluationError("the name of the file needs the number of its frame at the end", path=path)
-    number = images.number(camera, int(found[-1]))
-    if number is None:
-        raise EvaluationError(f"the truth has no frame {int(found[-1])} of {camera}", path=path)
-    return number
 
 
 def is_of_images(text: str) -> bool:
-    """Whether an estimate is detections in images, not 3D poses: COCO results, label images, 2D OpenPose.
+    """Whether an estimate is detections in images, not 3D poses or boxes.
 
     Raises EvaluationError if a file cannot be read.
     """
@@ -117,50 +66,73 @@ def is_of_images(text: str) -> bool:
     if is_bag(path) or not path.exists():
         return False
     if path.is_dir():
-        return _has_label_images(path) or _has_2d_keypoints(path)
-    if path.suffix.lower() != ".json":
-        return False
-    with open_file(path, EvaluationError, "JSON", MAX_BYTES) as file:
-        return file.read(_BEGINNING).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"[")
+        return _has_label_images(path) or _has_2d_files(path)
+    return bool(_is_2d_file(path))
 
 
 def _has_label_images(path: Path) -> bool:
     return any(any(path.glob(pattern)) for pattern in ("*.png", "*/*.png", "instance/*/*.png"))
 
 
-def _has_2d_keypoints(path: Path) -> bool:
-    """Whether a folder has files of OpenPose without 3D keypoints."""
-    if any(path.glob("hdPose3d_*/*.json")):
+def _has_2d_files(path: Path) -> bool:
+    """Whether a folder has files of people in images; the first one with people decides."""
+    if any(path.glob("hdPose3d_*/*.json")) or any(path.glob("keypoints3d/*.json")):
         return False
-    own = sorted(islice(path.glob("*.json"), _LOOKED_AT))
-    files = own or sorted(
-        islice((file for pattern in ("*/*.json", "pose/*/*.json") for file in path.glob(pattern)), _LOOKED_AT)
-    )
-    for file in files:
-        people = load_json(file).get("people")
-        if not isinstance(people, list):
-            return False
-        for person in people:
-            return isinstance(person, dict) and not person.get("pose_keypoints_3d")
-    return bool(files) and not own
+    for pattern in ("*", "*/*", "pose/*/*", "*/labels/*", "*/*/*.txt"):
+        files = sorted(islice((file for file in path.glob(pattern) if file.suffix in LAYOUTS), _LOOKED_AT))
+        for file in files:
+            if (found := _is_2d_file(file)) is not None:
+                return found
+        if files:
+            return pattern != "*" or path.name.endswith("_json") or files[0].suffix == ".txt"
+    return False
 
 
-def read_image_estimates(texts: Sequence[str], images: ImageNumbers) -> Detections2D:
+def _is_2d_file(path: Path) -> bool | None:
+    """Whether a file has people in images; None if nobody is in it, so that it may be both."""
+    suffix = path.suffix.lower()
+    if suffix not in LAYOUTS:
+        return False
+    with open_file(path, EvaluationError, "estimate", MAX_BYTES, may_be_empty=suffix == ".txt") as file:
+        begin = file.read(_BEGINNING).decode("latin-1").removeprefix("\xef\xbb\xbf").lstrip()
+    if suffix == ".json" and not begin.startswith("["):
+        return is_2d(read_json(path, EvaluationError, "JSON", MAX_BYTES, nan=True))
+    if suffix == ".json":  # EasyMocap has lists, too, and numbers for names
+        return None if begin.rstrip() == "[]" and path.stem.isdecimal() else '"keypoints3d"' not in begin
+    if suffix == ".csv":
+        return begin.startswith("scorer")
+    words = "".join(begin.splitlines()[:1]).replace(",", " ").split()
+    return len(words) != len(COLUMNS) if words else None
+
+
+def read_image_estimates(
+    texts: Sequence[str], images: ImageNumbers, keypoints: KeypointSet | None = None
+) -> Detections2D:
     """Read detections in images; several files are one estimate, such as keypoints and masks.
 
+    Args:
+        texts: ``BAG:TOPIC``, files or folders.
+        images: Images of the truth.
+        keypoints: Set of keypoints without names; if None, their number determines the set.
+
     Raises:
-        EvaluationError: A file is missing, of another kind, empty or damaged, or of images that the truth
-            has not.
+        EvaluationError: A file is missing, of another kind or damaged, of images that the truth has not, or
+            of keypoints of different sets.
     """
-    parts = [_read(text, images) for text in texts]
+    parts = [_read(text, images, keypoints) for text in texts]
     if len(parts) == 1:
         return parts[0]
+    source = ", ".join(part.source for part in parts)
+    sets = [part.keypoints for part in parts if part.keypoints]
+    if len(set(sets)) > 1:
+        raise EvaluationError("their keypoints differ: evaluate them one after the other", path=source)
     searched = [part.images for part in parts]
     known = [each for each in searched if each is not None]
     return Detections2D(
         [row for part in parts for row in part.results],
         frozenset().union(*known) if len(known) == len(parts) else None,
-        ", ".join(part.source for part in parts),
+        source,
+        sets[0] if sets else None,
     )
 
 
@@ -203,110 +175,155 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
             numbers.add(number)
             for left, top, right, bottom, score in boxes:
                 box = [left + 0.5, top + 0.5, right - left, bottom - top]  # COCO counts from corners
-                results.append({"image_id": number, "category_id": _PERSON, "score": score, "bbox": box})
-    return Detections2D(results, frozenset(numbers), f"{path}:{topic}")
+                results.append({"image_id": number, "category_id": PERSON, "score": score, "bbox": box})
+    if not numbers:
+        raise EvaluationError(f"there is no message on {topic}", path=path)
+    return Detections2D(results, frozenset(numbers), f"{path}:{topic}", kinds=("boxes",))
 
 
-def _read(text: str, images: ImageNumbers) -> Detections2D:
+def _read(text: str, images: ImageNumbers, keypoints: KeypointSet | None) -> Detections2D:
     name, topic = split_topic(text)
     path = Path(text if topic is None else name)
     if topic is not None and has_boxes(path, topic):
         return read_boxes(path, topic, images)
-    if topic is not None or not is_of_images(text):
+    if topic is not None or not (is_of_images(text) or path.suffix == ".txt"):  # it may be empty
         raise EvaluationError(
             "these are no detections in images, but another estimate is: evaluate them one after the other",
             path=path,
         )
-    if path.is_dir():
-        return read_label_images(path, images) if _has_label_images(path) else read_openpose_2d(path, images)
-    rows = read_json(path, EvaluationError, "JSON", MAX_BYTES, nan=True)
-    return read_coco_results(path, rows, images)
+    if path.is_dir() and _has_label_images(path):
+        return read_label_images(path, images)
+    return read_image_files(path, images, keypoints)
 
 
-def read_coco_results(path: Path, rows: list[Any], images: ImageNumbers) -> Detections2D:
-    """Check the results of a file.
+def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None) -> Detections2D:
+    """Read files of one of :data:`LAYOUTS`.
 
     Args:
-        path: The file, for messages.
-        rows: Its content.
+        path: A file, or a folder of files.
         images: Images of the truth.
+        given: Set of the keypoints, if the file has no names of them, and as many of them as the set.
 
     Raises:
-        EvaluationError: A detection is wrong, or of an image that the truth has not; with its number.
+        EvaluationError: A file is damaged, or of an image that the truth has not; with key or line.
     """
-    if not rows:
-        raise EvaluationError("there is no detection in it: the list is empty", path=path)
-    results = [_checked(row, images, path, f"[{index}]") for index, row in enumerate(rows)]
-    return Detections2D(results, None, str(path))
+    files = camera_files(path, list(LAYOUTS), images) if path.is_dir() else [path]
+    sources, results = [ImageFile(file, images) for file in files], list[_Record]()
+    keypoints: KeypointSet | None = None
+    suffix = files[0].suffix.lower()
+    is_text = suffix == ".txt"
+    is_video = is_text and len(files) > 1 and not any(each.digits[:1] in ("", "0") for each in sources)
+    if is_video:
+        warn_about(path, "the numbers of its files count from 1, as ultralytics counts the frames of a video")
+    for source in sources:
+        source.shift = -is_video
+        with open_file(source.path, EvaluationError, "estimate", MAX_BYTES, may_be_empty=is_text) as file:
+            text = decode_text(file.read(), source.path, EvaluationError, "estimate")
+        content = content_of(text, source.path)
+        if not content and len(files) == 1:  # it names no image
+            return Detections2D([], None, str(path))
+        probe = next(iter(content.values()), None) if is_text else content
+        fitting = [row for row in LAYOUTS[suffix] if probe is None or row[1](probe) is not False]
+        if not fitting:
+            known = ", ".join(name for name, *_ in LAYOUTS[suffix])
+            raise EvaluationError(f"is not as these write detections in images: {known}", path=source.path)
+        name, _, read = fitting[0]
+        try:
+            for row in read(content, source):
+                result, keypoints = _checked(row, source, keypoints, given)
+                results.append(result)
+        except EvaluationError:
+            with located(EvaluationError, source.path, **source.where):
+                raise
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as reason:
+            text = f"not as {name} writes it ({printable(f'{type(reason).__name__}: {reason}', 80)})"
+            raise EvaluationError(text, path=source.path, **source.where) from None
+    if len({len(row.get("keypoints", ())) for row in results} - {0}) > 1:
+        raise EvaluationError("its files have different keypoints", path=path)
+    numbers = frozenset[int]().union(*(source.searched for source in sources))
+    return Detections2D(
+        results,
+        None if is_text or any(source.is_sparse for source in sources) else numbers,
+        str(path),
+        keypoints,
+        cameras=(is_text and {source.camera for source in sources if source.camera}) or None,
+    )
 
 
-def _checked(row: Any, images: ImageNumbers, path: Path, key: str) -> _Record:
+def _checked(
+    row: Any, file: ImageFile, keypoints: KeypointSet | None, given: KeypointSet | None
+) -> tuple[_Record, KeypointSet | None]:
+    """A result that is right, and the set of its keypoints. Raises EvaluationError."""
     if not isinstance(row, dict):
-        raise EvaluationError("a detection must be a mapping", path=path, key=key)
+        raise EvaluationError("a detection must be a mapping")
+    images, key = file.images, "".join(f"{each}." for each in [file.where.get("key")] if each)
     row = joined_keypoints(row, images.keypoints.name)
+    if isinstance(row.get("image_id"), str):
+        with located(key=f"{key}image_id"):
+            row = row | {"image_id": file.number(row["image_id"])}
     for name in ("image_id", "category_id"):
         if not isinstance(row.get(name), int) or isinstance(row[name], bool):
-            raise EvaluationError("a whole number is needed", path=path, key=f"{key}.{name}")
+            raise EvaluationError("a whole number is needed", key=f"{key}{name}")
     size = images.size(row["image_id"])
     if size is None:
-        raise EvaluationError(
-            f"the truth has no image {row['image_id']}; numbers are as in the COCO export of the scene",
-            path=path,
-            key=f"{key}.image_id",
-        )
+        text = f"the truth has no image {row['image_id']}; numbers are as in the COCO export of the scene"
+        raise EvaluationError(text, key=f"{key}image_id")
     result = {"image_id": row["image_id"], "category_id": row["category_id"]}
-    result["score"] = _numbers([row.get("score")], 1, path, f"{key}.score")[0]
+    result["score"] = _numbers([row.get("score")], 1, f"{key}score")[0]
     if row.get("keypoints"):
-        count = 3 * len(images.keypoints)
-        result["keypoints"] = _numbers(row["keypoints"], count, path, f"{key}.keypoints")
-    if row.get("bbox"):
-        result["bbox"] = _numbers(row["bbox"], 4, path, f"{key}.bbox")
+        keypoints = _set_of(row, keypoints, given, images.keypoints)
+        result["keypoints"] = _numbers(row["keypoints"], 3 * len(keypoints), f"{key}keypoints")
+    if box := row.get("bbox") or row.get("box"):  # of AlphaPose
+        result["bbox"] = _numbers(box, 4, f"{key}bbox")
         if min(result["bbox"][2:]) < 0:
-            raise EvaluationError("x, y, width and height: one is negative", path=path, key=f"{key}.bbox")
+            raise EvaluationError("x, y, width and height: one is negative", key=f"{key}bbox")
     if row.get("segmentation"):
-        result["segmentation"] = _mask(row["segmentation"], size, path, f"{key}.segmentation")
+        result["segmentation"] = _mask(row["segmentation"], size, f"{key}segmentation")
     if not result.keys() & set(KEYS.values()):
-        raise EvaluationError(f"none of {', '.join(KEYS.values())} is there", path=path, key=key)
-    return result
+        raise EvaluationError(f"none of {', '.join(KEYS.values())} is there")
+    return result, keypoints
 
 
-def _numbers(values: Any, count: int, path: Path, key: str) -> list[float]:
+def _set_of(row: _Record, known: KeypointSet | None, *likely: KeypointSet | None) -> KeypointSet:
+    """Set of the keypoints of a detection: of their names, else that of others, else of their number."""
+    if row.get("names"):
+        return set_with_names(row["names"])
+    count = len(row["keypoints"]) // 3 if isinstance(row["keypoints"], list) else 0
+    sets = [each for each in likely if each is not None]
+    return known or next((each for each in sets if len(each) == count), COUNTED_SETS.get(count, sets[0]))
+
+
+def _numbers(values: Any, count: int, key: str) -> list[float]:
     if not isinstance(values, list) or len(values) != count:
         length = len(values) if isinstance(values, list) else "no list of"
-        raise EvaluationError(f"{length} numbers, but {count} are needed", path=path, key=key)
+        raise EvaluationError(f"{length} numbers, but {count} are needed", key=key)
     for value in values:
         if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
-            raise EvaluationError(f"{value!r} is no finite number", path=path, key=key)
+            raise EvaluationError(f"{value!r} is no finite number", key=key)
         if abs(value) > MAX_COORDINATE:
-            raise EvaluationError(f"{value!r} is no coordinate in an image", path=path, key=key)
+            raise EvaluationError(f"{value!r} is no coordinate in an image", key=key)
     return [float(value) for value in values]
 
 
-def _mask(value: Any, size: tuple[int, int], path: Path, key: str) -> _Record:
+def _mask(value: Any, size: tuple[int, int], key: str) -> _Record:
     """Compressed RLE of polygons or of RLE, whose size is checked: pycocotools trusts it."""
     from pycocotools.mask import frPyObjects, merge
 
     width, height = size
     if isinstance(value, list):
         for number, polygon in enumerate(value):
-            count = len(polygon) if isinstance(polygon, list) else 0
+            count, own = len(polygon) if isinstance(polygon, list) else 0, f"{key}[{number}]"
             if count < 6 or count % 2:
-                raise EvaluationError(
-                    "a polygon needs x and y of three points", path=path, key=f"{key}[{number}]"
-                )
-            corners = np.reshape(_numbers(polygon, count, path, f"{key}[{number}]"), (-1, 2))
+                raise EvaluationError("a polygon needs x and y of three points", key=own)
+            corners = np.reshape(_numbers(polygon, count, own), (-1, 2))
             if np.abs(np.diff(corners, axis=0, append=corners[:1])).sum() > _MAX_OUTLINE:
-                raise EvaluationError(
-                    f"the outline of this polygon is longer than {_MAX_OUTLINE} pixels",
-                    path=path,
-                    key=f"{key}[{number}]",
-                )
+                text = f"the outline of this polygon is longer than {_MAX_OUTLINE} pixels"
+                raise EvaluationError(text, key=own)
         return dict(merge(frPyObjects(value, height, width)))
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         given = value.get("size") if isinstance(value, dict) else value
-        raise EvaluationError(
-            f"the size is {str(given)[:40]}, but the image has [{height}, {width}]", path=path, key=key
-        )
+        text = f"the size is {str(given)[:40]}, but the image has [{height}, {width}]"
+        raise EvaluationError(text, key=key)
     counts = value.get("counts")
     try:
         lengths = _run_lengths(counts) if isinstance(counts, str) else list(counts or ())
@@ -315,7 +332,7 @@ def _mask(value: Any, size: tuple[int, int], path: Path, key: str) -> _Record:
     except (ValueError, TypeError):
         wrong = True
     if wrong:
-        raise EvaluationError("the run lengths do not fill the image", path=path, key=f"{key}.counts")
+        raise EvaluationError("the run lengths do not fill the image", key=f"{key}.counts")
     if isinstance(counts, str):
         return {"size": [height, width], "counts": counts}
     return dict(frPyObjects({"size": [height, width], "counts": lengths}, height, width))
@@ -342,56 +359,6 @@ def _run_lengths(text: str) -> list[int]:
     return lengths
 
 
-def read_openpose_2d(path: Path, images: ImageNumbers) -> Detections2D:
-    """Read a folder of OpenPose JSON files for each camera; the score of a person is the mean of its points.
-
-    The last number in the name of a file is its frame. Raises EvaluationError.
-    """
-    results: list[dict[str, Any]] = []
-    numbers: list[int] = []
-    for camera, files in camera_folders(path, ".json", images).items():
-        for file in files:
-            number = image_of(file, camera, images)
-            numbers.append(number)
-            people = load_json(file).get("people")
-            if not isinstance(people, list):
-                raise EvaluationError("a list of people is needed", path=file, key="people")
-            for index, person in enumerate(people):
-                keypoints = _keypoints(person, images, file, f"people[{index}].pose_keypoints_2d")
-                if keypoints.any():
-                    results.append(
-                        {
-                            "image_id": number,
-                            "category_id": _PERSON,
-                            "keypoints": keypoints.ravel().tolist(),
-                            "score": float(keypoints[:, 2].mean()),
-                        }
-                    )
-    return Detections2D(results, frozenset(numbers), str(path))
-
-
-def _keypoints(person: Any, images: ImageNumbers, path: Path, key: str) -> Any:
-    """Keypoints (K, 3): x, y, confidence; zeros where the confidence is 0."""
-    values = person.get("pose_keypoints_2d") if isinstance(person, dict) else None
-    count = len(images.keypoints)
-    try:
-        points = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        points = np.zeros(0)
-    if points.shape != (3 * count,):
-        raise EvaluationError(
-            f"{points.size} numbers, but {3 * count} for {images.keypoints.name}: x, y, confidence of each "
-            "point; another set is chosen with --keypoints",
-            path=path,
-            key=key,
-        )
-    points = points.reshape(-1, 3)
-    if not np.isfinite(points).all():
-        raise EvaluationError("a number is not finite", path=path, key=key)
-    points[points[:, 2] <= 0] = 0.0
-    return points
-
-
 def read_label_images(path: Path, images: ImageNumbers) -> Detections2D:
     """Read a folder of label images (PNG, 8 or 16 bit) for each camera; 0 is nobody.
 
@@ -399,16 +366,14 @@ def read_label_images(path: Path, images: ImageNumbers) -> Detections2D:
     """
     results: list[dict[str, Any]] = []
     numbers: list[int] = []
-    for camera, files in camera_folders(path, ".png", images).items():
-        for file in files:
-            number = image_of(file, camera, images)
-            numbers.append(number)
-            labels = _label_image(file, images.size(number))
-            for label in np.unique(labels[labels > 0]).tolist():
-                results.append(
-                    {"image_id": number, "segmentation": encoded_mask(labels == label), "score": 1.0}
-                )
-    return Detections2D(results, frozenset(numbers), str(path))
+    for file in camera_files(path, [".png"], images):
+        with located(EvaluationError, file):
+            number = ImageFile(file, images).number()
+        numbers.append(number)
+        labels = _label_image(file, images.size(number))
+        for label in np.unique(labels[labels > 0]).tolist():
+            results.append({"image_id": number, "segmentation": encoded_mask(labels == label), "score": 1.0})
+    return Detections2D(results, frozenset(numbers), str(path), kinds=("masks",))
 
 
 def _label_image(path: Path, size: tuple[int, int] | None) -> NDArray[Any]:

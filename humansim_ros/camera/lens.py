@@ -247,7 +247,7 @@ def fit_lens(ideal: ArrayLike, distorted: ArrayLike) -> tuple[Lens, float]:
 
     def fitted(model: str, start: Array) -> tuple[Lens, float]:
         def errors(values: Array) -> Array:
-            return np.asarray(Lens(model, tuple(values)).distort(points) - places).ravel()
+            return np.asarray(Lens(model, tuple(values))._distort(points) - places).ravel()
 
         solution = scipy.optimize.least_squares(errors, start, method="lm", xtol=1e-15, ftol=1e-15)
         lens = Lens(model, tuple(float(v) for v in solution.x))

@@ -39,7 +39,7 @@ from humansim_ros.camera.formats.base import (
     number,
     reader_of,
 )
-from humansim_ros.camera.formats.spellings import POSE, find_parameters
+from humansim_ros.camera.formats.spellings import POSE, find_parameters, plain
 from humansim_ros.camera.formats.syntax import TOML_HEAD, ZED_SECTION
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
@@ -331,7 +331,7 @@ _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
 
 
 def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
-    if '"ppx"' not in file.text and find_parameters(file).having(POSE):
+    if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
         return []  # cx, cy and extrinsics are of another program
     return find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
 

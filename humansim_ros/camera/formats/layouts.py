@@ -2,9 +2,9 @@
 
 A row of ``config/calibration_layouts.json`` has ``name`` and ``title`` of the format, ``syntax``, ``known``
 (patterns of keys that a file has; of path and text for plain text), ``renamed`` (pattern of a key -> its name
-here, with ' for a matrix in column order; "" leaves the key out), ``unit`` (metres; without it, the
-program does not define one), ``up``, ``direction`` of R and t where their keys do not say it, ``arrange``: a
-function below, where the cameras of a file are no mappings of keys.
+here, with ' for a matrix in column order; "" leaves the key out; ``key=value`` is for one value only), ``unit``
+(metres; without it, the program does not define one), ``up``, ``direction`` of R and t where their keys do not
+say it, ``arrange``: a function below, where the cameras of a file are no mappings of keys.
 
 Sources: devkits of KITTI, nuScenes, EuRoC, InterHand2.6M, RICH and MPI-INF-3DHP (Skeletool); on github.com
 rameau-fr/MC-Calib, ethz-asl/okvis, stella-cv/stella_vslam, facebookresearch/projectaria_tools, arpg/Calibu,
@@ -35,7 +35,7 @@ from humansim_ros.camera.formats.matrices import MATRICES, read_matrices
 from humansim_ros.camera.formats.spellings import keys_of, plain, words
 from humansim_ros.camera.formats.syntax import read_document
 from humansim_ros.camera.lens import Lens
-from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.errors import CameraError, located, warn_about
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import exists, read_text
 from humansim_ros.types import Array
@@ -46,6 +46,7 @@ _Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
 #: Lenses whose names do not tell the names of their parameters.
 _LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
 _FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
+_LEAST_POINTS = 50
 _FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
 #: Columns of the texts of Argus, by their number.
 _ARGUS = {
@@ -59,7 +60,11 @@ def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict
     """Items with the numbers under ``params`` by their names, which the lens tells; ``key``: of the lens."""
     if "params" not in items:
         return items
-    model, numbers = str(items.get("model")), np.ravel(items.pop("params")).tolist()
+    model, numbers = (
+        str(items.get("model")),
+        replace(file, document={**items}).some_numbers("params").tolist(),
+    )
+    del items["params"]
     names = _LENSES.get(model, model.removeprefix("calibu_")).replace("kb4", "k1_k2_k3_k4").split("_")
     if len(names) != len(numbers) or not {*names} <= words("f fu fv u0 v0 fx fy cx cy k1 k2 k3 k4"):
         message = f"the lens {model[:60]!r} with {len(numbers)} numbers is not supported"
@@ -71,8 +76,9 @@ def _transposed(value: Any) -> Any:
     """Square matrix in column order; a matrix of OpenCV has its numbers under ``data``."""
     if isinstance(value, Mapping):
         return {**value, "data": _transposed(value.get("data"))}
-    side = int(np.size(value) ** 0.5)
-    return np.reshape(value, (side, side)).T.tolist() if side * side == np.size(value) else value
+    numbers = np.array(value, dtype=object).ravel()
+    side = int(len(numbers) ** 0.5)
+    return numbers.reshape(side, side).T.tolist() if side * side == len(numbers) else value
 
 
 def _placed(rotation: Array, center: Array) -> dict[str, Any]:
@@ -83,10 +89,10 @@ def _placed(rotation: Array, center: Array) -> dict[str, Any]:
 def _nuscenes(file: CalibrationFile) -> _Cameras:
     """Cameras with the channel of their sensor, from the table ``sensor`` in the same folder."""
     path = Path(file.path).with_name("sensor.json")
-    table = read_document(path, _MOST_BYTES).document if exists(path) else []
-    names = {one.get("token"): one.get("channel") for one in table if isinstance(one, Mapping)}
-    cameras = [one for one in file.document if isinstance(one, Mapping) and one.get("camera_intrinsic")]
-    return [{**one, "name": names.get(one.get("sensor_token"), "")} for one in cameras]
+    table = read_document(path, _MOST_BYTES).items() if exists(path) else []
+    names = {str(one.get("token")): one.get("channel") for one in table if isinstance(one, Mapping)}
+    cameras = [one for one in file.items() if isinstance(one, Mapping) and one.get("camera_intrinsic")]
+    return [{**one, "name": names.get(str(one.get("sensor_token")), "")} for one in cameras]
 
 
 def _calibu(file: CalibrationFile) -> _Cameras:
@@ -95,7 +101,8 @@ def _calibu(file: CalibrationFile) -> _Cameras:
     for index, camera in enumerate(file.items("rig", "camera")):
         lens, pose = ("rig", "camera", index, "camera_model", 0), ("rig", "camera", index, "pose", 0, "T_wc")
         axes = np.array([file.numbers((3,), *lens, axis) for axis in ("right", "down", "forward")])
-        matrix = np.eye(4) if file.get(*pose) is None else file.some_numbers(*pose)[:12].reshape(3, 4)
+        rows = 4 if len(file.optional_numbers(*pose)) == 16 else 3
+        matrix = np.eye(4) if file.get(*pose) is None else file.numbers((rows, 4), *pose)
         cameras.append({**camera["camera_model"][0], **_placed(matrix[:3, :3] @ axes.T, matrix[:3, 3])})
     return cameras
 
@@ -105,14 +112,17 @@ def _through(
 ) -> dict[str, Any]:
     """Camera of a matrix P (3, 4) of undistorted pixels, whose lens has a K (3, 3) of its own."""
     camera = {"P": nested(p), "distortion": list(lens), **({"size": list(size)} if len(size) else {})}
-    own = Camera.from_projection_matrix(p, (1, 1)).K
+    with located(CameraError, path=file.path, key=name):
+        own, bending = Camera.from_projection_matrix(p, (1, 1)).K, Lens.of(lens)
     if not any(lens) or np.allclose(own, k, rtol=1e-4, atol=0.05):
         return camera
     width, height = size if len(size) else 2 * k[:2, 2]
     bent = np.stack(np.meshgrid(np.linspace(0, width, 24), np.linspace(0, height, 24)), -1).reshape(-1, 2)
-    straight = Lens.of(lens).undistort((bent - k[:2, 2]) / k[[0, 1], [0, 1]]) * k[[0, 1], [0, 1]] + k[:2, 2]
+    straight = bending.undistort((bent - k[:2, 2]) / k[[0, 1], [0, 1]]) * k[[0, 1], [0, 1]] + k[:2, 2]
     straight, bent = ((each - own[:2, 2]) @ np.linalg.inv(own[:2, :2]).T for each in (straight, bent))
     seen = np.isfinite(straight).all(axis=1)
+    if seen.sum() < _LEAST_POINTS:
+        raise CameraError(f"{name}: the lens does not fit the image", path=file.path)
     fitted = fitted_lens(file, f"{name}: a lens with another K than P", straight[seen], bent[seen], own[0, 0])
     return {**camera, "distortion": list(fitted.coefficients), "model": fitted.model}
 
@@ -165,18 +175,19 @@ def _captury(file: CalibrationFile) -> _Cameras:
     """Cameras of Captury, whose lengths on the sensor are in mm."""
     if file.given_size is None:
         raise CameraError("the file has no image size: give the size", path=file.path, key="size")
-    size, cameras = np.array(file.given_size, dtype=float), {}
-    file = plain(file)
-    blocks: list[tuple[str, ...]] = [("cameras", key) for key in file.get("cameras") or ()] or [()]
-    for at in blocks:
-        scale = size / file.numbers((2,), *at, "sensorSize")
+    file, size, cameras = plain(file), np.array(file.given_size), {}
+    several = file.get("cameras")
+    for at in [("cameras", key) for key in several] if isinstance(several, Mapping) else [()]:
+        scale = size / np.maximum(file.numbers((2,), *at, "sensorSize"), 1e-9)
         f = file.number(*at, "focalLength") * scale[0]
         center = size / 2 + file.numbers((2,), *at, "centerOffset") * scale
         up, right = (file.numbers((3,), *at, key) for key in ("up", "right"))
-        pose = _placed(np.column_stack([right, -up, np.cross(right, -up)]), file.numbers((3,), *at, "origin"))
-        k = [f, f * file.number(*at, "pixelAspect", otherwise=1.0), *center]
-        lens = file.optional_numbers(*at, "distortion").tolist()
-        cameras[str(file.need(*at, "camera")).split()[0]] = {"K": k, "distortion": lens, **pose}
+        cameras[(str(file.need(*at, "camera")).split() or ["camera"])[0]] = {
+            "K": [f, f * file.number(*at, "pixelAspect", otherwise=1.0), *center],
+            "distortion": file.optional_numbers(*at, "distortion").tolist(),
+            "model": file.get(*at, "distortionModel"),
+            **_placed(np.column_stack([right, -up, np.cross(right, -up)]), file.numbers((3,), *at, "origin")),
+        }
     return cameras
 
 
@@ -197,38 +208,31 @@ def _realsense(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
-def _rectified(file: CalibrationFile, key: str, baseline: float, **shared: Any) -> _Cameras:
-    """Left and right camera, whose rotations are to the rectified images. ``key``: of a part of a side."""
-    parts = {
-        side: [file.some_numbers(*key.format(part, side, side.upper()).split("/")) for part in "KDR"]
-        for side in ("left", "right")
-    }
-    left, right = (file_r.reshape(3, 3) for _, _, file_r in parts.values())
-    poses = {"left": (np.eye(3), np.zeros(3)), "right": (right.T @ left, -right.T @ [baseline, 0, 0])}
-    return {
-        side: {
-            "K": nested(k),
-            "distortion": nested(d),
-            **dict(zip("Rt", map(nested, poses[side]), strict=True)),
-        }
-        | shared
-        for side, (k, d, _) in parts.items()
-    }
-
-
-def _stella(file: CalibrationFile) -> _Cameras:
-    base = file.number("Camera", "focal_x_baseline") / file.number("Camera", "fx")
-    size = {"width": file.need("Camera", "cols"), "height": file.need("Camera", "rows")}
-    return _rectified(
-        file, "StereoRectifier/{0}_{1}", base, model=file.get("StereoRectifier", "model"), **size
-    )
-
-
-def _orbslam(file: CalibrationFile) -> _Cameras:
-    base = file.number("Camera.bf") / file.number("Camera.fx")
-    return _rectified(
-        file, "{2}.{0}/data", base, width=file.get("LEFT.width"), height=file.get("LEFT.height")
-    )
+def _stereo(file: CalibrationFile) -> _Cameras:
+    """Cameras of stella_vslam or OpenVSLAM, and of ORB-SLAM2, whose rotations are to the rectified images."""
+    items: dict[str, Any] = {}
+    for key, value in file.mapping().items():  # LEFT.K, or K below LEFT
+        first, _, rest = str(key).partition(".")
+        before = items.get(first)
+        items[first] = {**(before if isinstance(before, dict) else {}), rest: value} if rest else value
+    file, stella = replace(file, document=items), "StereoRectifier" in items
+    fx = file.number("Camera", "fx")
+    if fx <= 0:
+        raise file.error("must be above zero", "Camera", "fx")
+    shift = np.array([file.number("Camera", "focal_x_baseline" if stella else "bf") / fx, 0, 0])
+    at, width, height = ("Camera", "cols", "rows") if stella else ("LEFT", "width", "height")
+    shared = {"width": file.get(at, width), "height": file.get(at, height)}
+    shared |= {"model": file.get("StereoRectifier", "model")}
+    cameras: dict[str, dict[str, Any]] = {}
+    left = np.eye(3)
+    for side in ("left", "right"):
+        k, d, r = (("StereoRectifier", f"{p}_{side}") if stella else (side.upper(), p, "data") for p in "KDR")
+        turn = file.numbers((3, 3), *r)
+        left = left if cameras else turn
+        pose = {"R": nested(turn.T @ left), "t": nested(-turn.T @ shift * len(cameras))}
+        lens = {"K": nested(file.some_numbers(*k)), "distortion": nested(file.some_numbers(*d))}
+        cameras[side] = {**lens, **pose, **shared}
+    return cameras
 
 
 def _argus(file: CalibrationFile) -> _Cameras:
@@ -252,8 +256,7 @@ _ARRANGED: dict[str, Callable[[CalibrationFile], _Cameras]] = {
     "selfcal_center": _selfcal_center,
     "captury": _captury,
     "realsense": _realsense,
-    "stella": _stella,
-    "orbslam": _orbslam,
+    "stereo": _stereo,
     "argus": _argus,
 }
 
@@ -274,7 +277,8 @@ def _format(row: Mapping[str, Any]) -> CalibrationFormat:
         def rewrite(items: dict[Any, Any]) -> dict[Any, Any]:
             result: dict[Any, Any] = {}
             for key, value in items.items():
-                found = ((re.fullmatch(one, str(key)), new) for one, new in renamed.items())
+                texts = str(key), f"{key}={value}" if isinstance(value, (str, int, float)) else ""
+                found = ((re.fullmatch(one, texts["=" in one]), new) for one, new in renamed.items())
                 match, new = next(((match, new) for match, new in found if match), (None, ""))
                 here = key if match is None else match.expand(new.rstrip("'"))
                 back.setdefault(str(here), str(key))

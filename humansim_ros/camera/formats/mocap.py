@@ -40,6 +40,7 @@ from humansim_ros.camera.formats.base import (
     number,
     row,
 )
+from humansim_ros.camera.formats.spellings import SCALARS, role_of
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
@@ -472,6 +473,8 @@ def _dlt_rows(file: CalibrationFile) -> list[list[str]]:
 def _is_dlt(file: CalibrationFile) -> bool:
     rows = _dlt_rows(file)
     while rows and any(word[:1].isalpha() for word in rows[0]):
+        if any(role_of(word) in SCALARS for word in rows[0]):
+            return False  # a table of fx, fy …
         rows = rows[1:]  # a header
     csv_ = Path(file.path).suffix.lower() == ".csv" or "," in (file.head or [""])[-1]
     alike = len({len(words) for words in rows}) == 1

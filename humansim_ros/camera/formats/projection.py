@@ -32,6 +32,7 @@ from humansim_ros.camera.formats.base import (
     row,
     without_suffix,
 )
+from humansim_ros.camera.formats.spellings import role_of
 from humansim_ros.errors import CameraError, located
 from humansim_ros.types import ImageSize
 
@@ -62,7 +63,7 @@ def _rows(file: CalibrationFile) -> Iterator[tuple[int, str, list[str]]]:
         words = text.strip("[]").replace(",", " ").replace(";", " ").split()
         if not words:
             continue
-        if len(words) not in (4, 12):
+        if len(words) not in (4, 12) or role_of(words[0]) is not None:
             return
         yield line, name, words
         name = ""

@@ -36,8 +36,8 @@ _SPELLINGS = {
     "fy": "fy fly focaly focallengthy fv alphay",
     "cx": "cx ppx principalpointx u0 px",
     "cy": "cy ppy principalpointy v0 py",
-    "focal": "f focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
-    "principal": "c pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
+    "focal": "f fc focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
+    "principal": "c cc pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
     "skew": "skew",
     "params": "params parameters cameraparams cameraparameters intrinsicparams",
     "R": """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs
@@ -69,8 +69,8 @@ _SPELLINGS = {
     **{k: k for k in ("k1", "k2", "k3", "k4", "k5", "k6")},
     "p1": "p1 t1",
     "p2": "p2 t2",
-    "width": "width w imagewidth imgwidth imgw wimg cols reswidth resx resolutionx widthpx camimgw",
-    "height": "height h imageheight imgheight imgh himg rows resheight resy resolutiony heightpx camimgh",
+    "width": "width w nx imagewidth imgwidth imgw wimg cols reswidth resx resolutionx widthpx camimgw",
+    "height": "height h ny imageheight imgheight imgh himg rows resheight resy resolutiony heightpx camimgh",
     "size": "size imagesize imgsize resolution wh imagewh imageresolution sensorsize framesize dims",
     "shape": "shape imageshape imgshape hw imagehw frameshape",
     "model": "model cameramodel distortionmodel lensmodel distortiontype camtype",
@@ -128,8 +128,8 @@ _DIRECTION = tuple(
     re.compile(text.format(_FRAME.format("a"), _FRAME.format("b")))
     for text in ("(.*?){}(?:to|2){}(.*)", "(.*?){1}from{0}(.*)", "(.*?){1}t{0}(.*)", "(.+?){1}{0}(.*)")
 )
-_WHOLE = words(
-    "t mat matrix tf transform transformation transformationmatrix rt se3 pose extrinsics extrinsic"
+_WHOLE = {""} | words(
+    "h t mat matrix tf transform transformation transformationmatrix rt se3 pose extrinsics extrinsic"
 )
 #: Parameter with a direction -> parameter from the camera to the world.
 _OPPOSITES = {"R": "Rinverse", "t": "center", "pose": "inverse"}
@@ -430,11 +430,13 @@ def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
         yield numbered  # K1 of 3 x 3 numbers is no k1; the sizes decide
     if role is not None:
         yield role, ()
+    if word == "k":
+        yield "distortion", ()  # five numbers, as in PROX
     for directed in (pattern.fullmatch(word) for pattern in _DIRECTION):
         if directed is None or directed["a"][0] == directed["b"][0]:
             continue
         rest = directed[1] + directed[4]
-        for base in (_ROLES.get(rest, ""), "pose" if rest in _WHOLE or not rest else ""):
+        for base in (_ROLES.get(rest, "").replace("inverse", "pose"), "pose" if rest in _WHOLE else ""):
             if base in _OPPOSITES:
                 yield (_OPPOSITES[base] if directed["a"][0] == "c" else base), ()
     if role is None:

@@ -46,8 +46,12 @@ _MAX_DOTS = 128
 _INI = re.compile(
     r"^[ \t]*[\w.-]+[ \t]*[=:][ \t]*(?:(?!true|false|nan|inf)[A-Za-z]|[-+.\d]\S*[ ,;]+[-+.\d])", re.M
 )
-#: Lines of text that resembles YAML: of ``rs-enumerate-devices -c``, and of arrays that NumPy prints.
-_PLAIN = re.compile(r"^\s*Intrinsic of \"|^\s*\[+\s*[-+.\d]\S* +[-+.\d][^,\n]*$", re.MULTILINE)
+#: Lines of text that resembles YAML: of ``rs-enumerate-devices -c``, printed arrays, rows of numbers.
+_PLAIN = re.compile(
+    r"^\s*Intrinsic of \"|^\s*\[+\s*[-+.\d]\S* +[-+.\d][^,\n]*$"
+    r"|^[-+]?\d[^\s,:]*([ \t]+[-+]?\.?\d[^\s,:]*)+$",
+    re.MULTILINE,
+)
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
 
 
@@ -161,7 +165,8 @@ def parse(path: str, text: str, syntax: str) -> CalibrationFile:
         document, tree = parse_yaml(text, CameraError, path, _Loader)
         return CalibrationFile(path, text, document, tree, syntax=syntax)
     if syntax == "json":
-        return CalibrationFile(path, text, _parse_json(path, text), syntax=syntax)
+        one = text.lstrip().split("\n", 1)[0] if path.endswith(".jsonl") else text  # a line for each moment
+        return CalibrationFile(path, text, _parse_json(path, one), syntax=syntax)
     if syntax == "toml":
         try:
             document = _parse_toml(path, text)

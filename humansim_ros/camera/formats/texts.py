@@ -20,7 +20,7 @@ _MOST_LINES, _MOST_CHARACTERS, _MOST_NUMBERS = 20_000, 1 << 21, 1000
 #: Heading of a section, also that of ``rs-enumerate-devices``, which is the whole line.
 _HEADING = re.compile(r"\[\s*([^\[\],;=]*[A-Za-z][^\[\],;=]*?)\s*\]|((?:In|Ex)trinsic (?:of|from)\s.*)")
 _ASSIGNMENT = re.compile(r"([A-Za-z][^=:,;\t]{0,59}?)\s*[=:]\s*(.*)|([A-Za-z][\w.]{0,59})(?:[\s,;]+(.*))?")
-_COMMENT = re.compile(r"(?:\s|^)(?:#|//).*")
+_COMMENT = re.compile(r"(?:\s|^)(?:#|//|%).*")
 #: Separators of the numbers of a matrix, which become blanks.
 BRACKETS = str.maketrans("[](){},;", " " * 8)
 #: Least columns of a table, and how many of them are parameters of a camera.
@@ -62,18 +62,21 @@ def _table(file: CalibrationFile, role_of: RoleOf) -> _Values | None:
             alike = len(names) == len(below.split(between)) >= _COLUMNS
             if alike and known >= _KNOWN and not any(map(is_number, names)):
                 rows = ((n, text.split(between)) for n, text in file.lines() if text != head)
-                return _cells(file, names, rows)
+                return _cells(file, names, rows, role_of)
     return None
 
 
-def _cells(file: CalibrationFile, names: list[str], rows: Iterator[tuple[int, list[str]]]) -> _Values:
+def _cells(
+    file: CalibrationFile, names: list[str], rows: Iterator[tuple[int, list[str]]], role_of: RoleOf
+) -> _Values:
     for index, (line, cells) in enumerate(islice(rows, _MOST_LINES)):
         if len(cells) != len(names):
             message = f"has {len(cells)} columns, but the header has {len(names)}"
             raise CameraError(message, path=file.path, line=line)
         for name, cell in zip(names, (cell.strip(" \"'") for cell in cells), strict=True):
             if cell:
-                yield ("cameras", str(index), name), float(cell) if is_number(cell) else cell, line
+                number = is_number(cell) and role_of(name) != "name"
+                yield ("cameras", str(index), name), float(cell) if number else cell, line
 
 
 def _assignments(file: CalibrationFile, role_of: RoleOf) -> _Values:

@@ -184,6 +184,21 @@ def printed() -> str:
     )
 
 
+def rows_under(end: str) -> str:
+    c = CAMERAS["cam0"]
+    parts = {"image_size": np.array(SIZE), "K": c.K, "D": np.array(D), "R": c.R, "t": c.t}
+    return "".join(
+        f"{key}{end}\n" + "\n".join(numbers(row) for row in np.atleast_2d(value)) + "\n"
+        for key, value in parts.items()
+    )
+
+
+def prox() -> str:
+    c = CAMERAS["cam0"]
+    parts = {"c": focal(c)[2:], "f": focal(c)[:2], "k": D, "camera_mtx": c.K.tolist()}
+    return json.dumps({**parts, "view_mtx": w2c(c)[:3].tolist()})
+
+
 def blue_c() -> str:
     c = CAMERAS["cam0"]
     flat = {f"R{i + 1}{j + 1}": c.R[i, j] for i in range(3) for j in range(3)}
@@ -538,6 +553,8 @@ SINGLE: dict[str, tuple[str, Callable[[], str], tuple[float, ...]]] = {
     "key: value": ("c.cfg", ini(": "), D),
     "key value": ("c.txt", ini(" "), D),
     "key, value": ("c.csv", ini(","), D),
+    "rows under keys": ("c.txt", lambda: rows_under(":"), D),
+    "rows under bare keys": ("c.txt", lambda: rows_under(""), D),
     "key = value;": ("c.txt", ini(" = ", ";"), D),
     "TOML": ("c.toml", toml, D),
     "printed arrays": ("c.txt", printed, D),
@@ -546,6 +563,7 @@ SINGLE: dict[str, tuple[str, Callable[[], str], tuple[float, ...]]] = {
     "EuRoC": ("cam0/sensor.yaml", euroc, D[:4]),
     "Kimera": ("LeftCameraParams.yaml", lambda: opencv_file(euroc(more="camera_id: left_cam\n")), D[:4]),
     "JARVIS": ("Camera_T.yaml", jarvis, D),
+    "PROX": ("Color.json", prox, D),
     "RICH": ("000.xml", rich, D),
 }
 
@@ -670,6 +688,8 @@ def test_a_lens_with_another_k_than_p_is_fitted(tmp_path: Path) -> None:
         ("a.json", aria("FisheyeRadTanThinPrism"), "Name: the lens 'FisheyeRadTanThinPrism'"),
         ("rig.xml", calibu("_w", (0.9,)), "the lens 'calibu_fu_fv_u0_v0_w' with 5 numbers is not supported"),
         ("sensor.yaml", euroc(model="omni"), "distortion_model: unknown distortion model 'omni'"),
+        ("k.yaml", euroc().replace("pinhole", "omni"), ":10: camera_model: unknown distortion model 'omni'"),
+        ("s.calibration", skeletool().replace("radial      0", "radial  0.1"), "radial: unknown distortion"),
         ("okvis.yaml", okvis().replace("radialtangential8", "eucm"), "unknown distortion model 'eucm'"),
         ("a.calib", captury(), "the file has no image size: give the size"),
         ("a.csv", table(",")() + "cam9,640,480\n", ":5: has 3 columns, but the header has 18"),
@@ -680,3 +700,99 @@ def test_a_lens_with_another_k_than_p_is_fitted(tmp_path: Path) -> None:
 def test_what_is_not_read_is_named(tmp_path: Path, name: str, content: Any, said: str) -> None:
     with pytest.raises(CameraError, match=re.escape(said)):
         read(tmp_path, name, content)
+
+
+WORLD_TO_CAMERA = (
+    *("cam_from_world", "camera_from_world", "T_cam_world", "T_c_w", "T_cw", "world_to_cam", "world2camera"),
+    *("cam_T_world", "H_world_to_cam", "world_to_camera_matrix", "extrinsics_w2c", "T_world2cam"),
+    *("worldToCamera", "T_camera_from_world"),
+)
+CAMERA_TO_WORLD = (
+    *("world_from_cam", "world_from_camera", "T_world_cam", "T_w_c", "T_wc", "cam_to_world", "camera2world"),
+    *("world_T_cam", "H_cam_to_world", "camera_to_world_matrix", "extrinsics_c2w", "T_cam2world"),
+    *("cameraToWorld", "camera_pose_c2w", "T_world_from_camera"),
+)
+
+
+def described(c: Wanted, **pose: Any) -> dict[str, Any]:
+    return {"K": c.K.tolist(), "dist": list(D), "width": W, "height": H, **pose}
+
+
+@pytest.mark.parametrize("key", [*WORLD_TO_CAMERA, *CAMERA_TO_WORLD])
+def test_frames_in_a_key_tell_the_direction_of_a_matrix(
+    tmp_path: Path, key: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    pose = w2c if key in WORLD_TO_CAMERA else c2w
+    content = {name: described(c, **{key: pose(c).tolist()}) for name, c in CAMERAS.items()}
+    assert_same(read(tmp_path, "c.json", content, unit=1.0))
+    assert not recwarn
+
+
+@pytest.mark.parametrize(
+    "direction",
+    ["world_to_camera", "cw", "w2c", "cam_world", "cam_from_world", "camera_to_world", "wc", "world_cam"],
+)
+def test_frames_in_keys_tell_the_direction_of_r_and_t(
+    tmp_path: Path, direction: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    turned = direction in ("camera_to_world", "wc", "world_cam")
+    content = {
+        name: described(
+            c,
+            **{f"R_{direction}": (c.R.T if turned else c.R).tolist()},
+            **{f"t_{direction}": (c.center if turned else c.t).tolist()},
+        )
+        for name, c in CAMERAS.items()
+    }
+    assert_same(read(tmp_path, "c.json", content, unit=1.0))
+    assert not recwarn
+
+
+def test_single_numbers_of_json_are_vectors(tmp_path: Path) -> None:
+    content = {
+        name: {
+            **{key: float(value) for key, value in zip(("fx", "fy", "cx", "cy"), focal(c), strict=True)},
+            **dict(zip(("qw", "qx", "qy", "qz"), quaternion(c.R), strict=True)),
+            **{f"t{axis}": float(value) for axis, value in zip("xyz", c.t, strict=True)},
+            "width": W,
+            "height": H,
+            "dist": list(D),
+        }
+        for name, c in CAMERAS.items()
+    }
+    assert_same(read(tmp_path, "c.json", content, unit=1.0))
+
+
+def test_a_table_of_eleven_cameras_is_not_of_dlt_coefficients(tmp_path: Path) -> None:
+    head = "fx,fy,cx,cy,width,height,k1,k2,p1,p2,k3"
+    rows = "\n".join(f"7{i}0,690,310,245,640,480,-0.2,0,0,0,0" for i in range(11))
+    cameras = read(tmp_path, "c.csv", f"{head}\n{rows}\n")
+    assert list(cameras) == [str(i) for i in range(11)]
+    assert cameras["3"].K[0, 0] == 730
+
+
+def test_names_of_a_table_may_be_numbers(tmp_path: Path) -> None:
+    cameras = read(tmp_path, "c.csv", "camera_id,fx,fy,cx,cy,width,height\n007,700,690,310,245,640,480\n")
+    assert list(cameras) == ["007"]
+
+
+def test_dotted_keys_of_openvslam_are_those_of_stella(tmp_path: Path) -> None:
+    text, r, t = stella()
+    lines, section = [], ""
+    for line in text.splitlines():
+        section = line if not line.startswith(" ") else section
+        lines += [f"{section[:-1]}.{line.strip()}"] if line.startswith(" ") else []
+    right = read(tmp_path, "vslam.yaml", "\n".join(lines))["right"]
+    assert_allclose(right.R, r, atol=1e-6)
+    assert_allclose(right.t, t, atol=1e-6)
+
+
+def test_the_first_line_of_a_recording_of_aria_is_read(tmp_path: Path) -> None:
+    text = f"{json.dumps(aria())}\n{json.dumps(aria('Linear'))}\n"
+    assert_same(read(tmp_path, "online_calibration.jsonl", text), FISHEYE, True)
+
+
+def test_equidistant_lenses_of_okvis_are_fisheyes(tmp_path: Path) -> None:
+    text = okvis().replace("radialtangential8", "equidistant")
+    text = text.replace(numbers((*D, 0, 0, 0), ", "), numbers(FISHEYE, ", "))
+    assert_same(dict(zip(CAMERAS, read(tmp_path, "o.yaml", text).values(), strict=True)), FISHEYE, True)

@@ -2,9 +2,9 @@
 
 A row of ``config/calibration_layouts.json`` has ``name`` and ``title`` of the format, ``syntax``, ``known``
 (patterns of keys that a file has; of path and text for plain text), ``renamed`` (pattern of a key -> its name
-here, with ' for a matrix in column order; "" leaves the key out; ``key=value`` is for one value only), ``unit``
-(metres; without it, the program does not define one), ``up``, ``direction`` of R and t where their keys do not
-say it, ``arrange``: a function below, where the cameras of a file are no mappings of keys.
+here, with ' for a matrix in column order; "" leaves the key out; a pattern with = is of a key and its value),
+``unit`` (metres; without it, the program does not define one), ``up``, ``direction`` of R and t where their
+keys do not say it, ``arrange``: a function below, where the cameras of a file are no mappings of keys.
 
 Sources: devkits of KITTI, nuScenes, EuRoC, InterHand2.6M, RICH and MPI-INF-3DHP (Skeletool); on github.com
 rameau-fr/MC-Calib, ethz-asl/okvis, stella-cv/stella_vslam, facebookresearch/projectaria_tools, arpg/Calibu,
@@ -249,15 +249,18 @@ def _argus(file: CalibrationFile) -> _Cameras:
 
 
 _ARRANGED: dict[str, Callable[[CalibrationFile], _Cameras]] = {
-    "nuscenes": _nuscenes,
-    "calibu": _calibu,
-    "flydra": _flydra,
-    "selfcal": _selfcal,
-    "selfcal_center": _selfcal_center,
-    "captury": _captury,
-    "realsense": _realsense,
-    "stereo": _stereo,
-    "argus": _argus,
+    function.__name__.removeprefix("_"): function
+    for function in (
+        _nuscenes,
+        _calibu,
+        _flydra,
+        _selfcal,
+        _selfcal_center,
+        _captury,
+        _realsense,
+        _stereo,
+        _argus,
+    )
 }
 
 

@@ -31,7 +31,7 @@ _SPELLINGS = {
     "K": """k intrinsic intrinsics intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters intrmat
         cameramatrix cameramat cammatrix cammat cameraintrinsic cameraintrinsics camk kmat kmatrix mtx m
         matrix matrixk calibrationmatrix calibmatrix camint intmat internalmatrix intr intrin ks mtxs
-        cameramatrices intrinsicmatrices cameramtx""",
+        cameramatrices intrinsicmatrices""",
     "fx": "fx flx focalx focallengthx fu alphax",
     "fy": "fy fly focaly focallengthy fv alphay",
     "cx": "cx ppx principalpointx u0 px",
@@ -54,8 +54,7 @@ _SPELLINGS = {
         camcenter location c2wtranslation cameralocation origin""",
     "pose": """rt extrinsic extrinsics extrinsicmatrix extrinsicsmatrix extrinsicmat extmat extr extri w2c
         e worldtocam worldtocamera world2cam world2camera worldview viewmatrix viewmat tcw tcamworld
-        tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs
-        viewmtx""",
+        tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs""",
     "inverse": """c2w cam2world camera2world camtoworld cameratoworld pose posematrix campose camerapose
         cameraposematrix twc tworldcam tworldcamera worldfromcam worldfromcamera transform
         transformmatrix transformationmatrix poses c2ws""",
@@ -430,8 +429,6 @@ def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
         yield numbered  # K1 of 3 x 3 numbers is no k1; the sizes decide
     if role is not None:
         yield role, ()
-    if word == "k":
-        yield "distortion", ()  # five numbers, as in PROX
     for directed in (pattern.fullmatch(word) for pattern in _DIRECTION):
         if directed is None or directed["a"][0] == directed["b"][0]:
             continue

@@ -113,16 +113,24 @@ def captury() -> str:
     return "tc camera calibration v0.3\n" + each(camera)
 
 
-def callab() -> str:
+def callab(scale: float = 1000.0) -> str:
     return "# DLR-RMC camera calibration file by DLR CalLab.\nversion=2\norigin=center\n" + each(
         lambda i, name, c: (
-            f"\ncamera.{i}.R=[ {rows(c.R.T)}]\ncamera.{i}.T=[ {numbers(c.center * 1000)}]\n"
+            f"\ncamera.{i}.R=[ {rows(c.R.T)}]\ncamera.{i}.T=[ {numbers(c.center * scale)}]\n"
             + "".join(
                 f"camera.{i}.{k}= {d}\n" for k, d in zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True)
             )
             + f"camera.{i}.A=[ {rows(c.K)}]\ncamera.{i}.width= {W}\ncamera.{i}.height= {H}\n"
         )
     )
+
+
+def callab_of_one() -> str:
+    """One camera has no number, and the origin of its pixels may be the corner."""
+    text = callab(1.0).split("\n\n")[1].replace("camera.0.", "camera.")
+    for side in CAMERAS["cam0"].K[:2, 2]:
+        text = text.replace(f" {float(side)!r};", f" {float(side) + 0.5!r};")
+    return f"# CalLab\nversion=2\norigin=corner\n\n{text}\ncamera.rmsInt= 0.2\n"
 
 
 def ini(between: str = " = ", end: str = "") -> Callable[[], str]:
@@ -563,6 +571,7 @@ SINGLE: dict[str, tuple[str, Callable[[], str], tuple[float, ...]]] = {
     "EuRoC": ("cam0/sensor.yaml", euroc, D[:4]),
     "Kimera": ("LeftCameraParams.yaml", lambda: opencv_file(euroc(more="camera_id: left_cam\n")), D[:4]),
     "JARVIS": ("Camera_T.yaml", jarvis, D),
+    "CalLab of one camera": ("c.cal", callab_of_one, D),
     "PROX": ("Color.json", prox, D),
     "RICH": ("000.xml", rich, D),
 }

@@ -47,6 +47,7 @@ _Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
 _LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
 _FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
 _LEAST_POINTS = 50
+_HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
 #: Columns of the texts of Argus, by their number.
 _ARGUS = {
@@ -172,15 +173,17 @@ def _selfcal_center(file: CalibrationFile) -> _Cameras:
 
 
 def _captury(file: CalibrationFile) -> _Cameras:
-    """Cameras of Captury, whose lengths on the sensor are in mm."""
+    """Cameras of Captury, whose lengths on the sensor are in mm; both axes have the scale of its width."""
     if file.given_size is None:
         raise CameraError("the file has no image size: give the size", path=file.path, key="size")
-    file, size, cameras = plain(file), np.array(file.given_size), {}
+    width, cameras = file.given_size[0], {}
+    file = plain(file)
     several = file.get("cameras")
     for at in [("cameras", key) for key in several] if isinstance(several, Mapping) else [()]:
-        scale = size / np.maximum(file.numbers((2,), *at, "sensorSize"), 1e-9)
-        f = file.number(*at, "focalLength") * scale[0]
-        center = size / 2 + file.numbers((2,), *at, "centerOffset") * scale
+        sensor = file.numbers((2,), *at, "sensorSize")
+        scale = width / max(sensor[0], 1e-9)
+        f = file.number(*at, "focalLength") * scale
+        center = (sensor / 2 + file.numbers((2,), *at, "centerOffset")) * scale
         up, right = (file.numbers((3,), *at, key) for key in ("up", "right"))
         cameras[(str(file.need(*at, "camera")).split() or ["camera"])[0]] = {
             "K": [f, f * file.number(*at, "pixelAspect", otherwise=1.0), *center],
@@ -294,6 +297,8 @@ def _format(row: Mapping[str, Any]) -> CalibrationFormat:
         cameras = document if isinstance(document, dict) else {"cameras": document}
         stated = {"convention": row.get("direction", "w2c"), **cameras}
         read = read_matrices(replace(file, document=stated, renamed=back))
+        if stated.get("origin") == "corner":
+            read = {name: replace(c, K=c.K - _HALF_PIXEL) for name, c in read.items()}
         path = Path(file.path)
         return {path.parent.name: read[path.stem]} if [*read] == [path.stem] == ["sensor"] else read
 

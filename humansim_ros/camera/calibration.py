@@ -29,6 +29,7 @@ from humansim_ros.camera.formats import (
 )
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
+from humansim_ros.camera.formats.lens_keys import check_unread
 from humansim_ros.camera.formats.matrices import (
     MATRICES,
     MATRICES_NPZ,
@@ -37,6 +38,7 @@ from humansim_ros.camera.formats.matrices import (
     read_matrices,
     read_poses,
 )
+from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.spellings import (
     INTRINSIC,
     POSE,
@@ -194,6 +196,8 @@ def load_calibration(
     else:
         posed_by = _parse(_file_of(extrinsics), size)
         format, raw = _read_pair(parsed, posed_by)
+    if format is MATRICES or (parsed.document is not None and format is not SCENE):
+        check_unread(parsed, raw)
     if not all_cameras:
         raw = _with_poses(parsed, raw)
     if unit is None:

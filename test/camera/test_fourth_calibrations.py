@@ -18,9 +18,6 @@ FOLDER = SHARED_DATA / "fourth" / "calib"
 #: Files that are still read wrong or refused. Their test says so as soon as they are read.
 OPEN: set[str] = {
     "basalt_euroc_ds_calib.json",
-    "fe_d4x1.json",
-    "fe_k1k4.json",
-    "fe_skew_d4x1.xml",
     "matlab_stereoParams.json",
     "opensfm_reconstruction.json",
     "orbslam3_kb8.yaml",

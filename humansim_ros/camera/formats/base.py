@@ -508,15 +508,20 @@ def has_keys(*needed: set[str]) -> Predicate:
 COUNTS = {model: len(coefficients) for model, coefficients in MODELS.items()}
 #: Numbers of coefficients of each model in files; more coefficients may follow if they are zero.
 _FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
-_ALIASES = {
-    **dict.fromkeys(("fisheye", "kannala_brandt", "kannala_brandt4", "equi"), "equidistant"),
-    **dict.fromkeys(
-        ("radtan", "radial-tangential", "radialtangential", "brown_conrady", "brown"), "plumb_bob"
-    ),
-    **dict.fromkeys(("rational", "radialtangential8"), "rational_polynomial"),
+#: Names of each model, in lower case without other characters than letters and digits.
+_NAMES_OF_MODELS = {
+    "plumb_bob": "plumbbob radtan radialtangential brownconrady brown",
+    "rational_polynomial": "rationalpolynomial rational radialtangential8 radtan8 pinholeradtan8",
+    "equidistant": "equidistant equi fisheye kannalabrandt kannalabrandt4 kannalabrandt8 kb4",
 }
+_ALIASES = {name: model for model, names in _NAMES_OF_MODELS.items() for name in names.split()}
 _NONE = ("", "none", "null", "no", "pinhole")
 _KNOWN = ", ".join(MODELS)
+
+
+def model_of(name: str) -> str | None:
+    """Model in :data:`humansim_ros.camera.lens.MODELS` that has a name in files; None for another name."""
+    return _ALIASES.get(re.sub("[^a-z0-9]", "", name.lower()))
 
 
 def find_model(
@@ -545,8 +550,8 @@ def find_model(
     word = "" if name is None else str(name).strip().lower()
     if word in _NONE:
         return _model_without_name(file, word, distortion, name_keys)
-    model = _ALIASES.get(word, word)
-    if model not in MODELS:
+    model = model_of(word)
+    if model is None:
         raise file.error(f"unknown distortion model {name!r}; known are {_KNOWN}", *name_keys)
     check_count(file, model, distortion, distortion_keys)
     return model

@@ -128,9 +128,18 @@ def _zed_camera(
 ) -> RawCamera:
     fx, fy, cx, cy = (_zed_number(file, sections, name, key) for key in ("fx", "fy", "cx", "cy"))
     keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    shared = f"{side}_DISTO"  # of ZED X, for all modes
-    lens_at = shared if shared in sections and "k1" not in sections[name][1] else name
+    disto = f"{side}_DISTO"  # of all modes; the SDK takes this lens
+    if thin := [f"s{i}" for i in range(1, 5) if _zed_number(file, sections, disto, f"s{i}", needed=False)]:
+        if "k1" not in sections[name][1]:
+            start = sections[disto][0]
+            message = "thin prism models are not supported"
+            raise CameraError(message, path=file.path, line=start, key=f"{disto}.{thin[0]}")
+        warn_about(file.path, f"{disto}: a thin prism is not supported; the lens of {name} is taken")
+    lens_at = disto if disto in sections and not thin else name
     lens = np.array([_zed_number(file, sections, lens_at, key, needed=key == "k1") for key in keys])
+    fisheye = lens_at == disto and lens[5] and not lens[[2, 3, 6, 7]].any()
+    lens, model = (lens, "rational_polynomial") if lens[5:].any() else (lens[:5], "plumb_bob")
+    lens, model = (lens[[0, 1, 4, 5]], "equidistant") if fisheye else (lens, model)
     rotation, t = np.eye(3), np.zeros(3)
     if side == "RIGHT":
         base = _zed_number(file, sections, "STEREO", "Baseline")
@@ -144,8 +153,8 @@ def _zed_camera(
         rotation,
         t,
         size=_ZED_SIZES[mode],
-        distortion=tuple(lens if lens[5:].any() else lens[:5]),
-        model="rational_polynomial" if lens[5:].any() else "plumb_bob",
+        distortion=tuple(lens),
+        model=model,
         locations={"": where, "K": where},
     )
 
@@ -333,7 +342,9 @@ _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
 def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
     if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
         return []  # cx, cy and extrinsics are of another program
-    return find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
+    found = find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
+    # k1, k2 … are of another program
+    return [] if any("k1" in (file.get(*at) or ()) for _, at in found) else found
 
 
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:

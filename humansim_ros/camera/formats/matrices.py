@@ -33,6 +33,7 @@ from humansim_ros.camera.formats.base import (
     find_model,
     find_unit,
     json_file,
+    model_of,
     nested,
     opencv_model,
     rotation_of,
@@ -40,6 +41,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.colmap import camera_of_model
 from humansim_ros.camera.formats.conventions import FilePose, resolved
+from humansim_ros.camera.formats.lens_keys import model_of_four
 from humansim_ros.camera.formats.spellings import (
     INTRINSIC,
     POSE,
@@ -64,9 +66,11 @@ _UNCLEAR = words(
     extrinsic extrinsics extrinsicmatrix extrinsicsmatrix pose poses rt transform transformmatrix orientation
     quaternion quat q qvec rotationquaternion rotationvector"""
 )
-_CENTRED = 0.5
+_CENTRED, _LARGEST_ALPHA = 0.5, 0.1
 #: Camera models whose coefficients are as OpenCV has them.
-_UNNAMED = words("pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial")
+_UNNAMED = words(
+    "pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial pinhole_full"
+)
 
 
 #: Keys of a camera's place. Beside a ``rotation``, they are its pose, as in 3D Gaussian Splatting.
@@ -278,14 +282,14 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
         params = entries["params"]
         name = colmap_model(entries) or ""
         return replace(camera_of_model(name, _numbers(params).tolist(), _where(params)), size=size)
-    distortion, model = _lens(file, entries)
     if "P" in entries and not {"K", "fx", "focal"} & entries.keys():
         camera = _from_projection(entries["P"])
-        return replace(camera, size=size, distortion=distortion, model=model)
-    k = _k(entries, size)
+    else:
+        camera = RawCamera(_k(entries, size), locations=locations)
+    distortion, model = _lens(file, entries, camera.K)
     if size is not None and "size" in entries and "K" in entries and _is_transposed(_numbers(entries["K"])):
         size = size[1], size[0]  # MATLAB's size is rows and columns
-    return RawCamera(k, size=size, distortion=distortion, model=model, locations=locations)
+    return replace(camera, size=size, distortion=distortion, model=model)
 
 
 def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
@@ -316,7 +320,8 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
             raise entry.file.error("needs a principal point (cx, cy) or an image size as well", *entry.keys)
         cx, cy = values_[0], values_[1]
     k = pinhole(fx, fy, cx, cy)
-    k[0, 1] = _scalar(entries, "skew") or 0.0
+    alpha = _scalar(entries, "alpha") or 0.0  # of cv2.fisheye; a larger one is of another lens
+    k[0, 1] = _scalar(entries, "skew") or fx * alpha * (abs(alpha) < _LARGEST_ALPHA)
     return k
 
 
@@ -352,8 +357,10 @@ def _size(entries: Mapping[str, Entry]) -> ImageSize | None:
     return None
 
 
-def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[float, ...], str | None]:
-    """Coefficients and model."""
+def _lens(
+    file: CalibrationFile, entries: Mapping[str, Entry], k: Array
+) -> tuple[tuple[float, ...], str | None]:
+    """Coefficients and model of a camera with K (3, 3)."""
     word = str(entries["model"].value).strip().lower() if "model" in entries else ""
     fisheye = str(entries["fisheye"].value).strip().lower() if "fisheye" in entries else ""
     bent = fisheye in ("true", "1", "yes") or "fisheye" in word
@@ -369,7 +376,9 @@ def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[fl
     else:
         first = [_scalar(entries, role) or 0.0 for role in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")]
         k1, k2, k3, k4, k5, k6, p1, p2 = first
-        equidistant = bent or word in ("equidistant", "equi", "kannala_brandt", "kannala_brandt4")
+        unnamed = (not word or word in _UNNAMED) and not fisheye
+        bent = bent or (unnamed and "k4" in entries and not {"p1", "p2", "k5", "k6"} & entries.keys())
+        equidistant = bent or model_of(word) == "equidistant"
         coefficients = np.array([k1, k2, k3, k4] if equidistant else [k1, k2, p1, p2, k3, k4, k5, k6])
         keys = next((entries[role].keys for role in ("k1", "k2", "k3") if role in entries), ())
     if bent:
@@ -378,9 +387,13 @@ def _lens(file: CalibrationFile, entries: Mapping[str, Entry]) -> tuple[tuple[fl
     if not word or word in _UNNAMED:
         if not coefficients.any():
             return (), None
-        if len(np.trim_zeros(coefficients, "b")) < 4:
+        four = len(coefficients) == 4 and "distortion" in entries
+        if not four and len(np.trim_zeros(coefficients, "b")) < 4:
             coefficients = np.resize([*coefficients, 0.0, 0.0, 0.0, 0.0, 0.0], 5)
-        model = opencv_model(coefficients)
+        stated = False if fisheye else None
+        model = (
+            model_of_four(entry.file, keys, coefficients, k, stated) if four else opencv_model(coefficients)
+        )
         check_count(file, model, coefficients, keys)
         return tuple(coefficients), model
     known = find_model(file, word, coefficients, entries["model"].keys, keys)

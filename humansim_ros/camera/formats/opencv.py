@@ -33,8 +33,9 @@ from humansim_ros.camera.formats.base import (
     row,
     vector_of,
 )
+from humansim_ros.camera.formats.lens_keys import model_of_four
 from humansim_ros.camera.formats.syntax import Matrix, name_of_half, other_half, read_document
-from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
 #: Names of the camera parameters, without regard to case and underscores, in order of precedence.
@@ -174,7 +175,7 @@ def _camera(entries: Mapping[str, _Entry | None], suffix: str, stereo: bool, tab
         np.zeros(3) if t is None else t.matrix((3,)),
         size=_size(entries),
         distortion=tuple(distortion),
-        model=_model(entries, distortion),
+        model=_model(entries, distortion, k.matrix((3, 3))),
         rectification=None if rectification is None else rectification.matrix((3, 3)),
         rectified=None if rectified is None else rectified.matrix((3, 4)),
         locations={part: entry.location for part in _PARTS if (entry := entries[part]) is not None},
@@ -200,19 +201,15 @@ def _size(entries: Mapping[str, _Entry | None]) -> tuple[int, int] | None:
     return int(values[0]), int(values[1])
 
 
-def _model(entries: Mapping[str, _Entry | None], distortion: Array) -> str | None:
+def _model(entries: Mapping[str, _Entry | None], distortion: Array, k: Array) -> str | None:
     """Distortion model: OpenCV distinguishes models by their number of coefficients, except for fisheyes."""
     distortion_entry, name, fisheye = entries["distortion"], entries["model"], entries["fisheye"]
     word = "" if name is None else str(name.value).strip().lower()
     if word in ("", "pinhole", "perspective", "opencv"):
-        is_fisheye = fisheye is not None and str(fisheye.value).strip().lower() not in ("0", "false", "no")
-        word = "equidistant" if is_fisheye else opencv_model(distortion)
-        if distortion_entry is not None and not is_fisheye and len(distortion) == 4 and distortion.any():
-            hint = "if they are of cv2.fisheye, add distortion_model: equidistant"
-            warn_about(
-                distortion_entry.file.path,
-                f"{distortion_entry.keys[0]}: 4 coefficients are assumed to be plumb_bob; {hint}",
-            )
+        bent = None if fisheye is None else str(fisheye.value).strip().lower() not in ("0", "false", "no")
+        word = "equidistant" if bent else opencv_model(distortion)
+        if distortion_entry is not None and len(distortion) == 4:
+            word = model_of_four(distortion_entry.file, distortion_entry.keys, distortion, k, bent)
     if distortion_entry is None:
         return None if word != "equidistant" else word
     name_keys = (name or fisheye or distortion_entry).keys

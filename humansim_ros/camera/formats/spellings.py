@@ -39,6 +39,7 @@ _SPELLINGS = {
     "focal": "f fc focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
     "principal": "c cc pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
     "skew": "skew",
+    "alpha": "alpha alphac",
     "params": "params parameters cameraparams cameraparameters intrinsicparams",
     "R": """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs
         rotations rotationmatrices rmats""",
@@ -70,7 +71,7 @@ _SPELLINGS = {
     "p2": "p2 t2",
     "width": "width w nx imagewidth imgwidth imgw wimg cols reswidth resx resolutionx widthpx camimgw",
     "height": "height h ny imageheight imgheight imgh himg rows resheight resy resolutiony heightpx camimgh",
-    "size": "size imagesize imgsize resolution wh imagewh imageresolution sensorsize framesize dims",
+    "size": "size imagesize imgsize resolution wh imagewh imageresolution sensorsize framesize dims dim",
     "shape": "shape imageshape imgshape hw imagehw frameshape",
     "model": "model cameramodel distortionmodel lensmodel distortiontype camtype",
     "fisheye": "fisheye isfisheye",
@@ -96,7 +97,7 @@ _COUNTS = {
 _TEXTS = ("model", "name", "names", "fisheye")
 #: Parameters that are single numbers.
 SCALARS = (
-    *("fx", "fy", "cx", "cy", "skew", "width", "height"),
+    *("fx", "fy", "cx", "cy", "skew", "alpha", "width", "height"),
     *("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"),
 )
 INTRINSIC = frozenset({"K", "fx", "focal", "P", "params"})
@@ -212,7 +213,7 @@ def find_parameters(*files: CalibrationFile) -> Found:
     for file in files:
         plural = {_word(str(key)) for key in file.document} if isinstance(file.document, Mapping) else set()
         found.views = found.views or plural.issuperset(_NAMES_OF_LISTS)
-        for count, (keys, shape) in enumerate(_leaves(file.document, (), 0)):
+        for count, (keys, shape) in enumerate(leaves_of(file)):
             if count > _MAX_ENTRIES:
                 raise file.error(f"has more than {_MAX_ENTRIES} values")
             _add(found, file, keys, shape)
@@ -324,7 +325,12 @@ def _joined(items: dict[Any, Any]) -> dict[Any, Any]:
 
 def keys_of(file: CalibrationFile) -> set[str]:
     """Keys of the first thousands of values of a document."""
-    return {str(key) for keys, _ in islice(_leaves(file.document, (), 0), 2000) for key in keys}
+    return {str(key) for keys, _ in islice(leaves_of(file), 2000) for key in keys}
+
+
+def leaves_of(file: CalibrationFile) -> Iterator[tuple[Keys, tuple[int, ...] | str]]:
+    """Key path, and shape or text, of the numbers, lists of numbers and texts of a document."""
+    return _leaves(file.document, (), 0)
 
 
 def _vector(value: Any) -> list[float] | None:
@@ -504,7 +510,7 @@ def _count(role: str, shape: _Shape) -> int | None:
 def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[str]:
     """Unknown keys of lists of at least ``least`` numbers in a document, with their sizes, for messages."""
     found: list[str] = []
-    for count, (keys, shape) in enumerate(_leaves(file.document, (), 0)):
+    for count, (keys, shape) in enumerate(leaves_of(file)):
         if len(found) == most or count > 1000:
             break
         known = not isinstance(shape, tuple) or int(np.prod(shape)) < least or _spelled(keys, shape)

@@ -1,0 +1,106 @@
+"""Lenses of files that do not name them: four coefficients of OpenCV, and keys of a lens that are not read.
+
+``cv2.calibrateCamera`` returns five coefficients or more. Four are those of ``cv2.fisheye`` (k1 to k4), or
+plumb_bob without k3 as other programs write it: k1, k2, p1, p2, where p1 and p2 are small.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.camera.formats.base import CalibrationFile, Keys, RawCamera, is_number
+from humansim_ros.camera.formats.spellings import leaves_of, plain
+from humansim_ros.errors import CameraError, some_of, warn_about
+from humansim_ros.types import Array
+
+#: Largest p1 and p2 of plumb_bob, and smallest k3 and k4 of a fisheye, as fractions of k1 and k2.
+_TANGENTIAL, _RADIAL = 0.05, 0.1
+#: Tangent of the angle of view at the corner that is wide for a lens of plumb_bob.
+_WIDE = 0.9
+#: Evidence of a fisheye that needs no warning.
+_CERTAIN = 3
+_MOST_VALUES = 20_000
+#: Words of keys that a lens has, for lists of numbers; keys of its single numbers; those of other lenses.
+_LISTS = re.compile(r"dist(?!ance)\w*|disto\w*|coeff?s?|coefficients|radial\w*|tangential\w*|poly\w*|lens")
+_NUMBERS = re.compile(
+    r"(?:cam)?[kpd][0-9]|xi|alpha|beta|omega|kappa\w*|(?:radial|tangential)\w+|\w*distortion"
+)
+_NEVER = ("xi", "beta", "omega")
+#: Keys of the name of a lens, and names that a camera without distortion does not have.
+_KIND = re.compile("type|model|lens|projection|camera")
+_NAMED = re.compile(
+    r"fish[-_]?eye\d*|equi(?:distant)?|kannala.*|kb[48]|omni.*|mei|ds|e?ucm|fov|ocam.*|scaramuzza|atan|double.*"
+)
+
+
+def model_of_four(
+    file: CalibrationFile, keys: Keys, values: Array, k: Array, stated: bool | None = None
+) -> str:
+    """Model of four coefficients of OpenCV: equidistant or plumb_bob; a warning where that is only likely.
+
+    Evidence of a fisheye are the shape 4 x 1 that ``cv2.fisheye`` returns, a skew, ``DIM``, "fisheye" in the
+    name of the file or of a key, and k3 and k4 that are too large for p1 and p2 of a wide lens.
+
+    Args:
+        file: File that is being read.
+        keys: Key path of the coefficients.
+        values: Coefficients (4,).
+        k: K (3, 3).
+        stated: Whether the file says that the camera is a fisheye; None if it does not say it.
+    """
+    if stated is not None or not values.any():
+        return "equidistant" if stated else "plumb_bob"
+    above = file.get(*keys[:-1])
+    above = above if isinstance(above, Mapping) else {}
+    rows, columns = above.get("rows"), above.get("cols")
+    shape = (rows, columns) if "rows" in above else np.shape(file.get(*keys))
+    named = " ".join(map(str, (*keys, Path(file.path).stem, *above, *(file.document or ()))))
+    high, low = np.abs(values[2:]).max(), max(np.abs(values[:2]).max(), 1e-12)
+    wide = np.hypot(k[0, 2], k[1, 2]) > _WIDE * k[0, 0]
+    evidence = (
+        2 * (shape == (4, 1))
+        + (shape == (1, 4))
+        + 2 * bool(k[0, 1])
+        + 3 * bool(re.search(r"\bDIM\b|fish_?-?eye", named, re.IGNORECASE))
+        + (-2 if 0 < high <= _TANGENTIAL * low else 1 if wide and high > _RADIAL * low else -1)
+    )
+    model = "equidistant" if evidence > 0 else "plumb_bob"
+    if 0 <= evidence < _CERTAIN or (evidence < 0 and "rows" in above):
+        other = "plumb_bob" if evidence > 0 else "equidistant (cv2.fisheye)"
+        key = ".".join(map(str, keys[: -1 if "rows" in above else None]))
+        what = f"{key}: 4 coefficients are assumed to be {model}"
+        warn_about(file.path, f"{what}; if they are {other}, add distortion_model: {other.split()[0]}")
+    return model
+
+
+def check_unread(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> None:
+    """Warn if a document has keys of a lens whose numbers no camera has, and a camera has no distortion.
+
+    A parameter of a lens that no camera can have, such as xi, is enough for a warning.
+    """
+    fisheyes = any(c.model == "equidistant" for c in cameras.values())
+    straight = any(not any(c.distortion) and c.model != "equidistant" for c in cameras.values())
+    read = {float(v) for c in cameras.values() for v in (0.0, *c.distortion, *c.K.ravel(), *(c.size or ()))}
+    file, unread = plain(file), []
+    for keys, shape in islice(leaves_of(file), _MOST_VALUES):
+        key = next((key.lower() for key in reversed(keys) if isinstance(key, str) and key != "data"), "")
+        words = [word for word in re.split(r"[\W_]+", key) if word]
+        if isinstance(shape, str) and not is_number(shape):
+            if straight and not fisheyes and _KIND.search(key) and _NAMED.fullmatch(shape.strip().lower()):
+                unread.append(f"{'.'.join(map(str, keys))} {shape[:40]!r}")
+        elif words and (straight or words[-1] in _NEVER):
+            count = 1 if isinstance(shape, str) else int(np.prod(shape))
+            single = _NUMBERS.fullmatch("".join(words)) or _NUMBERS.fullmatch(words[-1])
+            if single if count == 1 else count <= 14 and any(map(_LISTS.fullmatch, words)):
+                with suppress(CameraError):
+                    unread += [".".join(map(str, keys))] * (not {*file.some_numbers(*keys)} <= read)
+    if unread:
+        state = "give the coefficients as dist or k1, k2, p1, p2, k3, and distortion_model"
+        shown = "cameras are shown without distortion" if straight else "the lens is another one"
+        warn_about(file.path, f"{some_of(unread, 4)}: looks like a lens and is not read, {shown}: {state}")

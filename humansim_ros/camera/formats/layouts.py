@@ -8,7 +8,9 @@ keys do not say it, ``arrange``: a function below, where the cameras of a file a
 
 Sources: devkits of KITTI, nuScenes, EuRoC, InterHand2.6M, RICH and MPI-INF-3DHP (Skeletool); on github.com
 rameau-fr/MC-Calib, ethz-asl/okvis, stella-cv/stella_vslam, facebookresearch/projectaria_tools, arpg/Calibu,
-strawlab/flydra, strawlab/MultiCamSelfCal, backyardbiomech/argus_gui, DLR-RM/BlenderProc (CalLab),
+strawlab/flydra, strawlab/pymvg, strawlab/MultiCamSelfCal, UZ-SLAMLab/ORB_SLAM3,
+HKUST-Aerial-Robotics/VINS-Fusion, uzh-rpg/rpg_svo_pro_open, VladyslavUsenko/basalt, mapillary/OpenSfM,
+PJLab-ADG/SensorsCalibration, backyardbiomech/argus_gui, DLR-RM/BlenderProc (CalLab),
 IntelRealSense/librealsense; https://jarvis-mocap.github.io, https://captury.com.
 """
 
@@ -27,9 +29,11 @@ from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
     CalibrationFormat,
+    Keys,
     RawCamera,
     fitted_lens,
     nested,
+    without_suffix,
 )
 from humansim_ros.camera.formats.matrices import MATRICES, read_matrices
 from humansim_ros.camera.formats.spellings import keys_of, plain, words
@@ -238,6 +242,114 @@ def _stereo(file: CalibrationFile) -> _Cameras:
     return cameras
 
 
+def _orbslam3(file: CalibrationFile) -> _Cameras:
+    """Cameras of ORB-SLAM3; the second one of a rectified pair is the first one, moved by the baseline."""
+    cameras: dict[str, dict[str, Any]] = {}
+    for key, value in file.document.items():
+        name, _, part = str(key).partition(".")
+        if name in ("Camera", "Camera1", "Camera2"):
+            cameras.setdefault(name, {})[part] = value
+    shared = {key: cameras["Camera"].get(key) for key in ("type", "width", "height")}
+    if cameras["Camera"].get("type") == "Rectified":
+        shared["type"] = "PinHole"
+        moved = _placed(np.eye(3), np.array([file.number("Stereo.b"), 0.0, 0.0]))
+        cameras["Camera2"] = {**cameras["Camera1"], **moved}
+    pose = next((file.get(key) for key in ("Stereo.T_c1_c2", "Tlr") if file.get(key) is not None), None)
+    if "Camera2" in cameras and pose is not None:
+        cameras["Camera2"]["c2w"] = pose
+    if "c2w" in cameras.get("Camera2", ()):
+        cameras["Camera1" if "Camera1" in cameras else "Camera"] |= _placed(np.eye(3), np.zeros(3))
+    return {name: {**shared, **camera} for name, camera in cameras.items() if "fx" in camera}
+
+
+def _ncamera(file: CalibrationFile) -> _Cameras:
+    """Cameras of a rig; what this format calls fisheye is the lens FOV."""
+    cameras = []
+    for index, _ in enumerate(file.items("cameras")):
+        camera = dict(file.mapping("cameras", index, "camera"))
+        lens = {**file.mapping("cameras", index, "camera", "distortion")}
+        kind, own = (
+            str(lens.pop("type", "none")).replace("fisheye", "fov"),
+            str(camera.pop("type", "pinhole")),
+        )
+        pose = {"T_B_C": value} if (value := file.get("cameras", index, "T_B_C")) is not None else {}
+        cameras.append({**camera, **lens, **pose, "model": kind if own.lower() == "pinhole" else own})
+    return cameras
+
+
+#: Lenses of OpenSfM, and their models.
+_OPENSFM = {
+    **dict.fromkeys(("perspective", "brown", "radial", "simple_radial"), "plumb_bob"),
+    **dict.fromkeys(("fisheye", "fisheye_opencv"), "equidistant"),
+}
+
+
+def _opensfm(file: CalibrationFile) -> _Cameras:
+    """Shots of OpenSfM, or its cameras; lengths are fractions of the longer side, from the image centre."""
+    at: Keys = (0,) if isinstance(file.document, list) else ()
+    if at and len(file.document) > 1:
+        warn_about(file.path, f"the first of {len(file.document)} reconstructions is read")
+    group = (*at, "cameras") if file.get(*at, "cameras") is not None else at
+    shots = file.get(*at, "shots") or {name: {"camera": name} for name in file.mapping(*group)}
+    cameras = {}
+    for name, shot in shots.items():
+        lens = (*group, shot.get("camera"))
+        kind = str(file.mapping(*lens).get("projection_type", "perspective"))
+        if kind not in _OPENSFM:
+            message = f"the lens {kind[:40]!r} is not supported; known are {', '.join(_OPENSFM)}"
+            raise file.error(message, *lens, "projection_type")
+        width, height = file.size((*lens, "width"), (*lens, "height"))
+        side = max(width, height)
+        fx, fy = (key if file.get(*lens, key) is not None else "focal" for key in ("focal_x", "focal_y"))
+        k = pinhole(file.number(*lens, fx), file.number(*lens, fy), 0, 0) * side
+        k[:, 2] = [(width - 1) / 2, (height - 1) / 2, 1]
+        k[:2, 2] += [side * file.number(*lens, key, otherwise=0.0) for key in ("c_x", "c_y")]
+        numbers = {key: file.get(*lens, key) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
+        pose = {"rvec": shot["rotation"], "t": shot["translation"]} if "rotation" in shot else {}
+        size = {"width": width, "height": height}
+        cameras[without_suffix(name)] = {"K": nested(k), "model": _OPENSFM[kind], **size, **numbers, **pose}
+    return cameras
+
+
+def _pymvg(file: CalibrationFile) -> _Cameras:
+    """Cameras of pymvg, whose poses Q and translation are of the rectified camera; R rectifies."""
+    cameras = []
+    for index, camera in enumerate(file.items("camera_system")):
+        at: Keys = ("camera_system", index)
+        q = file.numbers((3, 3), *at, "Q" if "Q" in camera else "rotation")
+        r, t = file.numbers((3, 3), *at, "R").T, file.numbers((3,), *at, "translation")
+        rest = {key: camera[key] for key in ("name", "width", "height", "K", "D") if key in camera}
+        cameras.append({**rest, "R": nested(r @ q), "t": nested(r @ t)})
+    return cameras
+
+
+def _matlab(file: CalibrationFile) -> _Cameras:
+    """Cameras of MATLAB: pixels count from 1; vectors are rows, except for K and PoseCamera2 (from 2022)."""
+    pair = [key for key in ("CameraParameters1", "CameraParameters2") if file.get(key) is not None]
+    cameras: dict[str, dict[str, Any]] = {}
+    for name in pair or [Path(file.path).stem]:
+        at: Keys = (name,) if pair else ()
+        key = next((key for key in ("IntrinsicMatrix", "K") if file.get(*at, key) is not None), None)
+        if key is None:
+            k = pinhole(*file.numbers((2,), *at, "FocalLength"), *file.numbers((2,), *at, "PrincipalPoint"))
+            k[0, 1] = file.number(*at, "Skew", otherwise=0.0)
+        else:
+            k = file.numbers((3, 3), *at, key)
+        k = k.T if k[2, :2].any() else k
+        k[:2, 2] -= 1
+        lens = [file.optional_numbers(*at, f"{part}Distortion").tolist() for part in ("Radial", "Tangential")]
+        given = {"K": nested(k), "shape": file.need(*at, "ImageSize")}
+        cameras[name] = {**given, "radial": lens[0], "tangential": lens[1] or [0.0, 0.0]}
+    if len(pair) == 2:
+        cameras[pair[0]] |= _placed(np.eye(3), np.zeros(3))
+        if file.get("PoseCamera2") is not None:
+            cameras[pair[1]] |= {"w2c": file.get("PoseCamera2", "A") or file.need("PoseCamera2")}
+        else:
+            rotation = file.numbers((3, 3), "RotationOfCamera2").T
+            cameras[pair[1]] |= {"R": nested(rotation), "t": file.need("TranslationOfCamera2")}
+    return cameras
+
+
 def _argus(file: CalibrationFile) -> _Cameras:
     cameras: dict[str, dict[str, Any]] = {}
     for line, text in file.lines():
@@ -262,6 +374,11 @@ _ARRANGED: dict[str, Callable[[CalibrationFile], _Cameras]] = {
         _captury,
         _realsense,
         _stereo,
+        _orbslam3,
+        _ncamera,
+        _opensfm,
+        _pymvg,
+        _matlab,
         _argus,
     )
 }

@@ -15,11 +15,6 @@ from humansim_ros.camera import Camera, read_calibration
 from humansim_ros.errors import CameraError
 
 FOLDER = SHARED_DATA / "fourth" / "calib"
-#: Files that are still read wrong or refused. Their test says so as soon as they are read.
-OPEN: set[str] = {
-    "units_cm.yaml",
-    "units_mm_stereo.json",
-}
 TRUTH: dict[str, Any] = json.loads(path.read_text()) if (path := FOLDER / "truth.json").is_file() else {}
 #: Largest differences: pixels of a fitted lens, fraction of K, metres of a centre, coefficients.
 FITTED, RELATIVE, METRES, LENS = 1.0, 1e-3, 1e-3, 1e-9
@@ -67,8 +62,10 @@ def assert_is(camera: Camera, wanted: dict[str, Any], azimuth: float) -> None:
         assert_allclose(pixel[0], (u, v), atol=FITTED)
 
 
-def check(name: str) -> None:
-    """Read a file of the truth and compare it, or its refusal where a lens model may be refused by name."""
+@needs_shared_data
+@pytest.mark.parametrize("name", TRUTH)
+def test_a_file_of_a_stranger_has_its_true_cameras(name: str) -> None:
+    """Compare a file with the truth, or its refusal where a lens model may be refused by name."""
     wanted: dict[str, Any] = TRUTH[name]["cameras"]
     names = [each["model"].split("refused by the name ")[-1] for each in wanted.values()]
     may_be_refused = any("refused by the name" in each["model"] for each in wanted.values())
@@ -86,11 +83,3 @@ def check(name: str) -> None:
     for camera, each in wanted.items():
         assert camera in cameras, f"{camera} is not one of {list(cameras)}"
         assert_is(cameras[camera], each, AZIMUTHS.get(name, 0.0))
-
-
-@needs_shared_data
-@pytest.mark.parametrize("name", TRUTH)
-def test_a_file_of_a_stranger_has_its_true_cameras(name: str, request: pytest.FixtureRequest) -> None:
-    if name in OPEN:
-        request.applymarker(pytest.mark.xfail(strict=True, raises=(CameraError, AssertionError)))
-    check(name)

@@ -619,21 +619,30 @@ def vector_of(rotation: Array) -> Array:
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _LONG_UNITS = {"metre": "m", "centimetre": "cm", "millimetre": "mm"}
 #: Key paths of the unit.
-_UNIT_KEYS = tuple((*table, key) for table in ((), ("metadata",)) for key in ("unit", "units"))
+_UNIT_KEYS = tuple(
+    (*table, key)
+    for table in ((), ("metadata",), ("info",), ("CameraParameters1",))
+    for key in ("unit", "units", "WorldUnits", "world_units", "length_unit", "translation_unit")
+)
 #: Extent of a rig in units of the file from which these are millimetres: between a room of 30 m and 10 cm.
 _MILLIMETRES = 50.0
 
 
+def metres_of(name: str) -> float | None:
+    """Metres of a unit: m, cm or mm, or a long name in any spelling; None for an unknown one."""
+    long = name.strip().lower().removesuffix("s").replace("meter", "metre")
+    return _UNITS.get(_LONG_UNITS.get(long, name.strip()))
+
+
 def stated_unit(file: CalibrationFile) -> float | None:
-    """Metres per unit of a file that has the key ``unit`` or ``units``; None without it.
+    """Metres per unit of a file that has a key of the unit, such as ``unit``; None without one.
 
     Raises CameraError for an unknown unit.
     """
     for keys in _UNIT_KEYS:
         value = file.get(*keys)
         if value is not None:
-            name = str(value).strip().lower().removesuffix("s").replace("meter", "metre")
-            unit = _UNITS.get(_LONG_UNITS.get(name, str(value)))
+            unit = metres_of(str(value))
             if unit is None:
                 raise file.error(f"is {str(value)[:30]!r}: use {', '.join(_UNITS)}", *keys)
             return unit
@@ -656,11 +665,11 @@ def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
     if extent == 0:
         return 1.0
     name = "mm" if extent > _MILLIMETRES else "m"
-    other = "m" if name == "mm" else "mm"
+    others = ", ".join(f"{extent * m:.5g} m with {unit}" for unit, m in _UNITS.items() if unit != name)
     warn_about(
         file.path,
         f"the unit is not in the file; {name} is assumed, because the cameras are then "
-        f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.5g} m with {other}); to state it, "
+        f"{extent * _UNITS[name]:.3g} m apart ({others}); to state it, "
         f'set unit, or add unit = "{name}" to the file',
     )
     return _UNITS[name]

@@ -53,6 +53,7 @@ from humansim_ros.camera.formats.spellings import (
     find_parameters,
     parts_found,
     plain,
+    unit_of_keys,
     words,
 )
 from humansim_ros.errors import CameraError, some_of, warn_about
@@ -67,6 +68,8 @@ _UNCLEAR = words(
     quaternion quat q qvec rotationquaternion rotationvector"""
 )
 _CENTRED, _LARGEST_ALPHA = 0.5, 0.1
+#: Most focal lengths in the width of an image; a fisheye of 220 degrees has four.
+_MOST_IN_WIDTH = 20
 #: Camera models whose coefficients are as OpenCV has them.
 _UNNAMED = words(
     "pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial pinhole_full"
@@ -287,6 +290,9 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
     else:
         camera = RawCamera(_k(entries, size), locations=locations)
     distortion, model = _lens(file, entries, camera.K)
+    if size is not None and camera.K[0, 0] * _MOST_IN_WIDTH < size[0]:
+        what = f"a focal length of {camera.K[0, 0]:g} pixels is too short for an image of {size[0]}x{size[1]}"
+        warn_about(file.path, f"{what}: K must be in pixels, not in millimetres or fractions of the image")
     if size is not None and "size" in entries and "K" in entries and _is_transposed(_numbers(entries["K"])):
         size = size[1], size[0]  # MATLAB's size is rows and columns
     return replace(camera, size=size, distortion=distortion, model=model)
@@ -465,6 +471,11 @@ def _rotation(entry: Entry) -> Array:
     return rotation_of(entry.file, *entry.keys)
 
 
+def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
+    """Metres per unit of a file: of its keys, such as ``translation_mm``, or as of :func:`find_unit`."""
+    return unit_of_keys(file) or find_unit(file, cameras)
+
+
 # -- writing
 
 
@@ -514,7 +525,7 @@ MATRICES = CalibrationFormat(
     read_matrices,
     _write_json,
     lenses=COUNTS,
-    find_unit=find_unit,
+    find_unit=_find_unit,
     also=("yaml", "toml", "xml", "text"),
 )
 MATRICES_NPZ = CalibrationFormat(
@@ -526,5 +537,5 @@ MATRICES_NPZ = CalibrationFormat(
     read_matrices,
     _write_npz,
     lenses=COUNTS,
-    find_unit=find_unit,
+    find_unit=_find_unit,
 )

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys, is_number
+from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys, is_number, metres_of
 from humansim_ros.camera.formats.colmap import COLMAP_MODELS
 from humansim_ros.camera.formats.texts import BRACKETS, text_document
+from humansim_ros.errors import CameraError
 
 
 def words(text: str) -> frozenset[str]:
@@ -152,6 +153,17 @@ _TURNED = {
     ("P", 3): "position",
 }
 _END = re.compile(r"(.+?)[_. -]?([wxyz]|[0-9]_?[0-9]?)")
+#: Keys of translations that end with their unit: ``translation_mm``, ``T (cm)``.
+_UNIT = re.compile(
+    r"((?:.*[_. -])?(?:r?t|t[xyz]|tvecs?|trans\w*?|pos|positions?|cent(?:er|re)s?|location|origin|poses?"
+    r"|extrinsics?))[_. (\[-]+(?:in[_ ])?([cm]?m|(?:milli|centi)?met(?:er|re)s?)[)\]]?",
+    re.IGNORECASE,
+)
+#: Words of keys that are no names of cameras: ``F_threshold`` is no focal length.
+_NO_CAMERA = words(
+    """threshold thresh thres min max mean num number noise std sigma var weight rate freq tol eps ratio prior
+    init"""
+)
 #: Keys of angles, which are no rotation vectors.
 _ANGLES = re.compile(r"euler|rpy|ypr|yaw|pitch|roll|degree", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
@@ -200,7 +212,21 @@ class Found:
 
 def role_of(key: Key) -> str | None:
     """Camera parameter that a key spells; None if it spells none."""
-    return _ROLES.get(_word(key)) if isinstance(key, str) else None
+    return _ROLES.get(_word(split_unit(key)[0])) if isinstance(key, str) else None
+
+
+def split_unit(key: str) -> tuple[str, float | None]:
+    """Key of a translation without the unit at its end, and metres per unit; None without a unit."""
+    match = _UNIT.fullmatch(key) if len(key) < 60 else None
+    return (match[1], metres_of(match[2].lower())) if match else (key, None)
+
+
+def unit_of_keys(file: CalibrationFile) -> float | None:
+    """Metres per unit that keys such as ``translation_mm`` state; None without one. Raises CameraError."""
+    units = {key: unit for key in keys_of(_parsed(file)) if (unit := split_unit(key)[1])}
+    if len({*units.values()}) > 1:
+        raise CameraError(f"has several units: {', '.join(sorted(units))}; give one", path=file.path)
+    return next(iter(units.values()), None)
 
 
 def _word(key: str) -> str:
@@ -222,7 +248,12 @@ def find_parameters(*files: CalibrationFile) -> Found:
     for identity, entries in found.cameras.items():
         if "params" in entries and colmap_model(found.entries_of(identity)) is None:
             del entries["params"]
-    found.cameras = {identity: entries for identity, entries in found.cameras.items() if entries}
+    sure = any({"K", "fx", "P"} & entries.keys() for entries in found.cameras.values())
+    found.cameras = {  # a lone f beside a K is another number
+        identity: entries
+        for identity, entries in found.cameras.items()
+        if entries and not (sure and entries.keys() == {"focal"})
+    }
     return found
 
 
@@ -267,8 +298,8 @@ def plain(
     Numbers are in place of their texts. The key of a quaternion gets the end ``_xyzw``, which is its order.
     Plain text becomes a document. ``rewrite`` changes the items of each mapping.
     """
-    if file.document is None and file.syntax == "text":
-        file = text_document(file, role_of)
+    file = _parsed(file)
+    names: dict[str, str] = {}
     budget = _MAX_NORMALISED
 
     def convert(value: Any, depth: int = 0) -> Any:
@@ -278,7 +309,11 @@ def plain(
             return value
         if isinstance(value, Mapping):
             items = {}
-            for key, item in value.items():
+            for given, item in value.items():
+                key = split_unit(given)[0] if isinstance(given, str) else given
+                if key != given:
+                    key = given if key in value else key
+                    names[key] = given
                 vector = _vector(item)
                 if vector is None:
                     items[key] = convert(_simple(key, item), depth + 1)
@@ -293,7 +328,13 @@ def plain(
             return [convert(item, depth + 1) for item in value]
         return value
 
-    return replace(file, document=convert(file.document))
+    return replace(file, document=convert(file.document), renamed={**names, **file.renamed})
+
+
+def _parsed(file: CalibrationFile) -> CalibrationFile:
+    """File with a document, also of plain text that has keys and values."""
+    no_document = file.document is None and file.syntax == "text"
+    return text_document(file, role_of) if no_document else file
 
 
 def _simple(key: Any, value: Any) -> Any:
@@ -466,7 +507,7 @@ def _split(key: str) -> tuple[str, Identity] | None:
     for length in range(len(words) - 1, 0, -1):
         for own, rest in ((words[-length:], words[:-length]), (words[:length], words[length:])):
             role = _ROLES.get("".join(own).lower())
-            if role is not None and role not in _TEXTS:
+            if role is not None and role not in _TEXTS and not _NO_CAMERA.intersection(map(str.lower, rest)):
                 return role, ("_".join(rest),)
     return None
 

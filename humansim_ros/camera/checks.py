@@ -20,6 +20,8 @@ from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array, ImageSize
 
+#: Most focal lengths in the width of an image; a fisheye of 220 degrees has four.
+_MOST_IN_WIDTH = 20
 #: Largest plausible distance of a principal point from the image centre, as a fraction of the image side.
 _OFF_CENTER = 0.075
 #: Factor by which the centre of another image size must fit better, and largest difference of the shapes.
@@ -108,6 +110,9 @@ def check_image_size(camera: Camera) -> list[str]:
     centre of another size fits much better, and that image has the same shape.
     """
     (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
+    if camera.K[0, 0] * _MOST_IN_WIDTH < width:
+        what = f"a focal length of {camera.K[0, 0]:g} pixels is too short for an image of {width}x{height}"
+        return [f"{what}: K is in pixels, not in millimetres or fractions of the image"]
     share = _principal_share(camera)
     distance = float(np.abs(share - 0.5).max())
     low, high = sorted(share)

@@ -259,7 +259,7 @@ def _orbslam3(file: CalibrationFile) -> _Cameras:
         cameras["Camera2"]["c2w"] = pose
     if "c2w" in cameras.get("Camera2", ()):
         cameras["Camera1" if "Camera1" in cameras else "Camera"] |= _placed(np.eye(3), np.zeros(3))
-    return {name: {**shared, **camera} for name, camera in cameras.items() if "fx" in camera}
+    return [{"name": name, **shared, **camera} for name, camera in cameras.items() if "fx" in camera]
 
 
 def _ncamera(file: CalibrationFile) -> _Cameras:

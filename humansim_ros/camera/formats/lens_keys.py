@@ -58,14 +58,14 @@ def model_of_four(
         return "equidistant" if stated else "plumb_bob"
     above = file.get(*keys[:-1])
     above = above if isinstance(above, Mapping) else {}
-    rows, columns = above.get("rows"), above.get("cols")
-    shape = (rows, columns) if "rows" in above else np.shape(file.get(*keys))
+    sides = str(above.get("rows")), str(above.get("cols"))  # texts in XML
+    shape = sides if "rows" in above else tuple(map(str, np.shape(file.get(*keys))))
     named = " ".join(map(str, (*keys, Path(file.path).stem, *above, *(file.document or ()))))
     high, low = np.abs(values[2:]).max(), max(np.abs(values[:2]).max(), 1e-12)
     wide = np.hypot(k[0, 2], k[1, 2]) > _WIDE * k[0, 0]
     evidence = (
-        2 * (shape == (4, 1))
-        + (shape == (1, 4))
+        2 * (shape == ("4", "1"))
+        + (shape == ("1", "4"))
         + 2 * bool(k[0, 1])
         + 3 * bool(re.search(r"\bDIM\b|fish_?-?eye", named, re.IGNORECASE))
         + (-2 if 0 < high <= _TANGENTIAL * low else 1 if wide and high > _RADIAL * low else -1)

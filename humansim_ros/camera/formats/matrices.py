@@ -68,8 +68,6 @@ _UNCLEAR = words(
     quaternion quat q qvec rotationquaternion rotationvector"""
 )
 _CENTRED, _LARGEST_ALPHA = 0.5, 0.1
-#: Most focal lengths in the width of an image; a fisheye of 220 degrees has four.
-_MOST_IN_WIDTH = 20
 #: Camera models whose coefficients are as OpenCV has them.
 _UNNAMED = words(
     "pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial pinhole_full"
@@ -140,6 +138,10 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
         file.add(cameras, name, camera)
         if pose is not None:
             poses[name] = pose
+    if len(poses) == 2 and len({pose.locations["R"] for pose in poses.values()}) == 1:
+        left, right = poses  # one pose of both: of the right camera, from the left one
+        poses[right] = replace(poses[right], kind="world", clear=True)
+        poses[left] = replace(poses[right], R=np.eye(3), t=np.zeros(3))
     if found.views:
         warn_about(file.path, "rvecs and tvecs are poses of a calibration board, not of cameras: ignored")
     return {**cameras, **resolved(files[-1], cameras, poses)}
@@ -290,9 +292,6 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
     else:
         camera = RawCamera(_k(entries, size), locations=locations)
     distortion, model = _lens(file, entries, camera.K)
-    if size is not None and camera.K[0, 0] * _MOST_IN_WIDTH < size[0]:
-        what = f"a focal length of {camera.K[0, 0]:g} pixels is too short for an image of {size[0]}x{size[1]}"
-        warn_about(file.path, f"{what}: K must be in pixels, not in millimetres or fractions of the image")
     if size is not None and "size" in entries and "K" in entries and _is_transposed(_numbers(entries["K"])):
         size = size[1], size[0]  # MATLAB's size is rows and columns
     return replace(camera, size=size, distortion=distortion, model=model)

@@ -665,7 +665,7 @@ def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
     if extent == 0:
         return 1.0
     name = "mm" if extent > _MILLIMETRES else "m"
-    others = ", ".join(f"{extent * m:.5g} m with {unit}" for unit, m in _UNITS.items() if unit != name)
+    others = ", ".join(f"{extent * m:.5g} m with {u}" for u, m in sorted(_UNITS.items()) if u != name)
     warn_about(
         file.path,
         f"the unit is not in the file; {name} is assumed, because the cameras are then "

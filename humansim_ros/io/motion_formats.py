@@ -33,7 +33,8 @@ MOTION_FORMATS = (
     MotionFormat("zip", "BVH in ZIP", (".zip",), "file in the archive"),
     MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),
     MotionFormat("vrma", "VRMA", (".vrma",), "animation"),
-    MotionFormat("smpl", "AMASS/SMPL", (".npz",), also="human"),
+    MotionFormat("smpl", "AMASS/SMPL", (".npz",), "person", "human"),
+    MotionFormat("poses", "SMPL in PKL, PT, NPY", (".pkl", ".pickle", ".pt", ".pth", ".npy"), "person"),
     MotionFormat("markers", "C3D, TRC", (".c3d", ".trc"), "person"),
     MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
 )
@@ -41,6 +42,43 @@ MOTION_FORMATS = (
 MOTION_SUFFIXES = tuple(suffix for known in MOTION_FORMATS for suffix in known.suffixes)
 #: Names of all formats, for messages and help.
 MOTION_TITLES = ", ".join(known.title for known in MOTION_FORMATS)
+
+
+#: Formats that are not read: suffixes, name, and what to do.
+_UNREAD = (
+    (".mot .sto .osim", "OpenSim", "play its markers (.trc), or export places of joints as .trc or .c3d"),
+    (
+        ".csv .tsv .xlsx .mat .h5 .hdf5",
+        "a table of numbers",
+        "write points with names as .trc, or SMPL as .npz",
+    ),
+    (".json .jsonl .xml .yaml", "keypoints or settings", "write points with names as .trc, or SMPL as .npz"),
+    (".mvnx .mvn .mtb", "Xsens MVN", "export .bvh, .fbx or .c3d from MVN"),
+    (".usd .usda .usdc .usdz .abc", "USD or Alembic", "export .glb or .fbx, such as from Blender"),
+    (
+        ".blend .ma .mb .max .bip .c4d .hip .uasset",
+        "a scene of an editor",
+        "export .bvh, .glb or .fbx from it",
+    ),
+    (".anim .vmd .vpd .pmx .htr .gtr .iclone .mcp", "an animation of another program", "export .bvh or .fbx"),
+    (
+        ".tak .qtm .vsk .x2d .xcp .cap .v3d .cmz",
+        "a recording of a capture system",
+        "export .c3d, .trc or .bvh",
+    ),
+    (
+        ".mp4 .mov .avi .mkv .webm",
+        "a video",
+        "estimate its poses with another program, such as WHAM or GVHMR",
+    ),
+)
+
+
+def unread_format(file: str | os.PathLike[str]) -> str | None:
+    """What a file is that is not read, and what to do, by its suffix; None for other suffixes."""
+    suffix = Path(file).suffix.lower()
+    row = next((row for row in _UNREAD if suffix in row[0].split()), None)
+    return None if row is None else f"{row[1]} ({suffix}), which is not read as a motion: {row[2]}"
 
 
 def motion_format(file: str | os.PathLike[str]) -> MotionFormat | None:

@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,9 +81,8 @@ def read_npz(
     return arrays
 
 
-def npy_array(content: bytes) -> NDArray[Any]:
-    """Array of a .npy file, without any object. Raises ValueError if it is wrong or incomplete."""
-    stream = io.BytesIO(content)
+def npy_header(stream: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order (whether columns come first) and type at the start of a .npy file; ValueError if wrong."""
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
@@ -94,6 +93,13 @@ def npy_array(content: bytes) -> NDArray[Any]:
             shape, fortran, dtype = readers[version](stream)
     except Exception as reason:  # its parsers raise all kinds
         raise ValueError(f"a damaged header: {str(reason)[:60]}") from None
+    return shape, fortran, dtype
+
+
+def npy_array(content: bytes) -> NDArray[Any]:
+    """Array of a .npy file, without any object. Raises ValueError if it is wrong or incomplete."""
+    stream = io.BytesIO(content)
+    shape, fortran, dtype = npy_header(stream)
     if dtype.hasobject:
         raise ValueError("a pickled object; pickled objects are not read, because they can run code")
     if dtype.kind not in _KINDS or dtype.subdtype is not None:

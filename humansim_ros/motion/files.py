@@ -11,8 +11,13 @@ from pathlib import Path, PurePosixPath
 
 from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of, warn_about
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
-from humansim_ros.io.files import open_file, size_text, temporary_folder
-from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name
+from humansim_ros.io.files import exists, open_file, size_text, temporary_folder
+from humansim_ros.io.motion_formats import (
+    MOTION_TITLES,
+    motion_format,
+    split_motion_name,
+    unread_format,
+)
 from humansim_ros.motion.activity import is_activity, read_activity
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.joint_matching import is_person
@@ -73,15 +78,21 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
         from humansim_ros.motion.acclaim import read_acclaim
 
         return read_acclaim(file, part)
-    if name == "smpl":
+    if name in ("smpl", "poses"):
         from humansim_ros.motion.smpl_motion import read_smpl_motion
 
-        return read_smpl_motion(file)
+        return read_smpl_motion(file, part)
     if name == "markers":
         from humansim_ros.motion.marker_motion import read_marker_motion
 
         return read_marker_motion(file, part)
-    motion = _one_person(read_bvh(file, positions), part)
+    try:
+        motion = _one_person(read_bvh(file, positions), part)
+    except MotionError:
+        other = unread_format(file)
+        if other is None or not exists(Path(file)):
+            raise
+        raise MotionError(f"this is {other}", path=file) from None
     # people of built-in motions may lie or crawl all the time
     return replace(motion, up="y") if _is_built_in(Path(file)) else motion
 

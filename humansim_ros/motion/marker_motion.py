@@ -84,9 +84,13 @@ def read_marker_motion(path: str | os.PathLike[str], person: str | None = None) 
         MotionError: The file is not valid, or its labels are not a person's; the message says what was
             found and what is missing.
     """
+    read = read_c3d_points if Path(path).suffix.lower() == ".c3d" else read_trc_points
+    return motion_of_points(path, read(Path(path), MotionError, _MAX_BYTES), person)
+
+
+def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: str | None = None) -> Motion:
+    """:func:`read_marker_motion` of points that are read already."""
     file = Path(path)
-    read = read_c3d_points if file.suffix.lower() == ".c3d" else read_trc_points
-    found = read(file, MotionError, _MAX_BYTES)
     if len(found.labels) > _MAX_LABELS or found.points.size > _MAX_POINTS:
         message = f"{len(found.points)} frames of {len(found.labels)} points are too many"
         raise MotionError(message, path=path)

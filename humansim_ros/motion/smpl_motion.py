@@ -1,4 +1,4 @@
-"""Poses of SMPL, SMPL+H and SMPL-X in NumPy archives, as of AMASS [Loper 2015, Mahmood 2019].
+"""Poses of SMPL, SMPL+H and SMPL-X of AMASS and of programs that estimate them [Loper 2015, Mahmood 2019].
 
 A file has rotations, not the body: the joints have the places of a mean person, whose size follows from the
 steps (docs/motion.md).
@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.joint_names import SMPL_MODELS
+from humansim_ros.body.joint_names import SMPL, SMPL_MODELS
 from humansim_ros.errors import HumansimError, MotionError, some_of, warn_about
+from humansim_ros.io.marker_files import MarkerFile
 from humansim_ros.io.npz import read_npz
+from humansim_ros.io.pickles import read_pickle
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.smpl_people import people_of
 from humansim_ros.types import Array
 
-#: Arrays of rotations: all joints together, or the parts in their order with what may be absent.
-_POSES = ("poses", "fullpose", "smpl_poses")
+#: Arrays of rotations: all joints together, the best first, or the parts in order with what may be absent.
+_POSES = ("pose_world", "poses", "fullpose", "smpl_poses", "pose_aa", "pred_rotmat", "pose")
 _PARTS = (
-    ("root_orient", "global_orient"),
-    ("pose_body", "body_pose"),
+    ("root_orient", "global_orient", "poses_root"),
+    ("pose_body", "body_pose", "poses_body"),
     ("pose_jaw", "jaw_pose"),
     ("pose_eye", "leye_pose"),
     ("reye_pose",),
@@ -51,11 +54,22 @@ _HALVES: dict[str, tuple[str, ...]] = {
     "left_hand_pose": ("left_hand",),
     "right_hand_pose": ("right_hand",),
 }
-_PLACES = ("trans", "transl", "smpl_trans")
+#: Places of the person, by the rotations that they belong to.
+_PLACES = {"pose_world": ("trans_world",), "pred_rotmat": ("pred_trans",)}
+_USUAL_PLACES = ("trans", "transl", "smpl_trans", "global_t", "trans_orig")
 _RATES = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate", "framerate")
-_KNOWN = (*_POSES, *(name for names in _PARTS for name in names), *_PLACES, *_RATES, "betas")
-#: Frames per second of a file that does not state them.
-_RATE = 30.0
+_BETAS = ("betas", "beta", "shape", "pred_shape")
+_KNOWN = (
+    *(*_POSES, *(name for names in _PARTS for name in names)),
+    *(*_USUAL_PLACES, *(name for names in _PLACES.values() for name in names), *_RATES, *_BETAS),
+    *("smpl_scaling", "frame_ids", "frame"),
+)
+#: Rotations in the axes of a camera.
+_OF_CAMERA = ("pose", "pred_rotmat")
+#: Frames per second of a file that does not state them; of AIST++; of HumanML3D.
+_RATE, _AIST_RATE, _JOINTS_RATE = 30.0, 60.0, 20.0
+#: Most frames of a track that are missing, as a multiple of those that are there.
+_MOST_MISSING = 10
 #: Most rotations of a file, and largest number.
 _MAX_ROTATIONS, _LARGEST = 20_000_000, 1e4
 #: Most frames that are repaired, as a share of all.
@@ -111,28 +125,54 @@ def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
     return bool(arrays)
 
 
-def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
-    """Read poses of SMPL (24 joints), SMPL+H (52) or SMPL-X (55): rotation vectors, in metres.
+def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) -> Motion:
+    """Read poses of SMPL (24 joints), SMPL+H (52) or SMPL-X (55), or joints of HumanML3D, in metres.
 
-    ``poses`` (F, 3 J), or their parts such as ``root_orient``, ``pose_body`` and ``pose_hand``; ``trans``
-    (F, 3); ``mocap_frame_rate``. The shape of the person (``betas``) is not used, which a warning says, nor
-    is ``gender``; the stature follows from the steps of a person who walks. Single frames that are not finite
+    ``poses`` (F, 3 J), or their parts such as ``root_orient``, ``pose_body`` and ``pose_hand``, as rotation
+    vectors or matrices; ``trans`` (F, 3); ``mocap_frame_rate``; or the arrays that other programs write
+    (docs/motion.md). The shape of the person (``betas``) is not used, which a warning says, nor is
+    ``gender``; the stature follows from the steps of a person who walks. Single frames that are not finite
     are filled from their neighbours, with a warning.
+
+    ``person``: keys of a person in a file of several, such as ``1``; the longest track if None.
 
     Raises:
         MotionError: The file has no poses, or arrays of the wrong size; with file and array.
     """
-    arrays = read_npz(path, MotionError, "SMPL motion", _KNOWN)
-    poses = _poses(Path(path), arrays)
-    names = SMPL_MODELS[len(poses[0])]
+    what = "SMPL motion"
+    is_archive = Path(path).suffix.lower() == ".npz"
+    tree = read_npz(path, MotionError, what, _KNOWN) if is_archive else read_pickle(path, MotionError, what)
+    try:
+        people = people_of(tree, (*_POSES, *_PARTS[0], *_PARTS[1], "joints"))
+    except (ValueError, IndexError, KeyError, TypeError, AttributeError):
+        raise MotionError("the arrays of its people do not fit together", path=path) from None
+    if person is not None and person not in people:
+        raise MotionError(f"no person {person!r} in the file; there are {some_of(people)}", path=path)
+    if person is None:
+        by_size = sorted(people, key=lambda name: -max(map(np.size, people[name].values())))
+        person = by_size[0] if by_size else None
+        if by_size[1:]:
+            found = f"{len(by_size)} people, {some_of(by_size)}: the first, which has most frames, is read"
+            warn_about(path, f"{found}; the others are read by name, such as {Path(path).name}#{by_size[1]}")
+    arrays = {} if person is None else people[person]
+    if "joints" in arrays and not any(name in arrays for name in _POSES):
+        return _motion_of_joints(path, arrays["joints"])
+    poses, name = _poses(Path(path), arrays)
     frames = len(poses)
-    places = next((arrays[name] for name in _PLACES if name in arrays), None)
+    places = next((arrays[n] for n in _PLACES.get(name, _USUAL_PLACES) if n in arrays), None)
     if places is None:
         warn_about(path, "no 'trans': the person stays in place")
         places = np.zeros((frames, 3))
     places = _finite(path, _numbers(path, "trans", places), "trans")
     if places.shape != (frames, 3):
         raise MotionError(f"{places.shape} numbers for {frames} frames", path=path, key="trans")
+    if is_of_camera := name in _OF_CAMERA or "incam" in str(person):
+        warn_about(path, "these are axes of a camera: the person leans, and moves, as the camera does")
+    poses, places = _without_gaps(path, poses, places, arrays)
+    names, frames = SMPL_MODELS[len(poses[0])], len(poses)
+    # AIST++ has centimetres, and a factor that makes them of the metres of the model
+    scaling = _number(arrays.get("smpl_scaling", np.ones(1)))
+    unit = 0.01 if scaling > _SIZES[1] else 1.0
     parents, offsets = _skeleton(names)
     rotations = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(frames, -1, 3, 3)
     order = sorted(range(len(names)), key=lambda joint: _depth(joint, parents))
@@ -144,18 +184,50 @@ def read_smpl_motion(path: str | os.PathLike[str]) -> Motion:
         np.array([*above, head], dtype=np.intp),
         np.array([*offsets[order], _HEAD_TOP]),
         rotations[:, order],
-        {0: places},
+        {0: unit * places},
         1 / _rate(path, arrays),
         path=os.fspath(path),
         unit=1.0,
     )
-    betas = arrays.get("betas")
+    motion = replace(motion, up="-y" if is_of_camera else None)
+    if _SIZES[0] <= unit * scaling <= _SIZES[1] and "smpl_scaling" in arrays:
+        return replace(motion, offsets=unit * scaling * motion.offsets)
+    betas = next((arrays[key] for key in _BETAS if key in arrays), None)
     if betas is not None and (betas.dtype.kind not in "fiu" or not np.any(betas)):
         return motion  # the mean person
     size = _size_of_steps(motion)
     if betas is not None:
         _warn_of_shape(path, betas, size)
     return motion if size is None else replace(motion, offsets=size * motion.offsets)
+
+
+def _motion_of_joints(path: str | os.PathLike[str], joints: NDArray[Any]) -> Motion:
+    """Motion of joints (F, J, 3) of a model, y up."""
+    # imported on use: few files have joints
+    from humansim_ros.motion.marker_motion import motion_of_points
+
+    warn_about(path, f"joints without a frame rate: {_JOINTS_RATE:g} frames per second, as HumanML3D has")
+    points = _finite(path, _numbers(path, "joints", joints), "joints").reshape(len(joints), -1, 3)
+    names = SMPL[: min(22, points.shape[1])]
+    times = np.arange(len(points)) / _JOINTS_RATE
+    return motion_of_points(path, MarkerFile(names, points[:, : len(names)], times, (), _JOINTS_RATE))
+
+
+def _without_gaps(
+    path: str | os.PathLike[str], poses: Array, places: Array, arrays: Mapping[str, NDArray[Any]]
+) -> tuple[Array, Array]:
+    """Poses (F, J, 3) and places (F, 3) of all frames; where a track lacks some, those before are held."""
+    ids = arrays.get("frame_ids", arrays.get("frame", np.empty(0))).ravel()
+    if len(ids) != len(poses) or ids.dtype.kind not in "iu" or (np.diff(ids.astype(float)) < 1).any():
+        return poses, places
+    missing = int(ids[-1]) - int(ids[0]) + 1 - len(ids)
+    if not 0 < missing < _MOST_MISSING * len(ids):
+        return poses, places
+    held = np.searchsorted(ids, np.arange(ids[0], int(ids[-1]) + 1), side="right") - 1
+    warn_about(
+        path, f"the track lacks {missing} frames, the first is {ids[np.argmax(np.diff(ids) > 1)] + 1}: held"
+    )
+    return poses[held], places[held]
 
 
 def _warn_of_shape(path: str | os.PathLike[str], betas: NDArray[Any], size: float | None) -> None:
@@ -194,8 +266,8 @@ def _size_of_steps(motion: Motion) -> float | None:
     return size if sliding <= _MOST_SLIDING and _SIZES[0] <= size <= _SIZES[1] else None
 
 
-def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:
-    """Rotation vectors (F, J, 3)."""
+def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[Array, str]:
+    """Rotation vectors (F, J, 3), and the name of their (first) array."""
     name = next((name for name in _POSES if name in arrays), None)
     if name is not None:
         found = _numbers(path, name, arrays[name])
@@ -225,7 +297,7 @@ def _poses(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Array:
         )
     if found.size > 3 * _MAX_ROTATIONS:
         raise MotionError(f"{len(found)} frames are too many", path=path, key=name)
-    return _finite(path, found, name).reshape(len(found), -1, 3)
+    return _finite(path, found, name).reshape(len(found), -1, 3), name
 
 
 def _all_parts(path: Path, tables: Mapping[str, Array]) -> list[Array]:
@@ -261,6 +333,12 @@ def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Ar
         raise MotionError(
             f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}", path=path, key=name
         )
+    if array.shape[-2:] == (3, 3):
+        try:
+            vectors = Rotation.from_matrix(array.reshape(-1, 3, 3)).as_rotvec()
+        except ValueError:
+            raise MotionError("these matrices are no rotations", path=path, key=name) from None
+        return vectors.reshape(len(array), -1)
     # a copy, because SciPy refuses arrays that cannot be written
     return np.array(array, dtype=float).reshape(len(array), int(np.prod(array.shape[1:])))
 
@@ -281,15 +359,22 @@ def _finite(path: str | os.PathLike[str], table: Array, name: str) -> Array:
 
 def _rate(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> float:
     name = next((name for name in _RATES if name in arrays), None)
+    if name is None and "smpl_scaling" in arrays:
+        return _AIST_RATE
     if name is None:
         warn_about(path, f"no 'mocap_frame_rate': {_RATE:g} frames per second (else set the speed)")
         return _RATE
     value = arrays[name]
-    rate = float(value.ravel()[0]) if value.size == 1 and value.dtype.kind in "fiu" else 0.0
+    rate = _number(value)
     if not 1e-3 <= rate <= 1e6:
         raise MotionError(f"frames per second must be a number above 0, not {value.tolist()!r:.40}",
                           path=path, key=name)  # fmt: skip
     return rate
+
+
+def _number(value: NDArray[Any]) -> float:
+    """The number of an array; 0 if it has none or several."""
+    return float(value.ravel()[0]) if value.size == 1 and value.dtype.kind in "fiu" else 0.0
 
 
 def _skeleton(names: tuple[str, ...]) -> tuple[list[int], Array]:

@@ -406,3 +406,36 @@ def test_a_shin_of_a_stranger_changes_its_length(
     found = info(capsys, shared_data / "fourth" / "motion" / "links_change_length.bvh")
     assert "RightLeg to RightFoot from 43.18 to 44.32 (OFFSET 41.87)" in found["warnings"][0]
     assert found["frames"] == 60 and found["unknown"] is None
+
+
+# Other formats
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        (".mot", "this is OpenSim (.mot), which is not read as a motion: play its markers (.trc)"),
+        (".CSV", "this is a table of numbers (.csv)"),
+        (".tsv", "this is a table of numbers (.tsv)"),
+        (".mvnx", "this is Xsens MVN (.mvnx), which is not read as a motion: export .bvh, .fbx or .c3d"),
+        (".usda", "this is USD or Alembic (.usda)"),
+        (".blend", "this is a scene of an editor (.blend)"),
+        (".mp4", "this is a video (.mp4)"),
+        (".tak", "this is a recording of a capture system (.tak)"),
+    ],
+)
+@pytest.mark.parametrize("content", ["Coordinates\nnRows=3\n", "\0\1\2"])
+def test_a_format_that_is_not_read_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, text: str, content: str
+) -> None:
+    path = write(tmp_path, content, f"walk{suffix}")
+    assert main(["motion", "info", str(path)]) == 2
+    assert f"{path}: {text}" in capsys.readouterr().err
+
+
+def test_bvh_with_another_suffix_is_bvh(tmp_path: Path) -> None:
+    assert read(write(tmp_path, GOOD, "walk.csv"))[0].n_frames == 2
+    with pytest.raises(MotionError, match="no such BVH motion file"):
+        read(tmp_path / "other.csv")
+    with pytest.raises(MotionError, match="it should start with HIERARCHY"):
+        read(write(tmp_path, "hello", "walk.other"))

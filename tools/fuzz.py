@@ -17,6 +17,7 @@ import argparse
 import copy
 import io
 import json
+import pickle
 import random
 import resource
 import signal
@@ -46,6 +47,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 import figures  # noqa: E402
 import motion_files  # noqa: E402
 import motion_formats  # noqa: E402
+import pickle_files  # noqa: E402
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
 from humansim_ros.camera.checks import image_size  # noqa: E402
@@ -388,6 +390,7 @@ POSES = {
     "gender": np.array("neutral"),
 }
 PARTS = {"root_orient": np.zeros((3, 3)), "pose_body": np.zeros((3, 63)), "trans": np.zeros((3, 3))}
+TENSORS = {"smpl_params_global": {"global_orient": np.zeros((3, 3)), "body_pose": np.zeros((3, 63))}}
 XML = b"""<?xml version="1.0"?>
 <animation startframe="0" endframe="90" rate="30">
   <object name="anna">
@@ -659,6 +662,12 @@ SEEDS = {
     "bvh": [BVH, *LENIENT_BVH],
     **{suffix[1:]: [MOTIONS[suffix]] for suffix in (".amc", ".asf", ".trc", ".c3d", ".vrma", ".zip")},
     "smpl motion": [packed(POSES), packed(PARTS)],
+    **{suffix: [pickle.dumps(POSES), pickle_files.joblib_bytes({1: POSES})] for suffix in ("pkl", "pickle")},
+    "pt": [pickle_files.torch_archive(TENSORS)],
+    "pth": [pickle_files.old_torch(TENSORS)],
+    "npy": [
+        pickle_files.objects_npy(pickle_files.torch_pickle(pickle_files.Objects(TENSORS), {}, nested=True))
+    ],
     "keyframes": [XML],
     "obj": [OBJ],
     "gltf": [figures.gltf_text(*figures.gltf())],

@@ -333,8 +333,10 @@ def _numbers(path: str | os.PathLike[str], name: str, array: NDArray[Any]) -> Ar
         raise MotionError(
             f"must be numbers for each frame, not {array.shape} {str(array.dtype)[:40]}", path=path, key=name
         )
-    if array.shape[-2:] == (3, 3):
+    if array.ndim > 2 and array.shape[-2:] == (3, 3):
         try:
+            if not np.isfinite(array).all():
+                raise ValueError
             vectors = Rotation.from_matrix(array.reshape(-1, 3, 3)).as_rotvec()
         except ValueError:
             raise MotionError("these matrices are no rotations", path=path, key=name) from None

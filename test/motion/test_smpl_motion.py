@@ -205,7 +205,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "half": ({"poses": None, "root_orient": np.zeros((5, 3))}, "it needs 'poses'"),
     "no frames": ({"poses": np.zeros((0, 72))}, "poses: poses of 0 frames"),
     "no joints of a model": ({"poses": np.zeros((5, 90))}, "poses of 5 frames with 90 numbers each"),
-    "matrices": ({"poses": np.zeros((5, 24, 3, 3))}, "with 216 numbers each"),
+    "matrices": ({"poses": np.zeros((12, 24, 3, 3))}, "poses: these matrices are no rotations"),
     "one number": ({"poses": np.array(3.0)}, "must be numbers for each frame"),
     "texts": ({"poses": np.full((5, 72), "a")}, "must be numbers for each frame"),
     "pickled": ({"poses": np.array([Pickled()])}, "pickled objects are not read"),

@@ -30,14 +30,8 @@ _ROOM, _COST, _MAX_DEPTH = 1 << 29, 80, 30
 #: First number of a file that PyTorch wrote before it had archives.
 _OLD_TORCH = 0x1950A86A20F9469CFC6C
 #: Types of the numbers of PyTorch.
-_NUMBERS = zip(
-    ("Half", "Float", "Double", "Char", "Short", "Int", "Long", "Byte", "Bool"),
-    ("<f2", "<f4", "<f8", "i1", "<i2", "<i4", "<i8", "u1", "?"),
-    strict=True,
-)
-_STORAGES = {f"torch.{name}Storage": np.dtype(code) for name, code in _NUMBERS}
-
-
+_TYPES = "Half:<f2 Float:<f4 Double:<f8 Char:i1 Short:<i2 Int:<i4 Long:<i8 Byte:u1 Bool:?"
+_STORAGES = {f"torch.{name}Storage": np.dtype(code) for name, code in (t.split(":") for t in _TYPES.split())}
 _BUILTINS: tuple[tuple[str, Callable[..., Any]], ...] = (
     *((kind, lambda items=(): items) for kind in ("list", "set", "frozenset")),
     ("dict", lambda *_: {}),
@@ -56,8 +50,9 @@ class _Made:
         self.value: Any = None
         self._build, self.finish = build, finish
 
-    def build(self, state: Any) -> None:
+    def build(self, state: Any) -> _Made:
         self.value = self._build(state)
+        return self
 
 
 class _DType(_Made):
@@ -77,10 +72,7 @@ class _DType(_Made):
 class _Machine:
     """Interpreter of the pickles in a stream, one after another.
 
-    Args:
-        data: Content of the stream.
-        room: Bytes that values may need, in a list of one number.
-        load: Bytes of a storage by its name, where an archive has them.
+    ``room``: bytes that values may need, a list of one number. ``load``: bytes of a storage in an archive.
     """
 
     def __init__(self, data: bytes, room: list[int], load: Callable[[str], bytes] | None = None) -> None:
@@ -125,7 +117,8 @@ class _Machine:
             "STACK_GLOBAL": self._named,
             "REDUCE": self._called,
             "NEWOBJ": self._called,
-            "BUILD": self._built,
+            # an OrderedDict of PyTorch has a state that does not count
+            "BUILD": lambda made, state: made if isinstance(made, dict) else made.build(state),
             "BINPERSID": self._storage,
         }
 
@@ -215,11 +208,6 @@ class _Machine:
             raise _RefusedError("the pickle calls what makes no array")
         return maker(*arguments)
 
-    def _built(self, made: Any, state: Any) -> Any:
-        if not isinstance(made, dict):  # an OrderedDict of PyTorch has a state that does not count
-            made.build(state)
-        return made
-
     def _array(self, state: Any) -> Any:
         shape, dtype, is_fortran, data = state[-4:]
         if isinstance(data, list) and str(dtype.code).startswith("O"):
@@ -237,9 +225,9 @@ class _Machine:
         _, (numbers,), name, *_ = identity
         if name not in self.storages:
             storage = self.storages[name] = _Made(tuple)
-            dtype = storage.value = _STORAGES[numbers]
+            storage.value = _STORAGES[numbers]
             if self.load is not None:
-                storage.value = np.frombuffer(self.load(str(name)), dtype)
+                storage.value = np.frombuffer(self.load(str(name)), storage.value)
         return self.storages[name]
 
     def _tensor(self, storage: _Made, start: int, shape: list[int], steps: list[int]) -> NDArray[Any]:
@@ -280,14 +268,8 @@ def _content(data: bytes) -> Any:
 def read_pickle(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Any:
     """Read a pickle of Python, NumPy, joblib or PyTorch as arrays, numbers, texts, lists and dictionaries.
 
-    Args:
-        path: File to read.
-        error: Error class to raise.
-        what: Kind of file for messages, such as ``SMPL motion``.
-
-    Raises:
-        HumansimError: ``error``, if the file is no pickle, damaged or too large, or has something else. The
-            message has the name that it asks for.
+    ``what``: kind of file for messages. Raises ``error``, if the file is no pickle, damaged or too large, or
+    has something else; the message has the name that it asks for.
     """
     data = read_bytes(path, error, what, MAX_BYTES)
     try:

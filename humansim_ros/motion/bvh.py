@@ -384,25 +384,24 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
 
 def _warn_of_lengths(motion: Motion) -> None:
     """Warn of links between joints that change their length, which those of a person do not."""
-    names, parents = motion.joint_names, motion.parents.tolist()
+    names, parents, count = motion.joint_names, motion.parents, np.bincount(motion.parents + 1)
     inner = {parent for name, parent in zip(names, parents, strict=True) if not name.endswith("_end")}
-    moved = {joint for joint, *_ in motion.position_columns if parents[joint] >= 0}
-    # joints that move as a whole: the only one below a root, and trackers
-    count = np.bincount(motion.parents + 1)
-    free = {j for j in moved if parents[parents[j]] < 0 and (j not in inner or count[parents[j] + 1] == 1)}
-    joints = sorted(moved - free)
-    if not joints:
-        return
+    joints = [
+        joint
+        for joint in sorted({joint for joint, *_ in motion.position_columns})
+        # joints below a root move as a whole if they are the only one, or trackers
+        if (up := parents[joint]) >= 0 and (parents[up] >= 0 or (joint in inner and count[up + 1] > 1))
+    ]
     frames = slice(None, None, max(1, motion.n_frames // 1000))
-    lengths = np.linalg.norm(motion.local_translations(frames)[:, joints], axis=-1)
-    low, high = lengths.min(axis=0), lengths.max(axis=0)
+    lengths = (
+        np.linalg.norm(motion.local_translations(frames)[:, joints], axis=-1) if joints else np.empty((1, 0))
+    )
     least = _CHANGES * float(np.ptp(motion.rest_positions(), axis=0).max())
-    is_odd = (high - low > np.maximum(least, _CHANGED_SHARE * high)) & (high < _MOST_CHANGED * low)
     texts = [
-        f"{names[parents[joint]]} to {names[joint]} from {low[n]:.2f} to {high[n]:.2f} "
+        f"{names[parents[joint]]} to {names[joint]} from {low:.2f} to {high:.2f} "
         f"(OFFSET {np.linalg.norm(motion.offsets[joint]):.2f})"
-        for n, joint in enumerate(joints)
-        if is_odd[n]
+        for joint, low, high in zip(joints, lengths.min(axis=0), lengths.max(axis=0), strict=True)
+        if max(least, _CHANGED_SHARE * high) < high - low < (_MOST_CHANGED - 1) * low
     ]
     if texts:
         warn_about(motion.path, f"links change their length by their position channels: {some_of(texts, 3)}")

@@ -355,27 +355,21 @@ _ABOVE_ARMS = ("Hips", "Spine", "Chest", "Neck", "Head", "Collar", "Shoulder")
 
 def _may_have_arms(match: JointMatch, names: Sequence[str], parents: Indices | None) -> bool:
     """Whether there may be arms without a match: two unknown joints branch off, or a wrist ends an arm."""
-    lacks = {bone[0] for bone in match.held}
-    if parents is None or any(
-        f"{side}Wrist" in match.roles and side[0].lower() in lacks for side in ("Left", "Right")
-    ):
+    sides = {"l": "Left", "r": "Right"}
+    if parents is None or any(f"{sides[bone[0]]}Wrist" in match.roles for bone in match.held):
         return True
     known: set[int] = set()
     inner: set[int] = set()
     for role, joint in match.roles.items():
-        is_inner = role.removeprefix("Left").removeprefix("Right") in _ABOVE_ARMS
         path = [joint]
         while parents[path[-1]] >= 0:
             path.append(int(parents[path[-1]]))
         known.update(path)
-        inner.update(path[role == "Head" :] if is_inner else ())
-    unknown = {
-        child for child, parent in enumerate(parents.tolist()) if parent in inner and child not in known
-    }
-    return any(
-        parent in unknown and not name.endswith("_end")
-        for name, parent in zip(names, parents.tolist(), strict=True)
-    )
+        if role.removeprefix("Left").removeprefix("Right") in _ABOVE_ARMS:
+            inner.update(path[role == "Head" :])
+    above = parents.tolist()
+    unknown = {joint for joint, parent in enumerate(above) if parent in inner and joint not in known}
+    return any(above[joint] in unknown and not name.endswith("_end") for joint, name in enumerate(names))
 
 
 def _best_match(

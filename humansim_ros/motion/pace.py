@@ -64,23 +64,14 @@ def pace_warning(motion: Motion, roles: Mapping[str, int], frame: FileFrame, spe
     too_slow = float((np.quantile(speeds, 0.999, axis=0) / turns)[which].max()) < _LEAST[walks]
     if not too_slow and float((usual**2 / spread)[which].min()) < _MOST:
         return None
-    likely = _likely_rate(motion.frame_time, rate * _USUAL[walks] / float(np.median((usual / turns)[which])))
+    measured = rate * _USUAL[walks] / float(np.median((usual / turns)[which]))
+    # a file may have the rate in place of the time, or milliseconds
+    stated = (motion.frame_time, 1000 / motion.frame_time)
+    meant = [each for each in _RATES if np.abs(np.divide(stated, each) - 1).min() < 0.01] or _RATES
+    likely = min(meant, key=lambda each: abs(np.log(each / measured)) + 0.15 * (each not in _OFTEN))
     way = float(np.linalg.norm(np.diff(hips, axis=0), axis=-1).mean()) * rate
     return (
         f"the person moves at {way:.3g} m/s, with hands and feet at up to {speeds.max():.3g} m/s: too "
         f"{'slow' if too_slow else 'fast'}. The frame rate, {rate:.6g} frames per second, is hardly right; "
         f"{likely:g} are likely (speed: {likely * motion.frame_time:.4g})"
-    )
-
-
-def _likely_rate(frame_time: float, measured: float) -> float:
-    """The usual rate nearest to a measured one; of those that the frame time may be, if any.
-
-    ``frame_time``: a file may have the rate in its place, or milliseconds.
-    """
-    meant = [
-        rate for rate in _RATES for text in (frame_time, 1000 / frame_time) if abs(text / rate - 1) < 0.01
-    ]
-    return min(
-        meant or _RATES, key=lambda rate: abs(np.log(rate / measured)) + (0.0 if rate in _OFTEN else 0.15)
     )

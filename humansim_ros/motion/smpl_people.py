@@ -42,21 +42,21 @@ def _below(
     if keys and keys[-1].startswith("smpl_params_"):  # GVHMR reads all videos at this rate
         tree.setdefault("fps", np.array(30.0))
     # people come first in lists of 3DPW, and in arrays of SLAHMR
-    count = next((len(tree[name]) for name in names if name in tree and _is_of_people(tree[name])), 0)
-    for number in range(count) if count else [None]:
+    of_people = [
+        part for part in (tree.get(name) for name in names) if isinstance(part, list) or _has_people(part)
+    ]
+    for number in range(len(of_people[0])) if of_people else (None,):
         own = {
-            key: part if number is None or np.shape(part)[:1] != (count,) else part[number]
+            key: part if number is None or np.ndim(part) == 0 else part[number]
             for key, part in tree.items()
-            if not isinstance(part, list) or len(part) == count
+            if number is None or np.ndim(part) == 0 or len(part) == len(of_people[0])
         }
-        yield (
-            keys if number is None else (*keys, str(number)),
-            {key: part for key, part in own.items() if isinstance(part, np.ndarray)},
-        )
+        own = {key: part for key, part in own.items() if isinstance(part, np.ndarray)}
+        yield keys if number is None else (*keys, str(number)), own
 
 
-def _is_of_people(part: Any) -> bool:
-    return isinstance(part, list) or (np.ndim(part) == 3 and part.shape[1] > 1 and part.shape[2] > 3)
+def _has_people(part: Any) -> bool:
+    return np.ndim(part) == 3 and part.shape[1] > 1 and part.shape[2] > 3
 
 
 def _tracks(tree: Any) -> Any:

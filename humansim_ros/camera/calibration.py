@@ -19,14 +19,8 @@ import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
 from humansim_ros.camera.checks import check_image_size, guess_image_size, has_pose, image_size
-from humansim_ros.camera.formats import (
-    FORMATS,
-    READ_FORMATS,
-    CalibrationFile,
-    CalibrationFormat,
-    RawCamera,
-    SourceLocation,
-)
+from humansim_ros.camera.formats import FORMATS, READ_FORMATS
+from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.lens_keys import check_unread
@@ -71,8 +65,6 @@ _SUFFIXES = (
 _TAKEN, _UNDISTORTED = "intrinsic_original", "intrinsic_zero"
 #: Most files in the folders of a folder: more are frames, not cameras.
 _MOST_BELOW = 200
-#: File of a folder of nuScenes that has all cameras.
-_SENSORS = "calibrated_sensor.json"
 #: Formats by the usual ends of their file names, where the suffix alone does not tell.
 _USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
 #: Largest distance of principal points of equal images from their median, as a fraction.
@@ -182,7 +174,6 @@ def load_calibration(
     file = _file_of(path)
     if exists(file) and file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
-    file = file / _SENSORS if (file / _SENSORS).is_file() else file
     if exists(file) and file.is_dir():
         if extrinsics is not None:
             raise CameraError("extrinsics go with a file, not with a folder", path=file)

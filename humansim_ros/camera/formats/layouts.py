@@ -65,16 +65,13 @@ def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict
     """Items with the numbers under ``params`` by their names, which the lens tells; ``key``: of the lens."""
     if "params" not in items:
         return items
-    model, numbers = (
-        str(items.get("model")),
-        replace(file, document={**items}).some_numbers("params").tolist(),
-    )
-    del items["params"]
+    model, numbers = str(items.get("model")), replace(file, document=items).some_numbers("params").tolist()
     names = _LENSES.get(model, model.removeprefix("calibu_")).replace("kb4", "k1_k2_k3_k4").split("_")
     if len(names) != len(numbers) or not {*names} <= words("f fu fv u0 v0 fx fy cx cy k1 k2 k3 k4"):
         message = f"the lens {model[:60]!r} with {len(numbers)} numbers is not supported"
         raise CameraError(message, path=file.path, key=key)
-    return {**items, "model": "none", "fisheye": "k4" in names, **dict(zip(names, numbers, strict=True))}
+    values = {"params": None, "model": "none", "fisheye": "k4" in names}
+    return items | values | dict(zip(names, numbers, strict=True))
 
 
 def _transposed(value: Any) -> Any:
@@ -168,7 +165,7 @@ def _line(path: Path, number: int) -> str:
     return lines[number - 1].strip() if 0 < number <= len(lines) else ""
 
 
-def _selfcal_center(file: CalibrationFile) -> _Cameras:
+def _stephi(file: CalibrationFile) -> _Cameras:
     """Camera of ``*.cal`` of MultiCamSelfCal: its centre, and the inverse of K R."""
     file = plain(file)
     kr = np.linalg.pinv(file.numbers((3, 3), "P"))
@@ -228,8 +225,8 @@ def _stereo(file: CalibrationFile) -> _Cameras:
         raise file.error("must be above zero", "Camera", "fx")
     shift = np.array([file.number("Camera", "focal_x_baseline" if stella else "bf") / fx, 0, 0])
     at, width, height = ("Camera", "cols", "rows") if stella else ("LEFT", "width", "height")
-    shared = {"width": file.get(at, width), "height": file.get(at, height)}
-    shared |= {"model": file.get("StereoRectifier", "model")}
+    keys = {"width": (at, width), "height": (at, height), "model": ("StereoRectifier", "model")}
+    shared = {key: file.get(*path) for key, path in keys.items()}
     cameras: dict[str, dict[str, Any]] = {}
     left = np.eye(3)
     for side in ("left", "right"):
@@ -370,7 +367,7 @@ _ARRANGED: dict[str, Callable[[CalibrationFile], _Cameras]] = {
         _calibu,
         _flydra,
         _selfcal,
-        _selfcal_center,
+        _stephi,
         _captury,
         _realsense,
         _stereo,

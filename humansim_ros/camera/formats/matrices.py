@@ -142,6 +142,8 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
         left, right = poses  # one pose of both: of the right camera, from the left one
         poses[right] = replace(poses[right], kind="world", clear=True)
         poses[left] = replace(poses[right], R=np.eye(3), t=np.zeros(3))
+    if any("rvec" in entries and entries["rvec"].key == "rxyz" for entries in found.cameras.values()):
+        warn_about(file.path, "rx, ry, rz are taken as a rotation vector in radians, as in OpenCV")
     if found.views:
         warn_about(file.path, "rvecs and tvecs are poses of a calibration board, not of cameras: ignored")
     return {**cameras, **resolved(files[-1], cameras, poses)}
@@ -467,6 +469,8 @@ def _rotation(entry: Entry) -> Array:
             where = f"{_where(entry).key}: the order of the quaternion"
             warn_about(entry.file.path, f"{where} is taken as {order}")
         return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
+    if entry.key == "rxyz" and np.linalg.norm(values) > 2 * np.pi:
+        raise entry.file.error("is no rotation vector in radians: give a matrix, not angles", *entry.keys)
     return rotation_of(entry.file, *entry.keys)
 
 

@@ -46,7 +46,7 @@ _SPELLINGS = {
         rotations rotationmatrices rmats""",
     "Rinverse": "rc2w rwc rotationc2w",
     "rvec": """rvec rvecs rvector rotationvector rotvec rodrigues om rodriguesvector axisangle
-        rotationrodrigues""",
+        rotationrodrigues rxyz""",
     "quaternion": """q quat quaternion rotationquaternion qvec orientation rotationquat qvecs quaternions
         quaternionxyzw quatxyzw qxyzw rotationxyzw orientationxyzw
         quaternionwxyz quatwxyz qwxyz rotationwxyz orientationwxyz""",
@@ -149,7 +149,7 @@ _ENDS = (
 #: Keys of these vectors and quaternions, by the parameter and the number of numbers.
 _TURNED = {
     **dict.fromkeys((("R", 4), ("quaternion", 4)), "quaternion_xyzw"),
-    ("R", 3): "rvec",
+    ("R", 3): "rxyz",
     ("P", 3): "position",
 }
 _END = re.compile(r"(.+?)[_. -]?([wxyz]|[0-9]_?[0-9]?)")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -813,3 +814,28 @@ def test_rx_ry_rz_are_a_rotation_vector_with_a_warning(tmp_path: Path) -> None:
     degrees = re.sub(r"^rx = .*", "rx = 20", ini()(), flags=re.MULTILINE)
     with pytest.raises(CameraError, match="is no rotation vector in radians: give a matrix, not angles"):
         read(tmp_path, "c.txt", degrees)
+
+
+HOSTILE = {
+    "headings": ("a.txt", "a = 1\n[" + "a" * 1_000_000),
+    "a header of many columns": ("a.txt", ("fx fy cx cy w h " * 3000 + "\n") * 40),
+    "blank lines before streams": ("a.txt", 'Intrinsic of "a" / 9x9\n' + "\n" * 500_000),
+    "commas": ("a.toml", "[a]\nb = 1" + "," * 200_000),
+    "digits of a profile": ("a.txt", "1 " + "9" * 60_000),
+    "numbers for cameras": ("a.json", json.dumps({"CameraCalibrations": [5, None]})),
+    "ragged parameters": (
+        "a.json",
+        json.dumps({"CameraCalibrations": [{"Projection": {"Params": [[1], [2, [3]]]}}]}),
+    ),
+    "no mapping": ("a.yaml", "- StereoRectifier: {K_left: 1}\n- Camera: {fx: 0}\n"),
+    "an empty rig": ("a.xml", "<rig><camera><camera_model/></camera></rig>"),
+    "an empty matrix": ("camera1.Pmat.cal", ""),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_hostile_files_are_refused_at_once(tmp_path: Path, kind: str) -> None:
+    start = time.process_time()
+    with pytest.raises(CameraError):
+        read(tmp_path, *HOSTILE[kind])
+    assert time.process_time() - start < 5

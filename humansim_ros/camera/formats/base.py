@@ -316,7 +316,7 @@ class CalibrationFormat:
 
 def is_number(word: str) -> bool:
     """Whether a word is a finite number."""
-    return len(word) < 40 and _NUMBER.fullmatch(word) is not None
+    return len(word) < 60 and _NUMBER.fullmatch(word) is not None
 
 
 def to_number(value: Any) -> float:

@@ -202,7 +202,7 @@ def _realsense(file: CalibrationFile) -> _Cameras:
     depth = {"Depth": {"Rotation Matrix": nested(np.eye(3)), "Translation Vector": [0.0] * 3}}
     poses = {match[1]: value for key, value in document.items() if (match := _FROM_DEPTH.match(key))} | depth
     for key, value in document.items():
-        mode = re.match(r'Intrinsic of "(.+?)"[\s/]+([0-9]+x[0-9]+)', key)
+        mode = re.match(r'Intrinsic of "(.+?)"[\s/]+([0-9]{1,5}x[0-9]{1,5})', key)
         if mode and file.given_size in (None, tuple(map(int, mode[2].split("x")))):
             lens = str(value.get("Distortion")).lower().replace(" ", "_")
             if lens.startswith(("inverse", "modified")) and np.any(value.get("Coeffs", 0)):

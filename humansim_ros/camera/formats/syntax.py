@@ -44,11 +44,11 @@ ZED_SECTION = re.compile(r"^\s*\[(?:LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IG
 _MAX_DOTS = 128
 #: Assignment of an INI file that is none of TOML: bare words or several numbers.
 _INI = re.compile(
-    r"^[ \t]*[\w.-]+[ \t]*[=:][ \t]*(?:(?!true|false|nan|inf)[A-Za-z]|[-+.\d]\S*[ ,;]+[-+.\d])", re.M
+    r"^[ \t]*[\w.-]+[ \t]*[=:][ \t]*(?:(?!true|false|nan|inf)[A-Za-z]|[-+.\d][^\s,;]*[ ,;]+[-+.\d])", re.M
 )
 #: Lines of text that resembles YAML: of ``rs-enumerate-devices -c``, printed arrays, rows of numbers.
 _PLAIN = re.compile(
-    r"^\s*Intrinsic of \"|^\s*\[+\s*[-+.\d]\S* +[-+.\d][^,\n]*$"
+    r"^[ \t]*Intrinsic of \"|^[ \t]*\[+ *[-+.\d]\S* +[-+.\d][^,\n]*$"
     r"|^[-+]?\d[^\s,:]*([ \t]+[-+]?\.?\d[^\s,:]*)+$",
     re.MULTILINE,
 )

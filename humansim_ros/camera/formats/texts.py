@@ -17,6 +17,8 @@ from humansim_ros.camera.formats.base import CalibrationFile, Keys, is_number
 from humansim_ros.errors import CameraError
 
 _MOST_LINES, _MOST_CHARACTERS, _MOST_NUMBERS = 20_000, 1 << 21, 1000
+#: Longest heading, characters.
+_LONGEST = 200
 #: Heading of a section, also that of ``rs-enumerate-devices``, which is the whole line.
 _HEADING = re.compile(r"\[\s*([^\[\],;=]*[A-Za-z][^\[\],;=]*?)\s*\]|((?:In|Ex)trinsic (?:of|from)\s.*)")
 _ASSIGNMENT = re.compile(r"([A-Za-z][^=:,;\t]{0,59}?)\s*[=:]\s*(.*)|([A-Za-z][\w.]{0,59})(?:[\s,;]+(.*))?")
@@ -58,9 +60,10 @@ def _table(file: CalibrationFile, role_of: RoleOf) -> _Values | None:
     for head, below in pairwise(text.lstrip("#% ") for _, text in islice(file.all_lines(), 50) if text):
         for between in (",", ";", "\t", None):
             names = [name.strip(" \"'") for name in head.split(between)]
+            if not _COLUMNS <= len(names) == len(below.split(between)) < _MOST_NUMBERS:
+                continue
             known = sum(role_of(name) is not None for name in names)
-            alike = len(names) == len(below.split(between)) >= _COLUMNS
-            if alike and known >= _KNOWN and not any(map(is_number, names)):
+            if known >= _KNOWN and not any(map(is_number, names)):
                 rows = ((n, text.split(between)) for n, text in file.lines() if text != head)
                 return _cells(file, names, rows, role_of)
     return None
@@ -90,7 +93,7 @@ def _assignments(file: CalibrationFile, role_of: RoleOf) -> _Values:
             old = last[1] if isinstance(last[1], list) else [last[1]] * (last[1] != "")
             last = last[0], [*old, *numbers][:_MOST_NUMBERS], last[2]
             continue
-        heading, assignment = _HEADING.fullmatch(text), _ASSIGNMENT.fullmatch(text)
+        heading, assignment = _HEADING.fullmatch(text[:_LONGEST]), _ASSIGNMENT.fullmatch(text)
         if last is not None and (heading or assignment):
             yield last
             last = None

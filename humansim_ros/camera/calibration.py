@@ -23,7 +23,7 @@ from humansim_ros.camera.formats import FORMATS, READ_FORMATS
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
-from humansim_ros.camera.formats.lens_keys import check_unread
+from humansim_ros.camera.formats.lens_keys import check_unread, other_lens
 from humansim_ros.camera.formats.matrices import (
     MATRICES,
     MATRICES_NPZ,
@@ -405,6 +405,7 @@ def _detect_format(file: CalibrationFile) -> CalibrationFormat:
         found = find_parameters(plain(file))
         said = missing_parts(found)
         content += f" {said[:1].upper()}{said[1:]}."
+        content += other_lens(file)
         if not found.cameras and (numbers := numbers_found(plain(file))):
             content += f" Numbers under unknown keys: {', '.join(numbers)}."
     titles = [one.title for one in (*FORMATS, *READ_FORMATS) if one.syntax == file.syntax]

@@ -512,7 +512,8 @@ _FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant":
 _NAMES_OF_MODELS = {
     "plumb_bob": "plumbbob radtan radialtangential brownconrady brown",
     "rational_polynomial": "rationalpolynomial rational radialtangential8 radtan8 pinholeradtan8",
-    "equidistant": "equidistant equi fisheye kannalabrandt kannalabrandt4 kannalabrandt8 kb4",
+    "equidistant": """equidistant equi equidistantcamera fisheye kannalabrandt kannalabrandt4 kannalabrandt8
+        kb4""",
 }
 _ALIASES = {name: model for model, names in _NAMES_OF_MODELS.items() for name in names.split()}
 _NONE = ("", "none", "null", "no", "pinhole")

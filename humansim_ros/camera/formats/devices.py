@@ -39,7 +39,7 @@ from humansim_ros.camera.formats.base import (
     number,
     reader_of,
 )
-from humansim_ros.camera.formats.spellings import POSE, find_parameters, plain
+from humansim_ros.camera.formats.spellings import POSE, find_parameters, plain, role_of
 from humansim_ros.camera.formats.syntax import TOML_HEAD, ZED_SECTION
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
@@ -336,6 +336,8 @@ _MODELS = {
 #: Models that are only nearly the models of OpenCV.
 _NEARLY = ("modified brown conrady", "1", "inverse brown conrady", "2")
 _WRITTEN = {"plumb_bob": "brown_conrady", "equidistant": "kannala_brandt4"}
+#: Keys of the lens of RealSense.
+_OWN_LENS = {"coeffs", "distortion"}
 _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
 
 
@@ -343,8 +345,8 @@ def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
     if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
         return []  # cx, cy and extrinsics are of another program
     found = find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
-    # k1, k2 … are of another program
-    return [] if any("k1" in (file.get(*at) or ()) for _, at in found) else found
+    own = (role_of(key) for _, at in found for key in file.mapping(*at).keys() - _OWN_LENS)
+    return [] if {"k1", "radial", "distortion"}.intersection(own) else found  # of another program
 
 
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:

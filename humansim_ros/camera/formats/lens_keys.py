@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.camera.formats.base import CalibrationFile, Keys, RawCamera, is_number
+from humansim_ros.camera.formats.base import CalibrationFile, Keys, RawCamera, is_number, model_of
 from humansim_ros.camera.formats.spellings import leaves_of, plain
+from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.types import Array
 
@@ -77,6 +78,17 @@ def model_of_four(
         what = f"{key}: 4 coefficients are assumed to be {model}"
         warn_about(file.path, f"{what}; if they are {other}, add distortion_model: {other.split()[0]}")
     return model
+
+
+def other_lens(file: CalibrationFile) -> str:
+    """Sentence that names a lens of a document that cameras do not have; empty without one."""
+    named = (
+        f" Its lens {shape[:40]!r} is not supported; known are {', '.join(MODELS)}."
+        for keys, shape in islice(leaves_of(file), _MOST_VALUES)
+        if isinstance(shape, str) and _KIND.search(str(keys[-1:]).lower())
+        if _NAMED.fullmatch(shape.strip().lower()) and model_of(shape) is None
+    )
+    return next(named, "")
 
 
 def check_unread(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> None:

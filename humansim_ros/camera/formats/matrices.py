@@ -307,7 +307,8 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
             return pinhole(*values)
         k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.file.numbers((3, 3), *entry.keys)
         if _is_transposed(k.ravel()):
-            warn_about(entry.file.path, f"{_where(entry).key}: is transposed, as in MATLAB")
+            why = "is transposed, as in MATLAB, whose pixels count from 1; here they are taken to count from 0"
+            warn_about(entry.file.path, f"{_where(entry).key}: {why}")
             return k.T
         return k
     focal = _numbers(entries["focal"]) if "focal" in entries else np.zeros(0)
@@ -386,6 +387,8 @@ def _lens(
         unnamed = (not word or word in _UNNAMED) and not fisheye
         bent = bent or (unnamed and "k4" in entries and not {"p1", "p2", "k5", "k6"} & entries.keys())
         equidistant = bent or model_of(word) == "equidistant"
+        if equidistant and not {"k3", "k4"} & entries.keys():
+            k3, k4 = p1, p2  # the third and fourth number of a program with one list for all lenses
         coefficients = np.array([k1, k2, k3, k4] if equidistant else [k1, k2, p1, p2, k3, k4, k5, k6])
         keys = next((entries[role].keys for role in ("k1", "k2", "k3") if role in entries), ())
     if bent:

@@ -42,7 +42,14 @@ from humansim_ros.types import Array
 _NAMES = {
     "K": ("camera_matrix", "intrinsic_matrix", "intrinsics", "intrinsic", "mtx", "K", "M"),
     "distortion": (
-        *("distortion_coefficients", "distortion_coeffs", "dist_coeffs", "dist_coefs", "dist_coef"),
+        *(
+            "distortion_coefficients",
+            "distortion_coeffs",
+            "dist_coeffs",
+            "dist_coeff",
+            "dist_coefs",
+            "dist_coef",
+        ),
         *("distortion", "dist", "D"),
     ),
     "R": ("rotation_matrix", "rotation", "rot", "rvec", "R"),
@@ -51,7 +58,7 @@ _NAMES = {
     "rectified": ("projection_matrix", "P"),
     "width": ("image_width", "width", "W"),
     "height": ("image_height", "height", "H"),
-    "size": ("image_size", "resolution", "size"),
+    "size": ("image_size", "resolution", "size", "DIM"),
     "model": ("distortion_model", "camera_model", "model"),
     "fisheye": ("fisheye_model", "fisheye"),
 }

@@ -105,13 +105,15 @@ INTRINSIC = frozenset({"K", "fx", "focal", "P", "params"})
 ROTATION = frozenset({"R", "Rinverse", "rvec", "quaternion", "pose", "inverse", "P"})
 TRANSLATION = frozenset({"t", "center", "pose", "inverse", "P"})
 POSE = ROTATION | TRANSLATION
+_MOVED = TRANSLATION - {"P"}
 SIZE = frozenset({"width", "size", "shape"})
 #: Keys that group parameters or cameras, and do not name a camera.
 _GROUPS = words(
     """cameras camera cams cam intrinsics intrinsic extrinsics extrinsic calibration calibrations calib params
     parameters cameraparameters cameraparams data poses pose rig rigs sensors devices views lens
     calibrationdata info metadata result results frames images color rgb image transform externals internals
-    extri intri intr extr value matrix mat distortion dist distortions distcoeffs camerapose
+    extri intri intr extr value matrix mat distortion dist distortions distcoeffs distortioncoefficients radial
+    tangential lensmodel lensdistortion camerapose
     cameraposes external internal"""
 )
 #: Ends of keys that group the parameters of one camera, such as color_intrinsics.
@@ -153,12 +155,9 @@ _TURNED = {
     ("P", 3): "position",
 }
 _END = re.compile(r"(.+?)[_. -]?([wxyz]|[0-9]_?[0-9]?)")
-#: Keys of translations that end with their unit: ``translation_mm``, ``T (cm)``.
-_UNIT = re.compile(
-    r"((?:.*[_. -])?(?:r?t|t[xyz]|tvecs?|trans\w*?|pos|positions?|cent(?:er|re)s?|location|origin|poses?"
-    r"|extrinsics?))[_. (\[-]+(?:in[_ ])?([cm]?m|(?:milli|centi)?met(?:er|re)s?)[)\]]?",
-    re.IGNORECASE,
-)
+#: Keys that end with a unit: ``translation_mm``, ``T_left_cm``, ``position (m)``.
+_UNIT = re.compile(r"(.+?)[_. (\[-]+(?:in[_ ])?([cm]?m|(?:milli|centi)?met(?:er|re)s?)[)\]]?", re.IGNORECASE)
+_PART = re.compile("t[xyz]", re.IGNORECASE)
 #: Words of keys that are no names of cameras: ``F_threshold`` is no focal length.
 _NO_CAMERA = words(
     """threshold thresh thres min max mean num number noise std sigma var weight rate freq tol eps ratio prior
@@ -218,7 +217,8 @@ def role_of(key: Key) -> str | None:
 def split_unit(key: str) -> tuple[str, float | None]:
     """Key of a translation without the unit at its end, and metres per unit; None without a unit."""
     match = _UNIT.fullmatch(key) if len(key) < 60 else None
-    return (match[1], metres_of(match[2].lower())) if match else (key, None)
+    moved = match and (_PART.fullmatch(match[1]) or any(r in _MOVED for r, _ in _candidates(match[1])))
+    return (match[1], metres_of(match[2].lower())) if match and moved else (key, None)
 
 
 def unit_of_keys(file: CalibrationFile) -> float | None:

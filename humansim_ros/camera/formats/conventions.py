@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,11 +52,10 @@ class FilePose:
     locations: Mapping[str, SourceLocation]
 
 
-@dataclass(frozen=True)
-class _Reading:
-    """Convention of R and t. ``apply``: (R, t) -> (R from world to camera, camera centre).
+class _Reading(NamedTuple):
+    """Convention of R and t; ``name`` is the value of the key ``convention`` that states it.
 
-    ``name``: value of the key ``convention`` that states it. ``rare``: evidence against it.
+    ``apply``: (R, t) -> (R from world to camera, camera centre). ``rare``: evidence against it.
     """
 
     name: str
@@ -64,29 +64,17 @@ class _Reading:
     rare: float = 0.0
 
 
-READINGS = (
+_OPENGL = "from the camera to the world with the camera axes of OpenGL (y up, z backward)"
+_CENTER = "a rotation from the world and a camera centre (x = R (X - t))"
+_READINGS = (
     _Reading("world_to_camera", "from the world to the camera (x = R X + t)", lambda r, t: (r, -r.T @ t)),
     _Reading("camera_to_world", "from the camera to the world (X = R x + t)", lambda r, t: (r.T, t)),
-    _Reading(
-        "camera_center",
-        "a rotation from the world and a camera centre (x = R (X - t))",
-        lambda r, t: (r, t),
-        3.0,
-    ),
+    _Reading("camera_center", _CENTER, lambda r, t: (r, t), 3.0),
     _Reading("transposed", "transposed (x = R^T X + t), as in MATLAB", lambda r, t: (r.T, -r @ t), 3.0),
-    _Reading(
-        "opengl",
-        "from the camera to the world with the camera axes of OpenGL (y up, z backward)",
-        lambda r, t: (_FLIP @ r.T, t),
-    ),
+    _Reading("opengl", _OPENGL, lambda r, t: (_FLIP @ r.T, t)),
 )
-_STATED = {
-    **{reading.name: index for index, reading in enumerate(READINGS)},
-    "w2c": 0,
-    "opencv": 0,
-    "c2w": 1,
-    "matlab": 3,
-}
+_STATED = {reading.name: index for index, reading in enumerate(_READINGS)}
+_STATED |= {"w2c": 0, "opencv": 0, "c2w": 1, "matlab": 3}
 #: Readings that a kind of keys allows where they are not clear; the first one is taken without evidence.
 _ALLOWED = {
     "world": (0, 1, 2, 3),
@@ -109,7 +97,7 @@ def resolved(
     posed = {}
     for name, pose in poses.items():
         convention = reading if not pose.clear else _ALLOWED[pose.kind][0]
-        r, center = READINGS[convention].apply(pose.R, pose.t)
+        r, center = _READINGS[convention].apply(pose.R, pose.t)
         locations = {**cameras[name].locations, **pose.locations}
         camera = replace(cameras[name], R=r, locations=locations)
         posed[name] = (
@@ -135,15 +123,16 @@ def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
     best, other = sorted(found, key=lambda index: -found[index].total)[:2]
     if found[best].miss > _SURE:
         why = "as in OpenCV" if not first else "as the key says" if first == 1 else "as is usual"
-        said = f"taken as {READINGS[first].text}, {why}; the file does not say it; {_how(first)}"
+        said = f"taken as {_READINGS[first].text}, {why}; the file does not say it; {_how(first)}"
         return first, "" if kind == "shelf" else f"{keys}: {said}"
-    said = f"{keys}: taken as {READINGS[best].text}, "
+    said = f"{keys}: taken as {_READINGS[best].text}, "
     if kind == "shelf" and best == first:
         return first, ""
-    if not _is_sure(found[best], found[other]):
+    margins = found[best].total - found[other].total, found[best].crossing - found[other].crossing
+    if margins[0] <= _MARGIN or margins[1] <= _CROSSING_MARGIN:
         misses = f"{found[best].miss:.1%} and {found[other].miss:.1%} of the distance"
         doubt = f"the views do not decide, because the optical axes then meet to {misses}"
-        return best, f"{said}but perhaps they are {READINGS[other].text}: {doubt}; {_how(best, other)}"
+        return best, f"{said}but perhaps they are {_READINGS[other].text}: {doubt}; {_how(best, other)}"
     why = "because only then do the cameras look at a common place"
     if best == first:
         why = "because the cameras then look at a common place; the file does not say it"
@@ -151,22 +140,16 @@ def _reading(file: CalibrationFile, poses: list[FilePose]) -> tuple[int, str]:
 
 
 def _how(*readings: int) -> str:
-    names = " or ".join(f'"{READINGS[reading].name}"' for reading in readings)
+    names = " or ".join(f'"{_READINGS[reading].name}"' for reading in readings)
     return f'to state it, add "convention": {names} to the file'
 
 
-@dataclass(frozen=True)
-class _Evidence:
+class _Evidence(NamedTuple):
     """Evidence of a reading: of its common point, and in all; and the miss of this point."""
 
     crossing: float
     total: float
     miss: float
-
-
-def _is_sure(best: _Evidence, other: _Evidence) -> bool:
-    margins = best.total - other.total, best.crossing - other.crossing
-    return margins[0] > _MARGIN and margins[1] > _CROSSING_MARGIN
 
 
 def _evidence(poses: list[FilePose], reading: int) -> _Evidence:
@@ -178,14 +161,15 @@ def _evidence(poses: list[FilePose], reading: int) -> _Evidence:
     count = len(poses)
     if count < 3:
         return _Evidence(0.0, 0.0, np.inf)
-    pairs = [READINGS[reading].apply(pose.R, pose.t) for pose in poses]
+    pairs = [_READINGS[reading].apply(pose.R, pose.t) for pose in poses]
     r, centers = np.array([r for r, _ in pairs]), np.array([center for _, center in pairs])
     miss, away = _crossing(r[:, 2], centers)
     # where the camera axes of OpenGL are among the readings, a rig that looks outwards would be one of them
     outward = np.inf if poses[0].kind in ("camera", "center", "placed") else _OUTWARD + _AWAY * (count - away)
     crossing = _log_likelihood(miss, _MISS, 2 * count - 3) - min(_AWAY * away, outward)
     roll = _log_likelihood(_roll(r), _ROLL, 2 * count - 4) / 2
-    return _Evidence(crossing, crossing + roll - READINGS[reading].rare, miss)
+    rare = 0.0 if reading == _ALLOWED[poses[0].kind][0] else _READINGS[reading].rare
+    return _Evidence(crossing, crossing + roll - rare, miss)
 
 
 def _log_likelihood(error: float, deviation: float, freedom: int) -> float:

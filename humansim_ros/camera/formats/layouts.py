@@ -242,20 +242,21 @@ def _stereo(file: CalibrationFile) -> _Cameras:
 def _orbslam3(file: CalibrationFile) -> _Cameras:
     """Cameras of ORB-SLAM3; the second one of a rectified pair is the first one, moved by the baseline."""
     cameras: dict[str, dict[str, Any]] = {}
-    for key, value in file.document.items():
+    for key, value in file.mapping().items():
         name, _, part = str(key).partition(".")
         if name in ("Camera", "Camera1", "Camera2"):
             cameras.setdefault(name, {})[part] = value
-    shared = {key: cameras["Camera"].get(key) for key in ("type", "width", "height")}
-    if cameras["Camera"].get("type") == "Rectified":
+    shared = {key: file.get(f"Camera.{key}") for key in ("type", "width", "height")}
+    left = "Camera1" if "Camera1" in cameras else "Camera"
+    if shared["type"] == "Rectified":
         shared["type"] = "PinHole"
         moved = _placed(np.eye(3), np.array([file.number("Stereo.b"), 0.0, 0.0]))
-        cameras["Camera2"] = {**cameras["Camera1"], **moved}
+        cameras["Camera2"] = {**cameras.get(left, {}), **moved}
     pose = next((file.get(key) for key in ("Stereo.T_c1_c2", "Tlr") if file.get(key) is not None), None)
     if "Camera2" in cameras and pose is not None:
         cameras["Camera2"]["c2w"] = pose
-    if "c2w" in cameras.get("Camera2", ()):
-        cameras["Camera1" if "Camera1" in cameras else "Camera"] |= _placed(np.eye(3), np.zeros(3))
+    if left in cameras and "c2w" in cameras.get("Camera2", ()):
+        cameras[left] |= _placed(np.eye(3), np.zeros(3))
     return [{"name": name, **shared, **camera} for name, camera in cameras.items() if "fx" in camera]
 
 
@@ -265,10 +266,8 @@ def _ncamera(file: CalibrationFile) -> _Cameras:
     for index, _ in enumerate(file.items("cameras")):
         camera = dict(file.mapping("cameras", index, "camera"))
         lens = {**file.mapping("cameras", index, "camera", "distortion")}
-        kind, own = (
-            str(lens.pop("type", "none")).replace("fisheye", "fov"),
-            str(camera.pop("type", "pinhole")),
-        )
+        kind = str(lens.pop("type", "none")).replace("fisheye", "fov")
+        own = str(camera.pop("type", "pinhole"))
         pose = {"T_B_C": value} if (value := file.get("cameras", index, "T_B_C")) is not None else {}
         cameras.append({**camera, **lens, **pose, "model": kind if own.lower() == "pinhole" else own})
     return cameras
@@ -287,10 +286,11 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
     if at and len(file.document) > 1:
         warn_about(file.path, f"the first of {len(file.document)} reconstructions is read")
     group = (*at, "cameras") if file.get(*at, "cameras") is not None else at
-    shots = file.get(*at, "shots") or {name: {"camera": name} for name in file.mapping(*group)}
+    own = file.get(*at, "shots") is not None
     cameras = {}
-    for name, shot in shots.items():
-        lens = (*group, shot.get("camera"))
+    for name in file.mapping(*at, "shots") if own else file.mapping(*group):
+        shot = (*at, "shots", name)
+        lens: Keys = (*group, str(file.need(*shot, "camera")) if own else name)
         kind = str(file.mapping(*lens).get("projection_type", "perspective"))
         if kind not in _OPENSFM:
             message = f"the lens {kind[:40]!r} is not supported; known are {', '.join(_OPENSFM)}"
@@ -302,17 +302,18 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
         k[:, 2] = [(width - 1) / 2, (height - 1) / 2, 1]
         k[:2, 2] += [side * file.number(*lens, key, otherwise=0.0) for key in ("c_x", "c_y")]
         numbers = {key: file.get(*lens, key) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
-        pose = {"rvec": shot["rotation"], "t": shot["translation"]} if "rotation" in shot else {}
-        size = {"width": width, "height": height}
-        cameras[without_suffix(name)] = {"K": nested(k), "model": _OPENSFM[kind], **size, **numbers, **pose}
+        pose = {"rvec": file.need(*shot, "rotation"), "t": file.need(*shot, "translation")} if own else {}
+        camera = {"K": nested(k), "model": _OPENSFM[kind], "width": width, "height": height}
+        cameras[without_suffix(name)] = {**camera, **numbers, **pose}
     return cameras
 
 
 def _pymvg(file: CalibrationFile) -> _Cameras:
     """Cameras of pymvg, whose poses Q and translation are of the rectified camera; R rectifies."""
     cameras = []
-    for index, camera in enumerate(file.items("camera_system")):
+    for index, _ in enumerate(file.items("camera_system")):
         at: Keys = ("camera_system", index)
+        camera = file.mapping(*at)
         q = file.numbers((3, 3), *at, "Q" if "Q" in camera else "rotation")
         r, t = file.numbers((3, 3), *at, "R").T, file.numbers((3,), *at, "translation")
         rest = {key: camera[key] for key in ("name", "width", "height", "K", "D") if key in camera}

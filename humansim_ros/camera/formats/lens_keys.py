@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.formats.base import CalibrationFile, Keys, RawCamera, is_number, model_of
-from humansim_ros.camera.formats.spellings import leaves_of, plain
+from humansim_ros.camera.formats.spellings import leaves_of, plain, shape_of
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.types import Array
@@ -57,25 +57,24 @@ def model_of_four(
     """
     if stated is not None or not values.any():
         return "equidistant" if stated else "plumb_bob"
-    above = file.get(*keys[:-1])
-    above = above if isinstance(above, Mapping) else {}
-    sides = str(above.get("rows")), str(above.get("cols"))  # texts in XML
-    shape = sides if "rows" in above else tuple(map(str, np.shape(file.get(*keys))))
-    named = " ".join(map(str, (*keys, Path(file.path).stem, *above, *(file.document or ()))))
+    stored = file.get(*keys[:-1], "rows") is not None  # a matrix of OpenCV
+    shape = tuple(str(file.get(*keys[:-1], key)) for key in ("rows", "cols"))  # texts in XML
+    shape = shape if stored else tuple(map(str, shape_of(file.get(*keys)) or ()))
+    own = file.get(*keys[: -2 if stored else -1])
+    named = re.search("fish[-_]?eye", " ".join(map(str, (*keys, Path(file.path).stem))), re.IGNORECASE)
     high, low = np.abs(values[2:]).max(), max(np.abs(values[:2]).max(), 1e-12)
     wide = np.hypot(k[0, 2], k[1, 2]) > _WIDE * k[0, 0]
     evidence = (
         2 * (shape == ("4", "1"))
         + (shape == ("1", "4"))
         + 2 * bool(k[0, 1])
-        + 3 * bool(re.search(r"\bDIM\b|fish_?-?eye", named, re.IGNORECASE))
+        + 3 * (named is not None or (isinstance(own, Mapping) and "DIM" in own))
         + (-2 if 0 < high <= _TANGENTIAL * low else 1 if wide and high > _RADIAL * low else -1)
     )
     model = "equidistant" if evidence > 0 else "plumb_bob"
-    if 0 <= evidence < _CERTAIN or (evidence < 0 and "rows" in above):
+    if 0 <= evidence < _CERTAIN or (evidence < 0 and stored):
         other = "plumb_bob" if evidence > 0 else "equidistant (cv2.fisheye)"
-        key = ".".join(map(str, keys[: -1 if "rows" in above else None]))
-        what = f"{key}: 4 coefficients are assumed to be {model}"
+        what = f"{'.'.join(map(str, keys)).removesuffix('.data')}: 4 coefficients are assumed to be {model}"
         warn_about(file.path, f"{what}; if they are {other}, add distortion_model: {other.split()[0]}")
     return model
 

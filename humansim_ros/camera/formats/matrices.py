@@ -307,7 +307,9 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
             return pinhole(*values)
         k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.file.numbers((3, 3), *entry.keys)
         if _is_transposed(k.ravel()):
-            why = "is transposed, as in MATLAB, whose pixels count from 1; here they are taken to count from 0"
+            why = (
+                "is transposed, as in MATLAB, whose pixels count from 1; here they are taken to count from 0"
+            )
             warn_about(entry.file.path, f"{_where(entry).key}: {why}")
             return k.T
         return k

@@ -8,6 +8,7 @@ are K of a camera.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, 
 from humansim_ros.camera.formats.colmap import COLMAP_MODELS
 from humansim_ros.camera.formats.texts import BRACKETS, text_document
 from humansim_ros.errors import CameraError
+from humansim_ros.io.assets import resource_path
 
 
 def words(text: str) -> frozenset[str]:
@@ -27,60 +29,9 @@ def words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-#: Spellings of each parameter, in lower case without underscores, hyphens, blanks and dots.
-_SPELLINGS = {
-    "K": """k intrinsic intrinsics intrinsicmatrix intrinsicsmatrix intrinsicmat intrinsicparameters intrmat
-        cameramatrix cameramat cammatrix cammat cameraintrinsic cameraintrinsics camk kmat kmatrix mtx m
-        matrix matrixk calibrationmatrix calibmatrix camint intmat internalmatrix intr intrin ks mtxs
-        cameramatrices intrinsicmatrices""",
-    "fx": "fx flx focalx focallengthx fu alphax",
-    "fy": "fy fly focaly focallengthy fv alphay",
-    "cx": "cx ppx principalpointx u0 px",
-    "cy": "cy ppy principalpointy v0 py",
-    "focal": "f fc focal focallength focallengthpx focalpx focals pxfocallength fxy fxfy",
-    "principal": "c cc pp principalpoint princpt opticalcenter opticalcentre cxy cxcy principal",
-    "skew": "skew",
-    "alpha": "alpha alphac",
-    "params": "params parameters cameraparams cameraparameters intrinsicparams",
-    "R": """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat camr matrixr rw2c rcw rworldtocam rs
-        rotations rotationmatrices rmats""",
-    "Rinverse": "rc2w rwc rotationc2w",
-    "rvec": """rvec rvecs rvector rotationvector rotvec rodrigues om rodriguesvector axisangle
-        rotationrodrigues rxyz""",
-    "quaternion": """q quat quaternion rotationquaternion qvec orientation rotationquat qvecs quaternions
-        quaternionxyzw quatxyzw qxyzw rotationxyzw orientationxyzw
-        quaternionwxyz quatwxyz qwxyz rotationwxyz orientationwxyz""",
-    "t": """t tvec tvecs tvector translation translationvector transvec trans tr camt matrixt tw2c tcwvec
-        translations ts""",
-    "center": """center centre position pos cameraposition camposition campos cameracenter cameracentre
-        camcenter location c2wtranslation cameralocation origin""",
-    "pose": """rt extrinsic extrinsics extrinsicmatrix extrinsicsmatrix extrinsicmat extmat extr extri w2c
-        e worldtocam worldtocamera world2cam world2camera worldview viewmatrix viewmat tcw tcamworld
-        tcameraworld camfromworld camerafromworld camext rtmatrix matrixrt extrinsicparameters w2cs""",
-    "inverse": """c2w cam2world camera2world camtoworld cameratoworld pose posematrix campose camerapose
-        cameraposematrix twc tworldcam tworldcamera worldfromcam worldfromcamera transform
-        transformmatrix transformationmatrix poses c2ws""",
-    "P": "p projection projectionmatrix projmat projmatrix proj pmatrix pmat cameraprojection worldmat",
-    "distortion": """d dist distortion distcoeff distcoeffs distcoef distcoefs distortioncoeff distortions
-        distortioncoeffs distortioncoef distortioncoefs distortioncoefficient distortioncoefficients dcoeffs
-        kc lensdistortion coeffs distorsion distortionparameters distortionparams distvec distortionvector
-        dists ds""",
-    "radial": "radial radialdistortion radialcoefficients radialcoeffs radialdistortioncoefficients",
-    "tangential": "tangential tangentialdistortion tangentialcoefficients tangentialcoeffs",
-    **{k: k for k in ("k1", "k2", "k3", "k4", "k5", "k6")},
-    "p1": "p1 t1",
-    "p2": "p2 t2",
-    "width": "width w nx imagewidth imgwidth imgw wimg cols reswidth resx resolutionx widthpx camimgw",
-    "height": "height h ny imageheight imgheight imgh himg rows resheight resy resolutiony heightpx camimgh",
-    "size": "size imagesize imgsize resolution wh imagewh imageresolution sensorsize framesize dims dim",
-    "shape": "shape imageshape imgshape hw imagehw frameshape",
-    "model": "model cameramodel distortionmodel lensmodel distortiontype camtype",
-    "fisheye": "fisheye isfisheye",
-    "name": """name cameraname camname id cameraid camid serial serialnumber label deviceid camera cam
-        imgname imagename""",
-    "names": "names cameranames camnames cams cameras serials ids labels cameraids",
-}
-_ROLES = {word: role for role, words in _SPELLINGS.items() for word in words.split()}
+#: Spellings of each parameter, and keys of groups, in lower case without characters between words.
+_KEYS = json.loads(resource_path("config/camera_keys.json").read_text())
+_ROLES = {word: role for role, lines in _KEYS["parameters"].items() for word in " ".join(lines).split()}
 #: Numbers of one value of each parameter, largest first; a list of such values is one for each camera.
 _COUNTS = {
     "K": (16, 9, 4),
@@ -108,14 +59,7 @@ POSE = ROTATION | TRANSLATION
 _MOVED = TRANSLATION - {"P"}
 SIZE = frozenset({"width", "size", "shape"})
 #: Keys that group parameters or cameras, and do not name a camera.
-_GROUPS = words(
-    """cameras camera cams cam intrinsics intrinsic extrinsics extrinsic calibration calibrations calib params
-    parameters cameraparameters cameraparams data poses pose rig rigs sensors devices views lens
-    calibrationdata info metadata result results frames images color rgb image transform externals internals
-    extri intri intr extr value matrix mat distortion dist distortions distcoeffs distortioncoefficients radial
-    tangential lensmodel lensdistortion camerapose
-    cameraposes external internal"""
-)
+_GROUPS = words(" ".join(_KEYS["groups"]))
 #: Ends of keys that group the parameters of one camera, such as color_intrinsics.
 _SECTION = re.compile(
     r"(.+?)[_. -]?(?:intrinsics?|extrinsics?|calibration|calib|params|parameters|pose|intri|extri)",
@@ -396,12 +340,12 @@ def _leaves(value: Any, keys: Keys, depth: int) -> Iterator[tuple[Keys, _Shape]]
     """Key path, and shape or text, of the numbers, lists of numbers and texts of a document."""
     if depth > _MAX_DEPTH:
         return
-    shape = _shape(value)
+    shape = shape_of(value)
     if shape is not None:
         yield keys, shape
     elif isinstance(value, Mapping):
-        if "data" in value and _shape(value["data"]) is not None and {"rows", "cols"} <= value.keys():
-            yield (*keys, "data"), _shape(value["data"]) or ()
+        if "data" in value and shape_of(value["data"]) is not None and {"rows", "cols"} <= value.keys():
+            yield (*keys, "data"), shape_of(value["data"]) or ()
             return
         for key, item in value.items():
             yield from _leaves(item, (*keys, key), depth + 1)
@@ -410,7 +354,7 @@ def _leaves(value: Any, keys: Keys, depth: int) -> Iterator[tuple[Keys, _Shape]]
             yield from _leaves(item, (*keys, index), depth + 1)
 
 
-def _shape(value: Any, depth: int = 5) -> _Shape | None:
+def shape_of(value: Any, depth: int = 5) -> _Shape | None:
     """Shape of nested lists of numbers; a text itself; None for all other values."""
     if isinstance(value, (bool, str)):
         return str(value)
@@ -420,7 +364,7 @@ def _shape(value: Any, depth: int = 5) -> _Shape | None:
         return None
     if all(isinstance(item, str) for item in value):
         return None if len(value) > 1000 else "\0"
-    first = _shape(value[0], depth - 1)
+    first = shape_of(value[0], depth - 1)
     return None if first is None or isinstance(first, str) else (len(value), *first)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -26,6 +24,7 @@ from humansim_ros.export.animation import (
 from humansim_ros.export.writer import ExportFolder, Record
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import decode_srgb
+from humansim_ros.mesh.glb import GlbBuilder
 from humansim_ros.mesh.mesh import split_seams
 from humansim_ros.motion.bvh import write_bvh
 from humansim_ros.motion.posed_bones import PosedBones
@@ -58,9 +57,6 @@ class BvhWriter(AnimationWriter):
 
 #: Translations and sizes that vary less than this are constant, metres.
 _CONSTANT = 1e-9
-#: Numbers of glTF for types of arrays, and its names of shapes.
-_TYPES = {np.dtype(np.float32): 5126, np.dtype(np.uint8): 5121, np.dtype(np.uint32): 5125}
-_SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _VERTICES, _TRIANGLES = 34962, 34963
 
 
@@ -84,66 +80,32 @@ def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
     return document.encoded()
 
 
-class GlbDocument:
-    """A glTF document while it is made: its JSON and its binary buffer."""
+class GlbDocument(GlbBuilder):
+    """A glTF document of people and meshes while it is made."""
 
     def __init__(self) -> None:
-        self._binary = bytearray()
-        self._lists: dict[str, list[dict[str, Any]]] = {
-            kind: []
-            for kind in ("nodes", "meshes", "materials", "accessors", "bufferViews", "skins", "images")
-        }
+        super().__init__()
         self._roots: list[int] = []
         self._samplers: list[dict[str, Any]] = []
         self._channels: list[dict[str, Any]] = []
         #: mesh of each human, by identity: people may share a body
         self._mesh_of: dict[int, int] = {}
 
-    def _add(self, kind: str, item: dict[str, Any]) -> int:
-        """Add an item to a list of the document; return its number."""
-        self._lists[kind].append(item)
-        return len(self._lists[kind]) - 1
-
-    def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
-        """Add an array (N, ...) of float32, uint8 or uint32; returns the number of its accessor.
-
-        ``bounds``: with the smallest and largest values, which glTF requires of positions and times.
-        """
-        accessor: dict[str, Any] = {
-            "bufferView": self._view(values.tobytes(), target),
-            "componentType": _TYPES[values.dtype],
-            "count": len(values),
-            "type": _SHAPES[values.shape[1:]],
-        }
-        if bounds:
-            accessor |= {
-                "min": np.atleast_1d(values.min(0)).tolist(),
-                "max": np.atleast_1d(values.max(0)).tolist(),
-            }
-        return self._add("accessors", accessor)
-
-    def _view(self, data: bytes, target: int | None = None) -> int:
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)}
-        if target is not None:
-            view["target"] = target
-        self._binary += data + bytes(-len(data) % 4)
-        return self._add("bufferViews", view)
-
     def add_person(self, name: str, person: AnimatedHuman, times: int) -> None:
         """Add the nodes, the mesh and the motion of a person; ``times``: accessor of the times of frames."""
         human, skeleton = person.human, person.human.skeleton
         local = local_transforms(person)
-        first = len(self._lists["nodes"]) + 2
+        first = len(self.lists.get("nodes", ())) + 2
         children: list[list[int]] = [[] for _ in skeleton.names]
         roots: list[int] = []
         for bone, parent in enumerate(skeleton.parents.tolist()):
             (children[parent] if parent >= 0 else roots).append(first + bone)
-        self._roots.append(self._add("nodes", {"name": name, "children": [first - 1, *roots]}))
-        skin = len(self._lists["skins"])
-        self._add("nodes", {"name": f"{name}_mesh", "mesh": self._mesh(human), "skin": skin})
+        self._roots.append(self.add("nodes", {"name": name, "children": [first - 1, *roots]}))
+        skin = len(self.lists.get("skins", ()))
+        self.add("nodes", {"name": f"{name}_mesh", "mesh": self._mesh(human), "skin": skin})
         for bone, bone_name in enumerate(skeleton.names):
             below = {"children": children[bone]} if children[bone] else {}
-            self._add("nodes", {"name": bone_name, **below})
+            self.add("nodes", {"name": bone_name, **below})
             for path, values in zip(("translation", "rotation", "scale"), local, strict=True):
                 self._animate(first + bone, path, values[:, bone].astype(np.float32), times)
         # column-major
@@ -154,7 +116,7 @@ class GlbDocument:
             "skeleton": roots[0] if len(roots) == 1 else first - 2,
             "inverseBindMatrices": self.accessor(np.ascontiguousarray(inverse_bind)),
         }
-        self._add("skins", binding)
+        self.add("skins", binding)
 
     def add_mesh(
         self,
@@ -181,12 +143,12 @@ class GlbDocument:
             columns["COLOR_0"] = _linear(colors)
         material = self._material("static", texture, 0.9, double_sided=False)
         mesh = self._add_mesh("static", columns, triangles.astype(np.uint32), material)
-        self._roots.append(self._add("nodes", {"mesh": mesh}))
+        self._roots.append(self.add("nodes", {"mesh": mesh}))
 
     def _animate(self, node: int, path: str, values: NDArray[np.float32], times: int) -> None:
         """Set a property of a node to its first value, and add a channel if it changes."""
         if path != "scale" or (values[0] != 1).any():
-            self._lists["nodes"][node][path] = values[0].tolist()
+            self.lists["nodes"][node][path] = values[0].tolist()
         if np.ptp(values, axis=0).max() <= _CONSTANT:
             return
         self._samplers.append({"input": times, "output": self.accessor(np.ascontiguousarray(values))})
@@ -215,45 +177,22 @@ class GlbDocument:
             "indices": self.accessor(triangles.ravel(), _TRIANGLES),
             "material": material,
         }
-        return self._add("meshes", {"name": name, "primitives": [primitive]})
+        return self.add("meshes", {"name": name, "primitives": [primitive]})
 
     def _material(self, name: str, texture: bytes | None, roughness: float, double_sided: bool) -> int:
         reflection: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": roughness}
         if texture is not None:
-            kind = "image/jpeg" if texture[:2] == b"\xff\xd8" else "image/png"
-            image = {"bufferView": self._view(texture), "mimeType": kind}
-            reflection["baseColorTexture"] = {"index": self._add("images", image)}
+            reflection["baseColorTexture"] = {"index": self.image(texture)}
         material = {"name": name, "pbrMetallicRoughness": reflection, "doubleSided": double_sided}
-        return self._add("materials", material)
+        return self.add("materials", material)
 
     def encoded(self) -> bytes:
         """Bytes of the GLB file."""
-        document: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": f"humansim_ros {__version__}"},
-            "scene": 0,
-            "scenes": [{"nodes": self._roots}],
-            **{kind: items for kind, items in self._lists.items() if kind not in ("skins", "images")},
-            "buffers": [{"byteLength": len(self._binary)}],
-            # empty lists are errors
-            **{kind: self._lists[kind] for kind in ("skins", "images") if self._lists[kind]},
-        }
-        if images := len(self._lists["images"]):
-            document["textures"] = [{"source": number} for number in range(images)]
         if self._channels:
             animation = {"name": "motion", "samplers": self._samplers, "channels": self._channels}
-            document["animations"] = [animation]
-        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
-        text += b" " * (-len(text) % 4)
-        total = 12 + 8 + len(text) + 8 + len(self._binary)
-        return b"".join(
-            [
-                struct.pack("<4sII", b"glTF", 2, total),
-                struct.pack("<I4s", len(text), b"JSON"),
-                text,
-                struct.pack("<I4s", len(self._binary), b"BIN\0"),
-                bytes(self._binary),
-            ]
-        )
+            self.lists["animations"] = [animation]
+        asset = {"generator": f"humansim_ros {__version__}"}
+        return self.packed(asset=asset, scene=0, scenes=[{"nodes": self._roots}])
 
 
 def _columns(human: Human) -> dict[str, NDArray[Any]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -35,7 +36,7 @@ from humansim_ros.motion.joint_tables import (
 )
 from humansim_ros.motion.kinematics import Motion, refuse_cycle
 from humansim_ros.motion.skeleton_matching import match_shape
-from humansim_ros.rotations import unit_vectors
+from humansim_ros.rotations import lengths_of, rotate, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Most frames, spread over the motion, that are looked at.
@@ -244,6 +245,11 @@ def _common_start(texts: Sequence[str]) -> str:
     return first[:length]
 
 
+#: Roles of the parts of limbs, without their side.
+_LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
+#: A joint that moves by at most this share of the lower part of a limb is at its end. The part is between
+#: these multiples of the upper one.
+_END_GAP, _LOWER_BY_UPPER = 0.1, (0.4, 2.5)
 #: Table of common names, which is used where no other fits.
 _COMMON = "common"
 #: Chains of roles: the joint of each is a descendant of the joint before it.
@@ -272,7 +278,7 @@ def match_motion(
     """
     min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
     try:
-        match = match_names(motion.joint_names, table, motion.path, motion.parents)
+        match = _match_names_in_motion(motion, table)
     except MotionError as by_names:
         if table is not None:
             raise
@@ -305,6 +311,41 @@ def is_person(motion: Motion) -> bool:
     except MotionError:
         return False
     return True
+
+
+def _match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None) -> JointMatch:
+    """Match joints by their names.
+
+    A foot or a hand that is not below its limb, because inverse kinematics moves it, is taken if it is at the
+    end of the limb in all frames.
+    """
+    names, parents = motion.joint_names, np.array(motion.parents)
+    found: JointMatch | None = None
+    with suppress(MotionError):
+        found = match_names(names, table, motion.path, parents)
+    limbs = [[side + part for part in limb] for side in ("Left", "Right") for limb in _LIMBS]
+    if motion.n_frames > 1 and (found is None or not all(end in found.roles for _, _, end in limbs)):
+        tables = _candidates(table, motion.path)
+        by_names = [_best_match(tables, names, None, loose) for loose in (False, True)]
+        roles = max(by_names, key=lambda match: match.complete).roles
+        frames = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 2000).astype(int)))
+        for joints in ([roles.get(role, -1) for role in limb] for limb in limbs):
+            _, lower, end = joints
+            related = _is_descendant(end, lower, parents) or _is_descendant(lower, end, parents)
+            if min(joints) >= 0 and not related and _is_limb(frames[:, joints]):
+                parents[end] = lower
+                found = None
+    return match_names(names, table, motion.path, parents) if found is None else found
+
+
+def _is_limb(frames: Array) -> bool:
+    """Whether the third of three joints (F, 3, 4, 4) stays at the end of the second, as a foot of a shin."""
+    upper, lower, end = (frames[:, joint, :3, 3] for joint in range(3))
+    inside = rotate(np.swapaxes(frames[:, 1, :3, :3], -1, -2), end - lower)
+    middle = np.median(inside, axis=0)
+    length, above = lengths_of(middle), lengths_of(lower - upper).mean()
+    fits = _LOWER_BY_UPPER[0] * above < length < _LOWER_BY_UPPER[1] * above
+    return bool(fits and lengths_of(inside - middle).max() < _END_GAP * length)
 
 
 def match_names(
@@ -451,6 +492,12 @@ def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, int]:
     """Roles, except where the joint does not descend from the joint before it in a chain."""
     consistent = dict(roles)
+    legs = [roles[role] for role in ("LeftHip", "RightHip") if role in roles]
+    pelvis = roles.get("Hips", -1)
+    while pelvis >= 0 and not all(_is_descendant(leg, pelvis, parents) for leg in legs):
+        pelvis = int(parents[pelvis])
+    if pelvis >= 0 and len(legs) == 2:
+        consistent["Hips"] = pelvis  # a joint called hips may carry the trunk alone
     for chain in _CHAINS:
         above: str | None = None
         for role in chain:

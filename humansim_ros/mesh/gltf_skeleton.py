@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import MeshError, printable, some_of, warn_about
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.types import Array
 
+#: Human bones of VRM, each below the one before it [VRM 1.0].
+_CHAINS = (
+    ("hips", "spine", "chest", "upperChest", "neck", "head"),
+    *(("hips", *(side + b for b in ("UpperLeg", "LowerLeg", "Foot", "Toes"))) for side in ("left", "right")),
+    *(
+        ("spine", *(side + b for b in ("Shoulder", "UpperArm", "LowerArm", "Hand")))
+        for side in ("left", "right")
+    ),
+)
 #: Most joints whose rotations are compared with each other.
 _MAX_COMPARED = 1000
 
@@ -47,28 +57,29 @@ class GltfSkeleton:
         The human bones of a VRM animation, else the joints of all skins, else the nodes that the animation
         rotates, what is between them, and their ends. Without skins the rest pose of the nodes counts.
         """
-        nodes = set(_human_bones(gltf)) if "VRMC_vrm_animation" in gltf.document.extensions else set()
-        if nodes:
-            return cls._of_nodes(gltf, nodes)
+        human = _human_bones(gltf)
+        if human and "VRMC_vrm_animation" in gltf.document.extensions:
+            return cls._of_nodes(gltf, human, human)
         if (skeleton := cls.of(gltf)) is not None:
             return skeleton
         if gltf.document.skins:
             return cls._of_skins(gltf, list(range(len(gltf.document.skins))))
+        nodes: set[int] = set()
         turned = {c.target.node for c in animation.channels if c.target.path == "rotation"}
         for node in gltf.order.tolist():
             # a node below a joint is a joint or an end, if it does not only hold a mesh
             if node in turned or (int(gltf.parents[node]) in nodes and gltf.nodes[node].mesh is None):
                 nodes.add(node)
-        return cls._of_nodes(gltf, nodes) if nodes else None
+        return cls._of_nodes(gltf, nodes, human) if nodes else None
 
     @classmethod
-    def _of_nodes(cls, gltf: Gltf, chosen: Collection[int]) -> GltfSkeleton:
-        """Joints at some nodes, in the rest pose of the nodes."""
+    def _of_nodes(cls, gltf: Gltf, chosen: Collection[int], human: dict[int, str]) -> GltfSkeleton:
+        """Joints at some nodes, in the rest pose of the nodes. ``human``: human bones of nodes."""
         nodes = np.array([n for n in gltf.order if int(n) in chosen], dtype=np.intp)
         frames = np.array(gltf.at_rest[nodes])
         if not (np.isfinite(frames).all() and (np.abs(np.linalg.det(frames[:, :3, :3])) > 1e-27).all()):
             raise MeshError("the transforms of the skeleton are singular", path=gltf.path, key="nodes")
-        return cls(nodes, _names(gltf, nodes), _parents(gltf, nodes), frames, np.eye(4), {})
+        return cls(nodes, _names(gltf, nodes, human), _parents(gltf, nodes), frames, np.eye(4), {})
 
     @classmethod
     def _of_skins(cls, gltf: Gltf, skins: Sequence[int]) -> GltfSkeleton:
@@ -85,7 +96,7 @@ class GltfSkeleton:
         parents = _parents(gltf, nodes)
         frames = np.stack([bind[int(n)] for n in nodes])
         space, scale = _common_space(gltf.at_rest[nodes] @ np.linalg.inv(frames), gltf)
-        names = _names(gltf, nodes)
+        names = _names(gltf, nodes, _human_bones(gltf))
         # give the common space the scale of the scene
         scaling = np.diag([scale, scale, scale, 1.0])
         frames = scaling @ frames
@@ -134,9 +145,8 @@ def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
     return out, scale
 
 
-def _names(gltf: Gltf, nodes: NDArray[np.intp]) -> tuple[str, ...]:
+def _names(gltf: Gltf, nodes: NDArray[np.intp], human: dict[int, str]) -> tuple[str, ...]:
     """Unique names of the joints, from the VRM bone map or from the nodes."""
-    human = _human_bones(gltf)
     taken = {human[int(node)] for node in nodes if int(node) in human}
     names: list[str] = []
     used: dict[str, int] = {}
@@ -176,7 +186,41 @@ def _human_bones(gltf: Gltf) -> dict[int, str]:
         if known and node not in named and bone not in bones_named:
             named[node] = bone[:64]
             bones_named.add(bone)
-    return named
+    return _unshifted(gltf, named) if "VRMC_vrm_animation" in extensions else named
+
+
+def _unshifted(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
+    """Human bone of each node in the map of a VRM animation, which may name the node before or after it.
+
+    A map is wrong if bones are not below those that they belong to. Warns (HumansimWarning) of such a map.
+    """
+    if not (wrong := _misplaced(gltf, named)):
+        return named
+    for shift in (-1, 1, -2, 2):
+        moved = {node + shift: bone for node, bone in named.items() if 0 <= node + shift < len(gltf.nodes)}
+        if len(moved) >= len(named) - 1 and not _misplaced(gltf, moved):
+            break
+    else:
+        moved, shift = {}, 0
+    taken = f"each is {-shift:+d} from its node" if moved else "it is ignored, and nodes count by their names"
+    shown = some_of(f"{bone} {printable(gltf.nodes[node].name, 40)!r}" for node, bone in wrong.items())
+    warn_about(gltf.path, f"humanBones is wrong for {shown}, which are not below the bones above: {taken}")
+    return moved
+
+
+def _misplaced(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
+    """Nodes of human bones, with the bones, that are not below the bones above them."""
+    node_of = {bone: node for node, bone in named.items()}
+    wrong: dict[int, str] = {}
+    for chain in _CHAINS:
+        present = [node_of[bone] for bone in chain if bone in node_of]
+        for above, node in pairwise(present):
+            over = int(gltf.parents[node])
+            while over >= 0 and over != above:
+                over = int(gltf.parents[over])
+            if over < 0:
+                wrong[node] = named[node]
+    return wrong
 
 
 def member(value: Any, *keys: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -27,6 +28,26 @@ _MAX_POSES = 1_000_000
 #: Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation.
 Track: TypeAlias = tuple[Array, Array, str]
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+#: Places of human bones of VRM in T pose, metres: y up, facing z, x to the side. Limbs have the lengths of
+#: the general skeleton [thesis table 4.1] and are straight; the ankle is a centimetre behind the knee, as in
+#: most rigs. Length of other bones, those of fingers.
+_VRM_BODY: dict[str, tuple[float, float, float]] = {
+    "hips": (0, 0.921, 0),
+    "spine": (0, 1.0, 0),
+    "chest": (0, 1.12, 0),
+    "upperChest": (0, 1.25, 0),
+    "neck": (0, 1.458, 0),
+    "head": (0, 1.54, 0),
+    "Shoulder": (0.08, 1.434, 0),
+    "UpperArm": (0.194, 1.434, 0),
+    "LowerArm": (0.419, 1.434, 0),
+    "Hand": (0.669, 1.434, 0),
+    "UpperLeg": (0.096, 0.843, 0),
+    "LowerLeg": (0.096, 0.491, 0),
+    "Foot": (0.096, 0.087, -0.01),
+    "Toes": (0.096, 0.012, 0.14),
+}
+_PHALANX = 0.03
 #: A joint that moves by more than this share of the skeleton's size gets position channels.
 _MIN_TRANSLATION = 1e-6
 
@@ -47,7 +68,28 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
         skeleton = GltfSkeleton.of_animation(gltf, chosen)
         if skeleton is None:
             raise MotionError("the file has no skeleton, and the animation turns nothing")
+        if not np.ptp(skeleton.bind[:, :3, 3], axis=0).any() and set(_VRM_BODY) & set(skeleton.names):
+            gltf = _with_offsets(gltf, skeleton)
+            skeleton = replace(skeleton, bind=gltf.at_rest[skeleton.nodes])
         return _motion(gltf, skeleton, chosen)
+
+
+def _with_offsets(gltf: Gltf, skeleton: GltfSkeleton) -> Gltf:
+    """VRM animation whose nodes have no translations, with the proportions of the general skeleton."""
+    warn_about(gltf.path, "its bones have no length: the proportions of the general skeleton are taken")
+    places: list[Array] = []
+    nodes = list(gltf.nodes)
+    for node, name, parent in zip(skeleton.nodes, skeleton.names, skeleton.parents, strict=True):
+        above = np.zeros(3) if parent < 0 else places[parent]
+        bone = name.removeprefix("left").removeprefix("right")
+        side = 0.0 if bone == name else -1.0 if name.startswith("right") else 1.0
+        known = _VRM_BODY.get(bone)
+        shift = np.array([side * _PHALANX, 0.0, 0.0])
+        places.append(above + shift if known is None else np.array(known) * [side, 1.0, 1.0])
+        turned = gltf.at_rest[gltf.parents[node], :3, :3] if gltf.parents[node] >= 0 else np.eye(3)
+        shift = np.linalg.inv(turned) @ (places[-1] - above)
+        nodes[node] = nodes[node].model_copy(update={"translation": tuple(shift.tolist())})
+    return replace(gltf, document=gltf.document.model_copy(update={"nodes": tuple(nodes)}))
 
 
 def find_animation(gltf: Gltf, name: str | None, wanted: Callable[[Animation], bool]) -> Animation:

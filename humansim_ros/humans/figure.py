@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from humansim_ros.humans.makehuman.skeleton import Bones
 from humansim_ros.mesh.mesh import Mesh, SkinnedMesh
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_match import JointMatch
-from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.joint_matching import LIMBS, match_motion
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array
@@ -37,8 +39,9 @@ _UPRIGHT = {"vl5": (5.0, 7.0), "vt3": (7.5, 7.0)}
 #: The skin of the head's joint is the head, without hats, if it is this share of the height of all that the
 #: joint carries.
 _SKULL = 0.5
-#: Largest distance of a foot from the end of its shin, as a share of the length of the thigh.
+#: Largest distance of a foot from the end of its shin, as a share of the length of the thigh; so of a hand.
 _FOOT_GAP = 0.25
+_HAND = re.compile(r"hand|wrist|palm|fist", re.IGNORECASE)
 #: Bones at the ends of limbs. Without a joint of their own they begin where the bone before them ends.
 _ENDS = ("l_wrist", "r_wrist", "l_ankle", "r_ankle")
 
@@ -75,7 +78,7 @@ def to_body_space(
     rest = _rest_motion(figure)
     try:
         match = match_motion(rest)
-        attached = _attach_feet(figure, match)
+        attached = _attach_ends(figure, match)
         if attached is not None:
             figure, rest = attached, _rest_motion(attached)
             match = match_motion(rest)
@@ -111,15 +114,15 @@ def to_body_space(
     return replace(figure.mesh, vertices=vertices), skeleton, limit_bones(weights)
 
 
-def _attach_feet(figure: SkinnedMesh, match: JointMatch) -> SkinnedMesh | None:
-    """Figure whose feet follow the shins, where inverse kinematics moves feet that are children of the root.
+def _attach_ends(figure: SkinnedMesh, match: JointMatch) -> SkinnedMesh | None:
+    """Figure whose feet and hands follow their limbs, where they are children of the root.
 
-    None if no foot is apart from its leg.
+    None if no foot and no hand is apart from its limb.
     """
     heaviest, parents = dominant_bones(figure.weights), np.array(figure.parents)
-    for side in ("Left", "Right"):
-        hip, knee = (match.roles[side + part] for part in ("Hip", "Knee"))
-        if f"{side}Ankle" in match.roles:
+    for side, (upper, lower, last) in product(("Left", "Right"), LIMBS):
+        hip, knee = (match.roles.get(side + part) for part in (upper, lower))
+        if side + last in match.roles or hip is None or knee is None:
             continue
         below = np.flatnonzero(figure.parents == knee)
         skin = figure.mesh.vertices[heaviest == knee]
@@ -131,6 +134,8 @@ def _attach_feet(figure: SkinnedMesh, match: JointMatch) -> SkinnedMesh | None:
             continue
         gaps = np.linalg.norm(figure.joints - end, axis=1)
         apart = [joint for joint in np.unique(heaviest) if not _descends(joint, hip, figure.parents)]
+        if last == "Wrist":  # clothes may be near a hand
+            apart = [joint for joint in apart if _HAND.search(figure.joint_names[joint])]
         foot = min(apart, key=lambda joint: gaps[joint], default=None)
         thigh = float(np.linalg.norm(figure.joints[knee] - figure.joints[hip]))
         if foot is not None and gaps[foot] < _FOOT_GAP * thigh and not _descends(knee, foot, figure.parents):

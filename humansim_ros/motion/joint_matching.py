@@ -246,7 +246,7 @@ def _common_start(texts: Sequence[str]) -> str:
 
 
 #: Roles of the parts of limbs, without their side.
-_LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
+LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
 #: A joint that moves by at most this share of the lower part of a limb is at its end. The part is between
 #: these multiples of the upper one.
 _END_GAP, _LOWER_BY_UPPER = 0.1, (0.4, 2.5)
@@ -323,7 +323,7 @@ def _match_names_in_motion(motion: Motion, table: str | os.PathLike[str] | None)
     found: JointMatch | None = None
     with suppress(MotionError):
         found = match_names(names, table, motion.path, parents)
-    limbs = [[side + part for part in limb] for side in ("Left", "Right") for limb in _LIMBS]
+    limbs = [[side + part for part in limb] for side in ("Left", "Right") for limb in LIMBS]
     if motion.n_frames > 1 and (found is None or not all(end in found.roles for _, _, end in limbs)):
         tables = _candidates(table, motion.path)
         by_names = [_best_match(tables, names, None, loose) for loose in (False, True)]

@@ -44,6 +44,7 @@ import trimesh
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 
+import collada_files  # noqa: E402
 import figures  # noqa: E402
 import motion_files  # noqa: E402
 import motion_formats  # noqa: E402
@@ -309,6 +310,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "smpl motion": (reading_motion, "*.npz"),
     "keyframes": (read_keyframes, "*.xml"),
     **{suffix[1:]: (reading_figure, f"*{suffix}") for suffix in (".gltf", ".glb", ".vrm")},
+    "dae figure": (reading_figure, "*.dae"),
     "human": (read_human, "*.npz"),
     "smpl": (make_human, "*.npz"),
     "description": (read_description, "*.yaml"),
@@ -653,6 +655,7 @@ def npy(array: np.ndarray[Any, Any]) -> bytes:
     return content.getvalue()
 
 
+PERSON = motion_files.stand_in("mixamo")
 SEEDS = {
     "scene": [SCENE],
     "recipe": [(ROOT / "config" / "recipes" / "people.yaml").read_bytes()],
@@ -690,6 +693,10 @@ SEEDS = {
     "stl": [exported("stl"), exported("stl_ascii")],
     "off": [exported("off")],
     "dae": [exported("dae")],
+    "dae figure": [
+        collada_files.collada_text(PERSON, motion_files.walk(3), style=style).encode()
+        for style in collada_files.STYLES.values()
+    ],
     "3mf": [exported("3mf")],
     "estimate csv": [CSV, ANIPOSE, FREEMOCAP],
     "estimate npy": [npy(np.full((2, 17, 3), 1.5)), npy(np.ones((2, 17, 3), np.float32))],

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -111,6 +112,12 @@ def run_limited(
 def is_fbx(data: bytes) -> bool:
     """Whether the content of a file is FBX, binary or text."""
     return data.startswith(_BINARY_FBX) or (data[:2] == b"; " and b"FBX" in data[:64])
+
+
+def is_collada(data: bytes) -> bool:
+    """Whether the content of a file is COLLADA."""
+    start = data[:65536].lstrip(b"\xef\xbb\xbf \t\r\n")
+    return start.startswith(b"<") and re.search(rb"<(\w+:)?COLLADA\b", start) is not None
 
 
 def converted_fbx(

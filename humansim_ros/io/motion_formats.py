@@ -37,6 +37,7 @@ MOTION_FORMATS = (
     MotionFormat("poses", "SMPL in PKL, PT, NPY", (".pkl", ".pickle", ".pt", ".pth", ".npy"), "person"),
     MotionFormat("markers", "C3D, TRC", (".c3d", ".trc"), "person"),
     MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
+    MotionFormat("collada", "COLLADA", (".dae",), "animation", "human"),
 )
 #: Suffixes of all formats.
 MOTION_SUFFIXES = tuple(suffix for known in MOTION_FORMATS for suffix in known.suffixes)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, located, printable, some_of
-from humansim_ros.io.converters import converted_fbx, is_fbx
+from humansim_ros.io.converters import converted_fbx, is_collada, is_fbx
 from humansim_ros.io.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.io.schema_errors import schema_error
@@ -65,8 +65,12 @@ class Gltf:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
-        """Read a .gltf or .glb file, or an FBX file, which is converted."""
+        """Read a .gltf or .glb file, or an FBX or COLLADA file, which is converted."""
         data = read_bytes(path, MeshError, "glTF", MAX_BYTES)
+        if is_collada(data) or Path(path).suffix.lower() == ".dae":
+            from humansim_ros.mesh.collada import converted_collada  # slow to import
+
+            return cls.parse(path, converted_collada(path, data))
         return cls.parse(path, converted_fbx(path, MeshError, data) if is_fbx(data) else data)
 
     @classmethod

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.converters import converted_fbx, is_fbx
+from humansim_ros.io.converters import converted_fbx, is_collada, is_fbx
 from humansim_ros.io.files import read_bytes
 from humansim_ros.mesh.materials import UNKNOWN
 from humansim_ros.types import Array, Image
@@ -293,13 +293,17 @@ MAX_BYTES = 1 << 29
 
 
 def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
-    """Format and content of a mesh file; an FBX file is converted to glTF.
+    """Format and content of a mesh file; FBX files, and COLLADA files with a skin, are converted to glTF.
 
-    Raises MeshError if it is missing, empty or too large, or FBX that cannot be converted.
+    Raises MeshError if it is missing, empty or too large, or cannot be converted.
     """
     data = read_bytes(path, MeshError, "mesh", MAX_BYTES)
     if is_fbx(data) or (_format_of(data) is None and Path(path).suffix.lower() == ".fbx"):
         return "gltf", converted_fbx(path, MeshError, data)
+    if is_collada(data) and re.search(rb"<(\w+:)?skin\s", data):
+        from humansim_ros.mesh.collada import converted_collada  # slow to import
+
+        return "gltf", converted_collada(path, data)
     return _format_of(data) or MESH_SUFFIXES.get(Path(path).suffix.lower(), "obj"), data
 
 
@@ -317,7 +321,7 @@ def _format_of(data: bytes) -> MeshFormat | None:
         return "ply"
     if re.match(rb"(ST)?(C)?(N)?(4)?OFF\s", start):
         return "off"
-    if re.match(rb"<(\?xml|!--|COLLADA)", start) and b"<COLLADA" in data[:65536]:
+    if is_collada(data):
         return "dae"
     if start.startswith(b"PK\3\4"):
         return "3mf" if any(name.lower().endswith("3dmodel.model") for name in _names(data)) else None

@@ -70,7 +70,7 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
     if name == "zip":
         return _read_archive(Path(file), part, positions)
     # imported on use: most motions are BVH files
-    if name in ("gltf", "vrma", "fbx"):
+    if name in ("gltf", "vrma", "fbx", "collada"):
         from humansim_ros.motion.gltf_motion import read_gltf_motion
 
         return read_gltf_motion(file, part)

@@ -47,7 +47,7 @@ _VRM_BODY: dict[str, tuple[float, float, float]] = {
     "Foot": (0.096, 0.087, -0.01),
     "Toes": (0.096, 0.012, 0.14),
 }
-_PHALANX = 0.03
+_PHALANX, _NO_SIZE = 0.03, 1e-4
 #: A joint that moves by more than this share of the skeleton's size gets position channels.
 _MIN_TRANSLATION = 1e-6
 
@@ -68,7 +68,8 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
         skeleton = GltfSkeleton.of_animation(gltf, chosen)
         if skeleton is None:
             raise MotionError("the file has no skeleton, and the animation turns nothing")
-        if not np.ptp(skeleton.bind[:, :3, 3], axis=0).any() and set(_VRM_BODY) & set(skeleton.names):
+        size = np.ptp(skeleton.bind[:, :3, 3], axis=0).max()
+        if size < _NO_SIZE and "VRMC_vrm_animation" in gltf.document.extensions:
             gltf = _with_offsets(gltf, skeleton)
             skeleton = replace(skeleton, bind=gltf.at_rest[skeleton.nodes])
         return _motion(gltf, skeleton, chosen)

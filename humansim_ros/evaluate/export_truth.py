@@ -73,17 +73,12 @@ class ExportTruth:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """All poses of the export, with its keypoints. Raises EvaluationError if it has none."""
+        """All poses of the export, of a keypoint set if it has it. Raises EvaluationError if it has none."""
         found = {name: _POSES[name] or self.keypoints.name for name in _POSES if name in self.formats}
-        chosen = [name for name, points in found.items() if keypoints is None or points == keypoints.name]
+        chosen = sorted(found, key=lambda name: keypoints is not None and found[name] != keypoints.name)
         if not chosen:
-            has = f"poses of {', '.join(sorted(set(found.values())))}" if found else "no 3D poses"
-            wanted = f" of {keypoints.name}" if keypoints is not None else ""
-            raise EvaluationError(
-                f"the export has {has}; export them{wanted} with --format trc, or give its scene",
-                path=self.folder,
-                key="--truth",
-            )
+            text = "the export has no 3D poses; export them with --format trc, or give its scene"
+            raise EvaluationError(text, path=self.folder, key="--truth")
         for name in self._files:
             if name.startswith(f"{chosen[0]}/"):
                 self._check(name)
@@ -263,12 +258,10 @@ class SceneImages:
         return bisect_right(range(last), number, key=self._first) - 1
 
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None) -> ImageTruth:
-        """Render the frames from the first to the last of some images; needs OpenGL.
+        """Render the frames from the first to the last of some images, or the first one; needs OpenGL.
 
-        Args:
-            numbers: Numbers of the images; if there is none, the first frame is rendered.
-            keypoints: Set of the estimate. The truth has this set, else its own, else coco17: the first one
-                with published OKS constants.
+        ``keypoints``: set of the estimate. The truth has it if its OKS constants are published, else its own
+        set, else coco17.
 
         Raises:
             EvaluationError: There are too many frames.

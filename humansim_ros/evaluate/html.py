@@ -381,7 +381,8 @@ def _shape(
     if kind == "keypoints":
         points = np.reshape(np.asarray(row["keypoints"], float), (-1, 3))
         absent = ~points.any(axis=1) | (points[:, 2] <= 0)
-        edges = keypoint_set(evaluation.keypoint_set).edges
+        known, scores = keypoint_set(evaluation.keypoint_set), evaluation.keypoints
+        edges = known.subset([known.index(name) for name in scores.by_keypoint]).edges if scores else ()
         return Shape(color, np.where(absent[:, None], np.nan, points[:, :2]), edges)
     if kind == "boxes":
         return Shape(color, nothing, box=np.asarray(row["bbox"], float))

@@ -141,12 +141,7 @@ def set_of_names(names: Sequence[str]) -> KeypointSet | None:
 
 @cache
 def set_with_names(names: tuple[str, ...]) -> KeypointSet:
-    """Keypoint set with names of a file, and with the points that these names stand for, as far as known.
-
-    Example:
-        >>> set_with_names(("nose", "LKnee", "tail")).points
-        ('nose', 'l_knee', 'tail')
-    """
+    """Keypoint set with names of a file, and with the points that these names stand for, as far as known."""
     sets = [*KEYPOINT_SETS.values()][::-1]
     places = {_plain(n): p for each in sets for n, p in zip(each.names, each.points, strict=True)}
     points = tuple(places.get(_plain(name)) or body_joint(name) or name for name in names)

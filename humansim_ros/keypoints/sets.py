@@ -88,9 +88,11 @@ class KeypointSet:
         }
 
     def subset(self, numbers: Sequence[int], sigmas: tuple[float, ...] | None = None) -> KeypointSet:
-        """Set of some of the keypoints, without lines. ``sigmas``: their OKS constants."""
+        """Set of some of the keypoints. ``sigmas``: their OKS constants."""
         names, points = (tuple(each[number] for number in numbers) for each in (self.names, self.points))
-        return replace(self, names=names, points=points, edges=(), sigmas=sigmas)
+        places = {number: place for place, number in enumerate(numbers)}
+        edges = tuple((places[a], places[b]) for a, b in self.edges if a in places and b in places)
+        return replace(self, names=names, points=points, edges=edges, sigmas=sigmas)
 
     @cached_property
     def openpose_fields(self) -> Mapping[str, tuple[int, ...]]:

@@ -69,9 +69,13 @@ def views() -> Iterable[tuple[str, int]]:
     return ((camera, frame) for camera in CAMERAS for frame in range(FRAMES))
 
 
-def write_truth(folder: Path, formats: tuple[str, ...] = ("coco", "trc", "aicity")) -> Path:
-    """Export with COCO and TRC files, and boxes in map."""
-    images, rows, tracks = [], [], []
+def write_truth(
+    folder: Path, formats: tuple[str, ...] = ("coco", "trc", "aicity"), keypoints: str = "coco17"
+) -> Path:
+    """Export with COCO and TRC files, and boxes in map. ``keypoints``: name of its keypoint set."""
+    images: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    tracks = []
     for camera, frame in views():
         images.append(
             {"id": number(camera, frame), "file_name": f"{camera}/{frame:06d}.png", "camera": camera,
@@ -106,7 +110,7 @@ def write_truth(folder: Path, formats: tuple[str, ...] = ("coco", "trc", "aicity
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
-    plan = {"first": 0, "end": FRAMES, "formats": formats, "keypoints": "coco17"}
+    plan = {"first": 0, "end": FRAMES, "formats": formats, "keypoints": keypoints}
     hashes = {name: {"sha256": hashlib.sha256(text.encode()).hexdigest()} for name, text in files.items()}
     index = {"humansim_export": 1, "finished": True, "plan": plan, "rate": RATE, "humans": list(PEOPLE)}
     (folder / "index.json").write_text(json.dumps(index | {"files": hashes}))
@@ -189,7 +193,7 @@ def openpose(folder: Path, people: tuple[str, ...] = PEOPLE) -> Path:
         for person in people:
             table = np.reshape(scored(camera, person, frame), (-1, 3))[TO_BODY25]
             table[[n for n, own in enumerate(TO_BODY25) if own < 0]] = [50, 50, 0.9]
-            fields = {"pose_keypoints_3d": [], "face_keypoints_2d": [], "hand_left_keypoints_2d": []}
+            fields = {key: list[float]() for key in ("pose_keypoints_3d", "face_keypoints_2d")}
             rows.append({"person_id": [-1], "pose_keypoints_2d": table.ravel().tolist(), **fields})
         name = f"{camera}_json/{camera}_{frame:012d}_keypoints.json"
         write_json(folder / name, {"version": 1.3, "people": rows})
@@ -207,11 +211,22 @@ def instances(camera: str, frame: int, people: tuple[str, ...] = PEOPLE) -> list
     return found
 
 
-def mmpose_images(folder: Path, people: tuple[str, ...] = PEOPLE) -> Path:
-    """predictions/ of the inferencer for a folder of images: a list in each file."""
+def mmpose_images(
+    folder: Path, people: tuple[str, ...] = PEOPLE, name: str = "predictions/{camera}_{frame:06d}.json"
+) -> Path:
+    """The inferencer for a folder of images: a list in each file."""
     for camera, frame in views():
-        write_json(folder / f"predictions/{camera}_{frame:06d}.json", instances(camera, frame, people))
-    return folder / "predictions"
+        write_json(folder / name.format(camera=camera, frame=frame), instances(camera, frame, people))
+    return folder
+
+
+def mmpose_image_demo(folder: Path) -> Path:
+    """results_IMAGE.json of the demos."""
+    names = {str(number): name for number, name in enumerate(COCO)}
+    for camera, frame in views():
+        content = {"meta_info": {"keypoint_id2name": names}, "instance_info": instances(camera, frame)}
+        write_json(folder / f"results_{camera}_{frame:06d}.json", content)
+    return folder
 
 
 def mmpose_video(folder: Path) -> Path:
@@ -283,6 +298,14 @@ def yolo_json(folder: Path) -> Path:
     return folder
 
 
+def yolo_results(folder: Path) -> Path:
+    """The rows of ``to_json`` of all images in one file, under their names."""
+    files = sorted(yolo_json(folder / "each").iterdir())
+    rows = {f"{file.stem}.jpg": json.loads(file.read_text()) for file in files}
+    write_json(folder / "results.json", rows)
+    return folder / "results.json"
+
+
 def deeplabcut(folder: Path, people: tuple[str, ...] = PEOPLE, seen: bool = True) -> Path:
     """A file of each camera with three lines of header, or with four if there are several people."""
     names = [name.replace("left_", "l_").replace("right_", "r_") for name in COCO]
@@ -302,15 +325,39 @@ def deeplabcut(folder: Path, people: tuple[str, ...] = PEOPLE, seen: bool = True
     return folder
 
 
-def mot(folder: Path, first: int = 1, end: str = ",0.9,-1,-1,-1") -> Path:
-    """Results of MOTChallenge: a file of each camera."""
-    folder.mkdir(exist_ok=True)
+def deeplabcut_labels(folder: Path) -> Path:
+    """Labels of a person: three columns name an image."""
+    for camera in CAMERAS:
+        columns = [(name, axis) for name in COCO for axis in "xy"]
+        lines = [
+            ",".join(["scorer,,", *["me"] * len(columns)]),
+            ",".join(["bodyparts,,", *(name for name, _ in columns)]),
+            ",".join(["coords,,", *(axis for _, axis in columns)]),
+        ]
+        for frame in range(FRAMES):
+            values = pixels(camera, "anna", frame).ravel().tolist()
+            lines.append(",".join(["labeled-data", camera, f"img{frame:04d}.png", *map(str, values)]))
+        (folder / f"CollectedData_{camera}.csv").write_text("\n".join(lines))
+    return folder
+
+
+def mot(
+    folder: Path,
+    first: int = 1,
+    end: str = ",0.9,-1,-1,-1",
+    name: str = "{camera}.txt",
+    people: tuple[str, ...] = PEOPLE,
+    seen_by: tuple[str, ...] = tuple(CAMERAS),
+) -> Path:
+    """Results of MOTChallenge: a file of each camera. ``seen_by``: cameras that see the people."""
     for camera in CAMERAS:
         lines = [
             f"{frame + first},{track}," + ",".join(map(repr, box(camera, person, frame))) + end
-            for frame in range(FRAMES) for track, person in enumerate(PEOPLE, 1)
+            for frame in range(FRAMES) for track, person in enumerate(people, 1) if camera in seen_by
         ]  # fmt: skip
-        (folder / f"{camera}.txt").write_text("\n".join(lines))
+        path = folder / name.format(camera=camera)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("\n".join(lines))
     return folder
 
 

@@ -55,13 +55,18 @@ def run(
         (made.openpose, ()),
         (made.openpose, ("--keypoints", "body25")),
         (made.mmpose_images, ()),
+        (partial(made.mmpose_images, name="predictions/{camera}/{frame:06d}.json"), ()),
+        (made.mmpose_image_demo, ()),
         (made.mmpose_video, ()),
         (made.mmpose_demo, ()),
         (made.yolo, ()),
         (partial(made.yolo, more=" 0.8"), ()),
         (partial(made.yolo, more=" 0.8 17"), ()),
         (partial(made.yolo, more=" 17"), ()),
+        (partial(made.yolo, name="{camera}_{frame}"), ()),
+        (lambda folder: made.yolo(folder).parent, ()),
         (made.yolo_json, ()),
+        (made.yolo_results, ()),
         (made.deeplabcut, ()),
         (made.coco_data_set, ()),
     ],
@@ -85,6 +90,8 @@ def test_keypoints_in_images(write: made.Writer, options: tuple[str, ...], run: 
         made.mot,
         partial(made.mot, first=0),
         partial(made.mot, end=",1,1,0.8"),
+        partial(made.mot, end=",-1,-1,-1,-1"),
+        partial(made.mot, name="{camera}/det/det.txt"),
         made.aicity_2d,
     ],
 )
@@ -94,6 +101,45 @@ def test_boxes_in_images(write: made.Writer, run: Run, tmp_path: Path) -> None:
     own = result["boxes"]["all"]
     assert result["keypoints"] is None and (own["present"], own["found"], own["false"]) == (48, 48, 0)
     assert own["precision"]["ap"] == pytest.approx(1) and own["similarity"] > 0.9999
+
+
+@pytest.mark.parametrize(
+    ("write", "kind", "images", "found"),
+    [
+        (lambda folder: made.mot(folder) / "camera_2.txt", "boxes", 12, 24),
+        (lambda folder: made.mot(folder, name="{camera}/det/det.txt") / "camera_1", "boxes", 12, 24),
+        (partial(made.mot, seen_by=("camera_2",)), "boxes", 24, 24),
+        (lambda folder: made.openpose(folder) / "camera_1_json", "keypoints", 12, 24),
+        (partial(made.deeplabcut, people=("anna",)), "keypoints", 24, 24),
+        (lambda folder: next(made.deeplabcut(folder).glob("camera_2*")), "keypoints", 12, 24),
+        (made.deeplabcut_labels, "keypoints", 24, 24),
+    ],
+)
+def test_some_of_the_people_or_cameras(
+    write: made.Writer, kind: str, images: int, found: int, run: Run, tmp_path: Path
+) -> None:
+    code, result, text = run(write(tmp_path))
+    assert code == 0 and not text, text
+    own = result[kind]["all"]
+    assert result["images"] == images
+    assert (own["present"], own["found"], own["false"]) == (2 * images, found, 0)
+    recalls = found / (2 * images) >= np.linspace(0, 1, 101)  # as COCO asks, with precision 1
+    assert own["precision"]["ap"] == pytest.approx(np.mean(recalls), abs=1e-6)
+
+
+def test_frames_of_a_video_of_ultralytics_count_from_one(run: Run, tmp_path: Path) -> None:
+    code, result, text = run(made.yolo(tmp_path, name="{camera}_{frame}", first=1))
+    assert code == 0 and text.count("warning: ") == 1 and "count from 1, as ultralytics" in text, text
+    assert result["keypoints"]["all"]["found"] == 48 and result["boxes"]["all"]["similarity"] > 0.9999
+
+
+def test_seventeen_keypoints_without_names_may_be_of_two_sets(run: Run, tmp_path: Path) -> None:
+    other = made.write_truth(tmp_path / "truth", keypoints="h36m17")
+    estimate = made.mmpose_images(tmp_path / "estimate")
+    code, _, text = run(estimate, of=other)
+    assert code == 0 and "taken as h36m17, the set of the truth" in text and "--keypoints coco17" in text
+    code, result, text = run(estimate, "--keypoints", "coco17", of=other)
+    assert code == 0 and not text and len(result["keypoints"]["by_keypoint"]) < 17, text
 
 
 @pytest.mark.parametrize(
@@ -122,6 +168,17 @@ def test_poses(write: made.Writer, options: tuple[str, ...], people: int, run: R
     assert (found["present"], found["found"], found["false"]) == (24, 12 * people, 0)
     assert result["position"]["mpjpe"] < 1e-6 and len(result["by_joint"]) == 17
     assert result["tracking"]["switches"] == 0
+
+
+def test_an_empty_row_of_freemocap_is_a_frame(run: Run, tmp_path: Path) -> None:
+    path = made.freemocap_wide(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[4] = "," * lines[0].count(",")
+    path.write_text("\n".join(lines))
+    code, result, text = run(path)
+    assert code == 0 and not text, text
+    assert result["frames"]["compared"] == 12 and result["people"]["found"] == 11
+    assert result["position"]["mpjpe"] < 1e-6
 
 
 def written(name: str, content: str | bytes) -> made.Writer:
@@ -200,6 +257,9 @@ def no_labels(folder: Path) -> Path:
         partial(made.openpose, people=()),
         partial(made.mmpose_images, people=()),
         partial(made.deeplabcut, people=("anna",), seen=False),
+        written("camera_1DLC_a.csv", "scorer,a,a,a\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n"),
+        written("results_camera_1.json", '{"meta_info": {}, "instance_info": []}'),
+        partial(made.mot, people=()),
         no_labels,
         written("camera_1/labels/000003.txt", "56 0.5 0.5 0.1 0.1\n"),
     ],

@@ -193,8 +193,13 @@ def test_wrong_exports(run: Run, root: Path) -> None:
     ]:
         code, _, text = run(truth, estimate)
         assert code == 2 and message in text, text
-    code, _, text = run("set", "set/trc", "--keypoints", "body25")
-    assert code == 2 and "export them of body25 with --format trc" in text
+
+
+def test_another_set_than_that_of_the_export_is_compared_by_its_names(run: Run, root: Path) -> None:
+    code, result, text = run("set", "set/trc", "--keypoints", "body25")
+    assert code == 0 and len(result["by_joint"]) == 17 and result["position"]["worst"] == 0, text
+    code, result, text = run("set", "results.json", "--keypoints", "body25")
+    assert code == 0 and result["keypoint_set"] == "coco17", text
 
 
 def test_results_with_mistakes(run: Run, root: Path) -> None:

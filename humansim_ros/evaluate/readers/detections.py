@@ -78,7 +78,7 @@ def _has_2d_files(path: Path) -> bool:
     """Whether a folder has files of people in images; the first one with people decides."""
     if any(path.glob("hdPose3d_*/*.json")) or any(path.glob("keypoints3d/*.json")):
         return False
-    for pattern in ("*", "*/*", "pose/*/*", "*/labels/*", "*/*/*.txt"):
+    for pattern in ("*", "*/*", "*/*/*"):
         files = sorted(islice((file for file in path.glob(pattern) if file.suffix in LAYOUTS), _LOOKED_AT))
         for file in files:
             if (found := _is_2d_file(file)) is not None:
@@ -110,10 +110,7 @@ def read_image_estimates(
 ) -> Detections2D:
     """Read detections in images; several files are one estimate, such as keypoints and masks.
 
-    Args:
-        texts: ``BAG:TOPIC``, files or folders.
-        images: Images of the truth.
-        keypoints: Set of keypoints without names; if None, their number determines the set.
+    ``keypoints``: set of keypoints without names. If None, their number determines the set.
 
     Raises:
         EvaluationError: A file is missing, of another kind or damaged, of images that the truth has not, or
@@ -197,15 +194,11 @@ def _read(text: str, images: ImageNumbers, keypoints: KeypointSet | None) -> Det
 
 
 def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None) -> Detections2D:
-    """Read files of one of :data:`LAYOUTS`.
+    """Read a file of one of :data:`LAYOUTS`, or a folder of them.
 
-    Args:
-        path: A file, or a folder of files.
-        images: Images of the truth.
-        given: Set of the keypoints, if the file has no names of them, and as many of them as the set.
+    ``given``: set of keypoints without names, if there are as many.
 
-    Raises:
-        EvaluationError: A file is damaged, or of an image that the truth has not; with key or line.
+    Raises EvaluationError with key or line, if a file is damaged, or of an image that the truth has not.
     """
     files = camera_files(path, list(LAYOUTS), images) if path.is_dir() else [path]
     sources, results = [ImageFile(file, images) for file in files], list[_Record]()
@@ -222,8 +215,10 @@ def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None
         content = content_of(text, source.path)
         if not content and len(files) == 1:  # it names no image
             return Detections2D([], None, str(path))
-        probe = next(iter(content.values()), None) if is_text else content
-        fitting = [row for row in LAYOUTS[suffix] if probe is None or row[1](probe) is not False]
+        if is_text and not content:
+            continue
+        probe = next(iter(content.values())) if is_text else content
+        fitting = [row for row in LAYOUTS[suffix] if row[1](probe) is not False]
         if not fitting:
             known = ", ".join(name for name, *_ in LAYOUTS[suffix])
             raise EvaluationError(f"is not as these write detections in images: {known}", path=source.path)
@@ -240,10 +235,14 @@ def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None
             raise EvaluationError(text, path=source.path, **source.where) from None
     if len({len(row.get("keypoints", ())) for row in results} - {0}) > 1:
         raise EvaluationError("its files have different keypoints", path=path)
+    other = COUNTED_SETS.get(len(keypoints or ()))
+    if given is None and keypoints == images.keypoints and other not in (None, keypoints):
+        text = f"{len(images.keypoints)} keypoints are taken as {images.keypoints.name}, the set of the truth"
+        warn_about(path, f"{text}; if they are {other.name}, give --keypoints {other.name}")
     numbers = frozenset[int]().union(*(source.searched for source in sources))
     return Detections2D(
         results,
-        None if is_text or any(source.is_sparse for source in sources) else numbers,
+        None if is_text or not numbers or any(source.is_sparse for source in sources) else numbers,
         str(path),
         keypoints,
         cameras=(is_text and {source.camera for source in sources if source.camera}) or None,

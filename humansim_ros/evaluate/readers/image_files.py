@@ -132,8 +132,11 @@ def camera_files(path: Path, suffixes: Sequence[str], images: ImageNumbers) -> l
             files = [(file, str(file.relative_to(root))) for file in sorted(root.glob(pattern + suffix))]
             if found := [file for file, text in files if camera_in(text, images, default=False)]:
                 return found
-        if found := [file for file in sorted(root.glob(f"*{suffix}")) if camera_in(str(file), images)]:
-            return found
+        for pattern in ("*", *_PATTERNS):
+            if found := [
+                file for file in sorted(root.glob(pattern + suffix)) if camera_in(str(file), images)
+            ]:
+                return found
     names, known = ", ".join(list(images.cameras)[:6]), " or ".join(suffixes)
     text = f"no {known} file of a camera: a folder for each is needed, or files, with its name ({names})"
     raise EvaluationError(text, path=path)
@@ -201,7 +204,7 @@ def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, 
     elif name := next((name for name in ("people", "bodies") if name in content), None):
         yield None, content[name], f"{key}{name}"
     elif "instance_info" in content:
-        yield from _images_of(content["instance_info"], "instance_info")
+        yield from _images_of(content["instance_info"], "instance_info") if content["instance_info"] else ()
     else:
         for image, value in content.items():
             key = f"{printable(image, 80)}."
@@ -211,7 +214,9 @@ def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, 
 def _json(content: Any, file: ImageFile) -> Iterator[_Record]:
     """People of OpenPose, of AlphaPose, of MMPose, and of ``to_json`` of ultralytics."""
     info = content.get("meta_info", {}) if isinstance(content, dict) else {}
-    names = tuple(info.get("keypoint_id2name", {}).values())
+    names = tuple(
+        name for _, name in sorted(info.get("keypoint_id2name", {}).items(), key=lambda row: int(row[0]))
+    )
     for image, people, key in _images_of(content):
         file.is_sparse |= isinstance(image, str)
         number = file.number(image)

@@ -31,7 +31,7 @@ from humansim_ros.types import Array, Indices
 
 #: Most elements and attributes of a file; nodes with all instances; numbers, which count at each use; keys of
 #: animations; joints of a vertex.
-_MAX_PARTS, _MAX_NODES, _MAX_READ, _MAX_KEYS, _MAX_JOINTS = 2_000_000, 50_000, 100_000_000, 1_000_000, 64
+_MAX_PARTS, _MAX_NODES, _MAX_READ, _MAX_KEYS, _MAX_JOINTS = 2_000_000, 50_000, 50_000_000, 1_000_000, 64
 #: Lowest rate, per second, of animated values other than whole matrices; points of a curve between two keys.
 _RATE, _POINTS = 60.0, 16
 #: Seconds between times that rounding makes different; largest number of a transform.
@@ -43,7 +43,8 @@ _TO_Y_UP: dict[str, Array] = {
     "Z_UP": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
 _POLYGONS = ("triangles", "polylist", "polygons", "trifans", "tristrips")
-_WIDTHS = {"POSITION": 3, "NORMAL": 3, "TEXCOORD": 2}
+_WIDTHS, _POSITION = {"POSITION": 3, "NORMAL": 3, "TEXCOORD": 2}, "input[@semantic='POSITION']"
+_MESHES = ("instance_controller", "instance_geometry")
 #: Transforms of nodes with the number of their values, and the values that channels name.
 _TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3}
 _MEMBERS = {"X": 0, "Y": 1, "Z": 2, "ANGLE": 3}
@@ -76,21 +77,10 @@ def converted_collada(path: str | os.PathLike[str], data: bytes) -> bytes:
             return _Conversion(Path(path), root).result()
 
 
-class _Shape(NamedTuple):
-    """Triangles (T, 3) of V vertices: data by semantic, and the point (V,) of each vertex, of ``points``."""
-
-    material: str
-    data: dict[str, Array]
-    triangles: Indices
-    rows: Indices
-    points: int
-
-
 class _Curve(NamedTuple):
-    """Values (K, W), from ``first`` on, at times (K,) of the transform at ``place`` in the element of a node.
+    """Values (K, W) at times (K,) of the transform at ``place`` in a node, from its value ``first`` on.
 
-    There are straight lines between them. ``keys``: times of the keys in the file. ``exact``: a matrix, whose
-    keys tell the poses between them.
+    ``keys``: times in the file. ``exact``: a matrix, whose keys tell the poses between them.
     """
 
     node: int
@@ -112,17 +102,16 @@ class _Conversion(GlbBuilder):
         self.elements = {name: element for name, element in reversed(named) if name}
         self.nodes: list[tuple[Element, int]] = []  # element of each node, and node above it
         self.named: defaultdict[str | None, list[int]] = defaultdict(list)
-        self.made: dict[str, Any] = {}  # nodes of instances, and materials
+        self.made: dict[str, Any] = {}  # meshes, materials and textures
         self.keys = self.spent = 0
 
     def result(self) -> bytes:
         """Content of the .glb file."""
         self.add_nodes()
         for number, (element, _) in enumerate(self.nodes):
-            for instance in element:
-                if instance.tag in ("instance_controller", "instance_geometry"):
-                    with self.inside(instance):
-                        self.add_instance(number, instance)
+            if element.tag in _MESHES:
+                with self.inside(element):
+                    self.lists["nodes"][number] |= self.mesh(element)
         lost: list[str] = []
         for name, span, curves in self.animations(lost):
             self.add_animation(name, span, curves)
@@ -180,14 +169,15 @@ class _Conversion(GlbBuilder):
     def values(self, owner: Element, width: int) -> Array:
         """Numbers (N, ``width``) of the source that an ``input`` names."""
         source = self.find(owner.get("source"), "source")
-        numbers, accessor = self.numbers(self.child(source, "float_array")), source.find(".//accessor")
-        stated = {} if accessor is None else accessor.attrib
-        start, stride = int(stated.get("offset", 0)), int(stated.get("stride", width))
-        count = int(stated.get("count", (len(numbers) - start) // max(stride, 1)))
-        if min(start, count) < 0 or stride < width or start + count * stride > len(numbers):
-            wanted = f"{count} values of {width} numbers with the stride {stride}"
-            raise MeshError(f"source {printable(source.get('id', ''), 60)}: {len(numbers)} are not {wanted}")
-        return np.asarray(numbers[start : start + count * stride].reshape(count, stride)[:, :width])
+        with self.inside(source):
+            numbers, accessor = self.numbers(self.child(source, "float_array")), source.find(".//accessor")
+            stated = {} if accessor is None else accessor.attrib
+            start, stride = int(stated.get("offset", 0)), int(stated.get("stride", width))
+            count = int(stated.get("count", (len(numbers) - start) // max(stride, 1)))
+            if min(start, count) < 0 or stride < width or start + count * stride > len(numbers):
+                wanted = f"{count} values of {width} numbers with the stride {stride}"
+                raise MeshError(f"{len(numbers)} numbers are not {wanted}")
+            return np.asarray(numbers[start : start + count * stride].reshape(count, stride)[:, :width])
 
     def names(self, owner: Element | None) -> list[str]:
         """Names of the source that an ``input`` names; none without one."""
@@ -216,24 +206,22 @@ class _Conversion(GlbBuilder):
                 matrix = self.matrices(element, {})[0]
                 if parent < 0:
                     matrix[:3, :3] = metres * _TO_Y_UP[up]
-                name = element.get("name") or element.get("sid") or element.get("id", "")
-                number = self.add_node(parent, name=name, matrix=matrix.T.ravel().tolist())
+                name = (
+                    element.get("name") or element.get("sid") or element.get("id") or element.get("url", "")
+                )
+                node = {"name": name, "matrix": matrix.T.ravel().tolist(), "children": []}
+                number = self.add("nodes", node)
                 self.nodes.append((element, parent))
-                for key in _NAMES:
+                if parent >= 0:
+                    self.lists["nodes"][parent]["children"].append(number)
+                for key in _NAMES if element.tag == "node" else ():
                     self.named[element.get(key)].append(number)
-                children = [each for each in element if each.tag in ("node", "instance_node")]
+                children = [each for each in element if each.tag in ("node", "instance_node", *_MESHES)]
                 if number + len(pending) + len(children) > _MAX_NODES:
                     raise MeshError(f"more than {_MAX_NODES} nodes: perhaps one is an instance of itself")
                 for each in reversed(children):
-                    below = each if each.tag == "node" else self.find(each.get("url"), "node")
+                    below = self.find(each.get("url"), "node") if each.tag == "instance_node" else each
                     pending.append((below, number))
-
-    def add_node(self, parent: int, **properties: Any) -> int:
-        """Add a node below another; return its number."""
-        number = self.add("nodes", {"children": [], **properties})
-        if parent >= 0:
-            self.lists["nodes"][parent]["children"].append(number)
-        return number
 
     def matrices(self, element: Element, animated: dict[int, Array]) -> Array:
         """Matrices (N, 4, 4) of a node in its parent; one if no values are ``animated``.
@@ -278,11 +266,9 @@ class _Conversion(GlbBuilder):
 
     # --- meshes, skins and materials
 
-    def add_instance(self, parent: int, instance: Element) -> None:
-        """Add a node with the mesh, and the skin, of an instance; nothing if it has no polygons."""
-        looks = {
-            each.get("symbol", ""): each.get("target", "") for each in instance.iter("instance_material")
-        }
+    def mesh(self, instance: Element) -> dict[str, int]:
+        """Numbers of the mesh and the skin of an instance, which are made once; none without polygons."""
+        looks = {each.get("symbol"): each.get("target", "") for each in instance.iter("instance_material")}
         controller = geometry = self.find(instance.get("url"), "controller", "geometry")
         skin: Element | None = None
         for _ in range(3):  # a skin, a morph, or the skin of a morph
@@ -291,77 +277,73 @@ class _Conversion(GlbBuilder):
                 skin = deformed if deformed.tag == "skin" else skin
                 geometry = self.find(deformed.get("source"), "geometry", "controller")
         key = str((instance.get("url"), looks, [each.text for each in instance.iter("skeleton")]))
-        if key not in self.made:
-            bind, columns = np.eye(4), dict[str, NDArray[Any]]()
-            self.made[key] = node = dict[str, int]()
-            with self.inside(geometry):
-                shapes = list(self.shapes(geometry))
-            if skin is not None and shapes:
+        parts = [each for each in geometry.iterfind("mesh/*") if each.tag in _POLYGONS]
+        if key not in self.made and parts:
+            bind, columns, made = np.eye(4), dict[str, NDArray[Any]](), dict[str, int]()
+            if skin is not None:
                 with self.inside(controller):
-                    stated = skin.find("bind_shape_matrix")
-                    bind = bind if stated is None else self.numbers(stated).reshape(4, 4)
-                    columns, node["skin"] = self.skin(instance, skin, shapes[0].points)
-            primitives = []
-            for shape in shapes:
-                arrays = {"POSITION": shape.data["POSITION"] @ bind[:3, :3].T + bind[:3, 3]}
-                if "NORMAL" in shape.data:
-                    arrays["NORMAL"] = unit_vectors(shape.data["NORMAL"] @ np.linalg.pinv(bind[:3, :3]))
-                if "TEXCOORD" in shape.data:
-                    arrays["TEXCOORD_0"] = shape.data["TEXCOORD"] * [1, -1] + [0, 1]
-                attributes = {name: self.accessor(each.astype(np.float32)) for name, each in arrays.items()}
-                attributes |= {name: self.accessor(each[shape.rows]) for name, each in columns.items()}
-                indices = self.accessor(shape.triangles.astype(np.uint32).ravel())
-                primitives.append({"attributes": attributes, "indices": indices})
-                if (target := looks.get(shape.material, shape.material).removeprefix("#")) in self.elements:
-                    primitives[-1]["material"] = self.material(target)
-                elif target:
-                    warn_about(self.path, f"there is no material {printable(target, 60)!r}: white is taken")
-            if primitives:
-                node["mesh"] = self.add("meshes", {"primitives": primitives})
-        if self.made[key]:
-            self.add_node(parent, name=self.lists["nodes"][parent]["name"], **self.made[key])
+                    points = self.values(self.child(geometry, f"mesh/vertices/{_POSITION}"), 3)
+                    if (stated := skin.find("bind_shape_matrix")) is not None:
+                        bind = self.numbers(stated).reshape(4, 4)
+                    columns, made["skin"] = self.skin(instance, skin, len(points))
+            with self.inside(geometry):
+                primitives = [self.primitive(part, bind, columns, looks) for part in parts]
+            if primitives := [each for each in primitives if each]:
+                self.made[key] = {**made, "mesh": self.add("meshes", {"primitives": primitives})}
+        return dict(self.made.get(key, {}))
 
-    def shapes(self, geometry: Element) -> Iterator[_Shape]:
-        """Polygons of a geometry, for each of its materials."""
-        for part in (each for each in geometry.iterfind("mesh/*") if each.tag in _POLYGONS):
-            inputs = sorted(part.findall("input"), key=lambda each: int(each.get("set", 0)))
-            used = {each.get("semantic"): each for each in reversed(inputs)}
-            vertices = self.find(self.input(part, "VERTEX").get("source"), "vertices")
-            used |= {each.get("semantic"): each for each in vertices.iter("input")}
-            width = 1 + max(int(each.get("offset", 0)) for each in inputs)
-            groups = [self.numbers(each, np.int64) for each in part.iter("p")]
-            table = np.concatenate([*groups, np.empty(0, np.int64)]).reshape(-1, width)
-            sizes = np.array([len(group) // width for group in groups], np.int64)
-            if part.tag == "triangles":
-                sizes = np.full(len(table) // 3, 3)
-            elif part.tag == "polylist":
-                sizes = self.numbers(self.child(part, "vcount"), np.int64)
-            if sizes.sum() != len(table) or (sizes < 0).any():
-                raise MeshError(f"<{part.tag}> has {len(table)} corners, its polygons {sizes.sum()}")
-            corners = _triangles(sizes, strips=part.tag == "tristrips")
-            if not len(corners):
-                continue
-            key = np.zeros(len(table), np.int64)
-            data: dict[str, tuple[Array, Indices]] = {}
-            for semantic, size in _WIDTHS.items():
-                if (source := used.get(semantic)) is not None:
-                    values = self.values(source, size)
-                    column = table[
-                        :, int(used["VERTEX" if source in vertices else semantic].get("offset", 0))
-                    ]
-                    if not 0 <= column.min() <= column.max() < len(values):
-                        raise MeshError(f"<{part.tag}> has a {semantic} {column.max()} of {len(values)}")
-                    key = np.unique(key * len(values) + column, return_inverse=True)[1].reshape(-1)
-                    data[semantic] = values, column
-            _, first, triangles = np.unique(key[corners], return_index=True, return_inverse=True)
-            kept = corners.ravel()[first]
-            yield _Shape(
-                part.get("material", ""),
-                {semantic: values[column[kept]] for semantic, (values, column) in data.items()},
-                triangles.reshape(-1, 3),
-                data["POSITION"][1][kept],
-                len(data["POSITION"][0]),
-            )
+    def primitive(
+        self, part: Element, bind: Array, columns: dict[str, NDArray[Any]], looks: dict[str | None, str]
+    ) -> dict[str, Any]:
+        """Polygons of one material as triangles; empty if there are none.
+
+        ``bind``: transform of the points. ``columns``: joints and weights of all points, by attribute.
+        ``looks``: materials by symbol.
+        """
+        inputs = sorted(part.findall("input"), key=lambda each: int(each.get("set", 0)))
+        used = {each.get("semantic"): (each, int(each.get("offset", 0))) for each in reversed(inputs)}
+        vertices = self.find(self.input(part, "VERTEX").get("source"), "vertices")
+        used |= {each.get("semantic"): (each, used["VERTEX"][1]) for each in vertices.iter("input")}
+        groups = [self.numbers(each, np.int64) for each in part.iter("p")]
+        table = np.concatenate([*groups, np.empty(0, np.int64)])
+        self.spend(3000 + 5 * len(table))
+        table = table.reshape(-1, 1 + max(offset for _, offset in used.values()))
+        sizes = np.array([len(group) // table.shape[1] for group in groups], np.int64)
+        if part.tag == "triangles":
+            sizes = np.full(len(table) // 3, 3)
+        elif part.tag == "polylist":
+            sizes = self.numbers(self.child(part, "vcount"), np.int64)
+        if sizes.sum() != len(table) or (sizes < 0).any():
+            raise MeshError(f"<{part.tag}> has {len(table)} corners, its polygons {sizes.sum()}")
+        corners, key = _triangles(sizes, strips=part.tag == "tristrips"), np.zeros(len(table), np.int64)
+        if not len(corners):
+            return {}
+        data: dict[str, tuple[Array, Indices]] = {}
+        for semantic, width in _WIDTHS.items():
+            if semantic in used:
+                values, column = self.values(used[semantic][0], width), table[:, used[semantic][1]]
+                if not 0 <= column.min() <= column.max() < len(values):
+                    raise MeshError(f"<{part.tag}> has a {semantic} {column.max()} of {len(values)}")
+                key = np.unique(key * len(values) + column, return_inverse=True)[1].reshape(-1)
+                data[semantic] = values, column
+        _, first, triangles = np.unique(key[corners], return_index=True, return_inverse=True)
+        kept = corners.ravel()[first]
+        arrays = {semantic: values[column[kept]] for semantic, (values, column) in data.items()}
+        arrays["POSITION"] = arrays["POSITION"] @ bind[:3, :3].T + bind[:3, 3]
+        if "NORMAL" in arrays:
+            arrays["NORMAL"] = unit_vectors(arrays["NORMAL"] @ np.linalg.pinv(bind[:3, :3]))
+        if "TEXCOORD" in arrays:
+            arrays["TEXCOORD_0"] = arrays.pop("TEXCOORD") * [1, -1] + [0, 1]
+        attributes = {name: self.accessor(each.astype(np.float32)) for name, each in arrays.items()}
+        rows = data["POSITION"][1][kept]
+        attributes |= {name: self.accessor(each[rows]) for name, each in columns.items()}
+        out: dict[str, Any] = {"indices": self.accessor(triangles.astype(np.uint32).ravel())}
+        symbol = part.get("material", "")
+        if (target := looks.get(symbol, symbol).removeprefix("#")) in self.elements:
+            out["material"] = self.material(target)
+        elif target:
+            warn_about(self.path, f"there is no material {printable(target, 60)!r}: white is taken")
+        return {"attributes": attributes, **out}
 
     def skin(self, instance: Element, skin: Element, count: int) -> tuple[dict[str, NDArray[Any]], int]:
         """Add a skin; returns joints and weights of ``count`` points by attribute, and its number."""

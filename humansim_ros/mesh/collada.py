@@ -324,6 +324,9 @@ class _Conversion(GlbBuilder):
                 values, column = self.values(used[semantic][0], width), table[:, used[semantic][1]]
                 if not 0 <= column.min() <= column.max() < len(values):
                     raise MeshError(f"<{part.tag}> has a {semantic} {column.max()} of {len(values)}")
+                if semantic != "POSITION":  # exporters repeat equal normals and coordinates for each corner
+                    values, same = np.unique(values, axis=0, return_inverse=True)
+                    column = same.reshape(-1)[column]
                 key = np.unique(key * len(values) + column, return_inverse=True)[1].reshape(-1)
                 data[semantic] = values, column
         _, first, triangles = np.unique(key[corners], return_index=True, return_inverse=True)

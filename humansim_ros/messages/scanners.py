@@ -11,6 +11,7 @@ from humansim_ros.messages.headers import header
 from humansim_ros.messages.points import point_cloud, read_points
 from humansim_ros.messages.types import LaserScan, PointCloud2
 from humansim_ros.scanner.models import Layout
+from humansim_ros.scanner.pattern import Rays
 from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.sweeps import Sweep
 
@@ -67,7 +68,7 @@ def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
         layout: Name of the layout.
         frame: Frame of the scanner.
     """
-    returns, rays = sweep.returns, sweep.rays
+    returns, rays = sweep.returns, _numbered(sweep, layout)
     points = np.zeros(len(returns.rays), SCANNER_POINTS[layout])
     _put(points, "xyz", sweep.points)
     names, time = points.dtype.names or (), sweep.times + (sweep.start - sweep.stamp)
@@ -94,25 +95,29 @@ def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
     head = header(sweep.stamp, frame)
     if layout != "ouster" or rays.grid is None or not _one_each(returns.rays):
         return point_cloud(points, head)
-    return _table(sweep, points, head)
+    return _table(sweep, rays, points, head)
+
+
+def _numbered(sweep: Sweep, layout: Layout) -> Rays:
+    """Rays of a sweep; in the layout of Ouster, rings are the rows of its table, and the highest is row 0."""
+    return sweep.rays.from_top() if layout == "ouster" else sweep.rays
 
 
 def _one_each(rays: NDArray[np.intp]) -> bool:
     return bool((np.diff(rays) > 0).all())
 
 
-def _table(sweep: Sweep, points: NDArray[Any], head: Any) -> PointCloud2:
-    """Cloud of rings, the highest first, and columns, with a point for each ray."""
-    assert sweep.rays.grid is not None
-    rings, columns = sweep.rays.grid
+def _table(sweep: Sweep, rays: Rays, points: NDArray[Any], head: Any) -> PointCloud2:
+    """Cloud of rings and columns, with a point for each ray."""
+    assert rays.grid is not None
+    rings, columns = rays.grid
     table = np.zeros((rings, columns), points.dtype)
     for axis in "xyz":
         table[axis] = np.nan
-    place = rings - 1 - sweep.rays.rings.astype(int), np.arange(len(sweep.rays)) // rings
+    place = rays.rings, np.arange(len(rays)) // rings
     table["ring"][place] = place[0]
-    table["t"][place] = np.maximum(sweep.rays.times + (sweep.start - sweep.stamp), 0)
+    table["t"][place] = np.maximum(rays.times + (sweep.start - sweep.stamp), 0)
     chosen = sweep.returns.rays
-    points["ring"] = place[0][chosen]
     table[place[0][chosen], place[1][chosen]] = points
     message = point_cloud(table.ravel(), head)
     message.height, message.width = rings, columns
@@ -149,7 +154,7 @@ def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointClou
 
     A ray of a LaserScan, or of a table of Ouster, that has no return has a point of NaN.
     """
-    returns, rays = sweep.returns, sweep.rays
+    returns, rays = sweep.returns, _numbered(sweep, layout)
     points = np.zeros(len(returns.rays), SCANNER_TRUTH)
     _put(points, "xyz", sweep.true_points)
     points["range"], points["time"] = returns.ranges, (sweep.times + (sweep.start - sweep.stamp)) * 1e-9
@@ -169,7 +174,7 @@ def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointClou
         assert rays.grid is not None
         rings, columns = rays.grid
         ordered = np.zeros((rings, columns), SCANNER_TRUTH)
-        ordered[rings - 1 - rays.rings.astype(int), np.arange(len(rays)) // rings] = every
+        ordered[rays.rings, np.arange(len(rays)) // rings] = every
         every = ordered.ravel()
     message = point_cloud(every, head)
     message.is_dense = False

@@ -7,8 +7,8 @@ the x-y plane to z.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,8 @@ class Rays:
     Attributes:
         directions: (N, 3) unit vectors in the scanner's frame.
         times: (N,) int64 nanoseconds from the start of the sweep, ascending.
-        rings: (N,) uint16 number of the laser, of the row or of the line; 0 is the lowest laser.
+        rings: (N,) uint16 number of the laser, of the row or of the line, as the driver of the model counts
+            them. In patterns without a driver, 0 is the lowest laser.
         grid: (rings, columns) if the rays form such a table, column after column; None otherwise.
         azimuths: First azimuth and step in radians if all rays are in one plane; None otherwise.
     """
@@ -43,6 +44,13 @@ class Rays:
 
     def __len__(self) -> int:
         return len(self.times)
+
+    def from_top(self) -> Rays:
+        """The same rays, with the highest laser of a table as ring 0."""
+        heights, rings = self.directions[:, 2], self.rings
+        if self.grid is None or heights[rings.argmin()] >= heights[rings.argmax()]:
+            return self
+        return replace(self, rings=rings.max() - rings)
 
     @cached_property
     def _indices(self) -> dict[tuple[int, int], RayIndex]:
@@ -84,7 +92,7 @@ class Pattern:
         period: Nanoseconds from the start of a sweep to the start of the next.
         count: Number of rays of a sweep.
         repeated: Rays of every sweep; None if no two sweeps are alike.
-        make: Makes the rays of a sweep by its number, if they are not repeated.
+        make: Makes the rays of a sweep by its number, if they are not repeated. It can be pickled.
     """
 
     period: float
@@ -117,6 +125,7 @@ def spinning(
     azimuth: tuple[float, float] = (180.0, -180.0),
     firing: float = 0.0,
     channel: float = 0.0,
+    top_first: bool = False,
 ) -> Pattern:
     """Pattern of a scanner whose lasers turn about z.
 
@@ -128,6 +137,7 @@ def spinning(
             a turn apart, the first column of the next sweep otherwise.
         firing: Seconds from column to column; evenly spread over the angle if 0.
         channel: Seconds from laser to laser of a column. The scanner turns meanwhile.
+        top_first: Ring 0 is the highest laser, not the lowest.
     """
     first, last = np.radians(azimuth)
     turn = abs(last - first) >= 2 * np.pi - 1e-9
@@ -142,35 +152,41 @@ def spinning(
     after = column * between + laser * channel * _SECOND
     azimuths = first + step * after / between
     angles = np.radians(np.asarray(elevations, dtype=float))
-    rings = np.argsort(np.argsort(angles, kind="stable"), kind="stable")
     rays = Rays(
         directions(azimuths, angles[laser]),
         np.round(after).astype(np.int64),
-        rings[laser].astype(np.uint16),
+        _from_lowest(angles)[laser],
         (len(angles), columns),
         (float(first), float(step)) if len(angles) == 1 and not angles.any() else None,
     )
-    return Pattern(period, len(rays), rays)
+    return Pattern(period, len(rays), rays.from_top() if top_first else rays)
 
 
-def raster(rate: float, elevations: Sequence[float], columns: int, azimuth: tuple[float, float]) -> Pattern:
+def raster(rate: float, elevations: Sequence[float], columns: int, *azimuths: tuple[float, float]) -> Pattern:
     """Pattern of a solid-state scanner: a table of rays, fired row after row.
 
     Args:
         rate: Sweeps per second.
         elevations: Degrees of each row, in the order in which they are fired.
         columns: Rays of a row.
-        azimuth: Azimuth in degrees of the first and of the last column.
+        azimuths: Azimuth in degrees of the first and of the last column. Several pairs are lasers side by
+            side that fire together; rings are then their numbers.
     """
-    rows = len(elevations)
-    azimuths = np.radians(np.linspace(*azimuth, columns))
-    row, column = np.divmod(np.arange(rows * columns), columns)
+    rows, lasers = len(elevations), len(azimuths)
+    first, last = np.array(azimuths).T
+    turns = np.radians(np.linspace(first, last, columns))
     angles = np.radians(np.asarray(elevations, dtype=float))
+    row, column, laser = (part.ravel() for part in np.indices((rows, columns, lasers)))
     period = _SECOND / rate
-    times = np.round(np.arange(rows * columns) * (period / (rows * columns))).astype(np.int64)
-    rings = np.argsort(np.argsort(angles, kind="stable"), kind="stable")
-    rays = Rays(directions(azimuths[column], angles[row]), times, rings[row].astype(np.uint16))
+    times = np.round((row * columns + column) * (period / (rows * columns))).astype(np.int64)
+    rings = _from_lowest(angles)[row] if lasers == 1 else laser.astype(np.uint16)
+    rays = Rays(directions(turns[column, laser], angles[row]), times, rings)
     return Pattern(period, len(rays), rays)
+
+
+def _from_lowest(angles: Array) -> NDArray[np.uint16]:
+    """Ring of each laser or row: the lowest is 0."""
+    return np.argsort(np.argsort(angles, kind="stable"), kind="stable").astype(np.uint16)
 
 
 def rosette(rate: float, points: int, fov: float, turns: tuple[float, float]) -> Pattern:
@@ -183,16 +199,16 @@ def rosette(rate: float, points: int, fov: float, turns: tuple[float, float]) ->
         turns: Turns per second of both prisms; opposite signs for opposite directions.
     """
     count = round(points / rate)
+    return Pattern(_SECOND / rate, count, make=partial(_rosette_rays, count, points, fov, turns))
 
-    def make(number: int) -> Rays:
-        after = (number * count + np.arange(count)) / points
-        angles = np.radians(fov) / 4 * sum(np.exp(2j * np.pi * each * after) for each in turns)
-        off, around = np.abs(angles), np.angle(angles)
-        sideways = np.sin(off)
-        vectors = np.stack([np.cos(off), sideways * np.cos(around), sideways * np.sin(around)], axis=-1)
-        return Rays(vectors, _even_times(count, points), np.zeros(count, np.uint16))
 
-    return Pattern(_SECOND / rate, count, make=make)
+def _rosette_rays(count: int, points: int, fov: float, turns: tuple[float, float], number: int) -> Rays:
+    after = (number * count + np.arange(count)) / points
+    angles = np.radians(fov) / 4 * sum(np.exp(2j * np.pi * each * after) for each in turns)
+    off, around = np.abs(angles), np.angle(angles)
+    sideways = np.sin(off)
+    vectors = np.stack([np.cos(off), sideways * np.cos(around), sideways * np.sin(around)], axis=-1)
+    return Rays(vectors, _even_times(count, points), np.zeros(count, np.uint16))
 
 
 def oscillating(
@@ -214,17 +230,26 @@ def oscillating(
         lines: Lasers that fire in turn, a degree apart in azimuth.
     """
     count = round(points / rate)
-    low, high = np.radians(elevation)
-
-    def make(number: int) -> Rays:
-        after = (number * count + np.arange(count)) / points
-        line = np.arange(count) % lines
-        swing = np.abs(2 * np.mod(after * swings, 1.0) - 1)
-        azimuths = -2 * np.pi * np.mod(after * turns, 1.0) + np.radians(line)
-        vectors = directions(azimuths, low + (high - low) * swing)
-        return Rays(vectors, _even_times(count, points), line.astype(np.uint16))
-
+    make = partial(_oscillating_rays, count, points, elevation, turns, swings, lines)
     return Pattern(_SECOND / rate, count, make=make)
+
+
+def _oscillating_rays(
+    count: int,
+    points: int,
+    elevation: tuple[float, float],
+    turns: float,
+    swings: float,
+    lines: int,
+    number: int,
+) -> Rays:
+    low, high = np.radians(elevation)
+    after = (number * count + np.arange(count)) / points
+    line = np.arange(count) % lines
+    swing = np.abs(2 * np.mod(after * swings, 1.0) - 1)
+    azimuths = -2 * np.pi * np.mod(after * turns, 1.0) + np.radians(line)
+    vectors = directions(azimuths, low + (high - low) * swing)
+    return Rays(vectors, _even_times(count, points), line.astype(np.uint16))
 
 
 def _even_times(count: int, points: int) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -142,10 +143,30 @@ def test_an_ouster_cloud_is_a_table_from_the_highest_ring() -> None:
     assert np.isfinite(table["x"]).sum() == 12
     assert (table["ring"] == np.arange(3)[:, None]).all()
     truth = point_rows(messages.scanner_truth_message(sweep(rays), "ouster", "f")).reshape(3, 8)
+    np.testing.assert_array_equal(truth["ring"], table["ring"])
     np.testing.assert_array_equal(np.isfinite(truth["x"]), np.isfinite(table["x"]))
     np.testing.assert_allclose(
         truth["range"], np.hypot(np.hypot(truth["x"], truth["y"]), truth["z"]), rtol=1e-6
     )
+
+
+@pytest.mark.parametrize("layout", ["velodyne", "ouster", "autoware"])
+def test_points_and_truth_count_rings_alike(layout: Layout) -> None:
+    """Also in the layout of Ouster with several returns of a ray, which are no table."""
+    seen = sweep(pattern().rays(0))
+    twice = np.repeat(np.arange(12), 2)
+    seen = replace(
+        seen, returns=seen.returns.take(twice), instances=seen.instances[twice], parts=seen.parts[twice]
+    )
+    rows, truth = (
+        point_rows(build(seen, layout, "f"))
+        for build in (messages.points_message, messages.scanner_truth_message)
+    )
+    rings = rows["channel" if layout == "autoware" else "ring"]
+    np.testing.assert_array_equal(rings, truth["ring"])
+    elevation = np.degrees(np.arctan2(rows["z"], np.hypot(rows["x"], rows["y"])))
+    of_ring = np.array([5, 0, -10] if layout == "ouster" else [-10, 0, 5])
+    np.testing.assert_allclose(elevation, of_ring[rings], atol=1e-4)
 
 
 def test_truth_has_labels_and_distances_without_noise() -> None:

@@ -1,0 +1,49 @@
+"""Digests of frames. As a program: of frames and scenes that it gets pickled, a line of JSON for each file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import sys
+from pathlib import Path
+
+from humansim_ros import Scene, Simulation
+from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.topics import scene_topics
+from humansim_ros.render.channels import ALL_CHANNELS
+from humansim_ros.scene.simulation import Frame
+
+#: Frame that is compared: sweeps of all scanners have ended with it.
+INDEX = 6
+
+
+def simulated(scene: Scene) -> Frame:
+    """A frame of a scene with all channels."""
+    with Simulation(scene, ALL_CHANNELS) as simulation:
+        rectified = [name for name, each in scene.scene_cameras.items() if each.rectified]
+        frame = simulation.frame(INDEX, rectified_depth=rectified)
+        for name in frame.depth_sensors:
+            frame.depth_sensors[name].aligned  # noqa: B018  # rendered on access
+        return frame
+
+
+def digest(scene: Scene, frame: Frame) -> dict[str, str]:
+    """Hash of all messages of a frame, by topic: images, truth, sweeps, people."""
+    hashes = {}
+    for topic in scene_topics(scene, png_labels=True):
+        parts = hashlib.sha256()
+        for time, message in topic.sent(frame):
+            parts.update(f"{time} ".encode() + bytes(serialised(message, topic.type_name)))
+        hashes[f"{topic.name} {topic.type_name}"] = parts.hexdigest()
+    return hashes
+
+
+def main() -> None:
+    for path in map(Path, sys.argv[1:]):
+        kind, scene, frame = pickle.loads(path.read_bytes())  # written by the test
+        print(json.dumps(digest(scene, simulated(scene) if kind == "scene" else frame)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""A scene of somebody else names a file of this machine: no message, warning or answer quotes the file."""
+
+from __future__ import annotations
+
+import io
+import json
+import warnings
+import zipfile
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import humansim
+from test_scene_errors import FILE_KEYS, changed, folder, write  # noqa: F401  # folder is a fixture
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.scene import Scene
+
+#: Words of a file that nobody may see.
+SECRETS = ("xyzzyKey", "plughValue", "4711081547110815")
+
+
+def _zipped() -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("xyzzyKey.bvh", "plughValue")
+    return packed.getvalue()
+
+
+def _arrays() -> bytes:
+    packed = io.BytesIO()
+    np.savez(packed, xyzzyKey=np.array(["plughValue"]))
+    return packed.getvalue()
+
+
+_MATRIX = "{rows: 3, cols: 3, data: [plughValue, 0, 0]}"
+_GLTF = {
+    "asset": {"version": "2.0", "generator": "xyzzyKey"},
+    "buffers": [{"uri": "plughValue", "byteLength": 4711081547110815}],
+    "xyzzyKey": [],
+}
+CONTENTS: dict[str, bytes] = {
+    "shadow": b"root:$6$xyzzyKey$plughValue:4711081547110815:0:99999:7:::\n" * 3,
+    "key": b"-----BEGIN OPENSSH PRIVATE KEY-----\nxyzzyKeyplughValue\nxyzzyKey plughValue\n",
+    "words": b"xyzzyKey plughValue\n4711081547110815 xyzzyKey\n",
+    "yaml": b"xyzzyKey: plughValue\nplughValue: {xyzzyKey: 4711081547110815}\n",
+    "bad yaml": b"a: &xyzzyKey [*plughValue, !plughValue x]\n",
+    "twice": b"xyzzyKey: 1\nxyzzyKey: plughValue\n",
+    "json": b'{"xyzzyKey": "plughValue", "plughValue": {"xyzzyKey": [4711081547110815]}}',
+    "bad json": b'{"xyzzyKey": plughValue}',
+    "list": b'["plughValue", "xyzzyKey"]',
+    "ini": b"[xyzzyKey]\npassword = plughValue\nfx = plughValue\n",
+    "csv": b"xyzzyKey,plughValue\n1,2\nplughValue,4711081547110815\n",
+    "numbers": b"0 0 0 1 0 0 0 xyzzyKey\n4711081547110815 plughValue\n",
+    "xml": b'<?xml version="1.0"?><xyzzyKey plughValue="4711081547110815">plughValue</xyzzyKey>',
+    "entity": b'<!DOCTYPE a [<!ENTITY b "xyzzyKey">]><animation>plughValue &b;</animation>',
+    "moves": b'<animation startframe="plughValue" endframe="9" rate="30"><object name="xyzzyKey"/></animation>',
+    "bvh": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 plughValue\n}\n",
+    "channels": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 0\nCHANNELS 3 plughValue Yrotation\n",
+    "frames": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 0\nCHANNELS 1 Xposition\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\n"
+    b"MOTION\nFrames: 1\nFrame Time: 0.1\nplughValue\n",
+    "obj": b"mtllib xyzzyKey.mtl\nusemtl plughValue\nv 0 0 plughValue\nf 1 2 xyzzyKey\n",
+    "ply": b"ply\nformat plughValue 1.0\nelement xyzzyKey 3\nend_header\n",
+    "asf": b":version 1.10\n:name xyzzyKey\n:units\n mass plughValue\n:root\n order xyzzyKey\n",
+    "trc": b"PathFileType\t4\t(X/Y/Z)\txyzzyKey\nDataRate\tCameraRate\nplughValue\txyzzyKey\n",
+    "gltf": json.dumps(_GLTF).encode(),
+    "camera": f"camera_matrix: {_MATRIX}\nxyzzyKey: plughValue\nimage_width: plughValue\n".encode(),
+    "cameras": b'{"cameras": [{"name": "xyzzyKey", "K": [["plughValue", 0, 0]]}]}',
+    "rig": b'{"xyzzyKey": {"K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "R": "plughValue", "t": [0, 0, 0]}}',
+    "toml": b'[xyzzyKey]\nname = "plughValue"\nmatrix = [["plughValue"]]\n',
+    "person": b"mesh: plughValue\nxyzzyKey: 4711081547110815\n",
+    "table": b"joints: {hips: xyzzyKey, plughValue: hips}\nname: xyzzyKey\n",
+    "zip": _zipped(),
+    "npz": _arrays(),
+}  # fmt: skip
+SUFFIXES = (
+    *(".npz", ".yaml", ".yml", ".json", ".toml", ".ini", ".xml", ".txt", ".csv", ".tsv", ".tum", ".pkl"),
+    *(".bvh", ".zip", ".asf", ".amc", ".fbx", ".c3d", ".trc", ".glb", ".gltf", ".vrm", ".vrma", ".dae"),
+    *(".obj", ".ply", ".stl", ".hdr", ".exr", ".png", ".jpg", ".cam", ".cal", ".xcp", ".mot", ".usd", ""),
+)
+
+
+def said(path: Path) -> Iterator[str]:
+    """Everything that is said of a scene when it is loaded."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            Scene.load(path)
+        except HumansimError as error:
+            yield str(error)
+    yield from (str(warning.message) for warning in caught)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.parametrize("key", FILE_KEYS)
+def test_no_message_quotes_a_file_that_a_scene_names(folder: Path, tmp_path: Path, key: str) -> None:  # noqa: F811
+    shown = []
+    for suffix, (kind, content) in product(SUFFIXES, CONTENTS.items()):
+        secret = tmp_path / f"of_another{suffix}"
+        secret.write_bytes(content)
+        scene = folder / "of_somebody_else.yaml"
+        value = f'["{secret}"]' if key.startswith(("variety", "crowd")) else f'"{secret}"'
+        write(scene, changed(key, "MARKED"), value)
+        shown += [f"{kind}{suffix}: {text}" for text in said(scene) if any(word in text for word in SECRETS)]
+    assert shown == []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -316,14 +316,14 @@ class SceneState:
 
     def _camera_truth(self, camera: Camera, view: View) -> CameraTruth:
         """Ground truth of a view of this state. ``camera``: with its pose at the stamp."""
-        joints_of = self.joints_of  # not self: frames that are stored would hold the bodies of exposures
         return CameraTruth(
             camera,
             view,
             self.bodies,
             labels=self.scene.labels,
             joint_surfaces=self.scene.joint_surfaces,
-            joint_positions=lambda name: joints_of(name).positions,
+            # not a method of self: frames that are stored would hold the bodies of exposures
+            joint_positions=partial(_joint_positions, self.joints_of),
             humans={name: actor.human for name, actor in self.actors.items()},
         )
 
@@ -352,3 +352,7 @@ class SceneState:
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
         pose = self.calibrated_pose(camera).moved(seconds)
         return camera.true_pose(pose, self.scene_time * 1e-9 + seconds)
+
+
+def _joint_positions(joints_of: Callable[[str], JointMotion], name: str) -> Array:
+    return joints_of(name).positions

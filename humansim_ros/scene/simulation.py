@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.humans import Human
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.keypoints.sets import BySet
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Frame(Pictured):
-    """Everything of a scene at one stamp.
+    """Everything of a scene at one stamp. It can be pickled for another process.
 
     Attributes:
         index: Number of the frame, from 0.
@@ -61,8 +62,8 @@ class Frame(Pictured):
         published_cameras: All cameras that were asked for as topics publish them, with the errors of
             ``faults.calibration``.
         encodings: Encodings of ``rgb`` by camera, such as ``rgb8``, as the sensors have them.
-        depth_sensors: What depth sensors measure, by camera that has one. It is rendered on first access,
-            which is possible until the simulation is closed.
+        depth_sensors: What depth sensors measure, by camera that has one. It is rendered on first access, or
+            when the frame is pickled, which is possible until the simulation is closed.
         bodies: All bodies, humans first.
         labels: Instance labels of humans and labelled objects by name.
         scene_time: Nanoseconds from the start of the scene.
@@ -114,16 +115,15 @@ class Frame(Pictured):
 
         A set is computed on first access; KeypointError if there is no such set.
         """
+        return BySet(self._located)
 
-        def locate(keypoints: KeypointSet) -> dict[str, Array]:
-            return {
-                name: KeypointLocator.of(model, keypoints).positions(
-                    self.humans[name].positions, self.humans[name].vertices
-                )
-                for name, model in self.models.items()
-            }
-
-        return BySet(locate)
+    def _located(self, keypoints: KeypointSet) -> dict[str, Array]:
+        return {
+            name: KeypointLocator.of(model, keypoints).positions(
+                self.humans[name].positions, self.humans[name].vertices
+            )
+            for name, model in self.models.items()
+        }
 
     @cached_property
     def keypoints(self) -> Mapping[str, dict[str, dict[str, KeypointView]]]:
@@ -132,9 +132,10 @@ class Frame(Pictured):
         A set is computed on first access; KeypointError if there is no such set, ChannelError without the
         channels depth, instance and part.
         """
-        return BySet(
-            lambda keypoints: {name: truth.keypoints(keypoints.name) for name, truth in self.truth.items()}
-        )
+        return BySet(self._seen)
+
+    def _seen(self, keypoints: KeypointSet) -> dict[str, dict[str, KeypointView]]:
+        return {name: truth.keypoints(keypoints.name) for name, truth in self.truth.items()}
 
     @property
     def boxes(self) -> dict[str, dict[str, BodyBox]]:
@@ -342,11 +343,19 @@ class Simulation:
 
 
 class _OnAccess(Mapping[str, DepthCapture]):
-    """Values by name, each computed on first access."""
+    """Values by name, each computed on first access. ``values``: those that are known."""
 
-    def __init__(self, compute: Mapping[str, Callable[[], DepthCapture]]) -> None:
+    def __init__(
+        self, compute: Mapping[str, Callable[[], DepthCapture]], values: dict[str, DepthCapture] | None = None
+    ) -> None:
         self._compute = compute
-        self._values: dict[str, DepthCapture] = {}
+        self._values = {} if values is None else values
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        for name in self._compute:
+            with suppress(RenderError):  # the simulation is closed, or belongs to another thread
+                self[name]
+        return type(self), (dict.fromkeys(self._compute, _not_rendered), self._values)
 
     def __getitem__(self, name: str) -> DepthCapture:
         if name not in self._values:
@@ -358,6 +367,13 @@ class _OnAccess(Mapping[str, DepthCapture]):
 
     def __len__(self) -> int:
         return len(self._compute)
+
+
+def _not_rendered() -> NoReturn:
+    raise RenderError(
+        "this depth was not rendered before the frame was pickled: access frame.depth_sensors before, in the "
+        "thread of the simulation"
+    )
 
 
 def _exposure(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from functools import partial
 from typing import NamedTuple
 
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName
@@ -58,18 +59,13 @@ class SceneStates:
             return self._kept[key]
         poses = self.playback.show(elapsed)
         humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
-
-        def joints_of(name: str) -> JointMotion:
-            human = humans[name]
-            return JointMotion(human.joints, human.linear, human.angular, human.face, human.swing)
-
         state = SceneState(
             stamp=self._start + elapsed,
             scene_time=elapsed,
             scene=self._scene,
             actors=self.playback.actors,
             vertices={name: human.vertices for name, human in humans.items()},
-            joints_of=joints_of,
+            joints_of=partial(_joints_of, humans),
             objects=poses.objects,
             cameras=poses.cameras,
         )
@@ -113,3 +109,8 @@ class SceneStates:
             frames |= {timing.frame(number + each) for each in (0, *self._directions.values())}
         needed = {(self._scene.frame_time(frame), self.playback.version) for frame in frames}
         self._kept = {key: moment for key, moment in self._kept.items() if key in needed}
+
+
+def _joints_of(humans: Mapping[str, HumanState], name: str) -> JointMotion:
+    human = humans[name]
+    return JointMotion(human.joints, human.linear, human.angular, human.face, human.swing)

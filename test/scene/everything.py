@@ -208,7 +208,7 @@ def all_scanners() -> dict[str, dict[str, Any]]:
         )
         for intensity in get_args(IntensityMode)
     ]
-    options += [(model, {"rate": 2 * MODELS[model].rate}) for model in sorted(flat)[:1] + ["livox_mid360"]]
+    options += [(model, {"rate": 2 * MODELS[model].rate}) for model in [*sorted(flat)[:1], "livox_mid360"]]
     return {
         f"scanner_{number}": {"model": model, "position": [2, 0, 1], **more}
         for number, (model, more) in enumerate(options)

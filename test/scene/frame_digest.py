@@ -1,4 +1,4 @@
-"""Digests of frames. As a program: of frames and scenes that it gets pickled, a line of JSON for each file."""
+"""Digests of frames. As a program: a line of JSON for each file with a pickled frame or scene."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from humansim_ros.jobs.ray_cluster import (
     run_parts,
 )
 from humansim_ros.record.output import OutputFolder
-from humansim_ros.record.recording import SceneRecording, chunks_of
+from humansim_ros.record.recording import FrameChunks, SceneRecording
 
 #: File in a folder of shards that is not complete: what is being recorded.
 _PLAN = "recording.json"
@@ -96,9 +96,10 @@ class ClusterRecording:
             path = folder / part.name
             try:
                 file = McapFile.create(path, self.recording.topics)
+                chunks = FrameChunks(self.recording.plan.compression)
                 try:
                     for index in part.frames:
-                        group = chunks_of(worker.work(index))
+                        group = chunks.of(worker.work(index))
                         for position, chunk in enumerate(group, 1):
                             file.append(chunk, index, position == len(group))
                     file.finish()

@@ -6,6 +6,7 @@ import json
 import shutil
 import socket
 import time
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields, replace
@@ -15,11 +16,12 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from humansim_ros import __version__
-from humansim_ros.bags.chunks import BagMessage, Chunk, Compression, encode_chunk
+from humansim_ros.bags.chunks import BagMessage, Buffer, Chunk, Compression, encode_chunk
 from humansim_ros.bags.metadata import Storage, read_metadata
+from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic, Qos, described
 from humansim_ros.bags.writer import BagWriter, check_unlocked
-from humansim_ros.errors import BagError, RenderError, near_names, warn_about
+from humansim_ros.errors import BagError, HumansimWarning, RenderError, near_names, warn_about
 from humansim_ros.io.files import parse_json, size_text
 from humansim_ros.jobs.frame_job import Costs, FrameProgress, FrameResult
 from humansim_ros.jobs.workers import run_frames
@@ -204,9 +206,12 @@ def _chosen(
         if topic.raw and any(formats.get(channel, labels) != "raw" for channel in topic.channels)
     }
     chosen = {replaced.get(name, name) for name in chosen}
-    # a message for each frame, also of a camera that loses images, and where no camera takes a picture
+    # a message for each frame, also of a camera that loses images, where no camera takes a picture, nobody is
+    # seen, or no sweep ends
     faulty = {topic.camera for topic in table if topic.faulty and f"/{topic.name}" in chosen}
-    if set(timed) & {topic.camera for topic in table if topic.per_frame and f"/{topic.name}" in chosen}:
+    of_frames = [topic for topic in table if topic.per_frame and f"/{topic.name}" in chosen]
+    rare = of_frames and all(topic.sparse or topic.scanner for topic in of_frames)
+    if rare or set(timed) & {topic.camera for topic in of_frames}:
         faulty.add(SCENE_TIME_TOPIC.camera)
     chosen |= {f"/{topic.name}" for topic in table if topic.explains and topic.camera in faulty}
     return [name for name in names if name in chosen]
@@ -342,9 +347,13 @@ class RecordingWorker:
         self._compression = recording.plan.compression
         #: Topics with their index, by camera; topics of no camera first.
         self._parts: dict[str, list[tuple[int, Topic[Any]]]] = {}
+        #: Latched topics that may have another message in each frame.
+        self._latched: list[tuple[int, Topic[Any]]] = []
         for index, topic in enumerate(recording.table):
-            self._parts.setdefault(topic.camera, []).append((index, topic))
-        self._cameras = [name for name in self._parts if name]
+            changes = topic.latched and topic.per_frame
+            part = self._latched if changes else self._parts.setdefault(topic.camera, [])
+            part.append((index, topic))
+        self._cameras = recording.cameras
         self._rectified = {topic.camera for topic in recording.table if topic.rectified_depth}
         self._scanners = {topic.scanner for topic in recording.table if topic.scanner}
         channels = frozenset[str]().union(*(topic.channels for topic in recording.table))
@@ -368,14 +377,14 @@ class RecordingWorker:
         frame = self._simulation.frame(index, self._cameras, self._rectified, self._scanners)
         self.costs.add(RENDERING, start)
         chunks = [self._chunk(frame, topics) for topics in self._parts.values()]
+        latched = self._messages(frame, self._latched)
         if not self._started:
             # with the compilation of shaders and the messages for the scene
             self.costs, self._started = Costs({STARTING: sum(self.costs.values())}), True
-        return result_of([chunk for chunk in chunks if chunk is not None])
+        return result_of([chunk for chunk in chunks if chunk is not None], latched)
 
-    def _chunk(self, frame: Frame, topics: Sequence[tuple[int, Topic[Any]]]) -> Chunk | None:
-        """Chunk of one camera, or of the topics of no camera; None without messages."""
-        messages = []
+    def _messages(self, frame: Frame, topics: Sequence[tuple[int, Topic[Any]]]) -> list[BagMessage]:
+        messages = list[BagMessage]()
         for index, topic in topics:
             if topic.per_frame or frame.index == 0:
                 start = time.process_time()
@@ -386,6 +395,11 @@ class RecordingWorker:
                     for time_sent, message in sent
                 ]
                 self.costs.add(SERIALISING, start)
+        return messages
+
+    def _chunk(self, frame: Frame, topics: Sequence[tuple[int, Topic[Any]]]) -> Chunk | None:
+        """Chunk of one camera, or of the topics of no camera; None without messages."""
+        messages = self._messages(frame, topics)
         if not messages:
             return None
         start = time.process_time()
@@ -395,15 +409,40 @@ class RecordingWorker:
         return chunk
 
 
-def result_of(chunks: Sequence[Chunk]) -> FrameResult:
-    """Chunks as the result of a worker."""
-    return FrameResult([replace(chunk, buffers=()) for chunk in chunks], [chunk.buffers for chunk in chunks])
+def result_of(chunks: Sequence[Chunk], latched: Sequence[BagMessage] = ()) -> FrameResult:
+    """Chunks, and messages of latched topics that may repeat those before, as the result of a worker."""
+    held = [message._replace(data=bytes(message.data)) for message in latched]
+    bare = [replace(chunk, buffers=()) for chunk in chunks]
+    return FrameResult((bare, held), [chunk.buffers for chunk in chunks])
 
 
-def chunks_of(result: FrameResult) -> list[Chunk]:
-    """Chunks of :func:`result_of`."""
-    pairs = zip(result.value, result.data, strict=True)
-    return [replace(chunk, buffers=tuple(buffers)) for chunk, buffers in pairs]
+class FrameChunks:
+    """Chunks of frames in their order. A message of a latched topic that repeats the one before is left out.
+
+    ``compression``: compression of the chunks with messages of latched topics.
+    """
+
+    def __init__(self, compression: Compression) -> None:
+        self._compression = compression
+        #: Newest message by topic.
+        self._newest: dict[int, Buffer] = {}
+
+    def follow(self, bag: Path) -> None:
+        """Continue a bag, which has been opened for writing."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HumansimWarning)  # that it is not finished
+            with BagReader(bag) as reader:
+                latched = [topic.name for topic in reader.topics if any(q.transient_local for q in topic.qos)]
+                self._newest = {each.topic: bytes(each.data) for each in reader.messages(latched)}
+
+    def of(self, result: FrameResult) -> list[Chunk]:
+        """Chunks of :func:`result_of`, of the next frame."""
+        bare, latched = result.value
+        changed = [message for message in latched if message.data != self._newest.get(message.topic)]
+        self._newest |= {message.topic: message.data for message in changed}
+        chunks = [encode_chunk(changed, self._compression)] if changed else []
+        pairs = zip(bare, result.data, strict=True)
+        return [*chunks, *(replace(chunk, buffers=tuple(buffers)) for chunk, buffers in pairs)]
 
 
 def record(
@@ -439,12 +478,15 @@ def record(
         raise BagError("this path exists; choose another one, or continue with --resume", path=folder)
     with ExitStack() as stack:
         progress = FrameProgress.of(recording.frames)
+        frame_chunks = FrameChunks(plan.compression)
         if begun:
             writer = BagWriter.resume(folder, max_size=plan.max_size, max_duration=plan.max_duration)
             stack.enter_context(writer)
             progress.first = progress.done = writer.groups
             if progress.done >= progress.frames:
                 return progress
+            if writer.groups:
+                frame_chunks.follow(folder)
 
         def begin() -> None:
             nonlocal writer
@@ -462,7 +504,7 @@ def record(
 
         def append(_: int, result: FrameResult) -> int:
             assert writer is not None
-            start, chunks = time.process_time(), chunks_of(result)
+            start, chunks = time.process_time(), frame_chunks.of(result)
             for number, chunk in enumerate(chunks, 1):
                 writer.append(chunk, ends_group=number == len(chunks))
             progress.add_cost(WRITING, time.process_time() - start)

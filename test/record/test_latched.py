@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from contextlib import suppress
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,7 @@ def test_a_latched_message_is_recorded_again_only_when_it_changes(scene: Scene, 
         ]
         assert [stamp for stamp, _ in found[name]] == [stamp for stamp, _ in values], name
         contents = [data for _, data in found[name]]
-        assert all(a != b for a, b in zip(contents, contents[1:], strict=False)), name
+        assert all(a != b for a, b in pairwise(contents)), name
     assert len(found["/humans/bodies/b_ben/urdf"]) == len(found["/humans/persons/anna/anonymous"]) == 1
     assert len(found["/humans/persons/ben/body_id"]) > 1
     assert 1 < len(found["/front/projection"]) < FRAMES == len(found["/front/extrinsics"])

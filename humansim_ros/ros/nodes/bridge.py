@@ -147,8 +147,8 @@ class BridgeNode(SceneNode):
         frame = received_frame(stamp, found.get(_STATE), cameras, self.scene)
         for topic in wanted:
             sent = topic.messages(frame, stamp)
-            if topic.latched and sent == self._newest.get(topic.name):
-                continue
+            if topic.latched and (not sent or sent == self._newest.get(topic.name)):
+                continue  # nobody is seen, or nothing has changed since somebody was
             if topic.latched or topic.repeated:
                 self._newest[topic.name] = sent
             for message in sent:

@@ -76,6 +76,7 @@ class CameraPosePublisher:
         #: Pose before the first of _poses, and pose of the last frame.
         self._start = self._last = CameraPose.of(camera.camera)
         self._last_stamp = self._last_motion = 0
+        self._newest_projection: Any = None
         self._extrinsics, self._projection = map(node.topic_publisher, (topics.extrinsics, topics.projection))
         if (depth := topics.depth_sensor) is not None:
             node.publish_latched(depth.extrinsics.build(depth.optics, node.now()), depth.extrinsics.name)
@@ -171,7 +172,10 @@ class CameraPosePublisher:
         camera = self._camera.published_at(pose)
         transform: TransformStamped = self._topics.extrinsics.build(camera, stamp)
         self._extrinsics.publish(transform)
-        self._projection.publish(self._topics.projection.build(camera, stamp))
+        projection = self._topics.projection.build(camera, stamp)
+        if projection != self._newest_projection:  # it has no stamp
+            self._newest_projection = projection
+            self._projection.publish(projection)
         return transform
 
 

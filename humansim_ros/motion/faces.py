@@ -20,7 +20,7 @@ from humansim_ros.body.eyes import LOOKS, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.motion.face_keys import FaceKey
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
+from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses
 from humansim_ros.rotations import angle_between, smooth_step, unit_vectors
 from humansim_ros.types import Array
 
@@ -283,7 +283,7 @@ class Face:
         """Poses (N = 1) of a motion at a scene time, with the joints that carry the face."""
         if not self.joints:
             return poses
-        times = seconds + np.array([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
+        times = seconds + AROUND
         attended = [self._gaze(times)]
         weights = self._weights(times, attended[0][0])[:, list(self._actions)]
         if self.turns_head:
@@ -293,10 +293,7 @@ class Face:
         rotations, angular = np.zeros((count, 4)), np.zeros((count, 3))
         rotations[:, 0], rotations[:, 3] = np.sin(angles[1] / 2), np.cos(angles[1] / 2)
         angular[:, 0] = (angles[2] - angles[0]) / step
-        positions = np.repeat(poses.positions[0, :1], count, axis=0)
-        linear = (
-            np.zeros((count, 3)) if poses.linear is None else np.repeat(poses.linear[0, :1], count, axis=0)
-        )
+        positions, linear = poses.at_first_joint(count)
         if self.gazes:
             for number, (_, points) in enumerate(attended, count - len(attended)):
                 positions[number], linear[number] = points[1], (points[2] - points[0]) / step
@@ -427,23 +424,19 @@ class FacePoses:
 
 def without_face(poses: JointPoses) -> tuple[JointPoses, FacePoses | None]:
     """Joint poses without the joints that :meth:`Face.add` appends, and the face that they carry."""
-    own = len(poses.names)
-    while own and poses.names[own - 1].startswith(FACE_JOINT):
-        own -= 1
-    if own == len(poses.names):
+    own, carried = poses.split(lambda name: name.startswith(FACE_JOINT))
+    if not carried.names:
         return poses, None
-    turns = poses.rotations[:, own:]
-    angles = 2 * np.arctan(turns[..., 0] / turns[..., 3])  # q and -q are one rotation
+    angles = 2 * np.arctan(carried.rotations[..., 0] / carried.rotations[..., 3])  # q and -q are one rotation
     weights = np.zeros((len(angles), len(ACTIONS)))
     nowhere = np.zeros((len(angles), 3)), np.zeros(len(angles))
     attended = {GAZE_JOINT: nowhere, HEAD_JOINT: nowhere}
-    for number, name in enumerate(poses.names[own:]):
+    for number, name in enumerate(carried.names):
         if name in attended:
-            attended[name] = poses.positions[:, own + number], np.clip(angles[:, number], 0.0, 1.0)
+            attended[name] = carried.positions[:, number], np.clip(angles[:, number], 0.0, 1.0)
         else:
             weights[:, ACTIONS.index(name.removeprefix(FACE_JOINT))] = angles[:, number]
-    face = FacePoses(np.clip(weights, 0.0, 1.0), *attended[GAZE_JOINT], *attended[HEAD_JOINT])
-    return poses.first(own), face
+    return own, FacePoses(np.clip(weights, 0.0, 1.0), *attended[GAZE_JOINT], *attended[HEAD_JOINT])
 
 
 def check_face(poses: JointPoses) -> None:

@@ -19,7 +19,7 @@ from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.motion.hand_keys import MAX_SECONDS, HandKey, HandPoseName
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.rotations import quaternion_to_matrix, rotate, smooth_step
 from humansim_ros.types import Array, Indices
 
@@ -220,7 +220,7 @@ class HandKeys:
             file_offset: Seconds of the file that the motion is ahead.
             delay: Seconds that the time of the motion is ahead of the scene.
         """
-        times = seconds + np.array([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
+        times = seconds + AROUND
         phases = self.motion.phases(times, file_offset)
         if np.ptp(phases) > 3 * VELOCITY_STEP * max(self.motion.speed, 1.0):  # a new cycle began
             phases[:] = phases[1]
@@ -229,30 +229,15 @@ class HandKeys:
             hand = angles[:, :PER_HAND] if each.side == "left" else angles[:, PER_HAND:]
             hand += each.shares(times - delay)[:, None, None] * (hand_angles(each.pose, self.anatomy) - hand)
         turns = self.anatomy.rotations(angles)[:, list(self.bones)]
-        _, turning = central_difference(turns[0], turns[2], turns[0], turns[2], 2 * VELOCITY_STEP)
         names = [HAND_JOINT + FINGER_BONES[number] for number in self.bones]
-        return poses.with_joints(names, turns[1], turning)
-
-
-def hand_joints(names: Sequence[str]) -> int:
-    """Number of joints at the end of a motion that carry poses of hands."""
-    count = 0
-    while count < len(names) and names[-1 - count] in HAND_JOINTS:
-        count += 1
-    return count
+        return poses.with_joints(names, turns[1], central_difference(turns, turns)[1])
 
 
 def without_hands(poses: JointPoses) -> tuple[JointPoses, dict[str, Array]]:
     """Joint poses without the joints that :meth:`HandKeys.add` appends, and bone -> rotation (N, 4) xyzw."""
-    count = hand_joints(poses.names)
-    if not count:
-        return poses, {}
-    own = len(poses.names) - count
-    hands = {
-        name.removeprefix(HAND_JOINT): poses.rotations[:, own + number]
-        for number, name in enumerate(poses.names[own:])
-    }
-    return poses.first(own), hands
+    own, hands = poses.split(HAND_JOINTS.__contains__)
+    bones = (name.removeprefix(HAND_JOINT) for name in hands.names)
+    return own, dict(zip(bones, hands.rotations.swapaxes(0, 1), strict=True))
 
 
 @dataclass(frozen=True)

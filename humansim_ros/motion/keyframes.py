@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 from xml.sax import ContentHandler, SAXParseException
 from xml.sax.saxutils import quoteattr
 from xml.sax.xmlreader import AttributesImpl
@@ -20,9 +20,9 @@ import scipy
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
-from humansim_ros.errors import MAX_COORDINATE, MotionError, did_you_mean
+from humansim_ros.errors import MAX_COORDINATE, MotionError, did_you_mean, located
 from humansim_ros.io.files import atomic_path, read_bytes
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.kinematics import AROUND, JointPoses
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -125,12 +125,12 @@ class KeyframeTrack:
         times = np.asarray(seconds, dtype=float)
         return self._interpolate(self.timeline.frames(times, self.timeline.cycles(times)))
 
-    def around(self, seconds: float, step: float = VELOCITY_STEP) -> tuple[Array, KeyframePose]:
-        """Times (3,) a step before, at, and a step after ``seconds``, and the poses there.
+    def around(self, seconds: float) -> tuple[Array, KeyframePose]:
+        """Times (3,) just before, at, and just after ``seconds``, and the poses there.
 
         The times do not cross a jump to the start of the animation.
         """
-        times = seconds + np.array([-step, 0.0, step])
+        times = seconds + AROUND
         cycle = float(self.timeline.cycles(np.array(seconds)))
         if self.timeline.loop == "repeat" and self.timeline.duration > 0:
             start, end = cycle * self.timeline.duration, (cycle + 1) * self.timeline.duration
@@ -154,16 +154,11 @@ class KeyframeTrack:
         positions = key.position[:, None] + np.einsum("nij,nkj->nki", rotation, positions)
         rotations = np.concatenate([rotations, identity], axis=1)
         rotations = matrix_to_quaternion(rotation[:, None] @ quaternion_to_matrix(rotations))
-        linear = angular = None
-        if poses.linear is not None:
-            linear, angular = (
-                velocity[None]
-                for velocity in central_difference(
-                    positions[0], positions[2], rotations[0], rotations[2], max(times[2] - times[0], 1e-12)
-                )
-            )
         names = (*poses.names, *SPACE_JOINTS)
-        return JointPoses(names, positions[1:2], rotations[1:2], linear, angular)
+        if poses.linear is None:
+            return JointPoses(names, positions[1:2], rotations[1:2])
+        seconds = max(times[2] - times[0], 1e-12)
+        return JointPoses.with_velocities(names, positions[:, None], rotations[:, None], seconds)
 
     def _interpolate(self, frames: Array) -> KeyframePose:
         last = len(self.frames) - 1
@@ -273,20 +268,18 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     Raises:
         MotionError: The file is not valid, or has a DOCTYPE or entities; with file and line.
     """
-    data = read_bytes(path, MotionError, "keyframe", _MAX_BYTES)
-    reader = _Reader(os.fspath(path))
-    try:
-        defusedxml.sax.parseString(data, reader, forbid_dtd=True)
-    except SAXParseException as reason:
-        line = reason.getLineNumber()
-        raise MotionError(f"not valid XML: {reason.getMessage()}", path=path, line=line) from None
-    except DefusedXmlException:
-        raise MotionError(
-            "a keyframe file has no DOCTYPE and no entities: remove them", path=path, line=reader.line
-        ) from None
-    except (ValueError, LookupError) as reason:  # an encoding that the parser does not know
-        raise MotionError(f"the XML cannot be decoded: {reason}", path=path) from None
-    return reader.keyframes()
+    data, reader = read_bytes(path, MotionError, "keyframe", _MAX_BYTES), _Reader()
+    with located(MotionError, path):
+        try:
+            defusedxml.sax.parseString(data, reader, forbid_dtd=True)
+        except SAXParseException as reason:
+            raise MotionError(f"not valid XML: {reason.getMessage()}", line=reason.getLineNumber()) from None
+        except DefusedXmlException:
+            message = "a keyframe file has no DOCTYPE and no entities: remove them"
+            raise MotionError(message, line=reader.line) from None
+        except (ValueError, LookupError) as reason:  # an encoding that the parser does not know
+            raise MotionError(f"the XML cannot be decoded: {reason}") from None
+        return reader.keyframes(os.fspath(path))
 
 
 def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
@@ -315,27 +308,31 @@ def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
 
 @dataclass
 class _Element:
-    """An open element: attributes and text so far.
+    """An open element: its names from the root on, its line, attributes and text so far.
 
     ``parts``: values, of a key. ``keys``: of an object its keys by frame number, of a frame its keys by
     object name; each with its line.
     """
 
-    name: str
+    where: tuple[str, ...]
     line: int
     values: dict[str, str]
     text: list[str] = field(default_factory=list)
     parts: _KeyValues = field(default_factory=dict)
     keys: list[tuple[str, int, _KeyValues]] = field(default_factory=list)
 
+    @property
+    def name(self) -> str:
+        return self.where[-1]
+
 
 class _Reader(ContentHandler):
     """Reads elements one by one; an element outside the schema is an error at its line."""
 
-    def __init__(self, path: str) -> None:
+    _locator: Any  # set by the parser
+
+    def __init__(self) -> None:
         super().__init__()
-        self._path = path
-        self._locator: Any = None
         self._open: list[_Element] = []
         self._timeline: KeyframeTimeline | None = None
         self._root_line = 1
@@ -347,81 +344,67 @@ class _Reader(ContentHandler):
     def line(self) -> int:
         return int(self._locator.getLineNumber() or 1) if self._locator else 1
 
-    def setDocumentLocator(self, locator: Any) -> None:
-        self._locator = locator
-
     def startElement(self, name: str, attrs: AttributesImpl) -> None:
-        where = (*(element.name for element in self._open), name)
         parent = self._open[-1] if self._open else None
-        is_value = (
-            parent is not None and where not in _SCHEMA and name in _SCHEMA.get(where[:-1], ((), ()))[0]
-        )
-        if parent is None and name != "animation":
-            raise self._error(f"a keyframe file is an <animation>, not a <{name[:40]}>")
-        if where not in _SCHEMA and not is_value:
-            raise self._unknown(name, where[:-1])
-        if is_value and parent is not None and name in parent.values:
-            raise self._error(f"{name} of <{parent.name}> is here a second time")
-        known = _SCHEMA[where][0] if where in _SCHEMA else ()
+        where = (name,) if parent is None else (*parent.where, name)
+        known, _ = _SCHEMA.get(where, ((), ()))
+        if where not in _SCHEMA:
+            if parent is None:
+                raise self._error(f"a keyframe file is an <animation>, not a <{name[:40]}>")
+            attributes, children = _SCHEMA.get(parent.where, ((), ()))
+            if name not in attributes:
+                names = ", ".join(f"<{child}>" for child in children) or ", ".join(attributes) or "nothing"
+                raise self._error(f"unknown element <{name[:40]}> in <{parent.name}>; known here: {names}")
+            if name in parent.values:
+                raise self._error(f"{name} of <{parent.name}> is here a second time")
         for attribute in attrs.getNames():
             if attribute not in known:
                 names = f"known here: {', '.join(known)}" if known else "none is known here"
                 raise self._error(f"<{name}> has the unknown attribute {attribute[:40]!r}; {names}")
-        self._open.append(_Element(name, self.line, dict(attrs.items())))
+        self._open.append(_Element(where, self.line, dict(attrs.items())))
 
     def characters(self, content: str) -> None:
-        if not content.isspace():
-            element = self._open[-1]
-            if len(self._open) > 1 and (
-                element.name in _PARTS or (*(e.name for e in self._open),) not in _SCHEMA
-            ):
-                element.text.append(content)
-            else:
-                raise self._error(f"there is text in <{element.name}>: {content.strip()[:40]!r}")
-        elif self._open and self._open[-1].text:
-            self._open[-1].text.append(" ")
+        element = self._open[-1]
+        if element.name in _PARTS or element.where not in _SCHEMA:
+            element.text.append(" " if content.isspace() else content)
+        elif not content.isspace():
+            raise self._error(f"there is text in <{element.name}>: {content.strip()[:40]!r}")
 
     def endElement(self, name: str) -> None:
         element = self._open.pop()
         if not self._open:
-            self._timeline = self._read_timeline(element)
-            self._root_line = element.line
+            self._timeline, self._root_line = self._read_timeline(element), element.line
             return
         parent = self._open[-1]
         if name in _PARTS:
             if name in parent.parts:
                 raise self._error(f"<{name}> is here a second time", element.line)
             parent.parts[name] = self._vector(element)
-        elif name in ("object", "frame"):
-            if parent.name == "animation":
-                self._add_keys(element)
-            else:
-                parent.keys.append((self._label(element), element.line, element.parts))
-        else:
+        elif name not in ("object", "frame"):
             parent.values[name] = "".join(element.text).strip()
+        elif parent.name == "animation":
+            self._add_keys(element)
+        else:
+            parent.keys.append((self._label(element), element.line, element.parts))
 
-    def keyframes(self) -> Keyframes:
+    def keyframes(self, path: str) -> Keyframes:
         """The animation, with its keys checked against startframe and endframe."""
         timeline = self._timeline
         assert timeline is not None
         if not self._keys:
             raise self._error("the animation has no <object> with a <frame>", self._root_line)
-        tracks = {}
         for name, keys in self._keys.items():
             last = None
             for number, line, _ in keys:
+                problem = ""
                 if not timeline.start <= number <= timeline.end:
-                    raise self._error(
-                        f"frame {number} of {name[:40]!r} lies outside startframe {timeline.start} to "
-                        f"endframe {timeline.end}",
-                        line,
-                    )
-                if last is not None and number <= last:
+                    problem = f"lies outside startframe {timeline.start} to endframe {timeline.end}"
+                elif last is not None and number <= last:
                     problem = "is here a second time" if number == last else f"comes after frame {last}"
+                if problem:
                     raise self._error(f"frame {number} of {name[:40]!r} {problem}", line)
                 last = number
-            tracks[name] = _track(timeline, [(number, parts) for number, _, parts in keys])
-        return Keyframes(timeline, tracks, self._path)
+        return Keyframes(timeline, {name: _track(timeline, keys) for name, keys in self._keys.items()}, path)
 
     def _add_keys(self, element: _Element) -> None:
         """Keys of an object with its frames, or of a frame with its objects."""
@@ -453,19 +436,17 @@ class _Reader(ContentHandler):
         return int(word)
 
     def _read_timeline(self, element: _Element) -> KeyframeTimeline:
-        line = element.line
+        line, values = element.line, element.values
         start, end = (
             self._frame_number(self._value(element, key), line, key) for key in ("startframe", "endframe")
         )
         if end < start:
             raise self._error(f"endframe {end} comes before startframe {start}", line)
-        rate = DEFAULT_RATE
-        if "rate" in element.values:
-            rate = self._number(element.values["rate"], "rate", line)
+        rate = self._number(values["rate"], "rate", line) if "rate" in values else DEFAULT_RATE
         if not 1e-3 <= rate <= 1e4:
             raise self._error(f"rate is {rate:g}: frames per second are 0.001 to 10000", line)
-        loop = element.values.get("loop", "none")
-        if loop not in ("none", "repeat"):
+        loop = values.get("loop", "none")
+        if loop not in get_args(KeyframeLoop):
             raise self._error(f"loop is {loop[:40]!r}: none or repeat", line)
         return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
 
@@ -476,10 +457,8 @@ class _Reader(ContentHandler):
         if text and len(text) != 3:
             raise self._error(f"<{element.name}> needs 3 numbers, not {len(text)}", line)
         words = text or [self._value(element, axis) for axis in "xyz"]
-        vector = [
-            self._number(word, f"{axis} of <{element.name}>", line)
-            for axis, word in zip("xyz", words, strict=True)
-        ]
+        named = zip("xyz", words, strict=True)
+        vector = [self._number(word, f"{axis} of <{element.name}>", line) for axis, word in named]
         if element.name == "size" and min(vector) < SMALLEST_SIZE:
             raise self._error(f"a size must be above 0, not {min(vector):g}", line)
         return vector
@@ -488,27 +467,20 @@ class _Reader(ContentHandler):
         word = word.strip()
         if not _NUMBER.fullmatch(word):
             raise self._error(f"{key} is {word[:40]!r}: a finite number is needed", line)
-        value = float(word)
-        if not abs(value) <= MAX_COORDINATE:
+        if not abs(float(word)) <= MAX_COORDINATE:
             raise self._error(f"{key} is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake", line)
-        return value
-
-    def _unknown(self, name: str, where: tuple[str, ...]) -> MotionError:
-        attributes, children = _SCHEMA.get(where, ((), ()))
-        known = ", ".join(f"<{child}>" for child in children) or ", ".join(attributes) or "nothing"
-        return self._error(f"unknown element <{name[:40]}> in <{where[-1]}>; known here: {known}")
+        return float(word)
 
     def _error(self, message: str, line: int | None = None) -> MotionError:
-        return MotionError(message, path=self._path, line=self.line if line is None else line)
+        return MotionError(message, line=self.line if line is None else line)
 
 
-def _track(timeline: KeyframeTimeline, keys: list[tuple[int, _KeyValues]]) -> KeyframeTrack:
+def _track(timeline: KeyframeTimeline, keys: list[tuple[int, int, _KeyValues]]) -> KeyframeTrack:
     """Track of an object; a key that omits a value keeps the value of the key before."""
     last = {part: [default] * 3 for part, default in _PARTS.items()}
-    columns: dict[str, list[list[float]]] = {part: [] for part in _PARTS}
-    for _, parts in keys:
+    rows = []
+    for _, _, parts in keys:
         last |= parts
-        for part, column in columns.items():
-            column.append(last[part])
-    arrays = [np.array(column, dtype=float) for column in columns.values()]
-    return KeyframeTrack(timeline, np.array([number for number, _ in keys], dtype=float), *arrays)
+        rows.append([last[part] for part in _PARTS])
+    frames = np.array([number for number, _, _ in keys], dtype=float)
+    return KeyframeTrack(timeline, frames, *np.array(rows, dtype=float).swapaxes(0, 1))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -283,8 +283,9 @@ def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
     return total
 
 
-#: Half the time span of the central differences that give velocities, seconds.
+#: Half the time span of the central differences that give velocities; and the times of one, seconds.
 VELOCITY_STEP = 1e-3
+AROUND: Array = VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -306,23 +307,61 @@ class JointPoses:
     linear: Array | None = None
     angular: Array | None = None
 
+    @classmethod
+    def with_velocities(
+        cls,
+        names: tuple[str, ...],
+        positions: Array,
+        rotations: Array,
+        seconds: float | Array = 2 * VELOCITY_STEP,
+        speed: float = 1.0,
+    ) -> JointPoses:
+        """Poses at N times, and their velocities as :func:`central_difference` computes them.
+
+        Args:
+            names: J names.
+            positions: (3, N, J, 3) just before, at, and just after the times.
+            rotations: (3, N, J, 4) as ``positions``.
+            seconds: Time between the first and the last of the three.
+            speed: Factor of the velocities.
+        """
+        velocities = central_difference(positions, rotations, seconds)
+        return cls(names, positions[1], rotations[1], *(speed * velocity for velocity in velocities))
+
+    @property
+    def _arrays(self) -> list[Array]:
+        parts = (self.positions, self.rotations, self.linear, self.angular)
+        return [part for part in parts if part is not None]
+
+    def _changed(self, names: tuple[str, ...], change: Callable[[Array], Array]) -> JointPoses:
+        """Poses with a change of each array."""
+        return JointPoses(names, *map(change, self._arrays))
+
     def contiguous(self) -> JointPoses:
         """The same poses with contiguous arrays: sums of NumPy depend on the order in memory."""
-        linear, angular = (
-            None if velocity is None else np.ascontiguousarray(velocity)
-            for velocity in (self.linear, self.angular)
-        )
-        positions, rotations = np.ascontiguousarray(self.positions), np.ascontiguousarray(self.rotations)
-        return JointPoses(self.names, positions, rotations, linear, angular)
+        return self._changed(self.names, np.ascontiguousarray)
 
     def first(self, count: int) -> JointPoses:
         """Poses of the first joints."""
-        linear, angular = (
-            None if velocity is None else velocity[:, :count] for velocity in (self.linear, self.angular)
-        )
-        return JointPoses(
-            self.names[:count], self.positions[:, :count], self.rotations[:, :count], linear, angular
-        )
+        return self._changed(self.names[:count], lambda part: part[:, :count])
+
+    def named(self, names: tuple[str, ...]) -> JointPoses:
+        """Poses of the named joints, in that order."""
+        if names == self.names:
+            return self
+        index = {name: number for number, name in enumerate(self.names)}
+        order = [index[name] for name in names]
+        return self._changed(names, lambda part: part[:, order])
+
+    def split(self, is_added: Callable[[str], bool]) -> tuple[JointPoses, JointPoses]:
+        """Poses without the joints at the end that have certain names, and poses of those joints.
+
+        ``is_added``: whether a joint of this name is one of those.
+        """
+        own = len(self.names)
+        while own and is_added(self.names[own - 1]):
+            own -= 1
+        return self.first(own), self._changed(self.names[own:], lambda part: part[:, own:])
 
     def with_joints(
         self,
@@ -337,21 +376,22 @@ class JointPoses:
         Args:
             names: K names.
             rotations: (K, 4) xyzw.
-            angular: Angular velocities (K, 3); unused if the pose has no velocities.
-            positions: (K, 3); if None, all at the first joint and with its velocity.
+            angular: Angular velocities (K, 3). Velocities are not used if the pose has none.
+            positions: (K, 3). If None, all are at the first joint, and have its velocity.
             linear: Velocities (K, 3) of ``positions``.
         """
-        if positions is None:
-            positions = np.repeat(self.positions[0, :1], len(names), axis=0)
-            linear = None if self.linear is None else np.repeat(self.linear[0, :1], len(names), axis=0)
-        names = (*self.names, *names)
-        positions = np.concatenate([self.positions, positions[None]], axis=1)
-        rotations = np.concatenate([self.rotations, rotations[None]], axis=1)
-        if self.linear is None or self.angular is None or linear is None:
-            return JointPoses(names, positions, rotations)
-        linear = np.concatenate([self.linear, linear[None]], axis=1)
-        angular = np.concatenate([self.angular, angular[None]], axis=1)
-        return JointPoses(names, positions, rotations, linear, angular)
+        if positions is None or linear is None:
+            positions, linear = self.at_first_joint(len(names))
+        added = (positions, rotations, linear, angular)
+        parts = (
+            np.concatenate([own, new[None]], axis=1) for own, new in zip(self._arrays, added, strict=False)
+        )
+        return JointPoses((*self.names, *names), *parts)
+
+    def at_first_joint(self, count: int) -> tuple[Array, Array]:
+        """Positions and velocities (count, 3) of joints at the first joint of a single pose (N = 1)."""
+        linear = np.zeros_like(self.positions) if self.linear is None else self.linear
+        return np.repeat(self.positions[0, :1], count, axis=0), np.repeat(linear[0, :1], count, axis=0)
 
     def extrapolate(self, seconds: ArrayLike) -> JointPoses:
         """Poses (M, J) at times (M,) relative to a single pose (N = 1), at its constant velocity.
@@ -376,9 +416,8 @@ class Velocity:
 
     @classmethod
     def between(cls, positions: Array, rotations: Array, seconds: float) -> Velocity:
-        """Mean velocity between two poses: positions (2, 3) and quaternions (2, 4), ``seconds`` apart."""
-        (before, after), (rotation_before, rotation_after) = positions, rotations
-        return cls(*central_difference(before, after, rotation_before, rotation_after, max(seconds, 1e-12)))
+        """Velocity from the first to the last of K poses: positions (K, 3), rotations (K, 4); in seconds."""
+        return cls(*central_difference(positions, rotations, max(seconds, 1e-12)))
 
     def scaled(self, factor: float) -> Velocity:
         """Both velocities times a factor."""
@@ -386,19 +425,12 @@ class Velocity:
 
 
 def central_difference(
-    before: Array, after: Array, rotation_before: Array, rotation_after: Array, seconds: float | Array
+    positions: Array, rotations: Array, seconds: float | Array = 2 * VELOCITY_STEP
 ) -> tuple[Array, Array]:
-    """Velocities from two poses.
+    """Linear and angular velocities, (..., 3) each, from the first to the last of K poses.
 
-    Args:
-        before: Positions (..., 3) of the first pose.
-        after: Positions (..., 3) of the second pose.
-        rotation_before: Quaternions (..., 4) xyzw of the first pose.
-        rotation_after: Quaternions (..., 4) xyzw of the second pose.
-        seconds: Time between the poses.
-
-    Returns:
-        Linear and angular velocity, (..., 3) each.
+    ``positions``: (K, ..., 3). ``rotations``: quaternions (K, ..., 4) xyzw. ``seconds``: time between them.
     """
-    turn = multiply_quaternions(normalised(rotation_after), normalised(rotation_before) * (-1, -1, -1, 1))
-    return (after - before) / seconds, quaternion_to_rotation_vector(turn) / seconds
+    before, after = normalised(rotations[0]), normalised(rotations[-1])
+    turn = quaternion_to_rotation_vector(multiply_quaternions(after, before * (-1, -1, -1, 1)))
+    return (positions[-1] - positions[0]) / seconds, turn / seconds

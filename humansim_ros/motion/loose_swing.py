@@ -95,13 +95,11 @@ class LooseSwing:
     def add(self, poses: JointPoses, seconds: float) -> JointPoses:
         """Poses (N = 1) of a motion at a scene time, with the joints that carry the swing."""
         swing, names = self.at(seconds), swing_joints(len(self.kinds))
-        rotations, still = np.zeros((len(names), 4)), np.zeros((1, 3))
-        rotations[:, 3] = 1.0
-        positions = poses.positions[0, 0] + np.concatenate([still, swing.offsets])
-        linear = None
-        if poses.linear is not None:
-            linear = poses.linear[0, 0] + np.concatenate([still, swing.rates])
-        return poses.with_joints(names, rotations, np.zeros((len(names), 3)), positions, linear)
+        positions, linear = poses.at_first_joint(len(names))
+        positions[1:] += swing.offsets
+        linear[1:] += swing.rates
+        identity = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
+        return poses.with_joints(names, identity, np.zeros_like(linear), positions, linear)
 
     def _swings(self, first: int) -> Array:
         """Swing (4, K, 3) at four samples from a number on."""
@@ -168,12 +166,8 @@ def swing_joints(count: int) -> tuple[str, ...]:
 
 def without_swing(poses: JointPoses) -> tuple[JointPoses, Array | None]:
     """Joint poses without the joints that :meth:`LooseSwing.add` appends, and the swing (N, K, 3) if any."""
-    own = len(poses.names)
-    while own and poses.names[own - 1].startswith(LOOSE_JOINT):
-        own -= 1
-    if own == len(poses.names):
-        return poses, None
-    return poses.first(own), poses.positions[:, own + 1 :] - poses.positions[:, own : own + 1]
+    own, ends = poses.split(lambda name: name.startswith(LOOSE_JOINT))
+    return own, ends.positions[:, 1:] - ends.positions[:, :1] if ends.names else None
 
 
 def check_swing(poses: JointPoses, names: Sequence[str], count: int) -> None:

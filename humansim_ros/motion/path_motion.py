@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.contacts import Leg, two_bone
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
 from humansim_ros.motion.soles import true_runs
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.rotations import (
@@ -294,16 +294,12 @@ def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> li
     count = len(times[0])
     around = np.concatenate([[t - VELOCITY_STEP, t, t + VELOCITY_STEP] for t in times])
     positions, rotations = (
-        each.reshape(len(motions), 3, count, *each.shape[1:]).swapaxes(0, 1)
+        each.reshape(len(motions), 3, count, *each.shape[1:])
         for each in _Walks(motions, 3 * count).poses(around.ravel())
     )
-    linear, angular = central_difference(
-        positions[0], positions[2], rotations[0], rotations[2], 2 * VELOCITY_STEP
-    )
-    each = zip(motions, positions[1], rotations[1], linear, angular, strict=True)
     return [
-        JointPoses(motion.names, place, rotation, velocity * motion.speed, turning * motion.speed)
-        for motion, place, rotation, velocity, turning in each
+        JointPoses.with_velocities(motion.names, places, turns, speed=motion.speed)
+        for motion, places, turns in zip(motions, positions, rotations, strict=True)
     ]
 
 

@@ -13,7 +13,7 @@ from humansim_ros.body.hands import HandAnatomy
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.motion.contacts import Leg, two_bone
 from humansim_ros.motion.keyframes import KeyframeSpace
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.kinematics import AROUND, JointPoses, Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.rotations import (
     cross_products,
@@ -276,12 +276,8 @@ class Reaches:
         self, poses: JointPoses, seconds: float, space: Callable[[Array], KeyframeSpace] | None = None
     ) -> JointPoses:
         """A corrected pose (N = 1) with velocities, at a scene time."""
-        times = seconds + VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
+        times = seconds + AROUND
         if not any(reach.shares(times).any() for reach in self.reaches):
             return poses
-        three = self.apply(
-            poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP]), times, space and space(times)
-        )
-        (before, middle, after), (turn_before, turn, turn_after) = three.positions, three.rotations
-        velocities = central_difference(before, after, turn_before, turn_after, 2 * VELOCITY_STEP)
-        return JointPoses(poses.names, middle[None], turn[None], *(each[None] for each in velocities))
+        three = self.apply(poses.extrapolate(AROUND), times, space and space(times))
+        return JointPoses.with_velocities(poses.names, three.positions[:, None], three.rotations[:, None])

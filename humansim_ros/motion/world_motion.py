@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from humansim_ros.errors import MotionError, some_of
 from humansim_ros.motion.file_frame import FileFrame
 from humansim_ros.motion.joint_match import JointMatch, opposite_joints
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion
 from humansim_ros.motion.pace import pace_warning
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
@@ -263,11 +263,11 @@ class WorldMotion:
             early, late = np.clip(early, start, end), np.clip(late, start, end)
             all_cycles = np.tile(cycles, 3)
         poses = self._sample(np.concatenate([early, t, late]), all_cycles)
-        before, positions, after = np.split(poses.positions, 3)
-        rotation_before, rotations, rotation_after = np.split(poses.rotations, 3)
         seconds = np.maximum(late - early, 1e-12)[:, None, None]
-        linear, angular = central_difference(before, after, rotation_before, rotation_after, seconds)
-        return JointPoses(self.names, positions, rotations, linear * self.speed, angular * self.speed)
+        places, turns = (
+            part.reshape(3, len(t), -1, part.shape[-1]) for part in (poses.positions, poses.rotations)
+        )
+        return JointPoses.with_velocities(self.names, places, turns, seconds, self.speed)
 
     def cycle_rotations(self, cycles: Array) -> Array:
         """Rotations (N, 3, 3) about the vertical of cycles (N,) of the loop against the first cycle."""

@@ -24,7 +24,7 @@ from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
 from humansim_ros.motion.hand_poses import HandKeys, ReachingHand, without_hands
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses, Motion, central_difference
 from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
 from humansim_ros.motion.reaches import Palm, Reaches
@@ -345,18 +345,11 @@ class Actor:
             if weights is not None:
                 face = FaceState(weights[0], np.zeros_like(weights[0]))
         else:
-            posed, sizes, weights, offsets = self.posed(
-                poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
-            )
-            bones, (before, joints, after) = posed[1], self._open_jaw(posed, weights, sizes)
-            size = sizes[1]
-            linear, angular = central_difference(
-                before[:, :3, 3],
-                after[:, :3, 3],
-                matrix_to_quaternion(before[:, :3, :3]),
-                matrix_to_quaternion(after[:, :3, :3]),
-                2 * VELOCITY_STEP,
-            )
+            posed, sizes, weights, offsets = self.posed(poses.extrapolate(AROUND))
+            three = self._open_jaw(posed, weights, sizes)
+            bones, joints, size = posed[1], three[1], sizes[1]
+            turns = matrix_to_quaternion(three[::2, :, :3, :3])
+            linear, angular = central_difference(three[::2, :, :3, 3], turns)
             if weights is not None:
                 face = FaceState(weights[1], (weights[2] - weights[0]) / (2 * VELOCITY_STEP))
             if offsets is not None:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from humansim_ros.errors import SceneError, did_you_mean
-from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
+from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, Velocity
 from humansim_ros.motion.reaches import PALM
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, unit_vectors
 from humansim_ros.scene.actor import Actor
@@ -61,12 +61,12 @@ class Hold:
         return {}
 
     def _at(self, seconds: float) -> ObjectPose:
-        times = seconds + VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
+        times = seconds + AROUND
         positions, rotations = self.frames(times)
         turn = quaternion_to_matrix(self.own.rotation)
         places = positions + rotations @ self.own.position
         quaternions = matrix_to_quaternion(rotations @ turn)
-        velocity = Velocity.between(places[::2], quaternions[::2], 2 * VELOCITY_STEP)
+        velocity = Velocity.between(places, quaternions, 2 * VELOCITY_STEP)
         return ObjectPose(places[1], quaternions[1], self.own.size, velocity)
 
     def frames(self, times: Array) -> tuple[Array, Array]:

@@ -197,17 +197,17 @@ class LiveRetargeter:
             loose = swing_joints(count)
         added = {*space, *hands, *face, *loose}
         own = tuple(name for name in poses.names if name not in added)
-        moved, _ = undo_keyframes(_in_order(poses, (*own, *space)))
+        moved, _ = undo_keyframes(poses.named((*own, *space)))
         self._source = self._source_of(moved, stamp)
         actor = replace(self._actor, retargeter=self._source.retargeter)
-        return actor.state(_in_order(poses, (*self._source.names, *space, *hands, *face, *loose)))
+        return actor.state(poses.named((*self._source.names, *space, *hands, *face, *loose)))
 
     def _source_of(self, poses: JointPoses, stamp: int | None) -> JointSource:
         """Source of a pose: a known one, or a new one."""
         for source in self._candidates(stamp):
             if set(source.names) != set(poses.names):
                 continue
-            ordered = _in_order(poses, source.names)
+            ordered = poses.named(source.names)
             if source.fits(ordered):
                 self._deviating = []
                 return self._calibrated(source, ordered)
@@ -276,18 +276,6 @@ def _links(poses: JointPoses, match: JointMatch) -> Array:
     links = poses.positions[:, ends] - poses.positions[:, starts]
     back = np.swapaxes(quaternion_to_matrix(poses.rotations[:, starts]), -1, -2)
     return np.asarray((back @ links[..., None])[..., 0])
-
-
-def _in_order(poses: JointPoses, names: tuple[str, ...]) -> JointPoses:
-    """Poses of the named joints, in that order."""
-    if names == poses.names:
-        return poses
-    index = {name: number for number, name in enumerate(poses.names)}
-    order = [index[name] for name in names]
-    linear, angular = (
-        None if velocity is None else velocity[:, order] for velocity in (poses.linear, poses.angular)
-    )
-    return JointPoses(names, poses.positions[:, order], poses.rotations[:, order], linear, angular)
 
 
 def _joined(poses: Sequence[JointPoses]) -> JointPoses:

@@ -158,7 +158,7 @@ class SceneObject:
         turn = scipy.spatial.transform.Rotation.from_quat(key.quaternion)
         position = key.position + turn.apply(key.size * self.initial_pose.position)
         rotation = multiply_quaternions(normalised(key.quaternion), normalised(self.initial_pose.rotation))
-        velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
+        velocity = Velocity.between(position, rotation, times[2] - times[0])
         return ObjectPose(position[1], rotation[1], key.size[1] * self.initial_pose.size, velocity)
 
     def placed(self, pose: ObjectPose) -> ObjectPose:

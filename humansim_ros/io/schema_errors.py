@@ -10,6 +10,7 @@ import os
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import annotated_types
@@ -95,7 +96,7 @@ def schema_error(
     Returns:
         Error with key and line; its message has the needed and the found value.
     """
-    return _error_of(_best(reason.errors(include_url=False)), model, error, path, tree)
+    return schema_errors(reason, model, error, path, tree)[0]
 
 
 def schema_errors(
@@ -117,31 +118,27 @@ def schema_errors(
         # the alternatives of a key are one error
         known = next((other for other in groups if keys[: len(other)] == other), keys)
         groups.setdefault(known, []).append(fault)
-    return [_error_of(_best(faults), model, error, path, tree) for faults in groups.values()]
+    errors = []
+    for fault in map(_best, groups.values()):
+        keys, message = _key_and_message(fault, model)
+        line = line_of(tree, [key for key in fault["loc"] if key != "[key]"])
+        errors.append(error(message, path=path, line=line, key=".".join(map(str, keys)) or None))
+    return errors
 
 
-def _error_of(
-    first: Any,
-    model: type[BaseModel],
-    error: type[HumansimError],
-    path: str | os.PathLike[str] | None,
-    tree: yaml.Node | None,
-) -> HumansimError:
-    """Error of one fault."""
-    place = _place(model, tuple(first["loc"]))
-    keys, line = place.keys, line_of(tree, [key for key in first["loc"] if key != "[key]"])
-    if first["type"] == "extra_forbidden":
-        keys = tuple(first["loc"])
-        message = unknown_key(model, keys)
-    elif first["type"] == "value_error":
-        message = str(first["msg"]).removeprefix("Value error, ")
-        keys = _with_numbers(place, first)
-    elif first["type"] == "missing" and not isinstance(first["loc"][-1], int):
-        message = f"this key is missing: {needed(place.annotation, place.field)}"
-    else:
-        message = f"{needed(place.annotation, place.field)}; found {_found(first, place)}"
-        keys = _with_numbers(place, first)
-    return error(message, path=path, line=line, key=".".join(map(str, keys)) or None)
+def _key_and_message(fault: Any, model: type[BaseModel]) -> tuple[tuple[Any, ...], str]:
+    location = tuple(fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        return location, unknown_key(model, location)
+    place = _place(model, location)
+    # of values in lists their numbers, without the alternatives' names in between
+    inner = [part for part in location[len(place.keys) :] if isinstance(part, int)]
+    if fault["type"] == "value_error":
+        return (*place.keys, *inner), str(fault["msg"]).removeprefix("Value error, ")
+    need = needed(place.annotation, place.field)
+    if fault["type"] == "missing" and not isinstance(location[-1], int):
+        return place.keys, f"this key is missing: {need}"
+    return (*place.keys, *inner), f"{need}; found {_found(fault, place, inner)}"
 
 
 def allowed(annotation: Any, field: FieldInfo | None = None) -> str:
@@ -190,18 +187,16 @@ def show_value(value: Any) -> str:
 
 
 def _best(faults: Sequence[Any]) -> Any:
-    """The first fault; if a key has alternatives, the fault of the alternative with most keys."""
-    first = faults[0]
-    if len(faults) == 1:
+    """The first fault; if a key has alternatives, the fault within the one that is a mapping of names."""
+    first, alternative = faults[0], len(faults[0]["loc"]) - 1
+    if isinstance(first["input"], (str, list)):
         return first
-    deeper = [
-        fault
-        for fault in faults
-        if len(fault["loc"]) > len(first["loc"])
-        and fault["loc"][: len(first["loc"]) - 1] == first["loc"][:-1]
-    ]
-    mapping = [fault for fault in deeper if str(fault["loc"][len(first["loc"]) - 1]).startswith("dict[")]
-    return mapping[0] if mapping and not isinstance(first["input"], (str, list)) else first
+    for fault in faults:
+        *above, name = fault["loc"][: alternative + 1] or ("",)
+        is_deeper = len(fault["loc"]) > len(first["loc"]) and tuple(above) == first["loc"][:-1]
+        if is_deeper and str(name).startswith("dict["):
+            return fault
+    return first
 
 
 def _place(model: type[BaseModel], location: tuple[Any, ...]) -> _Place:
@@ -230,31 +225,23 @@ def _place(model: type[BaseModel], location: tuple[Any, ...]) -> _Place:
     return place
 
 
-def _with_numbers(place: _Place, fault: Any) -> tuple[Any, ...]:
-    """Keys of a place and the numbers of values in its lists, without the alternatives' names in between."""
-    return (*place.keys, *(part for part in fault["loc"][len(place.keys) :] if isinstance(part, int)))
-
-
 def _field(model: type[BaseModel], name: Any) -> FieldInfo | None:
     by_alias = {info.alias or key: info for key, info in model.model_fields.items()}
     return by_alias.get(name) or model.model_fields.get(name)
 
 
-def _found(first: Any, place: _Place) -> str:
-    """What was given at a place; of a long list, the wrong value."""
+def _found(fault: Any, place: _Place, inner: Sequence[int]) -> str:
+    """What was given at a place; of a long list, the wrong value, which has the numbers ``inner``."""
     if place.is_name:
         return f"the name {show_value(place.keys[-1])}"
-    depth = len(place.keys)
-    inner = [part for part in first["loc"][depth:] if isinstance(part, int)]
-    value = show_value(first["input"])
-    if first["type"] == "missing":  # a list is too short
+    value = show_value(fault["input"])
+    if fault["type"] == "missing":  # a list is too short
         return value
-    if first["type"] == "string_type" and isinstance(first["input"], bool):
+    if fault["type"] == "string_type" and isinstance(fault["input"], bool):
         value += ' (quote a text such as "off", "on", "yes" or "no")'
     if not inner:
-        return value + did_you_mean(str(first["input"]), _choices(place.annotation))
-    position = " of row ".join(str(part + 1) for part in reversed(inner))
-    return f"{value} as number {position}"
+        return value + did_you_mean(str(fault["input"]), _choices(place.annotation))
+    return f"{value} as number {' of row '.join(str(part + 1) for part in reversed(inner))}"
 
 
 def _choices(annotation: Any) -> list[str]:
@@ -343,15 +330,11 @@ def _at_least_one(metadata: Sequence[Any]) -> str:
 
 def _limits(metadata: Sequence[Any]) -> str:
     """Limits of a number: `` from 0 to 1``."""
-    at_least = [part.ge for part in metadata if isinstance(part, annotated_types.Ge)]
-    above = [part.gt for part in metadata if isinstance(part, annotated_types.Gt)]
-    at_most = [part.le for part in metadata if isinstance(part, annotated_types.Le)]
-    below = [part.lt for part in metadata if isinstance(part, annotated_types.Lt)]
-    if at_least and at_most:
-        return f" from {_number(at_least[0])} to {_number(at_most[0])}"
-    low = f"of {_number(at_least[0])} or more" if at_least else f"above {_number(above[0])}" if above else ""
-    high = f"at most {_number(at_most[0])}" if at_most else f"below {_number(below[0])}" if below else ""
-    text = " and ".join(filter(None, (low, high)))
+    forms = {"ge": "of {} or more", "gt": "above {}", "le": "at most {}", "lt": "below {}"}
+    limits = {key: _number(getattr(part, key)) for part in metadata for key in forms if hasattr(part, key)}
+    if {"ge", "le"} <= limits.keys():
+        return f" from {limits['ge']} to {limits['le']}"
+    text = " and ".join(form.format(limits[key]) for key, form in forms.items() if key in limits)
     return f" {text}" if text else ""
 
 
@@ -401,10 +384,7 @@ def _is_union(annotation: Any) -> bool:
 
 def _has_sections(annotation: Any) -> bool:
     """Whether an annotation has a section somewhere within."""
-    plain = _plain(annotation)
-    if isinstance(plain, type) and issubclass(plain, BaseModel):
-        return True
-    return any(_has_sections(part) for part in get_args(plain) if part is not Ellipsis)
+    return any(True for _ in _models(annotation))
 
 
 # --- unknown keys: the key that was probably meant, or the section that the key belongs to
@@ -412,16 +392,11 @@ def _has_sections(annotation: Any) -> bool:
 #: Least similarity to a key of the same section: before the same key of another section, and after it.
 _VERY_NEAR, _NEAR = 0.8, 0.6
 #: Most sections that a message names, and depth of sections.
-_MOST_PLACES, _DEPTH = 3, 6
+_MOST_PLACES, _DEPTH = 3, 7
 
 
 def unknown_key(model: type[BaseModel], keys: Sequence[Any]) -> str:
-    """Message about an unknown key.
-
-    Args:
-        model: Model of the file.
-        keys: Keys from the top of the file to the unknown one.
-    """
+    """Message about an unknown key. ``keys``: from the top of a file of the model to the unknown one."""
     section = _section_at(model, keys[:-1])
     known = key_names(section)
     hint = _hint(model, section, keys)
@@ -437,25 +412,23 @@ def _hint(model: type[BaseModel], section: type[BaseModel], keys: Sequence[Any])
     meant = meant or next(iter(near_names(word, known, _VERY_NEAR)), None)
     if meant:
         return f"did you mean `{meant}`?"
-    places: dict[str, list[str]] = {}
-    nearest = None
-    for place, other in sorted(_sections(model, ""), key=lambda pair: _distance(pair[0], keys)):
-        found = name if name in key_names(other) else _other_words(other).get(word)
-        distance = _distance(place, keys)
-        if found and other is not section and (nearest is None or distance <= nearest + 1):
-            nearest = distance if nearest is None else nearest
-            places.setdefault(found, []).append(_actual(place, keys) or "the top of the file")
-    if name in places:
-        return f"`{name}` belongs to {_some(places[name])}."
-    if places:
-        found, where = next(iter(places.items()))
-        return f"did you mean `{found}`, which belongs to {_some(where)}?"
+    found: list[tuple[int, str, str]] = []
+    for place, other in _sections(model):
+        key = name if name in key_names(other) else _other_words(other).get(word)
+        if key and other is not section:
+            pairs = zip(place, map(str, keys[:-1]), strict=False)
+            shared = len(list(takewhile(lambda pair: pair[0] in ("<name>", pair[1]), pairs)))
+            where = ".".join((*map(str, keys[:shared]), *place[shared:])) or "the top of the file"
+            found.append((len(place) + len(keys) - 1 - 2 * shared, key, where))
+    if found:
+        found.sort(key=lambda each: each[0])
+        near = [(key, where) for distance, key, where in found if distance <= found[0][0] + 1]
+        meant = name if any(key == name for key, _ in near) else near[0][0]
+        places = either(list(dict.fromkeys(where for key, where in near if key == meant))[:_MOST_PLACES])
+        own = f"`{name}` belongs to {places}."
+        return own if meant == name else f"did you mean `{meant}`, which belongs to {places}?"
     meant = next(iter(near_names(word, known, _NEAR)), None)
     return f"did you mean `{meant}`?" if meant else ""
-
-
-def _some(places: Sequence[str]) -> str:
-    return either(list(dict.fromkeys(places))[:_MOST_PLACES])
 
 
 def either(texts: Sequence[str]) -> str:
@@ -483,15 +456,16 @@ def _section_at(model: type[BaseModel], keys: Sequence[Any]) -> type[BaseModel]:
     return model
 
 
-def _sections(model: type[BaseModel], place: str) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Place and model of each section: ``humans.<name>.motion``."""
+def _sections(
+    model: type[BaseModel], place: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], type[BaseModel]]]:
+    """Place and model of each section: ``("humans", "<name>", "motion")``."""
     yield place, model
-    if place.count(".") > _DEPTH:
-        return
-    for name, info in model.model_fields.items():
-        for inner in _models(info.annotation):
-            named = f"{name}.<name>" if "dict[" in str(info.annotation) else name
-            yield from _sections(inner, f"{place}.{named}".removeprefix("."))
+    if len(place) <= _DEPTH:
+        for name, info in model.model_fields.items():
+            named = (name, "<name>") if "dict[" in str(info.annotation) else (name,)
+            for inner in _models(info.annotation):
+                yield from _sections(inner, (*place, *named))
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
@@ -499,25 +473,3 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for inner in get_args(annotation):
         yield from _models(inner)
-
-
-def _common(place: str, keys: Sequence[Any]) -> int:
-    """Number of parts of a place that the keys share."""
-    shared = 0
-    for part, key in zip(place.split("."), keys[:-1], strict=False):
-        if part not in ("<name>", str(key)):
-            break
-        shared += 1
-    return shared
-
-
-def _distance(place: str, keys: Sequence[Any]) -> int:
-    """Number of sections between a place and the section of the unknown key."""
-    length = len(place.split(".")) if place else 0
-    return length + len(keys) - 1 - 2 * _common(place, keys)
-
-
-def _actual(place: str, keys: Sequence[Any]) -> str:
-    """A place with the names that the keys have."""
-    parts, shared = place.split("."), _common(place, keys)
-    return ".".join([*(str(key) for key in keys[:shared]), *parts[shared:]])

@@ -92,16 +92,7 @@ def open_file(
 
 
 def read_blocks(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[bytes]:
-    """Content of a file of any size, part by part; nothing if it is empty.
-
-    Args:
-        path: File to read.
-        error: Error class to raise.
-        what: Kind of file for messages, such as ``image``.
-
-    Raises:
-        HumansimError: ``error``, as for :func:`open_file`.
-    """
+    """Content of a file of any size, part by part; nothing if it is empty. Errors as of :func:`open_file`."""
     with open_file(path, error, what, ANY_SIZE, may_be_empty=True) as file, reading_errors(path, error, what):
         while block := file.read(_BLOCK):
             yield block
@@ -128,13 +119,7 @@ def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: s
     """Read a file.
 
     Args:
-        path: File to read.
-        error: Error class to raise.
-        what: Kind of file for messages, such as ``mesh``.
-        most: Maximum size in bytes.
-
-    Raises:
-        HumansimError: ``error``, as for :func:`open_file`.
+        path, error, what, most: As of :func:`open_file`, which also lists the errors.
     """
     with open_file(path, error, what, most) as file, reading_errors(path, error, what):
         data = file.read(os.fstat(file.fileno()).st_size)
@@ -147,10 +132,7 @@ def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: st
     """Read a text file: UTF-8 with or without BOM, or else Latin-1.
 
     Args:
-        path: File to read.
-        error: Error class to raise.
-        what: Kind of file for messages, such as ``scene``.
-        most: Maximum size in bytes.
+        path, error, what, most: As of :func:`open_file`.
 
     Raises:
         HumansimError: ``error``, as for :func:`open_file`, and for binary files.
@@ -163,12 +145,7 @@ def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimE
 
     Args:
         data: Content of the file.
-        path: File, for messages.
-        error: Error class to raise.
-        what: Kind of file for messages, such as ``scene``.
-
-    Raises:
-        HumansimError: ``error``, if the file is binary.
+        path, error, what: As of :func:`open_file`. The error is raised if the file is binary.
     """
     if b"\0" in data:
         raise error(f"this is a binary file, not a {what} text file", path=path)
@@ -179,13 +156,7 @@ def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimE
 
 
 #: Encodings of names in scripts of East Asia, and their names for people.
-ENCODINGS = {
-    "cp932": "Shift-JIS",
-    "gb18030": "GBK",
-    "cp949": "EUC-KR",
-    "big5": "Big5",
-    "euc_jp": "EUC-JP",
-}
+ENCODINGS = {"cp932": "Shift-JIS", "gb18030": "GBK", "cp949": "EUC-KR", "big5": "Big5", "euc_jp": "EUC-JP"}
 #: Share of such characters from which an encoding is taken.
 _LEAST_BODY = 0.2
 #: Characters of the names of joints in these scripts: left, right, and parts of the body.
@@ -278,11 +249,8 @@ def read_json(
     """Content of a JSON file.
 
     Args:
-        path: File to read.
-        error: Error class to raise.
-        what: Kind of file for messages, such as ``points``.
-        most: Maximum size in bytes.
-        nan: Accept NaN and Infinity, as in :func:`parse_json`.
+        path, error, what, most: As of :func:`read_text`.
+        nan: As of :func:`parse_json`.
 
     Raises:
         HumansimError: ``error``, as for :func:`read_text` and :func:`parse_json`.
@@ -306,22 +274,15 @@ def _json_float(digits: str) -> float:
 
 
 def _no_json_number(name: str) -> None:
-    """Of NaN and infinity, which Python's module accepts."""
     raise ValueError(f"{name} is no number of JSON")
 
 
 def _is_deep(content: Any) -> bool:
-    level = [content] if isinstance(content, (dict, list)) else []
-    for _ in range(_MAX_JSON_DEPTH + 1):
-        level = [
-            child
-            for values in level
-            for child in (values.values() if isinstance(values, dict) else values)
-            if isinstance(child, (dict, list))
-        ]
-        if not level:
-            return False
-    return True
+    level: list[Any] = [[content]]
+    for _ in range(_MAX_JSON_DEPTH + 2):
+        inner = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [child for children in inner for child in children if isinstance(child, (dict, list))]
+    return bool(level)
 
 
 def missing_file(path: Path, hint: str = "") -> str:
@@ -518,11 +479,8 @@ def only_one_process(path: Path, longest: float) -> Iterator[None]:
     """Let processes that make the same file do so one after the other.
 
     Who comes later finds the file made. A process that has waited ``longest`` seconds goes on: the other one
-    may have been stopped. Without write access nobody waits.
-
-    Args:
-        path: File that is locked meanwhile, and removed after it.
-        longest: Seconds.
+    may have been stopped. Without write access nobody waits. ``path``: file that is locked meanwhile, and
+    removed after it.
     """
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -65,17 +65,13 @@ class DecodedImages:
     def get(self, key: Hashable, encoded: Callable[[], bytes]) -> NDArray[np.uint8]:
         """Image (H, W, 3) of a key, decoded from ``encoded`` on the first call. Raises MeshError."""
         if key not in self._images:
-            data = encoded()
-            self._reserve(_checked_size(data, "texture"))
-            self._images[key] = decode_image(data)
+            self._images[key] = decode_image(self._counted(encoded()))
         return self._images[key]
 
     def alpha(self, key: Hashable, encoded: Callable[[], bytes]) -> NDArray[np.uint8] | None:
         """Alpha channel (H, W) of the image of a key; None if it is opaque. Raises MeshError."""
         if key not in self._alphas:
-            data = encoded()
-            self._reserve(_checked_size(data, "texture"))
-            self._alphas[key] = _decode_alpha(data)
+            self._alphas[key] = _decode_alpha(self._counted(encoded()))
         return self._alphas[key]
 
     def tinted(self, key: Hashable, image: NDArray[np.uint8], color: Array) -> NDArray[np.uint8]:
@@ -86,6 +82,10 @@ class DecodedImages:
             table = np.rint(np.arange(256)[:, None] * color).astype(np.uint8)
             self._images[key] = np.asarray(cv2.LUT(image, table[None]), dtype=np.uint8)
         return self._images[key]
+
+    def _counted(self, data: bytes) -> bytes:
+        self._reserve(_checked_size(data, "texture"))
+        return data
 
     def _reserve(self, pixels: int) -> None:
         self._pixels += pixels

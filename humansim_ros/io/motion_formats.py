@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,15 +47,12 @@ MOTION_SUFFIXES = tuple(suffix for known in MOTION_FORMATS for suffix in known.s
 MOTION_TITLES = ", ".join(known.title for known in MOTION_FORMATS)
 
 
+_WRITE = "write points with names as .trc, or SMPL as .npz"
 #: Formats that are not read: suffixes, name, and what to do.
 _UNREAD = (
     (".mot .sto .osim", "OpenSim", "play its markers (.trc), or export places of joints as .trc or .c3d"),
-    (
-        ".csv .tsv .xlsx .mat .h5 .hdf5",
-        "a table of numbers",
-        "write points with names as .trc, or SMPL as .npz",
-    ),
-    (".json .jsonl .xml .yaml", "keypoints or settings", "write points with names as .trc, or SMPL as .npz"),
+    (".csv .tsv .xlsx .mat .h5 .hdf5", "a table of numbers", _WRITE),
+    (".json .jsonl .xml .yaml", "keypoints or settings", _WRITE),
     (".mvnx .mvn .mtb", "Xsens MVN", "export .bvh, .fbx or .c3d from MVN"),
     (".usd .usda .usdc .usdz .abc", "USD or Alembic", "export .glb or .fbx, such as from Blender"),
     (
@@ -95,19 +94,8 @@ def split_motion_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
     known = motion_format(file) if mark else None
     if known is not None and known.part:
         return file, part
-    folder, mark, member = _split_archive(text)
-    return (folder, member) if mark else (text, None)
-
-
-def _split_archive(text: str) -> tuple[str, str, str]:
-    """File, slash and member of ``all.zip/walk.bvh``; no slash if there is no archive on the way."""
-    start = 0
-    while (end := text.lower().find(".zip/", start)) >= 0:
-        file = text[: end + 4]
-        try:
-            if not Path(file).is_dir():
-                return file, "/", text[end + 5 :]
-        except (OSError, ValueError):  # an impossible name
-            pass
-        start = end + 5
-    return text, "", ""
+    for slash in re.finditer(r"(?<=\.zip)/", text, re.IGNORECASE):
+        with suppress(OSError, ValueError):  # an impossible name
+            if not Path(text[: slash.start()]).is_dir():
+                return text[: slash.start()], text[slash.end() :]
+    return text, None

@@ -19,6 +19,8 @@ from humansim_ros.io.files import atomic_path, read_bytes
 
 #: Limit for a file, and for all its arrays together.
 MAX_BYTES = 1 << 30
+#: What a damaged, an encrypted or an unusual ZIP archive raises.
+ARCHIVE_ERRORS = (ValueError, OSError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
 #: Kinds of arrays that are read: booleans, whole numbers, numbers and texts.
 _KINDS = "biufUS"
 
@@ -67,16 +69,7 @@ def read_npz(
                     arrays[name] = npy_array(content)
                 except ValueError as reason:
                     raise error(str(reason), path=path, key=name) from None
-    except (
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        zipfile.BadZipFile,
-        zlib.error,
-        NotImplementedError,
-        RuntimeError,  # an encrypted member
-    ) as reason:
+    except ARCHIVE_ERRORS as reason:
         raise error(f"not a {what} file, or a damaged one: {reason}", path=path) from None
     return arrays
 

@@ -5,19 +5,14 @@ from __future__ import annotations
 import os
 import warnings
 import zipfile
-import zlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of, warn_about
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import exists, open_file, size_text, temporary_folder
-from humansim_ros.io.motion_formats import (
-    MOTION_TITLES,
-    motion_format,
-    split_motion_name,
-    unread_format,
-)
+from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name, unread_format
+from humansim_ros.io.npz import ARCHIVE_ERRORS
 from humansim_ros.motion.activity import is_activity, read_activity
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.joint_matching import is_person
@@ -135,10 +130,7 @@ def _read_archive(path: Path, member: str | None, positions: PositionChannels) -
                     unpacked = _unpack(path, archive, chosen, folder / "motion")
                     for skeleton in _skeletons(archive, chosen):
                         _unpack(path, archive, skeleton, folder / "motion")
-            except (
-                *(ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error),
-                *(NotImplementedError, RuntimeError),  # unknown compression; an encrypted member
-            ) as reason:
+            except ARCHIVE_ERRORS as reason:
                 raise MotionError(f"not a ZIP archive that can be read: {reason}", path=path) from None
         shown = f"{path}/{chosen.filename}"
         try:

@@ -138,8 +138,7 @@ def _other_sides(labels: Sequence[str]) -> list[str]:
 @functools.cache
 def _tables() -> Mapping[str, Mapping[str, Sequence[str]]]:
     """Tables of names by landmark, from config/marker_names.yaml."""
-    file = resource_path("config/marker_names.yaml")
-    return dict(yaml.safe_load(file.read_text(encoding="utf-8")))
+    return dict(yaml.safe_load(resource_path("config/marker_names.yaml").read_text(encoding="utf-8")))
 
 
 def _named(table: str, by_key: Mapping[str, int]) -> dict[str, int]:

@@ -46,18 +46,6 @@ class _Bone:
     dof: tuple[str, ...] = ()
 
 
-@dataclass
-class _Skeleton:
-    """Content of a skeleton file; the root is a bone without length."""
-
-    path: Path
-    bones: dict[str, _Bone]
-    parents: dict[str, str]
-    position: Array
-    length: float
-    degrees: float
-
-
 def read_acclaim(path: str | os.PathLike[str], skeleton: str | None = None) -> Motion:
     """Read an .amc file with its .asf file.
 
@@ -73,89 +61,92 @@ def read_acclaim(path: str | os.PathLike[str], skeleton: str | None = None) -> M
     file = Path(path)
     if file.suffix.lower() == ".asf":
         raise MotionError("this is a skeleton without a motion: give the .amc file", path=path)
-    return _Amc(file, _SkeletonText(_find_skeleton(file, skeleton)).skeleton).motion()
+    return _Amc(file, _Skeleton(_find_skeleton(file, skeleton))).motion()
 
 
 def _find_skeleton(path: Path, name: str | None) -> Path:
-    if name is not None:
-        target = resolve_inside(path.parent, name)
-        if target is None:
-            raise MotionError(f"the skeleton {name!r} is not in the folder of the motion", path=path)
-        return target
-    read_text(path, MotionError, "AMC motion", _MAX_MOTION)  # a missing file is the first error
-    try:
-        names = [entry.name for entry in os.scandir(path.parent)]
-    except OSError as reason:
-        raise MotionError(f"cannot look for its .asf file: {reason.strerror}", path=path) from None
-    found = sorted(file for file in names if file.lower().endswith(".asf"))
-    stem = path.stem.lower().lstrip(".")  # the page reads a file under a hidden name first
-    fitting = [file for file in found if stem == file[:-4].lower()] or [
-        file for file in found if stem.startswith((f"{file[:-4].lower()}_", f"{file[:-4].lower()}-"))
-    ]
-    if not fitting and len(found) == 1:
-        warn_about(path, f"its skeleton is taken from {found[0]}, the only .asf file of the folder")
-        fitting = found
-    if not fitting:
-        there = f"; there are {some_of(found)}" if found else ""
-        raise MotionError(
-            f"its skeleton is missing: put {path.stem}.asf beside it, or name the file: "
-            f"{path.name}#NAME.asf{there}",
-            path=path,
-        )
-    target = resolve_inside(path.parent, fitting[0])
+    if name is None:
+        read_text(path, MotionError, "AMC motion", _MAX_MOTION)  # a missing file is the first error
+        try:
+            names = [entry.name for entry in os.scandir(path.parent)]
+        except OSError as reason:
+            raise MotionError(f"cannot look for its .asf file: {reason.strerror}", path=path) from None
+        found = sorted(file for file in names if file.lower().endswith(".asf"))
+        stem = path.stem.lower().lstrip(".")  # the page reads a file under a hidden name first
+        begins = [file for file in found if stem.startswith(tuple(file[:-4].lower() + mark for mark in "_-"))]
+        fitting = [file for file in found if stem == file[:-4].lower()] or begins
+        if not fitting and len(found) == 1:
+            warn_about(path, f"its skeleton is taken from {found[0]}, the only .asf file of the folder")
+            fitting = found
+        if not fitting:
+            there = f"; there are {some_of(found)}" if found else ""
+            message = f"its skeleton is missing: put {path.stem}.asf beside it, or name the file: "
+            raise MotionError(f"{message}{path.name}#NAME.asf{there}", path=path)
+        name = fitting[0]
+    target = resolve_inside(path.parent, name)
     if target is None:
-        raise MotionError(f"the skeleton {fitting[0]!r} is not in the folder of the motion", path=path)
+        raise MotionError(f"the skeleton {name!r} is not in the folder of the motion", path=path)
     return target
 
 
-def _numbers(words: list[str], count: int, what: str, path: Path, line: int) -> Array:
-    """``count`` finite numbers. Raises MotionError with the line."""
-    try:
-        values = np.array([float(word) for word in words])
-    except ValueError:
-        values = np.zeros(0)
-    if len(values) != count or not (np.abs(values) <= _LARGEST).all():
-        shown = printable(" ".join(words), 60)
-        raise MotionError(f"{what} needs {count} finite numbers, not {shown!r}", path=path, line=line)
-    return values
+class _Text:
+    """Words of the lines of a file, without comments; errors have its path."""
 
-
-class _SkeletonText:
-    """Parser of an .asf file."""
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, what: str, most: int) -> None:
         self.path = path
-        text = read_text(path, MotionError, "ASF skeleton", _MAX_SKELETON)
-        sections: dict[str, list[tuple[int, list[str]]]] = {}
-        current = sections.setdefault("", [])
-        for number, row in enumerate(text.splitlines(), 1):
-            words = row.partition("#")[0].split()
-            if words and words[0].startswith(":"):
-                current = sections.setdefault(words[0][1:].lower(), [])
-                words = words[1:]
-            if words:
-                current.append((number, words))
-        for name in ("root", "bonedata", "hierarchy"):
-            if name not in sections:
-                raise self.error(f"not an ASF skeleton: it has no section :{name}")
-        self.length, self.degrees = self._units(sections.get("units", []))
-        root, position = self._root(sections["root"])
-        self.bones = {_ROOT: root}
-        self._bones(sections["bonedata"])
-        parents = self._hierarchy(sections["hierarchy"])
-        if lost := [name for name in self.bones if name != _ROOT and name not in parents]:
-            warn_about(path, f"the hierarchy does not contain {some_of(lost)}: left out")
-        self.skeleton = _Skeleton(path, self.bones, parents, position, self.length, self.degrees)
+        lines = enumerate(read_text(path, MotionError, what, most).splitlines(), 1)
+        self.rows = ((line, words) for line, text in lines if (words := text.partition("#")[0].split()))
 
     def error(self, message: str, line: int | None = None) -> MotionError:
         return MotionError(message, path=self.path, line=line)
 
+    def numbers(self, words: list[str], count: int, what: str, line: int) -> Array:
+        """``count`` finite numbers."""
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            values = np.zeros(0)
+        if len(values) != count or not (np.abs(values) <= _LARGEST).all():
+            shown = printable(" ".join(words), 60)
+            raise self.error(f"{what} needs {count} finite numbers, not {shown!r}", line)
+        return values
+
+
+class _Skeleton(_Text):
+    """Content of an .asf file.
+
+    Attributes:
+        bones: Bones by name; the root is a bone without length.
+        parents: Parent of each bone but the root, parents first.
+        position: Where the root is, (3,).
+        length, degrees: Scale of lengths, and degrees of a unit of angles.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "ASF skeleton", _MAX_SKELETON)
+        sections: dict[str, list[tuple[int, list[str]]]] = {}
+        current = sections.setdefault("", [])
+        for line, words in self.rows:
+            if words[0].startswith(":"):
+                current = sections.setdefault(words.pop(0)[1:].lower(), [])
+            if words:
+                current.append((line, words))
+        for name in ("root", "bonedata", "hierarchy"):
+            if name not in sections:
+                raise self.error(f"not an ASF skeleton: it has no section :{name}")
+        self.length, self.degrees = self._units(sections.get("units", []))
+        root, self.position = self._root(sections["root"])
+        self.bones = {_ROOT: root}
+        self._bones(sections["bonedata"])
+        self.parents = self._hierarchy(sections["hierarchy"])
+        if lost := [name for name in self.bones if name != _ROOT and name not in self.parents]:
+            warn_about(path, f"the hierarchy does not contain {some_of(lost)}: left out")
+
     def _units(self, rows: list[tuple[int, list[str]]]) -> tuple[float, float]:
-        """Scale of lengths, and degrees of a unit of angles."""
         length, degrees = 1.0, 1.0
         for line, (word, *rest) in rows:
             if word.lower() == "length":
-                length = float(_numbers(rest, 1, "length", self.path, line)[0])
+                length = float(self.numbers(rest, 1, "length", line)[0])
                 if not length > 0:
                     raise self.error(f"the scale of lengths must be above 0, not {length:g}", line)
             elif word.lower() == "angle":
@@ -174,20 +165,17 @@ class _SkeletonText:
             elif key == "axis":
                 root.axis_order = self._order(" ".join(rest), line)
             elif key == "position":
-                position = _numbers(rest, 3, "position", self.path, line)
+                position = self.numbers(rest, 3, "position", line)
             elif key == "orientation":
-                root.axis = self.degrees * _numbers(rest, 3, "orientation", self.path, line)
+                root.axis = self.degrees * self.numbers(rest, 3, "orientation", line)
         return root, position
 
     def _dof(self, words: list[str], line: int) -> tuple[str, ...]:
         names = tuple(word.lower() for word in words)
         unknown = [word for word in names if word not in (*_WORDS, "l")]
         if unknown or len(set(names)) < len(names):
-            raise self.error(
-                f"degrees of freedom are {', '.join(_WORDS)}, each once; not "
-                f"'{printable(' '.join(words), 60)}'",
-                line,
-            )
+            shown = printable(" ".join(words), 60)
+            raise self.error(f"degrees of freedom are {', '.join(_WORDS)}, each once; not '{shown}'", line)
         return names
 
     def _order(self, text: str, line: int) -> str:
@@ -214,11 +202,11 @@ class _SkeletonText:
             elif key == "name":
                 bone.name = printable(" ".join(rest), 100)
             elif key == "direction":
-                bone.direction = _numbers(rest, 3, "direction", self.path, line)
+                bone.direction = self.numbers(rest, 3, "direction", line)
             elif key == "length":
-                bone.length = float(_numbers(rest, 1, "length", self.path, line)[0])
+                bone.length = float(self.numbers(rest, 1, "length", line)[0])
             elif key == "axis":
-                bone.axis = self.degrees * _numbers(rest[:3], 3, "axis", self.path, line)
+                bone.axis = self.degrees * self.numbers(rest[:3], 3, "axis", line)
                 bone.axis_order = self._order(rest[3], line) if len(rest) > 3 else "xyz"
             elif key == "dof":
                 bone.dof = self._dof(rest, line)
@@ -246,36 +234,26 @@ class _SkeletonText:
         parents: dict[str, str] = {}
         pending = [_ROOT]
         while pending:
-            above = pending.pop()
-            for name in children.get(above, ()):
-                parents[name] = above
-            pending += reversed(children.get(above, ()))
+            above, below = pending[-1], children.get(pending.pop(), [])
+            parents |= dict.fromkeys(below, above)
+            pending += reversed(below)
         if not parents:
             raise self.error("the hierarchy has no bone below the root")
         return parents
 
 
-class _Amc:
-    """Parser of an .amc file for a skeleton."""
+class _Amc(_Text):
+    """Content of an .amc file for a skeleton: values (F, D) of the bones that move, by name."""
 
     def __init__(self, path: Path, skeleton: _Skeleton) -> None:
-        self.path, self.skeleton = path, skeleton
-        self.degrees = skeleton.degrees
+        super().__init__(path, "AMC motion", _MAX_MOTION)
+        self.skeleton, self.degrees = skeleton, skeleton.degrees
         self.rate: float | None = None
         moving = [name for name in (_ROOT, *skeleton.parents) if skeleton.bones[name].dof]
         self.values: dict[str, list[list[float]]] = {name: [] for name in moving}
-        self._read(read_text(path, MotionError, "AMC motion", _MAX_MOTION))
-
-    def error(self, message: str, line: int | None = None) -> MotionError:
-        return MotionError(message, path=self.path, line=line)
-
-    def _read(self, text: str) -> None:
         frames, start = 0, 0
         seen: set[str] = set()
-        for line, row in enumerate(text.splitlines(), 1):
-            words = row.partition("#")[0].split()
-            if not words:
-                continue
+        for line, words in self.rows:
             if words[0].startswith(":"):
                 self._keyword(words, line)
             elif len(words) == 1 and words[0].isdigit():
@@ -289,10 +267,8 @@ class _Amc:
         if not frames:
             raise self.error("not an AMC motion: it has no frames")
         if len(seen) < len(self.values) and frames > 1:
-            warn_about(self.path, f"the file ends within frame {frames}: this frame is left out")
-            frames -= 1
-            for rows in self.values.values():
-                del rows[frames:]
+            warn_about(path, f"the file ends within frame {frames}: this frame is left out")
+            self.values = {name: rows[: frames - 1] for name, rows in self.values.items()}
         else:
             self._close(seen, start)
 
@@ -301,19 +277,18 @@ class _Amc:
         if key in _ANGLES:
             self.degrees = _ANGLES[key]
         elif key == "samples-per-second" and len(words) > 1:
-            self.rate = float(_numbers(words[1:2], 1, words[0], self.path, line)[0])
+            self.rate = float(self.numbers(words[1:2], 1, words[0], line)[0])
             if not 1e-3 <= self.rate <= 1e6:
                 raise self.error(f"{self.rate:g} frames per second are not possible", line)
 
     def _row(self, words: list[str], seen: set[str], line: int) -> None:
-        name = words[0]
+        name, of = words[0], self.skeleton.path.name
         if name not in self.values:
             why = "has no degrees of freedom" if name in self.skeleton.bones else "does not exist"
-            raise self.error(
-                f"bone '{printable(name, 40)}' {why} in {self.skeleton.path.name}: "
-                "this skeleton does not belong to the motion",
-                line,
+            message = (
+                f"bone '{printable(name, 40)}' {why} in {of}: this skeleton does not belong to the motion"
             )
+            raise self.error(message, line)
         if name in seen:
             raise self.error(f"bone {name!r} is given twice in one frame", line)
         seen.add(name)
@@ -323,18 +298,15 @@ class _Amc:
         except ValueError:
             values = []
         if len(values) != len(dof) or not all(abs(value) <= _LARGEST for value in values):
-            raise self.error(
-                f"bone {name!r} has the {len(dof)} values {' '.join(dof)} in {self.skeleton.path.name}, "
-                f"not '{printable(' '.join(words[1:]), 60)}'",
-                line,
-            )
+            needed = f"the {len(dof)} values {' '.join(dof)} in {of}"
+            shown = printable(" ".join(words[1:]), 60)
+            raise self.error(f"bone {name!r} has {needed}, not '{shown}'", line)
         self.values[name].append(values)
 
     def _close(self, seen: set[str], start: int) -> None:
         if lost := [name for name in self.values if name not in seen]:
-            raise self.error(
-                f"this frame has no values of {some_of(lost)}, which {self.skeleton.path.name} needs", start
-            )
+            needed = f"{some_of(lost)}, which {self.skeleton.path.name} needs"
+            raise self.error(f"this frame has no values of {needed}", start)
 
     def motion(self) -> Motion:
         """The motion: joints where bones start, end sites where the last bones end."""
@@ -362,26 +334,23 @@ class _Amc:
                 positions[joint] = offsets[joint] + axis.apply(shift)
         if any("l" in bones[name].dof for name in self.values):
             warn_about(self.path, "bones change their length (dof l): this is ignored")
-        for name in sorted(set(names) - set(skeleton.parents.values()), key=number.__getitem__):
-            parents.append(number[name])
-            names.append(f"{name}_end")
-            offsets.append(along[name])
-        rate = self.rate
-        if rate is None:
-            warn_about(
-                self.path, f"the file states no rate: {_RATE:g} frames per second (else set the speed)"
-            )
-        # lengths of CMU are in inches times 0.45; for other scales the unit is detected
-        unit = _INCH / _CMU_LENGTH if skeleton.length == _CMU_LENGTH else None
+        ends = [name for name in names if name not in set(skeleton.parents.values())]
+        parents += [number[name] for name in ends]
+        names += [f"{name}_end" for name in ends]
+        offsets += [along[name] for name in ends]
+        if self.rate is None:
+            text = f"the file states no rate: {_RATE:g} frames per second (else set the speed)"
+            warn_about(self.path, text)
         return motion_of_rotations(
             names,
             np.array(parents, dtype=np.intp),
             np.array(offsets),
             rotations,
             positions,
-            1 / (rate or _RATE),
+            1 / (self.rate or _RATE),
             path=str(self.path),
-            unit=unit,
+            # lengths of CMU are in inches times 0.45; for other scales the unit is detected
+            unit=_INCH / _CMU_LENGTH if skeleton.length == _CMU_LENGTH else None,
         )
 
     def _turn(self, bone: _Bone, table: Array) -> Rotation:
@@ -389,9 +358,7 @@ class _Amc:
         columns = {word[1]: column for column, word in enumerate(bone.dof) if word[0] == "r"}
         order = bone.axis_order if bone.name == _ROOT else columns
         turn = Rotation.identity(len(table))
-        for axis in order:
-            if axis in columns:
-                turn = (
-                    Rotation.from_euler(axis, self.degrees * table[:, [columns[axis]]], degrees=True) * turn
-                )
+        for axis in (axis for axis in order if axis in columns):
+            angles = self.degrees * table[:, [columns[axis]]]
+            turn = Rotation.from_euler(axis, angles, degrees=True) * turn
         return turn

@@ -9,8 +9,9 @@ from __future__ import annotations
 import io
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Literal, TextIO
@@ -48,6 +49,22 @@ _MAX_JOINTS = 20_000
 _ENDS = ("END", "ENDSITE", "END_SITE")
 
 
+@dataclass
+class _Joint:
+    """A joint or an end site: its statement in the hierarchy, and number of its parent (-1 for a root)."""
+
+    name: str
+    is_end: bool
+    parent: int
+    line: int
+    indent: int
+    offset: list[float] = field(default_factory=list)
+    channels: tuple[str, ...] | None = None
+
+    def __str__(self) -> str:
+        return "an End Site" if self.is_end else f"joint {self.name!r}"
+
+
 class Parser:
     """Parser of one file, from its start to its end.
 
@@ -56,13 +73,7 @@ class Parser:
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str = "latin-1") -> None:
         self.text = BvhText(path, file, encoding)
-        self.names: list[str] = []
-        self.is_end: list[bool] = []
-        self.joint_lines: list[int] = []
-        self.indents: list[int] = []
-        self.parents: list[int] = []
-        self.offsets: list[list[float]] = []
-        self.channels: list[tuple[str, ...] | None] = []
+        self.joints: list[_Joint] = []
 
     def parse(self) -> Motion:
         """The motion of the file; position channels replace the OFFSET."""
@@ -70,13 +81,12 @@ class Parser:
         self.text.warn_of_notes()
         self._make_names_unique()
         values, frame_time = self._motion(has_motion)
+        channels = ((name for name in j.channels or () if not name.endswith("scale")) for j in self.joints)
         return Motion(
-            joint_names=tuple(self.names),
-            parents=np.array(self.parents, dtype=np.intp),
-            offsets=np.array(self.offsets, dtype=float),
-            channels=tuple(
-                tuple(name for name in names or () if not name.endswith("scale")) for names in self.channels
-            ),
+            joint_names=tuple(joint.name for joint in self.joints),
+            parents=np.array([joint.parent for joint in self.joints], dtype=np.intp),
+            offsets=np.array([joint.offset for joint in self.joints], dtype=float),
+            channels=tuple(map(tuple, channels)),
             values=self._without_scales(values),
             frame_time=frame_time,
             path=self.text.path,
@@ -105,13 +115,13 @@ class Parser:
     def _hierarchy(self) -> bool:
         """Read the joints; True if a MOTION section follows."""
         text = self.text
-        stack: list[int] = []
+        stack: list[int] = []  # numbers of open joints
         pending: int | None = None
         surplus: int | None = None  # line of the first '}' after the hierarchy is closed
         for statement in self._from_first_joint():
             keyword, rest = [*statement.split(maxsplit=1), ""][:2]
             keyword = keyword.upper()
-            is_outside = not stack and pending is None and bool(self.names)
+            is_outside = not stack and pending is None and bool(self.joints)
             if keyword == "HIERARCHY" and is_outside and not rest:
                 continue
             if keyword == "MOTION" and starts_motion(rest.strip()):
@@ -123,32 +133,35 @@ class Parser:
                     text.warn("the word MOTION is missing before this line")
                     text.unread(statement)
                 return True
+            joint = self.joints[stack[-1]] if stack else None
             if keyword in ("ROOT", "JOINT", *_ENDS):
                 if pending is not None:
-                    raise text.error(f"'{{' expected after {self._description(pending)}")
-                pending = self._add_joint(keyword, rest.strip(), stack[-1] if stack else -1)
+                    raise text.error(f"'{{' expected after {self.joints[pending]}")
+                self._add_joint(keyword, rest.strip(), stack[-1] if stack else -1)
+                pending = len(self.joints) - 1
             elif statement == "{":
                 if pending is None:
                     raise text.error("'{' without a joint before it")
                 stack.append(pending)
                 pending = None
+            elif statement == "}" and joint is None:
+                if not is_outside:
+                    raise text.error("'}' without a matching '{'")
+                surplus = surplus or text.line
+            elif joint is None:
+                raise text.error(f"cannot understand {statement[:40]!r} in the hierarchy")
             elif statement == "}":
-                if not stack:
-                    if not is_outside:
-                        raise text.error("'}' without a matching '{'")
-                    surplus = surplus or text.line
-                    continue
-                joint = stack.pop()
-                if not self.offsets[joint]:
-                    raise text.error(f"{self._description(joint)} has no OFFSET")
-            elif keyword == "OFFSET" and stack:
-                if self.offsets[stack[-1]]:
-                    raise text.error(f"{self._description(stack[-1])} has a second OFFSET")
-                self.offsets[stack[-1]] = self._offset(rest)
-            elif keyword == "CHANNELS" and stack:
-                if self.channels[stack[-1]] is not None:
-                    raise text.error(f"{self._description(stack[-1])} has a second CHANNELS")
-                self.channels[stack[-1]] = self._channels(rest)
+                stack.pop()
+                if not joint.offset:
+                    raise text.error(f"{joint} has no OFFSET")
+            elif keyword == "OFFSET":
+                if joint.offset:
+                    raise text.error(f"{joint} has a second OFFSET")
+                joint.offset = self._offset(rest)
+            elif keyword == "CHANNELS":
+                if joint.channels is not None:
+                    raise text.error(f"{joint} has a second CHANNELS")
+                joint.channels = self._channels(rest)
             else:
                 raise text.error(f"cannot understand {statement[:40]!r} in the hierarchy")
         if stack or pending is not None:
@@ -173,12 +186,12 @@ class Parser:
     def _check_braces(self, stack: list[int], pending: int | None, surplus: int | None) -> None:
         """Accept braces that are missing or left over at the end of the hierarchy, with a warning.
 
-        In its middle they would change the hierarchy; then it disagrees with the indents.
+        A brace that is missing or left over further up would change the hierarchy. This is an error; it is
+        known by the indents, which then disagree with the hierarchy.
         """
         text = self.text
-        if pending is not None or not all(self.offsets[joint] for joint in stack):
-            raise text.error("MOTION before the hierarchy is closed: a '}' is missing above")
-        if stack and not self._indents_agree():
+        is_open = pending is not None or not all(self.joints[joint].offset for joint in stack)
+        if is_open or (stack and not self._indents_agree()):
             raise text.error("MOTION before the hierarchy is closed: a '}' is missing above")
         if surplus is not None and not self._indents_agree():
             raise text.error("'}' without a matching '{'", surplus)
@@ -191,14 +204,12 @@ class Parser:
         """Whether each joint is indented more than its parent, and as much as its siblings."""
         of_children: dict[int, int] = {}
         return all(
-            (parent < 0 or indent > self.indents[parent]) and of_children.setdefault(parent, indent) == indent
-            for parent, indent in zip(self.parents, self.indents, strict=True)
+            (joint.parent < 0 or joint.indent > self.joints[joint.parent].indent)
+            and of_children.setdefault(joint.parent, joint.indent) == joint.indent
+            for joint in self.joints
         )
 
-    def _description(self, joint: int) -> str:
-        return "an End Site" if self.is_end[joint] else f"joint {self.names[joint]!r}"
-
-    def _add_joint(self, keyword: str, name: str, parent: int) -> int:
+    def _add_joint(self, keyword: str, name: str, parent: int) -> None:
         text = self.text
         is_end = keyword in _ENDS
         if is_end:
@@ -211,38 +222,30 @@ class Parser:
             raise text.error(f"a name of more than {LONGEST_NAME} characters: {name[:40]!r}")
         if (keyword == "ROOT") != (parent < 0):
             raise text.error(f"{keyword} {name!r} does not belong here")
-        if parent >= 0 and self.is_end[parent]:
+        if parent >= 0 and self.joints[parent].is_end:
             raise text.error(f"{keyword} {name!r} inside an End Site")
-        if len(self.names) == _MAX_JOINTS:
+        if len(self.joints) == _MAX_JOINTS:
             raise text.error(f"more than {_MAX_JOINTS} joints and end sites: this is no skeleton of a person")
-        self.names.append(name)
-        self.is_end.append(is_end)
-        self.joint_lines.append(text.line)
-        self.indents.append(text.indent)
-        self.parents.append(parent)
-        self.offsets.append([])
-        self.channels.append(None)
-        return len(self.names) - 1
+        self.joints.append(_Joint(name, is_end, parent, text.line, text.indent))
 
     def _make_names_unique(self) -> None:
         """Number joints of the same name as Blender does; name end sites after their joints."""
-        if not self.names:
+        if not self.joints:
             raise self.text.error("the hierarchy has no joints")
-        given = {name for name, is_end in zip(self.names, self.is_end, strict=True) if not is_end}
+        given = {joint.name for joint in self.joints if not joint.is_end}
         taken: set[str] = set()
-        copies: dict[str, int] = {}
+        copies: Counter[str] = Counter()
         numbered = []
-        for joint, name in enumerate(self.names):
-            if is_end := self.is_end[joint]:
-                name = f"{self.names[self.parents[joint]]}_end"
+        for joint in self.joints:
+            name = f"{self.joints[joint.parent].name}_end" if joint.is_end else joint.name
             unique = name
-            while unique in taken or (unique in given and (is_end or unique != name)):
-                copies[name] = copies.get(name, 0) + 1
+            while unique in taken or (unique in given and (joint.is_end or unique != name)):
+                copies[name] += 1
                 unique = f"{name}.{copies[name]:03d}"
-            self.names[joint] = unique
+            joint.name = unique
             taken.add(unique)
-            if unique != name and (not is_end or name in given):
-                numbered.append((self.joint_lines[joint], name, unique))
+            if unique != name and (not joint.is_end or name in given):
+                numbered.append((joint.line, name, unique))
         if numbered:
             (line, name, unique), others = numbered[0], len(numbered) - 1
             more = f"; so are {others} more" if others else ""
@@ -254,9 +257,8 @@ class Parser:
         except ValueError:
             values = []
         if len(values) == 6:  # SOMA writes the rotation at rest behind it, which the rows replace
-            self.text.note(
-                "offset", "six numbers after OFFSET: the last three, a rotation at rest, are not used"
-            )
+            message = "six numbers after OFFSET: the last three, a rotation at rest, are not used"
+            self.text.note("offset", message)
             values = values[:3]
         if len(values) != 3 or not all(abs(value) <= LARGEST for value in values):
             hint = comma_hint(rest)
@@ -269,9 +271,8 @@ class Parser:
         count, *words = rest.replace(",", " ").split() or [""]
         names = tuple(_CANONICAL.get(word.lower(), "") for word in words)
         if not (count.isascii() and count.isdigit()) or "" in names or len(set(names)) != len(names):
-            raise self.text.error(
-                f"CHANNELS needs a count and names such as Zrotation, not {rest.strip()[:60]!r}"
-            )
+            shown = rest.strip()[:60]
+            raise self.text.error(f"CHANNELS needs a count and names such as Zrotation, not {shown!r}")
         # compared as text: Python does not convert numbers of thousands of digits
         if (count.lstrip("0") or "0") != str(len(names)):
             self.text.warn(f"CHANNELS says {count[:20]} but names {len(names)}; the names count")
@@ -281,16 +282,20 @@ class Parser:
         if not has_motion:
             self.text.warn_file("no MOTION section: a static pose")
             return self._rest_row(), 1 / 30
-        angles = [name.endswith("rotation") for names in self.channels for name in names or ()]
+        angles = [name.endswith("rotation") for name in self._channel_names]
         rows, frame_time = read_motion_section(self.text, np.array(angles, dtype=bool))
         if len(rows) == 0:
             self.text.warn_file("no frames: a static pose")
             rows = self._rest_row()
         return rows, frame_time
 
+    @property
+    def _channel_names(self) -> list[str]:
+        return [name for joint in self.joints for name in joint.channels or ()]
+
     def _without_scales(self, values: Array) -> Array:
         """Values of all channels but scales, with a warning of these."""
-        scales = np.array([name.endswith("scale") for names in self.channels for name in names or ()])
+        scales = np.array([name.endswith("scale") for name in self._channel_names])
         if not scales.any():
             return values
         low, high = values[:, scales].min(), values[:, scales].max()
@@ -299,12 +304,8 @@ class Parser:
 
     def _rest_row(self) -> Array:
         """Channel values (1, C) of the rest pose."""
-        pairs = zip(self.offsets, self.channels, strict=True)
-        values = [
-            offset[AXES[name[0]]] if name.endswith("position") else 0.0
-            for offset, names in pairs
-            for name in names or ()
-        ]
+        channels = [(joint, name) for joint in self.joints for name in joint.channels or ()]
+        values = [j.offset[AXES[name[0]]] if name.endswith("position") else 0.0 for j, name in channels]
         return np.array(values).reshape(1, -1)
 
 
@@ -312,10 +313,8 @@ def _lacks_words(statement: str) -> bool:
     """Whether a statement has a keyword, but not all words that it needs."""
     keyword, *words = statement.split()
     count = words[0] if words and words[0].isascii() and words[0].isdigit() else "0"
-    needed = {"OFFSET": 3, "ROOT": 1, "JOINT": 1, "END": 1, "CHANNELS": 1 + int(count[:4])}.get(
-        keyword.upper(), 0
-    )
-    return len(words) < needed
+    needed = {"OFFSET": 3, "ROOT": 1, "JOINT": 1, "END": 1, "CHANNELS": 1 + int(count[:4])}
+    return len(words) < needed.get(keyword.upper(), 0)
 
 
 __all__ = ["CHANNEL_NAMES", "Motion", "PositionChannels", "read_bvh", "write_bvh"]
@@ -371,12 +370,8 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
         motion = Parser(path, file, encoding).parse()
     if positions != "auto":
         motion = replace(motion, positions=positions)
-    elif added := _joints_with_added_positions(motion):
-        warn_about(
-            motion.path,
-            f"the positions of {some_of((motion.joint_names[joint] for joint in added), 4)} stay near 0 "
-            "beside large OFFSETs: added to them (positions='replace' takes them as they are)",
-        )
+    elif found := _added_positions(motion):
+        warn_about(motion.path, f"{found}: added to them (positions='replace' takes them as they are)")
         motion = replace(motion, positions="add")
     _warn_of_lengths(motion)
     return motion
@@ -393,9 +388,7 @@ def _warn_of_lengths(motion: Motion) -> None:
         if (up := parents[joint]) >= 0 and (parents[up] >= 0 or (joint in inner and count[up + 1] > 1))
     ]
     frames = slice(None, None, max(1, motion.n_frames // 1000))
-    lengths = (
-        np.linalg.norm(motion.local_translations(frames)[:, joints], axis=-1) if joints else np.empty((1, 0))
-    )
+    lengths = np.linalg.norm(motion.local_translations(frames)[:, joints], axis=-1)
     least = _CHANGES * float(np.ptp(motion.rest_positions(), axis=0).max())
     texts = [
         f"{names[parents[joint]]} to {names[joint]} from {low:.2f} to {high:.2f} "
@@ -407,18 +400,19 @@ def _warn_of_lengths(motion: Motion) -> None:
         warn_about(motion.path, f"links change their length by their position channels: {some_of(texts, 3)}")
 
 
-def _joints_with_added_positions(motion: Motion) -> list[int]:
-    """Joints whose positions contain nearly nothing of their OFFSETs, if most joints that decide do.
+def _added_positions(motion: Motion) -> str:
+    """Text about joints whose positions seem to be added to OFFSETs; empty if most joints tell otherwise.
 
-    The share of the OFFSET is a least-squares fit. An axis weighs more, the less the joint moves along it:
-    the height of a walking person decides more than the place on the floor.
+    Their positions contain nearly nothing of their OFFSETs. The share of the OFFSET is a least-squares fit.
+    An axis weighs more, the less the joint moves along it: the height of a walking person decides more than
+    the place on the floor.
     """
     by_joint: dict[int, dict[int, int]] = {}
     for joint, axis, column in motion.position_columns:
         by_joint.setdefault(joint, {})[axis] = column
     joints = np.array([joint for joint, columns in by_joint.items() if len(columns) == 3], dtype=int)
     if not motion.offsets[joints].any():
-        return []
+        return ""
     columns = [[by_joint[joint][axis] for axis in range(3)] for joint in joints.tolist()]
     values = motion.values[:: max(1, motion.n_frames // 1000)][:, columns]
     offsets = motion.offsets[joints]
@@ -429,7 +423,10 @@ def _joints_with_added_positions(motion: Motion) -> list[int]:
         share = (np.median(values, axis=0) * weights).sum(axis=-1) / significance
         deciding = significance > _MIN_SIGNIFICANCE**2
         added = deciding & (np.abs(share) < _ADDED_SHARE)
-    return joints[added].tolist() if 2 * added.sum() > deciding.sum() else []
+    if 2 * added.sum() <= deciding.sum():
+        return ""
+    names = some_of((motion.joint_names[joint] for joint in joints[added]), 4)
+    return f"the positions of {names} stay near 0 beside large OFFSETs"
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
@@ -453,30 +450,24 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
         True
     """
     if motion.positions == "add":
-        motion = _with_replacing_positions(motion)
+        values = motion.values.copy()
+        for joint, axis, column in motion.position_columns:
+            values[:, column] += motion.offsets[joint, axis]
+        motion = replace(motion, values=values, positions="replace")
     _check_writable(path, motion)
-    if added := _joints_with_added_positions(motion):
-        warn_about(
-            path,
-            f"the positions of {some_of((motion.joint_names[j] for j in added), 4)} stay near 0 "
-            "beside large OFFSETs: read it with positions='replace'",
-        )
+    if found := _added_positions(motion):
+        warn_about(path, f"{found}: read it with positions='replace'")
     with atomic_path(Path(path)) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(line + "\n" for line in _lines(motion))
 
 
 def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
-    names: set[str] = set()
-    for name in motion.joint_names:
-        if (
-            name != name.strip()
-            or not 0 < len(name) <= LONGEST_NAME
-            or re.search("[{}\r\n\0\ud800-\udfff]", name)
-        ):
+    for name, count in Counter(motion.joint_names).items():
+        is_trimmed = name == name.strip() and 0 < len(name) <= LONGEST_NAME
+        if not is_trimmed or re.search("[{}\r\n\0\ud800-\udfff]", name):
             raise MotionError(f"a BVH file cannot have a joint named {name!r}", path=path)
-        if name in names:
+        if count > 1:
             raise MotionError(f"two joints are named {name!r}", path=path)
-        names.add(name)
     for numbers in (motion.offsets, motion.values):
         if not (np.abs(numbers) <= LARGEST).all():
             raise MotionError(f"the motion has values that are not finite, or beyond {LARGEST:g}", path=path)
@@ -487,13 +478,10 @@ def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
 def _lines(motion: Motion) -> Iterator[str]:
     """Lines of a BVH file."""
     yield "HIERARCHY"
-    children: list[list[int]] = [[] for _ in motion.joint_names]
-    for joint, parent in enumerate(motion.parents):
-        if parent >= 0:
-            children[parent].append(joint)
-    stack: list[tuple[int, int, bool]] = [
-        (joint, 0, False) for joint in reversed(range(motion.n_joints)) if motion.parents[joint] < 0
-    ]
+    children: dict[int, list[int]] = {}
+    for joint, parent in enumerate(motion.parents.tolist()):
+        children.setdefault(parent, []).append(joint)
+    stack = [(joint, 0, False) for joint in reversed(children[-1])]
     columns: list[int] = []
     while stack:
         joint, depth, closing = stack.pop()
@@ -503,10 +491,9 @@ def _lines(motion: Motion) -> Iterator[str]:
             continue
         parent = motion.parents[joint]
         is_end = parent >= 0 and motion.joint_names[joint] == f"{motion.joint_names[parent]}_end"
-        is_end = is_end and not children[joint] and not motion.channels[joint]
-        yield indent + (
-            "End Site" if is_end else f"{'ROOT' if parent < 0 else 'JOINT'} {motion.joint_names[joint]}"
-        )
+        is_end = is_end and joint not in children and not motion.channels[joint]
+        kind = "ROOT" if parent < 0 else "JOINT"
+        yield indent + ("End Site" if is_end else f"{kind} {motion.joint_names[joint]}")
         yield indent + "{"
         yield indent + "\tOFFSET " + " ".join(map(_number, motion.offsets[joint].tolist()))
         if not is_end:
@@ -514,7 +501,7 @@ def _lines(motion: Motion) -> Iterator[str]:
             yield indent + " ".join(("\tCHANNELS", str(len(names)), *names))
             columns += motion.columns(joint)
         stack.append((joint, depth, True))
-        stack += [(child, depth + 1, False) for child in reversed(children[joint])]
+        stack += [(child, depth + 1, False) for child in reversed(children.get(joint, []))]
     yield from ("MOTION", f"Frames: {motion.n_frames}", f"Frame Time: {_number(motion.frame_time)}")
     for row in motion.values:
         yield " ".join(map(_number, row[columns].tolist()))
@@ -524,10 +511,3 @@ def _number(value: float) -> str:
     """Shortest text, without an exponent, that reads back as this number."""
     text = repr(float(value))
     return np.format_float_positional(value, trim="0") if "e" in text else text
-
-
-def _with_replacing_positions(motion: Motion) -> Motion:
-    values = motion.values.copy()
-    for joint, axis, column in motion.position_columns:
-        values[:, column] += motion.offsets[joint, axis]
-    return replace(motion, values=values, positions="replace")

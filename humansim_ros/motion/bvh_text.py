@@ -118,8 +118,7 @@ class BvhText:
 
         They do not change ``line``.
         """
-        rest, self._unread = self._unread, ""
-        n_read = 0
+        rest, self._unread, n_read = self._unread, "", 0
         while text := self._file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
             n_read += len(text)
             text = rest + text
@@ -135,7 +134,7 @@ class BvhText:
     def numbers(self, text: str) -> list[float]:
         """Numbers of a text in the last line; ValueError if it has other words."""
         if "," in text and (mark := comma_meaning(text)) is not None:
-            self.note("comma", f"commas {comma_text(mark)}")
+            self.note("comma", f"commas {_COMMAS[mark]}")
             text = text.replace(",", mark)
         return [to_float(word) for word in split_glued(text).split()]
 
@@ -167,9 +166,8 @@ def comma_meaning(text: str) -> str | None:
     return "." if len(_DECIMAL.findall(text)) == text.count(",") else None
 
 
-def comma_text(mark: str) -> str:
-    """What commas do, for messages; ``mark`` as in :func:`comma_meaning`."""
-    return "are read as decimal points" if mark == "." else "are read as white space between numbers"
+#: What commas do, for messages, by what replaces them.
+_COMMAS = {".": "are read as decimal points", " ": "are read as white space between numbers"}
 
 
 def comma_hint(text: str) -> str:
@@ -236,26 +234,23 @@ def _read_header(text: BvhText) -> tuple[float, float]:
             break
         else:
             raise text.error(f"'Frames:' and 'Frame Time:' expected, not {line[:40]!r}")
-    n_frames = frame_time = np.nan
+    n_frames, frame_time = np.nan, _USUAL_FRAME_TIME
+    usual = f"{1 / _USUAL_FRAME_TIME:g} frames per second are assumed"
     if "Frames" in header:
         n_frames = _header_number(text, "Frames", *header["Frames"])
     else:
         text.warn("'Frames:' is missing before this line: the rows count", text.line + 1)
     if "Frame Time" in header:
-        line_number, value = header["Frame Time"]
-        frame_time = _header_number(text, "Frame Time", line_number, value)
+        line_number = header["Frame Time"][0]
+        frame_time = _header_number(text, "Frame Time", *header["Frame Time"])
         if frame_time == 0:
-            text.warn("the Frame Time is 0: 30 frames per second are assumed", line_number)
+            text.warn(f"the Frame Time is 0: {usual}", line_number)
             frame_time = _USUAL_FRAME_TIME
         if not FRAME_TIMES[0] <= frame_time <= FRAME_TIMES[1]:
-            raise text.error(
-                f"Frame Time must be above zero and below a million seconds, not {frame_time:g}", line_number
-            )
+            wrong = f"above zero and below a million seconds, not {frame_time:g}"
+            raise text.error(f"Frame Time must be {wrong}", line_number)
     else:
-        frame_time = _USUAL_FRAME_TIME
-        text.warn(
-            "'Frame Time:' is missing before this line: 30 frames per second are assumed", text.line + 1
-        )
+        text.warn(f"'Frame Time:' is missing before this line: {usual}", text.line + 1)
     return n_frames, frame_time
 
 
@@ -316,11 +311,10 @@ class _Rows:
             if self.n_channels == 0 and block.strip():
                 raise self.text.error("a value, but no joint has channels", self.text.line + 1)
             self.has_points = self.has_points or "." in block
-            parsed = _fast_values(block)
-            if parsed is None:
+            if (parsed := _fast_values(block)) is None:
                 block = split_glued(self._without_commas(block) if "," in block else block)
-                parsed = _fast_values(block)
-            values, ends = self._slow_values(block) if parsed is None else parsed
+                parsed = _fast_values(block) or self._slow_values(block)
+            values, ends = parsed
             parts.append(values)
             self.layout.add(values, ends, self.text.line + 1)
             self.n_values += len(values)
@@ -348,11 +342,9 @@ class _Rows:
         bad = self._without_tail()
         odd, layout, n_channels = self.layout.odd, self.layout, self.n_channels
         if odd and not bad and not layout.is_broken and len(values) == self.n_frames * n_channels:
-            self.text.warn(
-                f"not one frame on a line ({odd[0].count} of {n_channels} values): there are as many values "
-                f"as {self.n_frames:g} frames have, which are taken in order",
-                odd[0].line,
-            )
+            found = f"not one frame on a line ({odd[0].count} of {n_channels} values): there are as many "
+            found += f"values as {self.n_frames:g} frames have, which are taken in order"
+            self.text.warn(found, odd[0].line)
             return values.reshape(-1, n_channels)
         n_good, bad = layout.n_lines - layout.n_odd, sorted([*bad, *odd], key=lambda each: each.line)
         n_bad = sum(each.n_lines for each in bad) + layout.n_odd - len(odd)
@@ -360,12 +352,8 @@ class _Rows:
             first = bad[0]
             # a short row at the end of the file is a truncated file
             is_cut = first in odd and first.line == layout.last_line and first.count < n_channels
-            raise self.text.error(
-                first.reason
-                + "; the file is truncated" * is_cut
-                + f"; {n_bad} of {n_good + n_bad} rows are bad, more than {_BAD_SHARE:.0%}" * (n_good > 0),
-                first.line,
-            )
+            share = f"; {n_bad} of {n_good + n_bad} rows are bad, more than {_BAD_SHARE:.0%}" * (n_good > 0)
+            raise self.text.error(first.reason + "; the file is truncated" * is_cut + share, first.line)
         return self._mended(values, bad) if bad else values.reshape(-1, n_channels)
 
     def _without_tail(self) -> list[_BadLine]:
@@ -376,9 +364,8 @@ class _Rows:
         if self.n_values and tail < len(self.bad):
             first = self.bad[tail]
             more = "; a second motion needs a file of its own" * (first.word.upper() == "HIERARCHY")
-            self.text.warn(
-                f"the text from {first.word[:40]!r} on is not part of the motion: left out{more}", first.line
-            )
+            text = f"the text from {first.word[:40]!r} on is not part of the motion: left out{more}"
+            self.text.warn(text, first.line)
             return self.bad[:tail]
         return self.bad
 
@@ -412,7 +399,7 @@ class _Rows:
             return block
         if self.comma is None:
             line = self.text.line + 1 + block.count("\n", 0, block.index(","))
-            self.text.warn(f"commas {comma_text(mark)}", line)
+            self.text.warn(f"commas {_COMMAS[mark]}", line)
             self.comma = mark
         return block.replace(",", mark)
 
@@ -456,10 +443,8 @@ class _Rows:
 def _filled(rows: Array, places: NDArray[np.intp], angles: NDArray[np.bool_]) -> Array:
     """Rows (F, C) with a frame before each place: between its neighbours, or like the nearer one.
 
-    Args:
-        rows: The good rows, (R, C).
-        places: Numbers of the rows before which a frame is missing, sorted; a number twice for two frames.
-        angles: Whether each channel is an angle in degrees, (C,).
+    ``places``: numbers of the good rows (R, C) before which a frame is missing, sorted; a number twice for
+    two frames. ``angles``: (C,) whether a channel is an angle in degrees.
     """
     out = np.insert(rows, places, 0.0, axis=0)
     missing = places + np.arange(len(places))
@@ -497,7 +482,6 @@ class _Layout:
         #: Whether a line holds the end of a row and the start of the next.
         self.is_broken = False
         self._on_line = 0  # values so far on the current line
-        self._in_row = 0  # values so far in the current row
         self._n_values = 0  # values on all lines before the current one
 
     def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
@@ -505,11 +489,8 @@ class _Layout:
         if len(ends) == 0:
             self._on_line += len(values)
             return
-        counts = ends.copy()
-        counts[1:] -= ends[:-1]
-        counts[0] += self._on_line
+        self._add_lines(np.diff(ends, prepend=-self._on_line), line)
         self._on_line = len(values) - int(ends[-1])
-        self._add_lines(counts, line)
 
     def end(self, line: int) -> None:
         """End of the file, at its last line."""
@@ -524,7 +505,7 @@ class _Layout:
         odd = counts != self.n_channels
         first_value, self._n_values = self._n_values, self._n_values + int(counts.sum())
         self.n_lines += len(counts)
-        if self._in_row == 0 and not odd.any():
+        if first_value % self.n_channels == 0 and not odd.any():
             return
         last_value = first_value + np.cumsum(counts)
         for place in np.flatnonzero(odd)[: _MAX_BAD + 1 - len(self.odd)].tolist():
@@ -533,12 +514,10 @@ class _Layout:
             start = int(last_value[place]) - count
             self.odd.append(_BadLine(line + int(places[place]), start, count, reason))
         self.n_odd += int(odd.sum())
-        ends = self._in_row + np.cumsum(counts)
-        starts = (ends - counts) % self.n_channels
+        starts = (last_value - counts) % self.n_channels
         is_part = starts + counts <= self.n_channels
         is_whole = (starts == 0) & (counts % self.n_channels == 0)
         self.is_broken |= not (is_part | is_whole).all()
-        self._in_row = int(ends[-1]) % self.n_channels
 
 
 def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:

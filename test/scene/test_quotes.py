@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import humansim
 from test_scene_errors import FILE_KEYS, changed, folder, write  # noqa: F401  # folder is a fixture
 
 from humansim_ros.errors import HumansimError
@@ -56,11 +55,12 @@ CONTENTS: dict[str, bytes] = {
     "numbers": b"0 0 0 1 0 0 0 xyzzyKey\n4711081547110815 plughValue\n",
     "xml": b'<?xml version="1.0"?><xyzzyKey plughValue="4711081547110815">plughValue</xyzzyKey>',
     "entity": b'<!DOCTYPE a [<!ENTITY b "xyzzyKey">]><animation>plughValue &b;</animation>',
-    "moves": b'<animation startframe="plughValue" endframe="9" rate="30"><object name="xyzzyKey"/></animation>',
+    "moves": b'<animation startframe="plughValue" endframe="9" rate="30">'
+    b'<object name="xyzzyKey"/></animation>',
     "bvh": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 plughValue\n}\n",
     "channels": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 0\nCHANNELS 3 plughValue Yrotation\n",
-    "frames": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 0\nCHANNELS 1 Xposition\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\n"
-    b"MOTION\nFrames: 1\nFrame Time: 0.1\nplughValue\n",
+    "frames": b"HIERARCHY\nROOT xyzzyKey\n{\nOFFSET 0 0 0\nCHANNELS 1 Xposition\n"
+    b"End Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\nplughValue\n",
     "obj": b"mtllib xyzzyKey.mtl\nusemtl plughValue\nv 0 0 plughValue\nf 1 2 xyzzyKey\n",
     "ply": b"ply\nformat plughValue 1.0\nelement xyzzyKey 3\nend_header\n",
     "asf": b":version 1.10\n:name xyzzyKey\n:units\n mass plughValue\n:root\n order xyzzyKey\n",

@@ -95,7 +95,7 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
         message = f"{len(found.points)} frames of {len(found.labels)} points are too many"
         raise MotionError(message, path=path)
     if not len(found.points):
-        raise MotionError("no frames", path=path)
+        raise MotionError("no frames" if found.labels else "the file has no points", path=path)
     people = people_of(found)
     if found.segments is not None and all(marks.missing for marks in people.values()):
         found = found.segments

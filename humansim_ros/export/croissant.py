@@ -9,75 +9,14 @@ from typing import Any
 
 from humansim_ros import __version__
 from humansim_ros.export.writer import ExportFolder, FormatWriter, Record
+from humansim_ros.io.assets import resource_path
 from humansim_ros.scene.about_config import AboutConfig
 
 #: Name of the card, in the root of the export.
 CARD = "croissant.json"
-#: As the specification prints it.
-_CONTEXT = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
-    "conformsTo": "dct:conformsTo",
-    "cr": "http://mlcommons.org/croissant/",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataBiases": "cr:dataBiases",
-    "dataCollection": "cr:dataCollection",
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "dct": "http://purl.org/dc/terms/",
-    "equivalentProperty": "cr:equivalentProperty",
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileObject": "cr:fileObject",
-    "fileProperty": "cr:fileProperty",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "jsonPath": "cr:jsonPath",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "parentField": "cr:parentField",
-    "path": "cr:path",
-    "personalSensitiveInformation": "cr:personalSensitiveInformation",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "repeated": "cr:repeated",
-    "replace": "cr:replace",
-    "sc": "https://schema.org/",
-    "samplingRate": "cr:samplingRate",
-    "separator": "cr:separator",
-    "source": "cr:source",
-    "subField": "cr:subField",
-    "transform": "cr:transform",
-}
-_MEDIA_TYPES = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".json": "application/json",
-    ".mp4": "video/mp4",
-    ".yaml": "application/yaml",
-    ".ini": "text/plain",
-    ".txt": "text/plain",
-    ".cam": "text/plain",
-    ".bvh": "text/plain",
-    ".trc": "text/tab-separated-values",
-    ".toml": "application/toml",
-    ".glb": "model/gltf-binary",
-}
-
-
-#: Kinds of splits by usual names.
-_SPLITS = {
-    "train": "cr:TrainingSplit",
-    "val": "cr:ValidationSplit",
-    "validation": "cr:ValidationSplit",
-    "test": "cr:TestSplit",
-}
+#: The context, as the specification prints it; media types by suffix; and kinds of splits by usual names.
+_WORDS = json.loads(resource_path("config/croissant.json").read_text("utf-8"))
+_CONTEXT, _MEDIA_TYPES, _SPLITS = (_WORDS[name] for name in ("context", "media_types", "splits"))
 
 
 class CroissantWriter(FormatWriter):

@@ -1,5 +1,7 @@
 """A recording for Foxglove: MCAP with its schemas, as JSON.
 
+``config/foxglove_schemas.json`` has the schemas as docs.foxglove.dev has them, as far as used here.
+
 Topics are ``/<camera>/image``, ``/<camera>/calibration``, ``/<camera>/annotations``, ``/people``, ``/tf`` and
 ``/<scanner>/points``. ROS programs need a bag instead (``humansim record``).
 """
@@ -19,6 +21,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.images import encoded_image
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import ANY_SIZE, read_bytes
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.rotations import matrix_to_quaternion
@@ -27,41 +30,6 @@ from humansim_ros.truth import OUTSIDE
 from humansim_ros.types import Array
 
 _WORLD = "map"
-_PLAIN = {
-    **{name: {"type": kind} for name, kind in (("text", "string"), ("real", "number"), ("whole", "integer"))},
-    "flag": {"type": "boolean"},
-    "bytes": {"type": "string", "contentEncoding": "base64"},
-}
-_STAMPED = "timestamp:time frame_id:text"
-#: Fields of types and messages as docs.foxglove.dev has them, as far as used here: names:type, ``*`` a list.
-_FIELDS_OF = {
-    "time": "sec,nsec:whole",
-    "duration": "sec,nsec:whole",
-    "none": "",
-    "xy": "x,y:real",
-    "xyz": "x,y,z:real",
-    "xyzw": "x,y,z,w:real",
-    "rgba": "r,g,b,a:real",
-    "pose": "position:xyz orientation:xyzw",
-    "cube": "pose:pose size:xyz color:rgba",
-    "line": "type:whole pose:pose thickness:real scale_invariant:flag points:xyz* color:rgba colors:rgba* "
-    "indices:whole*",
-    "label": "pose:pose billboard:flag font_size:real scale_invariant:flag color:rgba text:text",
-    "pair": "key,value:text",
-    "entity": f"{_STAMPED} id:text lifetime:duration frame_locked:flag metadata:pair* cubes:cube* "
-    "lines:line* texts:label* arrows,spheres,cylinders,triangles,models:none*",
-    "marks": "timestamp:time type:whole points:xy* outline_color:rgba outline_colors:rgba* fill_color:rgba "
-    "thickness:real",
-    "caption": "timestamp:time position:xy text:text font_size:real text_color,background_color:rgba",
-    "transform": "timestamp:time parent_frame_id,child_frame_id:text translation:xyz rotation:xyzw",
-    "column": "name:text offset,type:whole",
-    "foxglove.CompressedImage": f"{_STAMPED} data:bytes format:text",
-    "foxglove.CameraCalibration": f"{_STAMPED} width,height:whole distortion_model:text D,K,R,P:real*",
-    "foxglove.ImageAnnotations": "circles:none* points:marks* texts:caption*",
-    "foxglove.SceneUpdate": "deletions:none* entities:entity*",
-    "foxglove.FrameTransforms": "transforms:transform*",
-    "foxglove.PointCloud": f"{_STAMPED} pose:pose point_stride:whole fields:column* data:bytes",
-}
 #: Fields of points: a name, and the NumPy and Foxglove types.
 _FIELDS = (
     *((axis, "<f4", 7) for axis in ("x", "y", "z", "intensity")),
@@ -95,8 +63,9 @@ class FoxgloveWriter(FormatWriter):
 
         frames = dict(records)
         kinds = {name: kind for record in frames.values() for name, kind in record["topics"].items()}
+        schemas = json.loads(resource_path("config/foxglove_schemas.json").read_text("utf-8"))
         topics = [
-            BagTopic(name, kind, definition=json.dumps(_schema(kind)), serialization="json")
+            BagTopic(name, kind, definition=json.dumps(schemas[kind]), serialization="json")
             for name, kind in kinds.items()
         ]
         numbers = {name: number for number, name in enumerate(kinds)}
@@ -217,18 +186,6 @@ class FoxgloveWriter(FormatWriter):
             points.append({**shared, "type": _IMAGE_DOTS, "points": dots})
             points.append({**shared, "type": _IMAGE_LINES, "points": [_axes(end) for end in ends]})
         return {"circles": [], "points": points, "texts": texts}
-
-
-def _schema(kind: str) -> dict[str, Any]:
-    """JSON schema of a type or message."""
-    if kind in _PLAIN:
-        return _PLAIN[kind]
-    if kind.endswith("*"):
-        return {"type": "array", "items": _schema(kind[:-1])}
-    parts = (word.split(":") for word in _FIELDS_OF[kind].split())
-    properties = {name: _schema(each) for names, each in parts for name in names.split(",")}
-    title = {"title": kind} if kind in ("time", "duration") or "." in kind else {}
-    return {**title, "type": "object", "properties": properties}
 
 
 def _calibration(camera: Camera) -> dict[str, Any]:

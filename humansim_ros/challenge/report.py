@@ -28,13 +28,6 @@ _TRACKERS = ("#1f4e9c", "#c2561a")
 _MAX_COMMAND, _MAX_LABEL = 100, 21
 #: Files of a report for people.
 PICTURE, PAGE = "challenge.svg", "index.html"
-_STYLE = """
-body { font: 15px/1.5 Inter, 'Segoe UI', sans-serif; color: #1d2433;
-  max-width: 1180px; margin: 24px auto; padding: 0 16px; }
-svg { max-width: 100%; height: auto; } table { border-collapse: collapse; width: 100%; font-size: 13px; }
-td, th { padding: 4px 10px 4px 0; text-align: left; border-bottom: 1px solid #e6e9ef; } th { color: #6b7385; }
-.broken td { color: #b3324b; } h2 { margin: 36px 0 8px; }
-"""
 
 
 def picture(report: Report, other: Report | None = None) -> Markup:
@@ -301,7 +294,7 @@ def html_page(report: Report, other: Report | None = None) -> str:
             _html_table(each),
         )
     ]
-    return page("Crash test of a tracker", _STYLE, picture(report, other), *tables)
+    return page("Crash test of a tracker", "challenge", picture(report, other), *tables)
 
 
 def _html_table(report: Report) -> Markup:

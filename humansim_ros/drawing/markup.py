@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.io.assets import resource_path
 from humansim_ros.types import Array
 
 #: Elements that have no content.
@@ -52,9 +53,10 @@ def _value(value: str | float) -> str:
 
 
 def page(title: str, style: str, *content: str) -> str:
-    """An HTML page with a style sheet."""
+    """An HTML page. ``style``: name of a style sheet of ``config/styles``."""
+    sheet = resource_path(f"config/styles/{style}.css").read_text("utf-8")
     head = element("head", Markup('<meta charset="utf-8">'), element("title", title))
-    head = Markup(head.replace("</head>", f"<style>{style}</style></head>"))
+    head = Markup(head.replace("</head>", f"<style>\n{sheet}</style></head>"))
     body = element("body", *content)
     return f'<!DOCTYPE html>\n<html lang="en">{head}\n{body}</html>\n'
 

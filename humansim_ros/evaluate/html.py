@@ -156,12 +156,6 @@ def _plot(shapes: Sequence[str], height: int, width: int = WIDTH) -> Markup:
     return svg(shapes, width, height, font_family="sans-serif", font_size="11", fill="#3c4048")
 
 
-_STYLE = """
-body { font: 15px/1.45 sans-serif; color: #3c4048; max-width: 1400px; margin: 24px auto; padding: 0 16px; }
-table { border-collapse: collapse; } td, th { padding: 2px 14px 2px 0; text-align: left; }
-.row { display: flex; flex-wrap: wrap; gap: 12px 40px; } svg, img { max-width: 100%; height: auto; }
-.truth { color: #0072b2; } .estimate { color: #d55e00; }
-"""
 #: Lines of drawn poses, joints of the package's skeleton.
 _LINES = (
     "vt3_end vt3 l_shoulder l_elbow l_wrist",
@@ -227,7 +221,7 @@ def table_html_report(
 def _page(evaluation: AnyEvaluation, *content: str) -> str:
     return page(
         "Evaluation",
-        _STYLE,
+        "evaluation",
         element("h1", "Evaluation"),
         element("p", f"Truth: {evaluation.truth}", class_="truth"),
         element("p", f"Estimate: {evaluation.estimate}", class_="estimate"),

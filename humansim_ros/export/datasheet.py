@@ -41,22 +41,6 @@ _TRAITS = {
 }
 #: Rows of a list of counts.
 _MOST_ROWS = 10
-_STYLE = """
-body { font: 15px/1.5 Inter, 'Segoe UI', 'DejaVu Sans', sans-serif; color: #1d2433; background: #fff;
-  max-width: 1120px; margin: 32px auto; padding: 0 20px; }
-h1 { font-size: 30px; margin: 0 0 4px; } h2 { margin: 40px 0 10px; padding-top: 12px;
-  border-top: 1px solid #dfe3ea; font-size: 20px; } .lead { color: #6b7385; margin: 0 0 20px; }
-.tiles { display: flex; flex-wrap: wrap; gap: 10px; } .tile { background: #f3f5f8; border-radius: 8px;
-  padding: 10px 18px; min-width: 92px; } .tile b { display: block; font-size: 22px; }
-.tile span { color: #6b7385; font-size: 13px; } .row { display: flex; flex-wrap: wrap; gap: 14px 24px; }
-.examples { display: grid; grid-template-columns: repeat(4, 1fr); gap: 8px; margin: 20px 0; }
-.examples img { width: 100%; height: 100%; aspect-ratio: 4 / 3; object-fit: cover; border-radius: 6px; }
-h3 { font-size: 15px; margin: 16px 0 2px; }
-p { margin: 2px 0 8px; max-width: 860px; } table { border-collapse: collapse; font-size: 14px; }
-td, th { padding: 4px 22px 4px 0; text-align: left; border-bottom: 1px solid #e6e9ef; }
-th { color: #6b7385; font-weight: 600; } pre { background: #f3f5f8; border-radius: 8px; padding: 10px 16px;
-  white-space: pre-wrap; max-width: 860px; } svg text { font-family: inherit; }
-"""
 
 
 @dataclass(frozen=True)
@@ -206,7 +190,7 @@ def datasheet(summary: DataSetSummary) -> str:
     plots = dict(_plots(summary))
     return page(
         summary.title,
-        _STYLE,
+        "datasheet",
         element("h1", summary.title),
         element("p", " · ".join(filter(None, ["Datasheet", *facts])), class_="lead"),
         element(

@@ -44,6 +44,7 @@ from humansim_ros.messages.people import DETECTIONS_2D, MESSAGE_TYPES
 from humansim_ros.messages.scanners import scanner_frame
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import (
+    MESSAGE_PACKAGES,
     Duration,
     Image,
     MessagePackage,
@@ -90,40 +91,8 @@ UNSET = 100_000.0
 #: Places of the variances on the diagonal of a covariance.
 _DIAGONAL = tuple(range(0, 36, 7))
 
-VISION_MSGS = MessagePackage(
-    "vision_msgs",
-    "4.1",
-    "sudo apt install ros-jazzy-vision-msgs",
-    {
-        "Point2D": "x y",
-        "Pose2D": "position theta",
-        "BoundingBox2D": "center size_x size_y",
-        "BoundingBox3D": "center size",
-        "ObjectHypothesis": "class_id score",
-        "ObjectHypothesisWithPose": "hypothesis pose",
-        "Detection2D": "header results bbox id",
-        "Detection3D": "header results bbox id",
-        "Detection2DArray": "header detections",
-        "Detection3DArray": "header detections",
-        "VisionClass": "class_id class_name",
-        "LabelInfo": "header class_map threshold",
-    },
-)
-PEOPLE_MSGS = MessagePackage(
-    "people_msgs",
-    "1.4",
-    "it is not released for Jazzy: git clone -b ros2 https://github.com/wg-perception/people, "
-    "colcon build --packages-select people_msgs, and source the workspace",
-    {"Person": "name position velocity reliability tagnames tags", "People": "header people"},
-)
-SPENCER_MSGS = MessagePackage(
-    "spencer_tracking_msgs",
-    "of ROS 2",
-    "it is not released for Jazzy: docs/people_messages.md says how to build it",
-    {
-        "TrackedPerson": "track_id is_occluded is_matched detection_id age pose twist",
-        "TrackedPersons": "header tracks",
-    },
+VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS = (
+    MESSAGE_PACKAGES[name] for name in ("vision_msgs", "people_msgs", "spencer_tracking_msgs")
 )
 
 

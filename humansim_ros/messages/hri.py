@@ -23,12 +23,12 @@ from humansim_ros.messages.cameras import transform_message
 from humansim_ros.messages.headers import TF_TOPIC, WORLD_FRAME, header, to_nanoseconds
 from humansim_ros.messages.images import image_message
 from humansim_ros.messages.types import (
+    MESSAGE_PACKAGES,
     Bool,
     Float32,
     Header,
     Image,
     JointState,
-    MessagePackage,
     Point,
     PointStamped,
     String,
@@ -42,23 +42,8 @@ from humansim_ros.scene import HumanState
 from humansim_ros.truth import OCCLUDED, VISIBLE, JointView
 from humansim_ros.types import Array
 
-#: What is written of hri_msgs.
-HRI_MESSAGES = MessagePackage(
-    "hri_msgs",
-    "2.3",
-    "sudo apt install ros-jazzy-hri-msgs",
-    {
-        "IdsList": "header ids",
-        "IdsMatch": "id1 id1_type id2 id2_type confidence",
-        "NormalizedPointOfInterest2D": "x y c",
-        "NormalizedRegionOfInterest2D": "header xmin ymin xmax ymax c",
-        "Skeleton2D": "header skeleton",
-        "FacialLandmarks": "header landmarks height width",
-    },
-)
-TF_MESSAGES = MessagePackage(
-    "tf2_msgs", "0.36", "sudo apt install ros-jazzy-tf2-msgs, or make tf2_msgs", {"TFMessage": "transforms"}
-)
+#: Packages of the messages.
+HRI_MESSAGES, TF_MESSAGES = MESSAGE_PACKAGES["hri_msgs"], MESSAGE_PACKAGES["tf2_msgs"]
 #: Keypoint set that has the points of ``Skeleton2D`` and ``FacialLandmarks``.
 HRI_KEYPOINTS = "openpose137"
 

@@ -8,6 +8,7 @@ attributes and constants.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros.errors import RosError, printable
+from humansim_ros.io.assets import resource_path
 
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 #: Most characters of a name that is looked for.
@@ -143,6 +145,13 @@ class MessagePackage:
 
     def _other_version(self, text: str) -> RosError:
         return RosError(f"{text}: version {self.version} of {self.name} is needed ({self.install})")
+
+
+#: The packages of ``config/message_packages.json`` by name.
+MESSAGE_PACKAGES = {
+    name: MessagePackage(name, **row)
+    for name, row in json.loads(resource_path("config/message_packages.json").read_text("utf-8")).items()
+}
 
 
 def begins_with_stamp(kind: Any) -> bool:

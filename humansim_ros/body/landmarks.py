@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
@@ -353,8 +352,8 @@ def joint_positions(measures: Measures) -> dict[str, Array]:
 @functools.cache
 def joint_file() -> Mapping[str, Any]:
     """Content of config/body_joints.json, written by tools/assets/fit_joint_places.py."""
-    loaded: Mapping[str, Any] = json.loads(resource_path("config/body_joints.json").read_text("utf-8"))
-    return loaded
+    table: Mapping[str, Any] = read_table("body_joints")
+    return table
 
 
 def coefficients() -> Mapping[str, list[float]]:

@@ -7,11 +7,12 @@ In a source checkout or editable install the files are beside the package. After
 from __future__ import annotations
 
 import functools
+import json
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from humansim_ros.errors import HumansimError, ResourceError, did_you_mean
 from humansim_ros.io.files import exists, expand_user, missing_file
@@ -27,6 +28,11 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
     if not path.exists():
         raise ResourceError(f"humansim_ros has no such file{_suggestion(path)}", path=path)
     return path
+
+
+def read_table(name: str) -> Any:
+    """Content of a table of the package, ``config/<name>.json``."""
+    return json.loads(resource_path(f"config/{name}.json").read_text("utf-8"))
 
 
 @functools.cache

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.errors import MeshError
+from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.mesh import LARGEST
 from humansim_ros.rotations import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
 from humansim_ros.types import Array
@@ -205,54 +206,21 @@ def side_of(name: str) -> int:
     return -1 if name.startswith("r_") or "_r_" in name else 0
 
 
-_TRUNK = (
-    ("HumanoidRoot", (0.000, 0.824, 0.0277), (0.000, 0.921, -0.080), None),
-    ("sacroiliac", (0.000, 0.921, -0.080), (0.000, 1.057, -0.034), "HumanoidRoot"),
-    ("vl5", (0.000, 1.057, -0.034), (0.000, 1.4583, -0.057), "sacroiliac"),
-    ("vt3", (0.000, 1.4583, -0.057), (0.000, 1.7504, 0.000), "vl5"),
-)
-_LEFT = (
-    ("HumanoidRoot_to_l_hip", (0.000, 0.921, -0.080), (0.096, 0.843, -0.029), "HumanoidRoot"),
-    ("l_hip", (0.096, 0.843, -0.029), (0.065, 0.493, -0.011), "HumanoidRoot_to_l_hip"),
-    ("l_knee", (0.065, 0.493, -0.011), (0.069, 0.091, -0.054), "l_hip"),
-    ("l_ankle", (0.069, 0.091, -0.054), (0.042, 0.012, 0.180), "l_knee"),
-    ("vl5_to_l_sternoclavicular", (0.000, 1.4583, -0.057), (0.082, 1.4488, -0.0353), "vl5"),
-    ("l_sternoclavicular", (0.082, 1.4488, -0.0353), (0.194, 1.434, -0.032), "vl5_to_l_sternoclavicular"),
-    ("l_shoulder", (0.194, 1.434, -0.032), (0.410, 1.379, -0.062), "l_sternoclavicular"),
-    ("l_elbow", (0.410, 1.379, -0.062), (0.659, 1.393, -0.052), "l_shoulder"),
-    ("l_wrist", (0.659, 1.393, -0.052), (0.840, 1.391, -0.042), "l_elbow"),
-)
-#: The right collar joint of the table is not the mirror image of the left one.
-_RIGHT_COLLAR = (-0.0694, 1.4600, -0.0330)
-
-
 def hanim_skeleton() -> Skeleton:
     """Create the general skeleton of 22 bones in T pose [thesis table 4.1], with the shoulders' parents
-    corrected.
+    corrected (config/skeleton.json). The right collar joint is not the mirror image of the left one.
 
     Example:
         >>> skeleton = hanim_skeleton()
         >>> len(skeleton), skeleton.names[0]
         (22, 'HumanoidRoot')
     """
-
-    def mirrored(point: tuple[float, float, float]) -> tuple[float, float, float]:
-        return (-point[0], point[1], point[2])
-
-    def to_right(name: str) -> str:
-        return name.replace("l_", "r_", 1) if name.startswith("l_") else name.replace("_l_", "_r_", 1)
-
-    right = [(to_right(n), mirrored(h), mirrored(t), to_right(p)) for n, h, t, p in _LEFT]
-    name, head, _, parent = right[4]
-    right[4] = (name, head, _RIGHT_COLLAR, parent)
-    name, _, tail, parent = right[5]
-    right[5] = (name, _RIGHT_COLLAR, tail, parent)
-    table = [*_TRUNK, *_LEFT, *right]
-    names = tuple(row[0] for row in table)
+    table = read_table("skeleton")
+    names = tuple(row["name"] for row in table)
     return Skeleton(
         names=names,
-        parents=np.array([-1 if row[3] is None else names.index(row[3]) for row in table]),
-        heads=np.array([row[1] for row in table]),
-        tails=np.array([row[2] for row in table]),
+        parents=np.array([-1 if row["parent"] is None else names.index(row["parent"]) for row in table]),
+        heads=np.array([row["head"] for row in table], dtype=float),
+        tails=np.array([row["tail"] for row in table], dtype=float),
         rolls=np.zeros(len(names)),
     )

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS
+from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.surface import ramp
+from humansim_ros.io.assets import read_table
 from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, shortest_rotations, unit_vectors
 from humansim_ros.types import Array
 
@@ -22,79 +23,16 @@ BONES_PER_VERTEX = 4
 #: A shoe bends this far before and behind the ball of the foot, as a share of the length of the foot bone.
 _SHOE_BEND = 0.14
 
-# Name, parent, and landmarks (see `landmarks`) of head and tail; `{}` is the side, l or r.
-TRUNK = (
-    ("HumanoidRoot", None, "root", "joint-pelvis"),
-    ("sacroiliac", "HumanoidRoot", "joint-pelvis", "joint-spine-3"),
-    ("vl5", "sacroiliac", "joint-spine-3", "joint-neck"),
-    ("vt3", "vl5", "joint-neck", "skull-top"),
-)
-SIDE = (
-    ("HumanoidRoot_to_{}_hip", "HumanoidRoot", "joint-pelvis", "joint-{}-upper-leg"),
-    ("{}_hip", "HumanoidRoot_to_{}_hip", "joint-{}-upper-leg", "joint-{}-knee"),
-    ("{}_knee", "{}_hip", "joint-{}-knee", "joint-{}-ankle"),
-    ("{}_ankle", "{}_knee", "joint-{}-ankle", "joint-{}-foot-2"),
-    ("vl5_to_{}_sternoclavicular", "vl5", "joint-neck", "joint-{}-clavicle"),
-    ("{}_sternoclavicular", "vl5_to_{}_sternoclavicular", "joint-{}-clavicle", "joint-{}-shoulder"),
-    ("{}_shoulder", "{}_sternoclavicular", "joint-{}-shoulder", "joint-{}-elbow"),
-    ("{}_elbow", "{}_shoulder", "joint-{}-elbow", "joint-{}-hand"),
-    ("{}_wrist", "{}_elbow", "joint-{}-hand", "joint-{}-finger-3-4"),
-)
-# Landmarks of head and tail of the details.
-DETAILS = {
-    **{
-        f"{{}}_{finger}{joint}": (
-            f"joint-{{}}-finger-{number}-{joint}",
-            f"joint-{{}}-finger-{number}-{joint + 1}",
-        )
-        for number, finger in enumerate(FINGERS, 1)
-        for joint in (1, 2, 3)
-    },
-    "{}_metatarsal": ("{}-ball", "joint-{}-foot-2"),
-    "temporomandibular": ("joint-mouth", "joint-jaw"),
-    "{}_eyeball_joint": ("joint-{}-eye", "{}-pupil"),
-}
-
-# Bones that take the weight of a bone of MakeHuman's default rig, by the longest prefix of its name.
+_TABLE = read_table("makehuman_bones")
+# Name, parent, and landmarks (see `landmarks`) of head and tail; details come last.
+_BONES = _TABLE["bones"]
+# Bones that take the weight of a bone of MakeHuman's default rig, by the longest prefix of its name; `{}` is
+# the side, l or r. The prefix of no letters is head and muscles of the face.
 # Shared weights at neck and pelvis smooth joints that are several joints in the rig.
-WEIGHT_SHARES: dict[str, dict[str, float]] = {
-    "": {"vt3": 1.0},  # head and the muscles of the face
-    # oris: lower lip
-    **{
-        name: {"temporomandibular": 1.0}
-        for name in ("jaw", "tongue", "special04", "oris01", "oris02", "oris06.", "oris07")
-    },
-    "eye": {"{}_eyeball_joint": 1.0},
-    "root": {"HumanoidRoot": 1.0},
-    "pelvis": {"HumanoidRoot": 1.0},
-    "spine05": {"HumanoidRoot": 0.5, "sacroiliac": 0.5},
-    "spine04": {"sacroiliac": 1.0},
-    "spine03": {"vl5": 1.0},
-    "spine02": {"vl5": 1.0},
-    "spine01": {"vl5": 1.0},
-    "breast": {"vl5": 1.0},
-    "neck01": {"vl5": 0.5, "vt3": 0.5},
-    "clavicle": {"{}_sternoclavicular": 1.0},
-    "shoulder01": {"{}_sternoclavicular": 1.0},
-    "upperarm": {"{}_shoulder": 1.0},
-    "lowerarm": {"{}_elbow": 1.0},
-    "wrist": {"{}_wrist": 1.0},
-    "metacarpal": {"{}_wrist": 1.0},
-    **{
-        f"finger{number}-{joint}": {f"{{}}_{finger}{joint}": 1.0}
-        for number, finger in enumerate(FINGERS, 1)
-        for joint in (1, 2, 3)
-    },
-    "upperleg": {"{}_hip": 1.0},
-    "lowerleg": {"{}_knee": 1.0},
-    "foot": {"{}_ankle": 1.0},
-    "toe": {"{}_metatarsal": 1.0},
-}
-
-
-_GENERAL = (*(name for name, *_ in TRUNK), *(name.format(side) for side in "lr" for name, *_ in SIDE))
+WEIGHT_SHARES: Mapping[str, Mapping[str, float]] = _TABLE["weights"]
 #: Names of all bones of a MakeHuman body.
-BONE_NAMES = (*_GENERAL, *DETAIL_BONES)
+BONE_NAMES: tuple[str, ...] = tuple(bone["name"] for bone in _BONES)
+_GENERAL = BONE_NAMES[: -len(DETAIL_BONES)]
 
 
 def _wholes() -> VertexIndices:
@@ -166,17 +104,9 @@ def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: 
         moved: Transforms (4, 4) of finger bones, by name.
         hinges: Axes (3,) of finger bones that are moved so, by name.
     """
-    rows: list[tuple[str, str | None, str, str]] = list(TRUNK)
-    for side in "lr":
-        rows += [(n.format(side), p.format(side), h.format(side), t.format(side)) for n, p, h, t in SIDE]
-    for name, parent in DETAIL_BONES.items():
-        side = name[0] if name[1] == "_" else ""
-        head, tail = DETAILS[f"{{}}{name[1:]}" if side else name]
-        rows.append((name, parent, head.format(side), tail.format(side)))
-    names = tuple(row[0] for row in rows)
-    parents = np.array([-1 if parent is None else names.index(parent) for _, parent, _, _ in rows])
-    heads = np.array([points[head] for _, _, head, _ in rows])
-    tails = np.array([points[tail] for _, _, _, tail in rows])
+    names = BONE_NAMES
+    parents = np.array([-1 if bone["parent"] is None else names.index(bone["parent"]) for bone in _BONES])
+    heads, tails = (np.array([points[bone[end]] for bone in _BONES]) for end in ("head", "tail"))
     axes = np.zeros((len(names), 3))
     for bone, name in enumerate(names):
         if name in moved:

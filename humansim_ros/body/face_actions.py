@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.io.assets import read_table
 from humansim_ros.types import Array
 
 _SIDED = "{}Left", "{}Right"
@@ -18,19 +19,9 @@ def _both(*names: str) -> list[str]:
     return [side.format(name) for name in names for side in _SIDED]
 
 
+_TABLE = read_table("faces")
 #: Names of the 52 actions [Apple, ARFaceAnchor.BlendShapeLocation], sorted. Weights are from 0 to 1.
-ACTIONS: tuple[str, ...] = tuple(
-    sorted(
-        [
-            *_both("browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn"),
-            *_both("eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide", "mouthDimple", "mouthFrown"),
-            *_both("mouthLowerDown", "mouthPress", "mouthSmile", "mouthStretch", "mouthUpperUp", "noseSneer"),
-            *("browInnerUp", "cheekPuff", "jawForward", "jawLeft", "jawOpen", "jawRight", "mouthClose"),
-            *("mouthFunnel", "mouthLeft", "mouthPucker", "mouthRight", "mouthRollLower", "mouthRollUpper"),
-            *("mouthShrugLower", "mouthShrugUpper", "tongueOut"),
-        ]
-    )
-)
+ACTIONS: tuple[str, ...] = tuple(_TABLE["actions"])
 _NUMBERS = {name: number for number, name in enumerate(ACTIONS)}
 
 
@@ -74,32 +65,12 @@ def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -
 
 
 #: Actions of the action units of FACS [Ekman 1978], without their sides.
-_UNITS: dict[int, str] = {
-    1: "browInnerUp",
-    2: "browOuterUp",
-    4: "browDown",
-    5: "eyeWide",
-    6: "cheekSquint",
-    7: "eyeSquint",
-    9: "noseSneer",
-    10: "mouthUpperUp",
-    12: "mouthSmile",
-    15: "mouthFrown",
-    17: "mouthShrugLower",
-    20: "mouthStretch",
-    23: "mouthPress",
-    26: "jawOpen",
-}
+_UNITS: dict[int, str] = {int(unit): action for unit, action in _TABLE["units"].items()}
 ExpressionName = Literal["neutral", "happiness", "sadness", "surprise", "fear", "anger", "disgust"]
 #: Action units of the six basic emotions [Friesen 1983]; the weights look natural on the built-in humans.
 EXPRESSIONS: dict[str, dict[int, float]] = {
-    "neutral": {},
-    "happiness": {6: 0.7, 7: 0.2, 12: 0.8},
-    "sadness": {1: 0.9, 4: 0.4, 7: 0.2, 15: 0.8, 17: 0.4},
-    "surprise": {1: 0.9, 2: 0.9, 5: 0.8, 26: 0.4},
-    "fear": {1: 0.9, 2: 0.5, 4: 0.5, 5: 1.0, 20: 0.7, 26: 0.15},
-    "anger": {4: 1.0, 5: 0.4, 7: 0.6, 17: 0.6, 23: 0.35},
-    "disgust": {4: 0.4, 7: 0.4, 9: 0.9, 10: 0.6, 15: 0.4, 17: 0.4},
+    name: {int(unit): weight for unit, weight in units.items()}
+    for name, units in _TABLE["expressions"].items()
 }
 assert tuple(EXPRESSIONS) == get_args(ExpressionName)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,6 +19,7 @@ import numpy as np
 from humansim_ros.body.eyes import LOOKS, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.io.assets import read_table
 from humansim_ros.motion.face_keys import FaceKey
 from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses
 from humansim_ros.rotations import angle_between, smooth_step, unit_vectors
@@ -58,22 +59,9 @@ _FIXED = 0.1
 _SYLLABLE = (0.15, 0.3)
 #: Syllables between two pauses, and seconds of a pause.
 _PHRASE, _PAUSE = (4, 13), (0.25, 0.6)
-#: Mouths of consonants: weights by action, of both sides.
-_CONSONANTS: tuple[dict[str, float], ...] = (
-    {"mouthPress": 0.35, "mouthRollLower": 0.2, "mouthRollUpper": 0.2},  # m, b, p
-    {"jawOpen": 0.05, "mouthRollLower": 0.4, "mouthUpperUp": 0.12},  # f, v
-    {"jawOpen": 0.08, "mouthStretch": 0.1},  # d, t, n, s
-    {"jawOpen": 0.08, "mouthFunnel": 0.35, "mouthPucker": 0.15},  # ch, sh
-    {"jawOpen": 0.14, "mouthLowerDown": 0.1},  # g, k, l
-)
-#: Mouths of vowels, by the names of VRM.
-VOWELS: dict[str, dict[str, float]] = {
-    "aa": {"jawOpen": 0.45, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},
-    "ee": {"jawOpen": 0.28, "mouthStretch": 0.15, "mouthUpperUp": 0.1},
-    "ih": {"jawOpen": 0.14, "mouthSmile": 0.25, "mouthStretch": 0.2},
-    "oh": {"jawOpen": 0.3, "mouthFunnel": 0.4},
-    "ou": {"jawOpen": 0.1, "mouthFunnel": 0.2, "mouthPucker": 0.5},
-}
+#: Mouths of consonants, and of vowels by the names of VRM: weights by action, of both sides.
+_CONSONANTS: Sequence[Mapping[str, float]] = read_table("faces")["consonants"]
+VOWELS: Mapping[str, Mapping[str, float]] = read_table("faces")["vowels"]
 
 
 def linear(share: Array) -> Array:
@@ -208,7 +196,7 @@ def _between(limits: tuple[float, float], uniform: Uniform) -> float:
     return limits[0] + (limits[1] - limits[0]) * uniform()
 
 
-def _mouth(mouths: Sequence[dict[str, float]], uniform: Uniform) -> Array:
+def _mouth(mouths: Sequence[Mapping[str, float]], uniform: Uniform) -> Array:
     """Weights (52,) of one of some mouths."""
     chosen = mouths[min(int(len(mouths) * uniform()), len(mouths) - 1)]
     return face_weights(both_sides(chosen))

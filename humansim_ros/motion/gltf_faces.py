@@ -13,6 +13,7 @@ import numpy as np
 from humansim_ros.body.eyes import gaze_angles, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, located, printable, some_of
+from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import member
@@ -38,28 +39,11 @@ _PRESETS: Mapping[str, Array] = {
         "relaxed": {action: weight / 2 for action, weight in expression("happiness").items()},
         "surprised": expression("surprise"),
         **VOWELS,
-        "blink": {"eyeBlink": 1.0},
-        "blinkLeft": {"eyeBlinkLeft": 1.0},
-        "blinkRight": {"eyeBlinkRight": 1.0},
-        "lookUp": {"eyeLookUp": 1.0},
-        "lookDown": {"eyeLookDown": 1.0},
-        "lookLeft": {"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0},
-        "lookRight": {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0},
+        **read_table("faces")["vrm_presets"],
     }.items()
 }
 #: Presets of VRM 1.0, in lower case, by those of VRM 0 that have another name there.
-_OF_VRM_0: Mapping[str, str] = {
-    "joy": "happy",
-    "sorrow": "sad",
-    "fun": "relaxed",
-    "blink_l": "blinkleft",
-    "blink_r": "blinkright",
-    "a": "aa",
-    "i": "ih",
-    "u": "ou",
-    "e": "ee",
-    "o": "oh",
-}
+_OF_VRM_0: Mapping[str, str] = read_table("faces")["vrm_0"]
 #: Weight 1 of the binds of VRM 0.
 _PERCENT = 100
 

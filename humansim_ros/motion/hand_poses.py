@@ -18,6 +18,7 @@ from humansim_ros.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
 from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.io.assets import read_table
 from humansim_ros.motion.hand_keys import MAX_SECONDS, HandKey, HandPoseName
 from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.rotations import quaternion_to_matrix, rotate, smooth_step
@@ -27,59 +28,12 @@ if TYPE_CHECKING:
     from humansim_ros.motion.joint_match import JointMatch
     from humansim_ros.motion.world_motion import WorldMotion
 
-#: Flexion of the joints of a finger, degrees: knuckle, middle and outer joint.
-_STRAIGHT = (0.0, 3.0, 2.0)
-#: Fingers of a fist: as far as they go on all built-in humans without sinking into the palm.
-_CLOSED = {
-    "index": (60.0, 90.0, 64.0),
-    "middle": (52.0, 97.0, 65.0),
-    "ring": (68.0, 85.0, 62.0),
-    "pinky": (54.0, 82.0, 60.0),
-}
-#: Thumb: flexion of its three joints, then spread and twist of its ball.
-_Thumb = tuple[float, float, float, float, float]
-_ACROSS: _Thumb = (20.0, 40.0, 55.0, -20.0, 20.0)
-_ASIDE: _Thumb = (-22.0, 0.0, 0.0, -10.0, 0.0)
-
-
-def _pose(
-    thumb: _Thumb,
-    fingers: Mapping[str, tuple[float, float, float]] | tuple[float, float, float],
-    spread: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-) -> Array:
-    """Angles (15, 3) degrees of a hand: flexion, spread and twist of each joint."""
-    angles = np.zeros((PER_HAND, 3))
-    angles[:3, 0], angles[0, 1:] = thumb[:3], thumb[3:]
-    for number, finger in enumerate(FINGERS[1:], 1):
-        flexion = fingers[finger] if isinstance(fingers, Mapping) else fingers
-        angles[3 * number : 3 * number + 3, 0] = flexion
-        angles[3 * number, 1] = spread[number - 1]
-    return angles
-
-
-def _counting(*straight: str) -> dict[str, tuple[float, float, float]]:
-    return {finger: _STRAIGHT if finger in straight else _CLOSED[finger] for finger in FINGERS[1:]}
-
-
-_RELAXED_FINGERS = {
-    "index": (35.0, 39.0, 21.0),
-    "middle": (45.0, 38.0, 23.0),
-    "ring": (47.0, 39.0, 25.0),
-    "pinky": (50.0, 43.0, 19.0),
-}
-#: Angles (15, 3) of each pose, degrees. Counting begins with the index finger; the thumb is the fifth.
+#: Angles (15, 3) of each pose, degrees: flexion, spread and twist of the joints. Counting begins with the
+#: index finger; the thumb is the fifth. Fingers of a fist are as far as they go on all built-in humans
+#: without sinking into the palm.
 HAND_POSES: Mapping[str, Array] = {
-    "relaxed": _pose((0.0, 5.0, 31.0, 0.0, 0.0), _RELAXED_FINGERS),
-    "fist": _pose(_ACROSS, _CLOSED),
-    "point": _pose(_ACROSS, _counting("index")),
-    "flat": _pose(_ASIDE, _STRAIGHT, (-2.0, 0.0, 3.0, 6.0)),
-    "grip": _pose((8.0, 20.0, 25.0, 0.0, 20.0), (50.0, 55.0, 35.0)),
-    "wave": _pose((-28.0, 0.0, 0.0, 4.0, 0.0), _STRAIGHT, (8.0, 1.0, -6.0, -14.0)),
-    "one": _pose(_ACROSS, _counting("index")),
-    "two": _pose(_ACROSS, _counting("index", "middle"), (8.0, -6.0, 0.0, 0.0)),
-    "three": _pose(_ACROSS, _counting("index", "middle", "ring"), (8.0, 0.0, -8.0, 0.0)),
-    "four": _pose(_ACROSS, _STRAIGHT, (8.0, 2.0, -5.0, -12.0)),
-    "five": _pose((-28.0, 0.0, 0.0, 4.0, 0.0), _STRAIGHT, (8.0, 2.0, -5.0, -12.0)),
+    name: np.concatenate([np.array(hand[finger], dtype=float) for finger in FINGERS])
+    for name, hand in read_table("hand_poses").items()
 }
 assert tuple(HAND_POSES) == get_args(HandPoseName)
 #: Heights of the wrist above the shoulder, as shares of the length of the arm, at which the hand begins to

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.joint_names import SMPL, SMPL_MODELS
 from humansim_ros.errors import HumansimError, MotionError, some_of, warn_about
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.marker_files import MarkerFile
 from humansim_ros.io.npz import read_npz
 from humansim_ros.io.pickles import read_pickle
@@ -83,37 +84,10 @@ _STATURE = 1.7
 #: Betas that a warning shows: the first ones matter most.
 _SHOWN_BETAS = 10
 
-#: Parent and place of each joint of SMPL from its parent at rest, metres: a mean person of 1.7 m in a T pose,
-#: y up, facing +z, +x to the left. Round numbers, not those of a model.
-_TRUNK = {
-    "pelvis": ("", (0.0, 0.0, 0.0)),
-    "spine1": ("pelvis", (0.0, 0.11, -0.02)),
-    "spine2": ("spine1", (0.0, 0.13, 0.0)),
-    "spine3": ("spine2", (0.0, 0.06, 0.02)),
-    "neck": ("spine3", (0.0, 0.21, -0.04)),
-    "head": ("neck", (0.0, 0.08, 0.05)),
-    "jaw": ("head", (0.0, -0.01, 0.02)),
-}
+#: Place of the top of the head from the head, metres. All joints of SMPL are in config/smpl_person.json, from
+#: their parents at rest: a mean person of 1.7 m in a T pose, y up, facing +z, +x to the left. Round numbers,
+#: not those of a model.
 _HEAD_TOP = (0.0, 0.18, 0.0)
-_LEFT = {
-    "hip": ("pelvis", (0.07, -0.09, 0.0)),
-    "knee": ("left_hip", (0.03, -0.38, 0.0)),
-    "ankle": ("left_knee", (0.0, -0.4, -0.03)),
-    "foot": ("left_ankle", (0.02, -0.06, 0.12)),
-    "collar": ("spine3", (0.07, 0.12, -0.03)),
-    "shoulder": ("left_collar", (0.1, 0.03, 0.0)),
-    "elbow": ("left_shoulder", (0.26, 0.0, -0.02)),
-    "wrist": ("left_elbow", (0.25, 0.0, 0.0)),
-    "hand": ("left_wrist", (0.08, 0.0, 0.0)),
-    "eye_smplhf": ("head", (0.03, 0.06, 0.06)),
-    "thumb1": ("left_wrist", (0.03, -0.01, 0.03)),
-    "thumb2": ("left_thumb1", (0.03, 0.0, 0.02)),
-    "thumb3": ("left_thumb2", (0.03, 0.0, 0.01)),
-}
-for _finger, _across in (("index", 0.03), ("middle", 0.0), ("ring", -0.02), ("pinky", -0.04)):
-    _LEFT[f"{_finger}1"] = ("left_wrist", (0.09, 0.0, _across))
-    _LEFT[f"{_finger}2"] = (f"left_{_finger}1", (0.03, 0.0, 0.0))
-    _LEFT[f"{_finger}3"] = (f"left_{_finger}2", (0.025, 0.0, 0.0))
 
 
 def is_smpl_motion(path: str | os.PathLike[str]) -> bool:
@@ -381,15 +355,9 @@ def _number(value: NDArray[Any]) -> float:
 
 def _skeleton(names: tuple[str, ...]) -> tuple[list[int], Array]:
     """Parents (J), and OFFSETs (J, 3) of the mean person."""
-    parents, offsets = [], []
-    for name in names:
-        side, _, part = name.partition("_")
-        parent, (x, y, z) = _TRUNK[name] if name in _TRUNK else _LEFT[part]
-        if side == "right":
-            parent, x = parent.replace("left", "right"), -x
-        parents.append(names.index(parent) if parent else -1)
-        offsets.append((x, y, z))
-    return parents, np.array(offsets)
+    rows = {row["name"]: row for row in read_table("smpl_person")}
+    parents = [names.index(rows[name]["parent"]) if rows[name]["parent"] else -1 for name in names]
+    return parents, np.array([rows[name]["offset"] for name in names], dtype=float)
 
 
 def _depth(joint: int, parents: list[int]) -> int:

@@ -38,6 +38,7 @@ from humansim_ros.humans.makehuman.wardrobe import (
     draw_clothes,
     draw_fabric,
 )
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.types import Array
 
@@ -49,113 +50,27 @@ AGES, STATURES, BMIS = (2.0, 90.0), (0.6, 2.3), (12.0, 42.0)
 _MOST_DEVIATIONS = 5
 #: Kilograms per cubic metre of a body: people just float.
 DENSITY = 985.0
+_TABLE = read_table("population")
 #: Middles of the age groups of the survey, years; from 20 on, ten years each, and the last from 80 on.
-_GROUPS = (3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, 17.0, 19.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 85.0)
+_GROUPS = _TABLE["ages"]
 #: Standard normal values of the 5th, 10th, 15th, 25th, 50th, 75th, 85th, 90th and 95th percentile.
-_SCORES = (-1.6449, -1.2816, -1.0364, -0.6745, 0.0, 0.6745, 1.0364, 1.2816, 1.6449)
-#: Mean, 10th and 90th percentile of the stature of each age group, centimetres.
-_STATURE: dict[Sex, tuple[tuple[float, float, float], ...]] = {
-    "male": (
-        *((95.2, 86.1, 102.5), (110.2, 101.8, 119.7), (122.6, 112.7, 130.4), (134.6, 126.0, 143.9)),
-        *((146.8, 134.3, 156.4), (162.0, 150.2, 172.8), (171.1, 160.9, 179.7), (175.0, 166.8, 186.2)),
-        *((175.1, 164.6, 186.0), (176.3, 167.7, 185.9), (176.1, 166.6, 185.1), (176.4, 166.9, 186.8)),
-        *((174.3, 164.7, 183.6), (174.7, 165.2, 184.1), (172.4, 162.6, 181.6), (170.5, 160.1, 179.3)),
-    ),
-    "female": (
-        *((94.4, 85.0, 102.7), (108.9, 100.4, 119.1), (122.7, 114.1, 131.3), (134.8, 126.4, 144.4)),
-        *((148.7, 137.3, 160.6), (156.4, 145.4, 164.8), (159.6, 152.0, 166.6), (161.5, 152.5, 170.3)),
-        *((161.5, 151.5, 170.0), (163.5, 155.1, 171.9), (162.5, 152.8, 170.8), (161.7, 152.3, 170.4)),
-        *((161.2, 152.6, 170.4), (160.5, 151.6, 169.4), (158.3, 150.7, 166.2), (156.8, 145.9, 165.5)),
-    ),
-}
+_SCORES = _TABLE["scores"]
+#: Mean, 10th and 90th percentile of the stature of each age group, centimetres, by sex.
+_STATURE = _TABLE["stature"]
 #: Percentiles of the body mass index of each age group. The 5th of four groups, which the survey leaves out,
 #: continues the line through the 10th and the 15th.
-_BMI: dict[Sex, tuple[tuple[float, ...], ...]] = {
-    "male": (
-        (14.0, 14.6, 15.0, 15.5, 16.6, 17.5, 18.2, 18.6, 19.2),
-        (14.0, 14.5, 14.7, 15.2, 16.0, 17.4, 17.9, 18.5, 21.8),
-        (13.5, 14.1, 14.6, 14.8, 16.1, 17.7, 20.0, 21.0, 22.2),
-        (14.0, 14.3, 14.8, 15.5, 17.2, 19.6, 21.9, 23.2, 26.8),
-        (15.2, 15.4, 16.0, 16.7, 19.0, 25.0, 26.6, 29.6, 33.3),
-        (16.1, 16.7, 17.3, 18.1, 20.3, 24.8, 27.5, 28.4, 32.8),
-        (16.2, 17.0, 18.5, 19.5, 21.6, 27.6, 32.3, 35.0, 38.1),
-        (16.9, 17.7, 18.1, 20.1, 23.7, 27.9, 30.5, 33.2, 36.0),
-        (17.4, 18.7, 19.5, 20.4, 23.6, 27.9, 32.3, 32.7, 36.9),
-        (18.9, 19.9, 21.6, 23.3, 27.0, 31.1, 34.2, 36.1, 39.6),
-        (21.2, 22.7, 23.3, 24.9, 27.8, 33.0, 35.6, 38.0, 42.5),
-        (22.2, 23.3, 24.1, 25.7, 28.9, 33.5, 35.8, 39.2, 45.0),
-        (21.6, 23.0, 24.1, 25.5, 29.0, 33.3, 36.6, 38.9, 44.6),
-        (21.2, 22.7, 23.9, 25.2, 28.3, 32.1, 34.1, 36.0, 39.9),
-        (21.6, 22.9, 23.9, 25.6, 28.8, 32.3, 34.6, 36.5, 39.2),
-        (21.1, 22.8, 24.2, 24.6, 27.2, 30.2, 32.1, 32.6, 34.8),
-    ),
-    "female": (
-        (13.9, 14.2, 14.4, 15.1, 16.1, 17.4, 18.1, 18.4, 19.1),
-        (13.6, 14.1, 14.3, 14.8, 15.6, 16.8, 18.5, 19.9, 21.3),
-        (13.5, 14.0, 14.2, 14.9, 15.9, 17.9, 20.7, 21.9, 23.0),
-        (13.8, 14.5, 14.9, 15.4, 17.7, 20.7, 22.5, 25.0, 26.8),
-        (15.0, 15.9, 16.3, 16.8, 19.4, 24.0, 25.1, 27.4, 29.2),
-        (16.6, 17.2, 17.9, 18.8, 21.4, 24.9, 26.6, 28.3, 32.3),
-        (16.6, 17.9, 18.8, 19.7, 22.2, 27.3, 30.2, 33.4, 37.4),
-        (17.9, 18.1, 19.0, 20.0, 22.6, 27.6, 30.3, 33.3, 36.4),
-        (17.3, 18.1, 18.9, 20.8, 24.7, 30.1, 33.0, 34.9, 41.4),
-        (18.6, 19.9, 21.0, 22.2, 25.5, 31.6, 36.6, 39.7, 45.6),
-        (19.7, 21.3, 22.3, 24.2, 28.6, 35.2, 40.4, 42.1, 47.4),
-        (19.7, 21.9, 23.0, 24.6, 28.5, 35.1, 38.8, 41.0, 45.6),
-        (20.8, 22.3, 23.4, 24.9, 30.0, 36.5, 40.2, 42.4, 45.9),
-        (20.0, 22.0, 23.1, 24.8, 28.8, 34.5, 37.9, 40.0, 42.5),
-        (20.7, 22.0, 23.2, 24.7, 28.0, 33.4, 36.5, 38.3, 42.2),
-        (19.2, 21.1, 22.0, 23.6, 26.9, 31.3, 33.3, 34.7, 36.3),
-    ),
-}
+_BMI = _TABLE["bmi"]
 #: The ten tones of the Monk Skin Tone scale [Monk 2023], sRGB.
-MONK_TONES = (
-    *((246, 237, 228), (243, 231, 219), (247, 234, 208), (234, 218, 186), (215, 189, 150)),
-    *((160, 126, 86), (130, 92, 67), (96, 65, 52), (58, 49, 42), (41, 36, 32)),
-)
-#: Colours without grey, sRGB; people with the tones 5 to 10 have the dark ones.
-_HAIR = (
-    (28, 22, 20),
-    (46, 34, 28),
-    (66, 46, 34),
-    (98, 68, 44),
-    (140, 104, 66),
-    (186, 150, 100),
-    (142, 72, 38),
-)
-_IRIS = ((58, 40, 30), (78, 56, 40), (98, 82, 50), (92, 110, 84), (96, 124, 146), (110, 130, 140))
-_DARK = 2
-_GREY = (206, 204, 200)
-_TROUSERS: tuple[tuple[int, int, int], ...] = (
-    *((52, 66, 96), (38, 42, 54), (96, 88, 78), (128, 110, 84), (64, 72, 60), (44, 40, 40), (150, 142, 130)),
-)
+MONK_TONES: Sequence[Sequence[int]] = _TABLE["tones"]
+#: Number of dark colours of hair and eyes, which people with the tones 5 to 10 have; and grey hair.
+_DARK, _GREY = 2, (206, 204, 200)
 #: Colours of cloth as one sees them in a street, without a source: shares in percent of grown-ups and of
 #: children, and ranges of hue, saturation and value (HSV, 0 to 1; a hue above 1 is that beyond red).
-_CLOTH = (
-    (24, 10, (0.55, 0.75), (0.00, 0.25), (0.10, 0.24)),  # black, charcoal
-    (17, 12, (0.00, 1.00), (0.00, 0.08), (0.30, 0.72)),  # grey
-    (17, 15, (0.57, 0.65), (0.28, 0.52), (0.18, 0.45)),  # navy, denim
-    (8, 5, (0.05, 0.12), (0.18, 0.48), (0.32, 0.82)),  # brown, beige
-    (5, 5, (0.15, 0.38), (0.14, 0.36), (0.22, 0.46)),  # olive, dark green
-    (13, 12, (0.05, 0.20), (0.00, 0.07), (0.84, 0.94)),  # white
-    (7, 9, (0.55, 0.63), (0.15, 0.40), (0.60, 0.85)),  # light blue
-    (4, 5, (0.94, 1.01), (0.45, 0.70), (0.30, 0.52)),  # wine red
-    (2, 9, (0.00, 1.00), (0.12, 0.32), (0.76, 0.94)),  # pastel
-    (3, 18, (0.00, 1.00), (0.55, 0.85), (0.45, 0.88)),  # vivid
-)
+_CLOTH = _TABLE["cloth"]
 #: Suits, coats and jackets have the first kinds of colours; age from which people wear those of grown-ups.
 _COATS, _GROWN = 5, 13
-_SHOES = ((58, 46, 40), (30, 30, 32), (164, 162, 158), (112, 74, 48), (52, 62, 92))
 #: Shape targets of the face that are drawn: names without their end, and their two ends.
-_FACE = (
-    *(("nose/nose-hump", "decr", "incr"), ("nose/nose-width1", "decr", "incr")),
-    *(("nose/nose-point", "down", "up"), ("nose/nose-scale-vert", "decr", "incr")),
-    *(("chin/chin-width", "decr", "incr"), ("chin/chin-prominent", "decr", "incr")),
-    *(("chin/chin-height", "decr", "incr"), ("mouth/mouth-scale-horiz", "decr", "incr")),
-    *(("mouth/mouth-upperlip-volume", "decr", "incr"), ("mouth/mouth-lowerlip-volume", "decr", "incr")),
-    *(("head/head-fat", "decr", "incr"), ("head/head-scale-horiz", "decr", "incr")),
-    *(("forehead/forehead-scale-vert", "decr", "incr"), ("eyebrows/eyebrows-trans", "down", "up")),
-)
+_FACE = _TABLE["face"]
 #: All of them by name.
 FACE_TARGETS = tuple(f"{name}-{end}" for name, *ends in _FACE for end in ends)
 #: Largest strength of a target of the face.
@@ -519,11 +434,13 @@ def _face(uniform: Callable[[], float]) -> dict[str, float]:
 def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Outfit:
     """Colours of skin, hair, eyes and clothes, and traces of age."""
 
-    def one(options: Sequence[tuple[int, int, int]], count: int | None = None) -> tuple[int, int, int]:
-        return options[int((count or len(options)) * uniform())]
+    def one(kind: str, count: int | None = None) -> tuple[int, int, int]:
+        options = _TABLE[kind]
+        red, green, blue = options[int((count or len(options)) * uniform())]
+        return red, green, blue
 
     few = _DARK if tone >= 5 else None
-    hair, iris = one(_HAIR, few), one(_IRIS, few)
+    hair, iris = one("hair", few), one("iris", few)
     grey = min(max((age - 35) / 45 + 0.5 * (uniform() - 0.5), 0.0), 1.0)
     red, green, blue = (round((1 - grey) * own + grey * goal) for own, goal in zip(hair, _GREY, strict=True))
     grown = age >= 16
@@ -534,9 +451,9 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
         shirt=_cloth_color(age, uniform),
         shirt_fabric=draw_fabric(uniform(), age, sex == "female"),
         shirt_second=_cloth_color(age, uniform),
-        trousers=one(_TROUSERS),
+        trousers=one("trousers"),
         trousers_fabric=("denim", "twill", "plain")[int(3 * uniform())],
-        shoes=one(_SHOES),
+        shoes=one("shoes"),
         stubble=round(max(0.0, 1.6 * uniform() - 0.8), 2) * (sex == "male" and grown),
         lips=round(max(0.0, uniform() - 0.4), 2) * (sex == "female" and grown),
         wrinkles=round(min(max((age - 40) / 40, 0.0), 1.0), 2),
@@ -546,14 +463,15 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
 def _cloth_color(age: float, uniform: Callable[[], float], count: int | None = None) -> ByteColor:
     """Colour of a garment, by three numbers; of the first ``count`` kinds of :data:`_CLOTH` if given."""
     kinds = _CLOTH[:count]
-    shares = [children if age < _GROWN else grown for grown, children, *_ in kinds]
+    shares = [kind["children" if age < _GROWN else "grown"] for kind in kinds]
     # the first number is the kind, and its place within the share of the kind is the hue
     ends = list(accumulate(shares))
     place = ends[-1] * uniform()
     kind = bisect(ends, place)
     parts = (1 - (ends[kind] - place) / shares[kind], uniform(), uniform())
+    ranges = (kinds[kind][name] for name in ("hue", "saturation", "value"))
     hue, saturation, value = (
-        low + (high - low) * part for (low, high), part in zip(kinds[kind][2:], parts, strict=True)
+        low + (high - low) * part for (low, high), part in zip(ranges, parts, strict=True)
     )
     red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue % 1.0, saturation, value))
     return red, green, blue

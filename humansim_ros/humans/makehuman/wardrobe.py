@@ -1,4 +1,4 @@
-"""Tables of hair styles, beards, garments, footwear and things worn: each is a row, not code.
+"""Hair styles, beards, garments, footwear and things worn: rows of config/wardrobe.json.
 
 Lengths are metres on the reference body (an adult man); a body of another size scales them.
 """
@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from humansim_ros.errors import MeshError, did_you_mean
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.mesh.materials import WornName
 
+Row = TypeVar("Row")
 Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
 HairName = Literal[
     "bald",
@@ -81,27 +83,6 @@ class HairStyle:
     tie: Literal["loose", "tail", "bun", "top_knot", "pigtails", "plaits"] = "loose"
 
 
-HAIR: Mapping[HairName, HairStyle] = {
-    "bald": HairStyle("none"),
-    "cropped": HairStyle(thickness=0.3),
-    "short": HairStyle(),
-    "side_part": HairStyle(volume=0.012, part=0.034),
-    "slick": HairStyle(thickness=0.7, volume=0.004, lumps=0.0),
-    "fringe": HairStyle(volume=0.010, front=0.030),
-    "curly": HairStyle(volume=0.030, lumps=0.55, curl=0.020),
-    "afro": HairStyle(volume=0.050, lumps=0.10, curl=0.011),
-    "mohawk": HairStyle(thickness=0.3, volume=0.060, lumps=0.3, curl=0.012, ridge=0.018),
-    "long": HairStyle("long"),
-    "shoulder": HairStyle("long", length=0.17),
-    "straight": HairStyle("long", length=0.36),
-    "tail": HairStyle(thickness=0.6, length=0.26, tie="tail"),
-    "bun": HairStyle(thickness=0.6, tie="bun"),
-    "top_knot": HairStyle(thickness=0.6, tie="top_knot"),
-    "pigtails": HairStyle(thickness=0.6, length=0.20, tie="pigtails"),
-    "plaits": HairStyle(thickness=0.6, length=0.26, tie="plaits"),
-}
-
-
 @dataclass(frozen=True)
 class Beard:
     """A beard: thickness of the moustache, on the chin, and on the jaw up to the ears."""
@@ -109,14 +90,6 @@ class Beard:
     moustache: float = 0.0
     chin: float = 0.0
     jaw: float = 0.0
-
-
-BEARDS: Mapping[BeardName, Beard] = {
-    "none": Beard(),
-    "moustache": Beard(moustache=0.005),
-    "goatee": Beard(moustache=0.004, chin=0.010),
-    "full": Beard(moustache=0.005, chin=0.014, jaw=0.008),
-}
 
 
 @dataclass(frozen=True)
@@ -146,20 +119,6 @@ class Top:
     bottoms: tuple[BottomName, ...] = ("trousers", "leggings", "shorts", "skirt", "long_skirt")
 
 
-_UNDER_COAT: tuple[BottomName, ...] = ("trousers", "leggings", "tights", "skirt")
-TOPS: Mapping[TopName, Top] = {
-    "shirt": Top(),
-    "vest": Top("none"),
-    "jumper": Top("long", ease=0.004, drop=0.07),
-    "hoodie": Top("long", ease=0.007, drop=0.07, collar="hood", front="zip"),
-    "jacket": Top("long", ease=0.008, drop=0.07, collar="stand", front="zip"),
-    "suit": Top("long", ease=0.006, drop=0.07, collar="fold", front="suit", bottoms=("trousers", "skirt")),
-    "coat": Top("long", ease=0.009, collar="fold", front="buttons", skirt=0.42, bottoms=_UNDER_COAT),
-    "dress": Top(skirt=0.50, flare=0.11, bottoms=("none", "tights", "leggings")),
-    "hi_vis": Top("long", ease=0.007, drop=0.07, collar="stand", front="zip", bands=True),
-}
-
-
 @dataclass(frozen=True)
 class Bottom:
     """A garment of the lower body.
@@ -177,17 +136,6 @@ class Bottom:
     flare: float = 0.07
 
 
-BOTTOMS: Mapping[BottomName, Bottom] = {
-    "trousers": Bottom(),
-    "leggings": Bottom(loose=False),
-    "shorts": Bottom(hem=1.25),
-    "skirt": Bottom(hem=1.72, skirt=0.50),
-    "long_skirt": Bottom(hem=1.72, skirt=0.76),
-    "tights": Bottom(loose=False),
-    "none": Bottom(hem=1.72),
-}
-
-
 @dataclass(frozen=True)
 class Footwear:
     """Footwear.
@@ -201,14 +149,6 @@ class Footwear:
     covers: bool = True
     shaft: float = 0.0
     sole: float = 0.0
-
-
-FOOTWEAR: Mapping[FootwearName, Footwear] = {
-    "shoes": Footwear(),
-    "boots": Footwear(shaft=0.20),
-    "sandals": Footwear(covers=False, sole=0.016),
-    "bare": Footwear(covers=False),
-}
 
 
 @dataclass(frozen=True)
@@ -232,21 +172,24 @@ class Worn:
     brim: float = 0.0
 
 
-WORN: Mapping[WornName, Worn] = {
-    "glasses": Worn("eyes", "glasses", (40, 36, 34)),
-    "sunglasses": Worn("eyes", "glasses", (22, 22, 24)),
-    "mask": Worn("mouth", "mask", (150, 186, 208), ease=0.007),
-    "cap": Worn("head", "hat", (44, 62, 110), "twill", ease=0.007, brim=0.075),
-    "beanie": Worn("head", "hat", (140, 50, 52), "knit", ease=0.009),
-    "hard_hat": Worn("head", "hat", (238, 196, 40), ease=0.026, brim=0.028),
-    "sun_hat": Worn("head", "hat", (206, 178, 126), "twill", ease=0.010, brim=0.090),
-    "turban": Worn("head", "wrap", (196, 92, 40), "plain", ease=0.034),
-    "hijab": Worn("head", "scarf", (110, 76, 116), "plain", ease=0.009),
-    "backpack": Worn("back", "pack", (54, 74, 66), "twill"),
-    "bag": Worn("side", "pack", (116, 74, 46)),
-}
+def _rows(kind: str, row: Callable[..., Row]) -> dict[Any, Row]:
+    """Rows of a table by name."""
+    named = _TABLES[kind].items()
+    return {
+        name: row(
+            **{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+        )
+        for name, values in named
+    }
 
 
+_TABLES = read_table("wardrobe")
+HAIR: Mapping[HairName, HairStyle] = _rows("hair", HairStyle)
+BEARDS: Mapping[BeardName, Beard] = _rows("beards", Beard)
+TOPS: Mapping[TopName, Top] = _rows("tops", Top)
+BOTTOMS: Mapping[BottomName, Bottom] = _rows("bottoms", Bottom)
+FOOTWEAR: Mapping[FootwearName, Footwear] = _rows("footwear", Footwear)
+WORN: Mapping[WornName, Worn] = _rows("worn", Worn)
 #: Names of each key of :class:`Attire`.
 CHOICES: Mapping[str, Sequence[str]] = {
     "hair": tuple(HAIR),
@@ -275,86 +218,7 @@ def check_clothes(clothes: Attire) -> tuple[str, str] | None:
 
 #: Shares of styles, garments and things: frequent ones of women and men, girls and boys.
 _Shares = Mapping[str, float]
-_HAIR_SHARES: Mapping[str, _Shares] = {
-    "woman": {
-        "long": 3,
-        "shoulder": 4,
-        "straight": 3,
-        "tail": 3,
-        "bun": 2,
-        "plaits": 0.7,
-        "fringe": 1,
-        "side_part": 1,
-        "curly": 2,
-        "afro": 1,
-        "short": 1,
-        "top_knot": 0.7,
-    },
-    "man": {
-        "short": 4,
-        "cropped": 4,
-        "side_part": 3,
-        "slick": 1.5,
-        "curly": 1.5,
-        "afro": 1,
-        "bald": 1,
-        "long": 0.5,
-        "top_knot": 0.4,
-        "tail": 0.3,
-        "mohawk": 0.2,
-    },
-    "girl": {"tail": 3, "pigtails": 2, "plaits": 2, "shoulder": 2, "straight": 1, "fringe": 2, "bun": 0.5},
-    "boy": {"short": 4, "fringe": 2, "side_part": 2, "cropped": 2, "curly": 1.5},
-    "old woman": {"short": 3, "curly": 3, "bun": 2, "long": 2, "side_part": 1},
-    "old man": {"bald": 3, "cropped": 3, "short": 3, "side_part": 2},
-}
-_TOP_SHARES: Mapping[str, _Shares] = {
-    "woman": {
-        "shirt": 5,
-        "jumper": 3,
-        "hoodie": 1,
-        "jacket": 2,
-        "coat": 2,
-        "dress": 2,
-        "suit": 0.5,
-        "vest": 1,
-    },
-    "man": {
-        "shirt": 5,
-        "jumper": 3,
-        "hoodie": 2,
-        "jacket": 3,
-        "coat": 1.5,
-        "suit": 1.5,
-        "hi_vis": 0.7,
-        "vest": 0.5,
-    },
-    "girl": {"shirt": 4, "jumper": 2, "hoodie": 2, "dress": 3, "jacket": 1},
-    "boy": {"shirt": 5, "jumper": 2, "hoodie": 3, "jacket": 1.5, "vest": 0.5},
-}
-_BOTTOM_SHARES: Mapping[str, _Shares] = {
-    "female": {
-        "trousers": 5,
-        "leggings": 1.5,
-        "shorts": 1,
-        "skirt": 1.5,
-        "long_skirt": 0.7,
-        "tights": 2,
-        "none": 2,
-    },
-    "male": {"trousers": 6, "shorts": 1},
-}
-_SHOE_SHARES: Mapping[str, _Shares] = {
-    "female": {"shoes": 6, "boots": 1.5, "sandals": 1.2, "bare": 0.1},
-    "male": {"shoes": 7, "boots": 1, "sandals": 0.6, "bare": 0.1},
-}
-_FABRIC_SHARES: Mapping[str, _Shares] = {
-    "woman": {"plain": 4, "knit": 3, "twill": 1.5, "stripes": 2, "checks": 1.5, "dots": 1, "flowers": 2},
-    "man": {"plain": 5, "knit": 3, "twill": 2, "stripes": 2.5, "checks": 2.5, "dots": 0.2, "flowers": 0.2},
-    "girl": {"plain": 3, "knit": 2, "twill": 0.5, "stripes": 2, "checks": 1, "dots": 2, "flowers": 2.5},
-    "boy": {"plain": 4, "knit": 2, "twill": 0.5, "stripes": 3, "checks": 2, "dots": 0.3, "flowers": 0.1},
-}
-_BEARD_SHARES: _Shares = {"none": 6, "full": 2, "goatee": 0.8, "moustache": 0.7}
+_SHARES: Mapping[str, Mapping[str, _Shares]] = _TABLES["shares"]
 
 
 def draw_clothes(
@@ -384,9 +248,9 @@ def draw_clothes(
                     f"unknown {name!r}{did_you_mean(name, CHOICES[key])}; there are {known}", key=key
                 )
     sex, group = "female" if female else "male", _group(age, female)
-    styles = _HAIR_SHARES[f"old {group}" if age >= 68 else group]
+    styles = _SHARES["hair"][f"old {group}" if age >= 68 else group]
     hair, top, bottom, shoes, beard = (uniform() for _ in range(5))
-    tops, bottoms = _TOP_SHARES[group], _BOTTOM_SHARES[sex]
+    tops, bottoms = _SHARES["tops"][group], _SHARES["bottoms"][sex]
     if "bottom" in wishes:
         tops = {name: tops.get(name, 0.01) for name, row in TOPS.items() if wishes["bottom"] in row.bottoms}
     worn_top: TopName = wishes.get("top") or _pick(tops, top)
@@ -397,11 +261,11 @@ def draw_clothes(
     grown = not female and age >= 18
     drawn = Attire(
         hair=_pick(styles, hair),
-        beard=_pick(_BEARD_SHARES, beard) if grown else "none",
+        beard=_pick(_SHARES["beards"]["man"], beard) if grown else "none",
         sleeves=sleeves,
         top=worn_top,
         bottom=_pick(shares, bottom),
-        shoes=_pick(_SHOE_SHARES[sex], shoes),
+        shoes=_pick(_SHARES["footwear"][sex], shoes),
         wears=_things(uniform, age, female, worn_top),
     )
     clothes = replace(drawn, **wishes)
@@ -413,7 +277,7 @@ def draw_clothes(
 
 def draw_fabric(value: float, age: float, female: bool) -> Fabric:
     """Fabric of a garment of the upper body, by a number from 0 to 1."""
-    fabric: Fabric = _pick(_FABRIC_SHARES[_group(age, female)], value)
+    fabric: Fabric = _pick(_SHARES["fabrics"][_group(age, female)], value)
     return fabric
 
 

@@ -26,7 +26,8 @@ from humansim_ros.cli.options import (
     SizeOption,
     UnitOption,
     UpOption,
-    output_option,
+    argument,
+    option,
     parse_size,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
@@ -40,10 +41,7 @@ if TYPE_CHECKING:
 
 def show(
     file: CalibrationArgument,
-    extrinsics: Annotated[
-        list[str] | None,
-        typer.Argument(help="File with the extrinsics, if FILE has only intrinsics; then more such files."),
-    ] = None,
+    extrinsics: Annotated[list[str] | None, argument("camera show.extrinsics")] = None,
     as_json: JsonOption = False,
     size: SizeOption = None,
     image: ImageOption = None,
@@ -81,17 +79,8 @@ def show(
 
 def convert(
     files: CalibrationsArgument,
-    output: Annotated[
-        Path, output_option("PATH", "Output file, or folder for formats of one file per camera.")
-    ],
-    to: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORMAT",
-            help="Name of the format, such as camera_info, kalibr or colmap; an unknown name prints all. "
-            "The suffix of the output decides if absent.",
-        ),
-    ] = None,
+    output: Annotated[Path, option("camera convert.output")],
+    to: Annotated[str | None, option("camera convert.to")] = None,
     size: SizeOption = None,
     image: ImageOption = None,
     unit: UnitOption = None,
@@ -286,20 +275,11 @@ class LensChoice(Enum):
 def idealize(
     file: CalibrationArgument,
     output: OutputFolderOption,
-    images: Annotated[
-        list[Path] | None, typer.Argument(help="Images of the camera (.png, .jpg) to convert.")
-    ] = None,
-    square: Annotated[bool, typer.Option("--square", help="Make pixels square.")] = False,
-    keep_center: Annotated[bool, typer.Option("--keep-center", help="Keep the principal point.")] = False,
-    fit: Annotated[
-        FitChoice,
-        typer.Option(
-            help="focal: keep the focal lengths; all: show the whole image; no_black: without black pixels."
-        ),
-    ] = FitChoice.focal,
-    nearest: Annotated[
-        bool, typer.Option("--nearest", help="Do not interpolate: for images of labels or depth.")
-    ] = False,
+    images: Annotated[list[Path] | None, argument("camera idealize.images")] = None,
+    square: Annotated[bool, option("camera idealize.square")] = False,
+    keep_center: Annotated[bool, option("camera idealize.keep_center")] = False,
+    fit: Annotated[FitChoice, option("camera idealize.fit")] = FitChoice.focal,
+    nearest: Annotated[bool, option("camera idealize.nearest")] = False,
     size: SizeOption = None,
     image: ImageOption = None,
     unit: UnitOption = None,
@@ -322,47 +302,19 @@ def idealize(
 
 def rig(
     output: OutputFolderOption,
-    ring: Annotated[int | None, typer.Option(metavar="N", help="Number of cameras on a circle.")] = None,
-    grid: Annotated[
-        str | None,
-        typer.Option(metavar="ROWSxCOLUMNS", help="Rows and columns of a wall of cameras, as 2x4."),
-    ] = None,
-    dome: Annotated[int | None, typer.Option(metavar="N", help="Number of cameras on a half sphere.")] = None,
-    stereo: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Baseline of a stereo pair, metres.")
-    ] = None,
-    radius: Annotated[float, typer.Option(metavar="METRES", help="Distance from the target, metres.")] = 4.0,
-    height: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", help="Height above the floor, metres (1.8); not for a dome.", show_default=False
-        ),
-    ] = None,
-    look_at: Annotated[
-        tuple[float, float, float],
-        typer.Option(metavar="X Y Z", help="Target of all cameras: x y z in map, metres."),
-    ] = (0.0, 0.0, 1.0),
-    start_deg: Annotated[
-        float,
-        typer.Option(metavar="DEGREES", help="Azimuth of the first camera, degrees from +x towards +y."),
-    ] = 0.0,
-    spacing: Annotated[
-        float, typer.Option(metavar="METRES", help="Distance of the cameras of a grid, metres.")
-    ] = 0.5,
-    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Image size, as 640x480.")] = "640x480",
-    fov_deg: Annotated[
-        float, typer.Option(metavar="DEGREES", help="Horizontal field of view through the lens.")
-    ] = 60.0,
-    distortion: Annotated[
-        str | None,
-        typer.Option(metavar="NUMBERS", help="Distortion coefficients, such as -0.3 0.1 0 0."),
-    ] = None,
-    model: Annotated[
-        LensChoice | None,
-        typer.Option(
-            help="Distortion model; the number of coefficients decides if absent.", show_default=False
-        ),
-    ] = None,
+    ring: Annotated[int | None, option("camera rig.ring")] = None,
+    grid: Annotated[str | None, option("camera rig.grid")] = None,
+    dome: Annotated[int | None, option("camera rig.dome")] = None,
+    stereo: Annotated[float | None, option("camera rig.stereo")] = None,
+    radius: Annotated[float, option("camera rig.radius")] = 4.0,
+    height: Annotated[float | None, option("camera rig.height")] = None,
+    look_at: Annotated[tuple[float, float, float], option("camera rig.look_at")] = (0.0, 0.0, 1.0),
+    start_deg: Annotated[float, option("camera rig.start_deg")] = 0.0,
+    spacing: Annotated[float, option("camera rig.spacing")] = 0.5,
+    size: Annotated[str, option("camera rig.size")] = "640x480",
+    fov_deg: Annotated[float, option("camera rig.fov_deg")] = 60.0,
+    distortion: Annotated[str | None, option("camera rig.distortion")] = None,
+    model: Annotated[LensChoice | None, option("camera rig.model")] = None,
 ) -> None:
     """Arrange cameras around a target. Writes a scene for `humansim run`, and camera_info files."""
     from humansim_ros.camera import rigs
@@ -396,22 +348,10 @@ def rig(
 def plot(
     files: CalibrationsArgument,
     output: OutputImageOption,
-    coverage: Annotated[
-        bool, typer.Option("--coverage", help="Draw the number of cameras that see each position.")
-    ] = False,
-    height: Annotated[
-        float, typer.Option(metavar="METRES", help="Coverage: height of a point above the floor, metres.")
-    ] = 1.2,
-    stature: Annotated[
-        float, typer.Option(metavar="METRES", help="Coverage: height of a person, metres.")
-    ] = 1.8,
-    area: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(
-            metavar="X Y X Y",
-            help="Coverage: x y of two corners, metres; the surroundings of the rig if absent.",
-        ),
-    ] = None,
+    coverage: Annotated[bool, option("camera plot.coverage")] = False,
+    height: Annotated[float, option("camera plot.height")] = 1.2,
+    stature: Annotated[float, option("camera plot.stature")] = 1.8,
+    area: Annotated[tuple[float, float, float, float] | None, option("camera plot.area")] = None,
     size: SizeOption = None,
     image: ImageOption = None,
     unit: UnitOption = None,

@@ -11,8 +11,6 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from humansim_ros.cli.camera import Reading, room_around
 from humansim_ros.cli.options import (
     CalibrationArgument,
@@ -21,7 +19,7 @@ from humansim_ros.cli.options import (
     SizeOption,
     UnitOption,
     UpOption,
-    output_option,
+    option,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import CameraError, HumansimError
@@ -100,82 +98,19 @@ class _Method:
 
 def place(
     file: CalibrationArgument,
-    output: Annotated[
-        Path | None, output_option("FILE", "Scene to write (.yaml). Without it, the section rig is printed.")
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Also draw the placed rig (.png); beside the scene if absent.",
-            show_default=False,
-        ),
-    ] = None,
-    tilt_deg: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEGREES",
-            help="Degrees by which a camera looks down; with --height. The other cameras follow.",
-        ),
-    ] = None,
-    roll_deg: Annotated[
-        float,
-        typer.Option(
-            metavar="DEGREES", help="Degrees by which that camera is turned clockwise; with --tilt-deg."
-        ),
-    ] = 0.0,
-    camera: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Camera of --tilt-deg or --board-pose; the first if absent."),
-    ] = None,
-    floor_points: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="YAML or JSON file with three floor points or more."),
-    ] = None,
-    floor_point: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="POINT",
-            help="Floor point: its pixels, as 'left:312,400 right:280,410', or its place in the world of the "
-            "file, as '0.1,0.2,3'; 'map:0,1' adds its place in the room. Give three or more.",
-        ),
-    ] = None,
-    board: Annotated[
-        BoardChoice | None,
-        typer.Option(
-            help="The calibration board lies on the floor (floor; z_up or z_down to state its z axis), or "
-            "stands upright.",
-            show_default=False,
-        ),
-    ] = None,
-    board_pose: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NUMBERS",
-            help="Rotation vector and translation of the board in the frame of a camera: six numbers. "
-            "Without it, the board is the world of the file.",
-        ),
-    ] = None,
-    height: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Height above the floor, metres: of the camera of --tilt-deg, of the origin of a standing "
-            "board, or the mean of all cameras.",
-        ),
-    ] = None,
-    fit_unit: Annotated[
-        bool, typer.Option("--fit-unit", help="Take the unit of the file from floor points with map.")
-    ] = False,
-    yaw_deg: Annotated[
-        float, typer.Option(metavar="DEGREES", help="Turn the rig about the vertical, degrees.")
-    ] = 0.0,
-    at: Annotated[
-        tuple[float, float],
-        typer.Option(
-            metavar="X Y", help="x y of map below the point at which the cameras look (of the board), metres."
-        ),
-    ] = (0.0, 0.0),
+    output: Annotated[Path | None, option("camera place.output")] = None,
+    picture: Annotated[Path | None, option("camera place.picture")] = None,
+    tilt_deg: Annotated[float | None, option("camera place.tilt_deg")] = None,
+    roll_deg: Annotated[float, option("camera place.roll_deg")] = 0.0,
+    camera: Annotated[str | None, option("camera place.camera")] = None,
+    floor_points: Annotated[Path | None, option("camera place.floor_points")] = None,
+    floor_point: Annotated[list[str] | None, option("camera place.floor_point")] = None,
+    board: Annotated[BoardChoice | None, option("camera place.board")] = None,
+    board_pose: Annotated[str | None, option("camera place.board_pose")] = None,
+    height: Annotated[float | None, option("camera place.height")] = None,
+    fit_unit: Annotated[bool, option("camera place.fit_unit")] = False,
+    yaw_deg: Annotated[float, option("camera place.yaw_deg")] = 0.0,
+    at: Annotated[tuple[float, float], option("camera place.at")] = (0.0, 0.0),
     size: SizeOption = None,
     image: ImageOption = None,
     unit: UnitOption = None,

@@ -17,7 +17,9 @@ from typing import Literal
 
 import typer
 
-from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.options import (
+    JsonOption,
+)
 from humansim_ros.cli.output import print_text, to_json
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.converters import FBX_VARIABLE, find_converter

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from humansim_ros.cli.options import (
     AxesOption,
     EstimateTopicOption,
@@ -16,7 +14,7 @@ from humansim_ros.cli.options import (
     ResumeOption,
     ScaleOption,
     list_option,
-    output_option,
+    option,
 )
 from humansim_ros.cli.output import check_output, print_text, time_left, to_json
 from humansim_ros.errors import ChallengeError, EvaluationError
@@ -27,65 +25,19 @@ _MAX_SHIFT = 9e9
 
 
 def evaluate(
-    truth: Annotated[
-        Path,
-        typer.Option(
-            metavar="PATH",
-            help="Scene file, bag with the topics /humans/<id>/joints, or folder of an export.",
-        ),
-    ],
-    estimate: Annotated[
-        list[str],
-        list_option(
-            "--estimate",
-            "PATH",
-            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json, .npy, .txt) or "
-            "a folder of files; several, such as one file a person.",
-        ),
-    ],
+    truth: Annotated[Path, option("evaluate.truth")],
+    estimate: Annotated[list[str], list_option("evaluate.estimate")],
     keypoints: KeypointsOption = None,
     names: NamesOption = None,
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
-    offset: Annotated[
-        str,
-        typer.Option(
-            metavar="SECONDS|auto",
-            help="Seconds by which the stamps of the estimate are late, or auto to measure them.",
-        ),
-    ] = "0",
-    gate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Largest mean joint distance at which a person counts as found, metres; 0.5 if absent. Of "
-            "boxes: of their centres on the floor; 1 if absent.",
-            min=0.001,
-            max=1000,
-        ),
-    ] = None,
-    min_score: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SCORE",
-            help="Detections in images with a lower score count for average precision only.",
-        ),
-    ] = None,
-    radius: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Radius of the robot whose path is the estimate; of the scene's robot, or 0.3, if absent.",
-            min=0.0,
-            max=100,
-        ),
-    ] = None,
+    offset: Annotated[str, option("evaluate.offset")] = "0",
+    gate: Annotated[float | None, option("evaluate.gate")] = None,
+    min_score: Annotated[float | None, option("evaluate.min_score")] = None,
+    radius: Annotated[float | None, option("evaluate.radius")] = None,
     as_json: JsonOption = False,
-    output: Annotated[Path | None, output_option("FILE", "Write the result to this JSON file.")] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write tables, plots and the worst frames to this HTML file."),
-    ] = None,
+    output: Annotated[Path | None, option("evaluate.output")] = None,
+    report: Annotated[Path | None, option("evaluate.report")] = None,
 ) -> None:
     """Compare poses or boxes of people, detections in images, or the path of a robot, with the truth."""
     from humansim_ros.apps import api
@@ -127,46 +79,19 @@ def _seconds(text: str) -> float | Literal["auto"]:
 
 
 def challenge(
-    output: Annotated[Path, output_option("DIR", "Folder of the report.")],
-    tracker: Annotated[
-        str | None,
-        typer.Option(
-            metavar="COMMAND",
-            help="Command that starts the tracker; {cameras}, {topic} and {scene} in it are replaced. Not "
-            "needed to draw a finished report again.",
-        ),
-    ] = None,
-    suite: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Suite (YAML); the suite of the package if absent."),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer frames and strengths.")] = False,
-    only: Annotated[
-        list[str] | None, list_option("--only", "NAME", "Names of axes to run. All if absent.")
-    ] = None,
-    compare: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Report of another tracker to show beside this one."),
-    ] = None,
+    output: Annotated[Path, option("challenge.output")],
+    tracker: Annotated[str | None, option("challenge.tracker")] = None,
+    suite: Annotated[Path | None, option("challenge.suite")] = None,
+    quick: Annotated[bool, option("challenge.quick")] = False,
+    only: Annotated[list[str] | None, list_option("challenge.only")] = None,
+    compare: Annotated[Path | None, option("challenge.compare")] = None,
     estimate: EstimateTopicOption = "/tracker/poses",
     keypoints: KeypointsOption = None,
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
-    timeout: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS", help="Seconds that a frame waits for the tracker.", min=0.1, max=1000.0
-        ),
-    ] = 10.0,
-    start_within: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS", help="Seconds that the tracker may take to start.", min=1.0, max=1000.0
-        ),
-    ] = 20.0,
-    realtime: Annotated[
-        bool, typer.Option("--realtime", help="Frames follow the wall clock and do not wait.")
-    ] = False,
+    timeout: Annotated[float, option("challenge.timeout")] = 10.0,
+    start_within: Annotated[float, option("challenge.start_within")] = 20.0,
+    realtime: Annotated[bool, option("challenge.realtime")] = False,
     resume: ResumeOption = False,
 ) -> None:
     """Run a tracker through difficulties of three strengths, and show where it breaks."""

@@ -12,9 +12,10 @@ from humansim_ros.cli.options import (
     JobsOption,
     RayOption,
     ResumeOption,
+    argument,
     export_formats,
     list_option,
-    output_option,
+    option,
 )
 from humansim_ros.cli.output import costs_text, frame_progress, print_text, rate_text, run_frames_shown
 from humansim_ros.cli.scene import warn_about_mistakes
@@ -43,64 +44,21 @@ def _print_formats(wanted: bool) -> None:
 
 
 def export(
-    output: Annotated[
-        str, output_option("DIR", "Folder, which must not exist; with --ray one that all hosts share.")
-    ],
-    scene: Annotated[
-        Path | None, typer.Argument(help="Scene file (YAML), recipe or bag; the demo scene if absent.")
-    ] = None,
-    formats: Annotated[
-        list[str] | None, list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
-    ] = None,
-    scenes: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Number of scenes of a recipe, instead of its own.", min=1, max=1_000_000
-        ),
-    ] = None,
-    frames: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of frames, from the first; all of a bag if absent.",
-            min=1,
-            max=MAX_FRAMES,
-        ),
-    ] = None,
-    range_: Annotated[
-        str | None,
-        typer.Option(
-            "--range",
-            metavar="A:B",
-            help="Frames from A up to, but not including, B, such as 100:300, instead of --frames.",
-        ),
-    ] = None,
-    keypoints: Annotated[
-        str,
-        typer.Option(metavar="SET", help="Keypoint set of the formats with keypoints (docs/keypoints.md)."),
-    ] = "coco17",
-    images: Annotated[_ImageFormat, typer.Option(help="Format of colour images.")] = _ImageFormat.png,
-    shard_size: Annotated[
-        int, typer.Option(metavar="BYTES", help="Size of the shards of webdataset in bytes.", min=1)
-    ] = 1_000_000_000,
-    license_: Annotated[
-        str,
-        typer.Option(
-            "--license",
-            metavar="NAME",
-            help="Licence of the data set, such as CC-BY-4.0, or the address of its text.",
-        ),
-    ] = "",
+    output: Annotated[str, option("export.output")],
+    scene: Annotated[Path | None, argument("export.scene")] = None,
+    formats: Annotated[list[str] | None, list_option("export.formats", export_formats)] = None,
+    scenes: Annotated[int | None, option("export.scenes")] = None,
+    frames: Annotated[int | None, option("export.frames", max=MAX_FRAMES)] = None,
+    range_: Annotated[str | None, option("export.range")] = None,
+    keypoints: Annotated[str, option("export.keypoints")] = "coco17",
+    images: Annotated[_ImageFormat, option("export.images")] = _ImageFormat.png,
+    shard_size: Annotated[int, option("export.shard_size")] = 1_000_000_000,
+    license_: Annotated[str, option("export.license")] = "",
     jobs: JobsOption = None,
     resume: ResumeOption = False,
     ray: RayOption = None,
-    shard_frames: Annotated[
-        int, typer.Option(metavar="N", help="Frames that a worker of Ray writes at a time.", min=1)
-    ] = PART_FRAMES,
-    show_list: Annotated[
-        bool,
-        typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
-    ] = False,
+    shard_frames: Annotated[int, option("export.shard_frames")] = PART_FRAMES,
+    show_list: Annotated[bool, option("export.show_list", callback=_print_formats)] = False,
 ) -> None:
     """Write frames of a scene, a bag, or many scenes of a recipe, as a data set.
 

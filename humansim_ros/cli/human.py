@@ -9,8 +9,6 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from humansim_ros.cli.options import (
     BodyOption,
     FacingOption,
@@ -19,8 +17,9 @@ from humansim_ros.cli.options import (
     PictureOption,
     UnitOption,
     UpOption,
+    argument,
     list_option,
-    output_option,
+    option,
 )
 from humansim_ros.cli.options import built_in_humans as completed_humans
 from humansim_ros.cli.output import check_output, print_text, to_json
@@ -64,14 +63,8 @@ class SkinningChoice(Enum):
     dual_quaternion = "dual_quaternion"
 
 
-HumanArgument = Annotated[
-    str,
-    typer.Argument(
-        help="Built-in human (`humansim human list`), or a file: .npz, .yaml, .obj, .glb …",
-        autocompletion=completed_humans,
-    ),
-]
-OutputHumanOption = Annotated[Path, output_option("FILE", "Output file (.npz).")]
+HumanArgument = Annotated[str, argument("shared.human", autocompletion=completed_humans)]
+OutputHumanOption = Annotated[Path, option("shared.output_human")]
 
 
 def list_humans(as_json: JsonOption = False) -> None:
@@ -110,7 +103,7 @@ def joints(as_json: JsonOption = False) -> None:
 def show(
     human: HumanArgument,
     output: OutputImageOption,
-    outfit: Annotated[str | None, typer.Option(metavar="NAME", help="Name of the outfit.")] = None,
+    outfit: Annotated[str | None, option("human show.outfit")] = None,
 ) -> None:
     """Draw a human from all sides, with its bones, weights and outfits."""
     check_output(output, ".png")
@@ -124,9 +117,7 @@ def info(human: HumanArgument, as_json: JsonOption = False) -> None:
 
 
 def build(
-    config: Annotated[
-        Path, typer.Argument(help="Description (.yaml); see config/humans and docs/humans.md.")
-    ],
+    config: Annotated[Path, argument("human build.config")],
     output: OutputHumanOption,
     picture: PictureOption = None,
 ) -> None:
@@ -140,33 +131,18 @@ def build(
 
 def make(
     output: OutputHumanOption,
-    age: Annotated[float | None, typer.Option(metavar="YEARS", help="2 to 90; drawn if absent.")] = None,
-    sex: Annotated[SexChoice | None, typer.Option(help="Drawn if absent.")] = None,
-    height: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Barefoot; drawn by age and sex if absent.")
-    ] = None,
-    weight: Annotated[
-        float | None, typer.Option(metavar="KG", help="Drawn by age, sex and height if absent.")
-    ] = None,
-    skin: Annotated[
-        int | None, typer.Option(metavar="TONE", help="1 (light) to 10 (dark) of the Monk scale.")
-    ] = None,
-    hair: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Hair, such as bun; docs/humans.md.")
-    ] = None,
-    beard: Annotated[
-        str | None, typer.Option(metavar="NAME", help="none, moustache, goatee or full.")
-    ] = None,
-    top: Annotated[str | None, typer.Option(metavar="NAME", help="Of the upper body, such as coat.")] = None,
-    bottom: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Of the lower body, such as skirt.")
-    ] = None,
-    shoes: Annotated[str | None, typer.Option(metavar="NAME", help="shoes, boots, sandals or bare.")] = None,
-    wears: Annotated[
-        list[str] | None,
-        list_option("--wears", "NAME", "Things worn, such as glasses,backpack; 'nothing' for none."),
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of all that is drawn.")] = 0,
+    age: Annotated[float | None, option("human make.age")] = None,
+    sex: Annotated[SexChoice | None, option("human make.sex")] = None,
+    height: Annotated[float | None, option("human make.height")] = None,
+    weight: Annotated[float | None, option("human make.weight")] = None,
+    skin: Annotated[int | None, option("human make.skin")] = None,
+    hair: Annotated[str | None, option("human make.hair")] = None,
+    beard: Annotated[str | None, option("human make.beard")] = None,
+    top: Annotated[str | None, option("human make.top")] = None,
+    bottom: Annotated[str | None, option("human make.bottom")] = None,
+    shoes: Annotated[str | None, option("human make.shoes")] = None,
+    wears: Annotated[list[str] | None, list_option("human make.wears")] = None,
+    seed: Annotated[int, option("human make.seed")] = 0,
     picture: PictureOption = None,
 ) -> None:
     """Make a person: by seed, from surveys of people, and by what is given."""
@@ -203,20 +179,14 @@ def make(
 
 
 def rig(
-    mesh: Annotated[Path, typer.Argument(help="Mesh in T or A pose (.obj, .glb, .stl …), or an SMPL model.")],
+    mesh: Annotated[Path, argument("human rig.mesh")],
     output: OutputHumanOption,
     picture: PictureOption = None,
-    rigging: Annotated[
-        RiggingChoice, typer.Option(help="Method for the weights of a mesh without weights.")
-    ] = RiggingChoice.heat,
-    skeleton: Annotated[
-        SkeletonChoice, typer.Option(help="Joints detected in the mesh, or joints of the general skeleton.")
-    ] = SkeletonChoice.fitted,
-    skinning: Annotated[SkinningChoice, typer.Option(help="Skinning method.")] = SkinningChoice.linear,
+    rigging: Annotated[RiggingChoice, option("human rig.rigging")] = RiggingChoice.heat,
+    skeleton: Annotated[SkeletonChoice, option("human rig.skeleton")] = SkeletonChoice.fitted,
+    skinning: Annotated[SkinningChoice, option("human rig.skinning")] = SkinningChoice.linear,
     unit: UnitOption = None,
-    stature: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Height of the person, metres.")
-    ] = None,
+    stature: Annotated[float | None, option("human rig.stature")] = None,
     up: UpOption = None,
     facing: FacingOption = None,
 ) -> None:
@@ -311,9 +281,7 @@ def _draw(human: Human, output: Path) -> None:
 # -- humans from photographs
 
 
-ViewsArgument = Annotated[
-    Path, typer.Argument(metavar="VIEWS", help="Views file (.yaml): docs/from_photographs.md.")
-]
+ViewsArgument = Annotated[Path, argument("shared.views")]
 
 
 class Method(Enum):
@@ -325,26 +293,13 @@ class Method(Enum):
 
 def fit(
     views: ViewsArgument,
-    output: Annotated[Path, output_option("FILE", "Fit to write (.yaml).")],
+    output: Annotated[Path, option("human fit.output")],
     body: BodyOption = None,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="COMMAND",
-            help="Command that finds the 2D points of an image: 'python detect.py {image} {points}'; "
-            "its results are kept in <name of the views file>_points.",
-        ),
-    ] = None,
-    silhouettes: Annotated[
-        bool, typer.Option("--silhouettes/--no-silhouettes", help="Use the masks of the views.")
-    ] = True,
+    detector: Annotated[str | None, option("human fit.detector")] = None,
+    silhouettes: Annotated[bool, option("human fit.silhouettes")] = True,
     picture: PictureOption = None,
-    bvh: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Motion of a sequence to write (.bvh).")
-    ] = None,
-    npz: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Fitted human without a new texture (.npz).")
-    ] = None,
+    bvh: Annotated[Path | None, option("human fit.bvh")] = None,
+    npz: Annotated[Path | None, option("human fit.npz")] = None,
 ) -> None:
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
     # before NumPy is loaded: its threads cost more than they save for matrices of some hundred rows
@@ -390,28 +345,11 @@ def fit(
 
 def texture(
     views: ViewsArgument,
-    fit_file: Annotated[
-        Path,
-        typer.Option("--fit", metavar="FILE", help="Fit of these views, as `humansim human fit` writes it."),
-    ],
+    fit_file: Annotated[Path, option("human texture.fit_file")],
     output: OutputHumanOption,
-    method: Annotated[
-        Method,
-        typer.Option(
-            help="atlas: one blended texture with aligned colours and filled gaps; thesis: for each face the "
-            "photograph that sees it best."
-        ),
-    ] = Method.atlas,
-    texture_size: Annotated[
-        int,
-        typer.Option(
-            metavar="PIXELS", min=64, max=8192, help="Side of the texture of --method atlas, pixels."
-        ),
-    ] = 2048,
-    frame: Annotated[
-        list[str] | None,
-        list_option("--frame", "N", "Numbers of frames to use, from 0; the first if absent."),
-    ] = None,
+    method: Annotated[Method, option("human texture.method")] = Method.atlas,
+    texture_size: Annotated[int, option("human texture.texture_size")] = 2048,
+    frame: Annotated[list[str] | None, list_option("human texture.frame")] = None,
     picture: PictureOption = None,
 ) -> None:
     """Texture a fitted human from the photographs."""

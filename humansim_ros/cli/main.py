@@ -13,7 +13,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from humansim_ros.cli.options import join_numbers, new_names
+from humansim_ros.cli.options import (
+    join_numbers,
+    new_names,
+    option,
+)
 from humansim_ros.cli.output import (
     flush_errors,
     flush_output,
@@ -84,7 +88,7 @@ _COMPLETION = "_HUMANSIM_COMPLETE"
 
 
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    version: Annotated[bool, option("humansim.version")] = False,
 ) -> None:
     if version:
         from humansim_ros import __version__

@@ -19,7 +19,7 @@ from humansim_ros.cli.options import (
     JsonOption,
     UnitOption,
     UpOption,
-    output_option,
+    option,
     parse_size,
 )
 from humansim_ros.cli.options import built_in_motions as completed_motions
@@ -71,19 +71,8 @@ MotionArgument = Annotated[
         autocompletion=completed_motions,
     ),
 ]
-MinConfidenceOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="FRACTION",
-        help="Lowest confidence that the motion belongs to a person; 0.12 if absent, 0 for animals.",
-        min=0.0,
-        max=1.0,
-    ),
-]
-PositionsOption = Annotated[
-    PositionsChoice,
-    typer.Option("--positions", help="Whether position channels replace the OFFSET or are added to it."),
-]
+MinConfidenceOption = Annotated[float | None, option("shared.min_confidence")]
+PositionsOption = Annotated[PositionsChoice, option("shared.positions")]
 
 
 def info(
@@ -108,7 +97,7 @@ def info(
 
 def joints(
     file: MotionArgument,
-    frame: Annotated[int, typer.Option(metavar="N", help="Number of the frame, from 0.")] = 0,
+    frame: Annotated[int, option("motion joints.frame")] = 0,
     as_json: JsonOption = False,
     positions: PositionsOption = PositionsChoice.auto,
 ) -> None:
@@ -128,39 +117,23 @@ def joints(
 
 def retarget(
     file: MotionArgument,
-    frame: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of the frame, from 0 (the default).")
-    ] = None,
+    frame: Annotated[int | None, option("motion retarget.frame")] = None,
     as_json: JsonOption = False,
-    output: Annotated[
-        Path | None, output_option("FILE", "Write all frames to a file: .bvh, .npz or .json.")
-    ] = None,
-    mode: Annotated[
-        RetargetingChoice,
-        typer.Option(help="full: rotations with twist; thesis: bones parallel to links, without twist."),
-    ] = RetargetingChoice.full,
+    output: Annotated[Path | None, option("motion retarget.output")] = None,
+    mode: Annotated[RetargetingChoice, option("motion retarget.mode")] = RetargetingChoice.full,
     joint_names: JointTableOption = None,
     unit: UnitOption = None,
     up: UpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
     min_confidence: MinConfidenceOption = None,
-    root_scale: Annotated[
-        str | None,
-        typer.Option(
-            metavar="legs|height|NUMBER", help="Scale of the root motion: legs, height, or a number."
-        ),
-    ] = None,
+    root_scale: Annotated[str | None, option("motion retarget.root_scale")] = None,
     body: BodyOption = None,
-    position: Annotated[
-        tuple[float, float], typer.Option(metavar="X Y", help="Position of the start: x y, metres.")
-    ] = (0.0, 0.0),
-    yaw_deg: Annotated[
-        float, typer.Option(metavar="DEGREES", help="Heading of the motion's forward direction.")
-    ] = 0.0,
-    mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
-    pin_feet: Annotated[bool, typer.Option("--pin-feet", help="Remove foot sliding.")] = False,
-    clamp: Annotated[bool, typer.Option("--clamp", help="Keep joints within their limits.")] = False,
+    position: Annotated[tuple[float, float], option("motion retarget.position")] = (0.0, 0.0),
+    yaw_deg: Annotated[float, option("motion retarget.yaw_deg")] = 0.0,
+    mirror: Annotated[bool, option("motion retarget.mirror")] = False,
+    pin_feet: Annotated[bool, option("motion retarget.pin_feet")] = False,
+    clamp: Annotated[bool, option("motion retarget.clamp")] = False,
 ) -> None:
     """Retarget a motion: print the head, tail (metres) and rotation_xyzw of each bone in the world.
 
@@ -215,10 +188,7 @@ def retarget(
 
 def table(
     file: MotionArgument,
-    output: Annotated[
-        Path | None,
-        output_option("FILE", "Write the joint table (YAML) to a file, for editing and --joint-names."),
-    ] = None,
+    output: Annotated[Path | None, option("motion table.output")] = None,
     joint_names: JointTableOption = None,
     positions: PositionsOption = PositionsChoice.auto,
     min_confidence: MinConfidenceOption = None,
@@ -252,26 +222,14 @@ def list_motions(as_json: JsonOption = False) -> None:
 
 def render(
     file: MotionArgument,
-    output: Annotated[Path, output_option("FILE", "Output strip (.png) or video (.mp4, .gif).")],
-    frames: Annotated[int, typer.Option(metavar="N", help="Number of frames of a strip.", min=1, max=60)] = 8,
-    size: Annotated[
-        str, typer.Option(metavar="WIDTHxHEIGHT", help="Width and height of one image, as 220x300.")
-    ] = "220x300",
-    view: Annotated[ViewpointChoice, typer.Option(help="Viewpoint.")] = ViewpointChoice.three_quarter,
+    output: Annotated[Path, option("motion render.output")],
+    frames: Annotated[int, option("motion render.frames")] = 8,
+    size: Annotated[str, option("motion render.size")] = "220x300",
+    view: Annotated[ViewpointChoice, option("motion render.view")] = ViewpointChoice.three_quarter,
     body: BodyOption = "adult_man",
-    no_skin: Annotated[bool, typer.Option("--no-skin", help="Draw only the stick figure.")] = False,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Frames per second of a video; the rate of the motion, up to 60, if absent.",
-            min=1.0,
-            max=120.0,
-        ),
-    ] = None,
-    seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Longest video, seconds.", min=0.1, max=600.0)
-    ] = 60.0,
+    no_skin: Annotated[bool, option("motion render.no_skin")] = False,
+    rate: Annotated[float | None, option("motion render.rate")] = None,
+    seconds: Annotated[float, option("motion render.seconds")] = 60.0,
     joint_names: JointTableOption = None,
     unit: UnitOption = None,
     up: UpOption = None,

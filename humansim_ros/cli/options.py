@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from humansim_ros.errors import CameraError, HumansimError, SceneError
-from humansim_ros.io.assets import built_in_names, resource_path
+from humansim_ros.io.assets import built_in_names, read_table, resource_path
 from humansim_ros.io.files import exists, read_bytes
 
 
@@ -28,25 +28,39 @@ def split_commas(values: list[str] | None) -> list[str]:
     return [word.strip() for word in words if word.strip()]
 
 
-def list_option(
-    name: str, metavar: str, help: str, complete: Callable[[str], list[str]] | None = None
-) -> Any:
-    """An option that is a list, by repetition or commas.
+_ROWS: Mapping[str, Mapping[str, Mapping[str, Any]]] = read_table("command_line")
+
+
+def option(row: str, **more: Any) -> Any:
+    """Option of a command.
 
     Args:
-        name: Name of the option.
-        metavar: What one word of the list is.
-        help: Help text.
-        complete: Words that a shell offers.
+        row: Command and option, such as ``camera rig.height``: a row of config/command_line.json.
+        **more: What a table cannot hold, such as the words that a shell offers.
     """
-    return typer.Option(
-        name, metavar=f"{metavar},...", help=help, callback=split_commas, autocompletion=complete
-    )
+    return _made(typer.Option, row, more)
 
 
-def output_option(metavar: str, help: str) -> Any:
-    """Option ``--output``, ``-o``: a file or folder to write."""
-    return typer.Option("--output", "-o", metavar=metavar, help=help)
+def argument(row: str, **more: Any) -> Any:
+    """Argument of a command; parameters as of :func:`option`."""
+    return _made(typer.Argument, row, more)
+
+
+def list_option(row: str, complete: Callable[[str], list[str]] | None = None, **more: Any) -> Any:
+    """An option that is a list, by repetition or commas; parameters as of :func:`option`.
+
+    ``complete``: words that a shell offers.
+    """
+    made = _made(typer.Option, row, {"callback": split_commas, "autocompletion": complete, **more})
+    made.metavar += ",..."
+    return made
+
+
+def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
+    """Option or argument of a row of the table, and of more values."""
+    command, _, name = row.rpartition(".")
+    values = {**_ROWS[command][name], **more}
+    return make(*values.pop("names", ()), **values)
 
 
 # -- words that shells complete
@@ -114,159 +128,37 @@ def _existing_calibrations(given: Any) -> Any:
 
 # -- options that several commands share
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-SceneArgument = Annotated[
-    Path | None,
-    typer.Argument(help="Scene file (YAML); the demo scene if absent.", callback=existing_scenes),
-]
-CalibrationArgument = Annotated[
-    str,
-    typer.Argument(
-        help="Calibration file of any format, folder of such files, or URL.", callback=_existing_calibrations
-    ),
-]
-CalibrationsArgument = Annotated[
-    list[str],
-    typer.Argument(
-        help="Calibration files of any format, folders of such files, or URLs.",
-        callback=_existing_calibrations,
-    ),
-]
-OutputFolderOption = Annotated[Path, output_option("DIR", "Output folder; it is created if it is missing.")]
-OutputImageOption = Annotated[Path, output_option("FILE", "Output image (.png).")]
-PictureOption = Annotated[
-    Path | None, typer.Option("--picture", metavar="FILE", help="Also draw the result (.png).")
-]
-JobsOption = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs", metavar="N", help="Number of worker processes; one per core if absent.", min=1, max=1024
-    ),
-]
-TopicsOption = Annotated[
-    list[str] | None,
-    list_option("--topics", "TOPIC", "Topics, or patterns such as '/left/*'."),
-]
-NetworkOption = Annotated[
-    bool,
-    typer.Option(
-        "--network", help="Let other hosts find the nodes, receive their messages and control them."
-    ),
-]
-ResumeOption = Annotated[
-    bool,
-    typer.Option("--resume", help="Continue what was interrupted, or start it; give the same options."),
-]
-RayOption = Annotated[
-    str | None,
-    typer.Option(
-        "--ray",
-        metavar="ADDRESS",
-        help="Work on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts Ray here with --jobs "
-        "workers.",
-    ),
-]
-BodyOption = Annotated[
-    str | None,
-    typer.Option(
-        "--body",
-        metavar="BODY",
-        help="Body: built-in (`humansim human list`), or a file (.npz, .yaml, .obj, .glb …).",
-        autocompletion=built_in_humans,
-    ),
-]
+JsonOption = Annotated[bool, option("shared.json")]
+SceneArgument = Annotated[Path | None, argument("shared.scene", callback=existing_scenes)]
+CalibrationArgument = Annotated[str, argument("shared.calibration", callback=_existing_calibrations)]
+CalibrationsArgument = Annotated[list[str], argument("shared.calibrations", callback=_existing_calibrations)]
+OutputFolderOption = Annotated[Path, option("shared.output_folder")]
+OutputImageOption = Annotated[Path, option("shared.output_image")]
+PictureOption = Annotated[Path | None, option("shared.picture")]
+JobsOption = Annotated[int | None, option("shared.jobs")]
+TopicsOption = Annotated[list[str] | None, list_option("shared.topics")]
+NetworkOption = Annotated[bool, option("shared.network")]
+ResumeOption = Annotated[bool, option("shared.resume")]
+RayOption = Annotated[str | None, option("shared.ray")]
+BodyOption = Annotated[str | None, option("shared.body", autocompletion=built_in_humans)]
 
 # estimates of a tracker
-EstimateTopicOption = Annotated[
-    str | None,
-    typer.Option(
-        "--estimate",
-        metavar="TOPIC",
-        help="Topic of the tracker's poses, such as /tracker/poses; * stands for the name of a person.",
-    ),
-]
-KeypointsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--keypoints",
-        metavar="SET",
-        help="Keypoint set of the estimate, such as coco17; by the names of its joints if absent.",
-    ),
-]
-NamesOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--names",
-        metavar="FILE",
-        help="YAML file with the name in the truth of each joint of the estimate; for points "
-        "without names, a list.",
-    ),
-]
-ScaleOption = Annotated[
-    float,
-    typer.Option(
-        "--scale", metavar="METRES", help="Metres of a unit of the estimate; 0.001 for millimetres.", min=1e-9
-    ),
-]
-AxesOption = Annotated[
-    str | None,
-    typer.Option(
-        "--axes",
-        metavar="AXES",
-        help="Axes of the estimate: z-up, y-up, y-down, or its axes along x, y and z of map, such as x,-z,y.",
-    ),
-]
+EstimateTopicOption = Annotated[str | None, option("shared.estimate_topic")]
+KeypointsOption = Annotated[str | None, option("shared.keypoints")]
+NamesOption = Annotated[Path | None, option("shared.names")]
+ScaleOption = Annotated[float, option("shared.scale")]
+AxesOption = Annotated[str | None, option("shared.axes")]
 
 # calibrations
-SizeOption = Annotated[
-    str | None,
-    typer.Option(
-        "--size", metavar="WIDTHxHEIGHT", help="Image size, as 640x480; overrides the size in the file."
-    ),
-]
-ImageOption = Annotated[
-    Path | None,
-    typer.Option("--image", metavar="FILE", help="Image (.png, .jpg) that has the image size."),
-]
-UnitOption = Annotated[
-    float | None,
-    typer.Option(
-        "--unit",
-        metavar="METRES",
-        help="Metres per unit of the file; by the format or content if absent.",
-    ),
-]
-UpOption = Annotated[
-    str | None,
-    typer.Option(
-        "--up",
-        metavar="AXIS",
-        help="Axis of the file that points up, such as y or -z; by the format or content if absent.",
-    ),
-]
-CameraOption = Annotated[
-    list[str] | None,
-    list_option("--camera", "NAME", "Use only cameras with this name or pattern, such as left or 'S9_*'."),
-]
+SizeOption = Annotated[str | None, option("shared.size")]
+ImageOption = Annotated[Path | None, option("shared.image")]
+UnitOption = Annotated[float | None, option("shared.unit")]
+UpOption = Annotated[str | None, option("shared.up")]
+CameraOption = Annotated[list[str] | None, list_option("shared.camera")]
 
 # motions
-JointTableOption = Annotated[
-    str | None,
-    typer.Option(
-        "--joint-names",
-        metavar="TABLE",
-        help="Joint table: built-in name or YAML file; detected if absent.",
-        autocompletion=joint_tables,
-    ),
-]
-FacingOption = Annotated[
-    str | None,
-    typer.Option(
-        "--facing",
-        metavar="AXIS",
-        help="Axis of the file that the person faces at rest; detected if absent.",
-    ),
-]
+JointTableOption = Annotated[str | None, option("shared.joint_table", autocompletion=joint_tables)]
+FacingOption = Annotated[str | None, option("shared.facing")]
 
 
 # -- the command line before it is parsed

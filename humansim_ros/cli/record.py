@@ -7,9 +7,14 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, TopicsOption, output_option
+from humansim_ros.cli.options import (
+    JobsOption,
+    RayOption,
+    ResumeOption,
+    TopicsOption,
+    argument,
+    option,
+)
 from humansim_ros.cli.output import costs_text, frame_progress, print_text, rate_text, run_frames_shown
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import MAX_FRAMES, BagError
@@ -45,56 +50,22 @@ class _Lossless(str, Enum):
 
 
 def record(
-    output: Annotated[
-        str,
-        output_option(
-            "DIR",
-            "Folder of the bag, which must not exist; with --ray also a URL such as s3://bucket/walk. "
-            "Several scenes get a folder each in it.",
-        ),
-    ],
-    scene: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Scene file (YAML), with --ray several; the demo scene if absent."),
-    ] = None,
-    frames: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of frames.", min=1, max=MAX_FRAMES)
-    ] = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Length in seconds, instead of --frames.", min=1e-3, max=1e7),
-    ] = None,
+    output: Annotated[str, option("record.output")],
+    scene: Annotated[list[Path] | None, argument("record.scene")] = None,
+    frames: Annotated[int | None, option("record.frames", max=MAX_FRAMES)] = None,
+    seconds: Annotated[float | None, option("record.seconds")] = None,
     topics: TopicsOption = None,
     jobs: JobsOption = None,
-    storage: Annotated[_Storage, typer.Option(help="Storage plugin of rosbag2.")] = _Storage.mcap,
-    compression: Annotated[
-        _Compression, typer.Option(help="Compression of the chunks of an MCAP file; lossless.")
-    ] = _Compression.none,
-    images: Annotated[
-        _Images, typer.Option(help="Colour images: raw, or compressed as JPEG or PNG (image_raw/compressed).")
-    ] = _Images.raw,
-    depth: Annotated[
-        _Lossless, typer.Option(help="Depth: raw, or PNG of 16 bits (depth/image/compressedDepth).")
-    ] = _Lossless.raw,
-    labels: Annotated[
-        _Lossless,
-        typer.Option(
-            help="Instance, part and other channels of 8 and 16 bits: raw, or lossless PNG (…/compressed)."
-        ),
-    ] = _Lossless.raw,
-    max_bag_size: Annotated[
-        int, typer.Option(metavar="BYTES", help="Bytes after which a new file begins; 0: one file.", min=0)
-    ] = 0,
-    max_bag_duration: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="Seconds after which a new file begins; 0: one file.", min=0),
-    ] = 0.0,
+    storage: Annotated[_Storage, option("record.storage")] = _Storage.mcap,
+    compression: Annotated[_Compression, option("record.compression")] = _Compression.none,
+    images: Annotated[_Images, option("record.images")] = _Images.raw,
+    depth: Annotated[_Lossless, option("record.depth")] = _Lossless.raw,
+    labels: Annotated[_Lossless, option("record.labels")] = _Lossless.raw,
+    max_bag_size: Annotated[int, option("record.max_bag_size")] = 0,
+    max_bag_duration: Annotated[float, option("record.max_bag_duration")] = 0.0,
     resume: ResumeOption = False,
     ray: RayOption = None,
-    shard_frames: Annotated[
-        int,
-        typer.Option(metavar="N", help="With --ray: frames of a shard, which is a file of the bag.", min=1),
-    ] = PART_FRAMES,
+    shard_frames: Annotated[int, option("record.shard_frames")] = PART_FRAMES,
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
     from humansim_ros.jobs.frame_job import cores

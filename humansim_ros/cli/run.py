@@ -27,120 +27,57 @@ from humansim_ros.cli.options import (
     ScaleOption,
     SceneArgument,
     TopicsOption,
+    argument,
     built_in_channels,
     built_in_motions,
     list_option,
-    output_option,
+    option,
 )
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
-from humansim_ros.errors import MAX_FRAMES, HumansimError
+from humansim_ros.errors import HumansimError
 from humansim_ros.io.assets import resource_path
 from humansim_ros.ros.lockstep.settings import SETTINGS
 from humansim_ros.ros.processes.stop_signals import Stopped
 
 
+def _setting(name: str, metavar: str, end: str = ".") -> Any:
+    """Option of a setting of lockstep that is a number."""
+    setting = SETTINGS[name]
+    return typer.Option(metavar=metavar, help=f"{setting.help}{end}", min=setting.low, max=setting.high)
+
+
 def run(
     scene: SceneArgument = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MOTION",
-            help="Motion file or built-in motion instead of the motion of the first human.",
-            autocompletion=built_in_motions,
-        ),
-    ] = None,
+    motion: Annotated[str | None, option("run.motion", autocompletion=built_in_motions)] = None,
     body: BodyOption = None,
     joint_names: JointTableOption = None,
-    live: Annotated[
-        list[str] | None,
-        list_option("--live", "NAME", "Humans that another node moves, such as live motion capture."),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Seconds after which to stop.", min=0.1)
-    ] = None,
+    live: Annotated[list[str] | None, list_option("run.live")] = None,
+    seconds: Annotated[float | None, option("run.seconds")] = None,
     jobs: JobsOption = None,
-    only: Annotated[
-        list[str] | None,
-        list_option(
-            "--only",
-            "NAME",
-            "Nodes to start here, such as player,skinners; other hosts start the others, such as cameras or "
-            "camera_1,camera_2. All if absent.",
-        ),
-    ] = None,
-    namespace: Annotated[
-        str, typer.Option(metavar="NAME", help="ROS namespace of all nodes and topics.")
-    ] = "",
-    frame_prefix: Annotated[
-        str,
-        typer.Option(metavar="TEXT", help="Text before the optical frames of the cameras, such as lab/."),
-    ] = "",
+    only: Annotated[list[str] | None, list_option("run.only")] = None,
+    namespace: Annotated[str, option("run.namespace")] = "",
+    frame_prefix: Annotated[str, option("run.frame_prefix")] = "",
     network: NetworkOption = False,
-    respawn: Annotated[
-        bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
-    ] = True,
-    lockstep: Annotated[
-        bool | None,
-        typer.Option(
-            "--lockstep/--realtime",
-            help="Send the next frame when all nodes have finished this one; as the scene says if absent.",
-            show_default=False,
-        ),
-    ] = None,
-    frames: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help=f"{SETTINGS['frames'].help}; without end if absent.",
-            min=1,
-            max=MAX_FRAMES,
-        ),
-    ] = None,
+    respawn: Annotated[bool, option("run.respawn")] = True,
+    lockstep: Annotated[bool | None, option("run.lockstep")] = None,
+    frames: Annotated[int | None, _setting("frames", "N", "; without end if absent.")] = None,
     wait_for: Annotated[
-        list[str] | None,
-        list_option(
-            "--wait-for",
-            "NAME",
-            f"{SETTINGS['wait_for'].help}.",
-        ),
+        list[str] | None, list_option("run.wait_for", help=f"{SETTINGS['wait_for'].help}.")
     ] = None,
-    timeout: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help=f"{SETTINGS['timeout'].help}.",
-            min=SETTINGS["timeout"].low,
-            max=SETTINGS["timeout"].high,
-        ),
-    ] = None,
+    timeout: Annotated[float | None, _setting("timeout", "SECONDS")] = None,
     on_timeout: Annotated[
-        str | None,
-        typer.Option(metavar="stop|continue", help=f"{SETTINGS['on_timeout'].help}."),
+        str | None, option("run.on_timeout", help=f"{SETTINGS['on_timeout'].help}.")
     ] = None,
-    pace: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help=f"{SETTINGS['pace'].help}; as fast as possible if absent.",
-            min=SETTINGS["pace"].low,
-            max=SETTINGS["pace"].high,
-        ),
-    ] = None,
-    record: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Record the topics of the scene into a new bag.")
-    ] = None,
+    pace: Annotated[float | None, _setting("pace", "HZ", "; as fast as possible if absent.")] = None,
+    record: Annotated[Path | None, option("run.record")] = None,
     topics: TopicsOption = None,
-    compression: Annotated[
-        str, typer.Option(metavar="none|zstd|lz4", help="Compression of the bag of --record.")
-    ] = "none",
+    compression: Annotated[str, option("run.compression")] = "none",
     estimate: EstimateTopicOption = None,
     keypoints: KeypointsOption = None,
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
-    output: Annotated[
-        Path | None, output_option("FILE", "Write the evaluation of --estimate to this JSON file.")
-    ] = None,
+    output: Annotated[Path | None, option("run.output")] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.io.files import temporary_folder
@@ -231,10 +168,8 @@ def run(
 
 def demo(
     scene: SceneArgument = None,
-    output: Annotated[Path, output_option("DIR", "Output folder.")] = Path("demo"),
-    seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Seconds to record.", min=1.0, max=120.0)
-    ] = 10.0,
+    output: Annotated[Path, option("demo.output")] = Path("demo"),
+    seconds: Annotated[float, option("demo.seconds")] = 10.0,
 ) -> None:
     """Run a scene, subscribe to its topics like a client, and draw the received messages."""
     from humansim_ros.apps.demo import record_demo
@@ -318,18 +253,8 @@ def _print_ways_to_see(scene: Path | None) -> None:
 
 def bench(
     scene: SceneArgument = None,
-    channels: Annotated[
-        list[str] | None,
-        list_option(
-            "--channels",
-            "CHANNEL",
-            "Channels that are subscribed to, such as rgb,depth,part; rgb if absent.",
-            built_in_channels,
-        ),
-    ] = None,
-    seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Seconds to measure.", min=0.5, max=600.0)
-    ] = 5.0,
+    channels: Annotated[list[str] | None, list_option("bench.channels", built_in_channels)] = None,
+    seconds: Annotated[float, option("bench.seconds")] = 5.0,
     jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -348,28 +273,11 @@ def bench(
 
 
 def play(
-    bag: Annotated[Path, typer.Argument(help="Folder of a bag, or one of its files (.mcap, .db3).")],
-    clock: Annotated[
-        float,
-        typer.Option(
-            metavar="[HZ]",
-            help="Publish /clock, with 100 messages per second if no number is given.",
-            min=0.0,
-        ),
-    ] = 0.0,
-    rate: Annotated[
-        float,
-        typer.Option(
-            metavar="FACTOR", help="Recorded seconds per second, from 0.001 to 1000.", min=0.001, max=1000.0
-        ),
-    ] = 1.0,
-    loop: Annotated[
-        bool, typer.Option("--loop", help="Begin again at the end; stamps go back then.")
-    ] = False,
-    start_offset: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="Recorded seconds at the beginning that are left out.", min=0.0),
-    ] = 0.0,
+    bag: Annotated[Path, argument("play.bag")],
+    clock: Annotated[float, option("play.clock")] = 0.0,
+    rate: Annotated[float, option("play.rate")] = 1.0,
+    loop: Annotated[bool, option("play.loop")] = False,
+    start_offset: Annotated[float, option("play.start_offset")] = 0.0,
     topics: TopicsOption = None,
     network: NetworkOption = False,
 ) -> None:

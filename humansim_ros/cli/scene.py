@@ -19,7 +19,7 @@ from humansim_ros.cli.options import (
     SceneArgument,
     built_in_channels,
     list_option,
-    output_option,
+    option,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, did_you_mean
@@ -179,24 +179,11 @@ def _count(number: int, word: str) -> str:
 def snapshot(
     output: OutputImageOption,
     scene: SceneArgument = None,
-    time: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Scene time, seconds.", min=0.0, max=1e6)
-    ] = 0.0,
-    channels: Annotated[
-        list[str] | None,
-        list_option(
-            "--channels",
-            "CHANNEL",
-            "Channels to draw, a row each, such as rgb,depth,part; or all. rgb if absent.",
-            built_in_channels,
-        ),
-    ] = None,
-    width: Annotated[
-        int,
-        typer.Option(metavar="PIXELS", help="Greatest width of the sheet in pixels.", min=160, max=8192),
-    ] = 1600,
-    no_joints: Annotated[bool, typer.Option("--no-joints", help="Do not draw the joints.")] = False,
-    no_plan: Annotated[bool, typer.Option("--no-plan", help="Do not draw the scene from above.")] = False,
+    time: Annotated[float, option("snapshot.time")] = 0.0,
+    channels: Annotated[list[str] | None, list_option("snapshot.channels", built_in_channels)] = None,
+    width: Annotated[int, option("snapshot.width")] = 1600,
+    no_joints: Annotated[bool, option("snapshot.no_joints")] = False,
+    no_plan: Annotated[bool, option("snapshot.no_plan")] = False,
 ) -> None:
     """Draw on one sheet what every camera of a scene sees, with the joints, and the scene from above."""
     from humansim_ros.drawing.canvas import write_png
@@ -213,7 +200,7 @@ def snapshot(
 
 
 def schema(
-    output: Annotated[Path | None, output_option("FILE", "File to write (.json).")] = None,
+    output: Annotated[Path | None, option("schema.output")] = None,
 ) -> None:
     """Print the JSON schema of scene files, for editors that complete and check YAML."""
     from humansim_ros.scene.config import schema_text

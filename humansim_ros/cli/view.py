@@ -7,67 +7,33 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from humansim_ros.cli.options import (
     AxesOption,
     KeypointsOption,
     NamesOption,
     ScaleOption,
+    argument,
     built_in_humans,
     list_option,
+    option,
 )
 from humansim_ros.cli.output import print_text
 from humansim_ros.errors import HumansimError
 
 
 def view(
-    what: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Scene, bag, motion, human, calibration or views file; the demo scene if absent. "
-            "A folder: its scene, or a new one.",
-            metavar="[PATH]",
-        ),
-    ] = None,
-    port: Annotated[
-        int,
-        typer.Option(
-            metavar="PORT", help="Port on this machine; the next free one if it is in use.", min=0, max=65535
-        ),
-    ] = 8080,
-    new: Annotated[
-        bool, typer.Option("--new", help="Begin an empty scene, in the folder PATH or the current one.")
-    ] = False,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
-    ros: Annotated[
-        bool, typer.Option("--ros", help="Show the running ROS graph; any program may publish.")
-    ] = False,
-    namespace: Annotated[
-        str, typer.Option(help="With --ros: show only topics below this namespace.", metavar="NAME")
-    ] = "",
-    estimate: Annotated[
-        list[str] | None,
-        list_option(
-            "--estimate",
-            "PATH",
-            "Poses of a tracker beside the truth: a topic of the bag or graph (* stands for the name of a "
-            "person), or what humansim evaluate takes: BAG:TOPIC, files, folders.",
-        ),
-    ] = None,
+    what: Annotated[Path | None, argument("view.what")] = None,
+    port: Annotated[int, option("view.port")] = 8080,
+    new: Annotated[bool, option("view.new")] = False,
+    no_browser: Annotated[bool, option("view.no_browser")] = False,
+    ros: Annotated[bool, option("view.ros")] = False,
+    namespace: Annotated[str, option("view.namespace")] = "",
+    estimate: Annotated[list[str] | None, list_option("view.estimate")] = None,
     keypoints: KeypointsOption = None,
     names: NamesOption = None,
     scale: ScaleOption = 1.0,
     axes: AxesOption = None,
-    body: Annotated[
-        list[str] | None,
-        list_option(
-            "--body",
-            "BODY",
-            "Bodies of the people of the graph or bag: names or files.",
-            built_in_humans,
-        ),
-    ] = None,
+    body: Annotated[list[str] | None, list_option("view.body", built_in_humans)] = None,
 ) -> None:
     """Show a scene, bag, ROS graph, motion, human, calibration or photographs in the browser, in 3D."""
     if find_spec("viser") is None:

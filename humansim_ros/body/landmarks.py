@@ -349,7 +349,6 @@ def joint_positions(measures: Measures) -> dict[str, Array]:
     return joints
 
 
-@functools.cache
 def joint_file() -> Mapping[str, Any]:
     """Content of config/body_joints.json, written by tools/assets/fit_joint_places.py."""
     table: Mapping[str, Any] = read_table("body_joints")

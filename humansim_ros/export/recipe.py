@@ -17,7 +17,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, StringConstraints, field_validator
@@ -93,8 +93,6 @@ _Split = Annotated[
 class DataSetAbout(AboutConfig):
     """What a data card says of a data set of many scenes."""
 
-    other_words: ClassVar[dict[str, str]] = {**AboutConfig.other_words, "license": "licence"}
-
     license: str | None = Field(default=None, description="licence, such as CC-BY-4.0, or its address")
 
     _license_is_a_line = field_validator("license")(checked_license)
@@ -102,8 +100,6 @@ class DataSetAbout(AboutConfig):
 
 class RingConfig(Section):
     """Cameras around the people; all values may be distributions. ``camera_1`` and so on are their names."""
-
-    other_words: ClassVar[dict[str, str]] = {"count": "number n cameras", "look_at": "target"}
 
     count: Any = Field(default=4, description="number of cameras")
     radius: Any = Field(description="metres from the point that they look at; drawn for each camera")
@@ -132,8 +128,6 @@ class _Place(Section):
 class RequireConfig(Section):
     """What each scene must fulfil; others are drawn anew."""
 
-    other_words: ClassVar[dict[str, str]] = {"visible": "visibility share", "pixels": "min_pixels height"}
-
     cameras: int = Field(default=0, ge=0, le=100, description="cameras that see each person in each frame")
     visible: Share = Field(default=0.1, description="visible share of a person from which a camera sees it")
     pixels: float = Field(default=0, ge=0, le=1e5, description="height in the image from which it does")
@@ -142,14 +136,6 @@ class RequireConfig(Section):
 
 class RecipeConfig(Section):
     """Content of a recipe file."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "scenes": "count number n",
-        "require": "constraints constraint",
-        "ring": "rig rigs cameras",
-        "about": "card dataset",
-        "splits": "split",
-    }
 
     recipe: _Name = Field(description="name of the data set")
     seed: int = Field(default=1, ge=0, description="the same seed gives the same data set")

@@ -30,8 +30,9 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
     return path
 
 
+@functools.cache
 def read_table(name: str) -> Any:
-    """Content of a table of the package, ``config/<name>.json``."""
+    """Content of a table of the package, ``config/<name>.json``; nobody changes it."""
     return json.loads(resource_path(f"config/{name}.json").read_text("utf-8"))
 
 

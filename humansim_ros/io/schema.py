@@ -75,7 +75,8 @@ class Section(Checked, metaclass=_SectionType):
     """Mapping of a YAML file; unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
-    #: Words that others use for keys of this section, separated by spaces, by key.
+    #: Words that others use for keys of this section, separated by spaces, by key; if it is not in
+    #: config/other_words.json.
     other_words: ClassVar[dict[str, str]] = {}
 
 

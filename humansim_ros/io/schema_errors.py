@@ -18,6 +18,7 @@ from pydantic import BaseModel, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
 from humansim_ros.errors import HumansimError, did_you_mean, near_names
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.yaml import line_of
 
 if TYPE_CHECKING:
@@ -443,8 +444,10 @@ def key_names(section: type[BaseModel]) -> list[str]:
 
 
 def _other_words(section: type[BaseModel]) -> dict[str, str]:
-    """Keys of a section by the words that others use for them."""
-    by_key: dict[str, str] = getattr(section, "other_words", {})
+    """Keys of a section by the words that others use for them, from config/other_words.json or its own."""
+    table = read_table("other_words")
+    rows = (vars(each).get("other_words") or table.get(each.__name__) for each in section.__mro__)
+    by_key: dict[str, str] = next(filter(None, rows), {})
     return {word: key for key, words in by_key.items() for word in words.split()}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field, StringConstraints, field_validator
 
@@ -15,12 +15,6 @@ _Line = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
 
 class AboutConfig(Section):
     """What a data card says of a data set: section ``about`` of a scene and of a recipe."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "creators": "authors author creator",
-        "citation": "cite bibtex citeAs",
-        "date": "published datePublished",
-    }
 
     title: _Line | None = Field(default=None, description="title; the name of the file or recipe if absent")
     description: _Line | None = Field(default=None, description="what the data set is for")

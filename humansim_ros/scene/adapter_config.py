@@ -20,7 +20,6 @@ _Frame = Annotated[
 class FramedConfig(ShortSection):
     """Messages of people in a frame of tf."""
 
-    other_words: ClassVar[dict[str, str]] = {"frame": "frame_id", "topic": "name"}
     short_key: ClassVar[str] = "frame"
 
     frame: _Frame = Field(
@@ -40,8 +39,6 @@ class TrackedConfig(FramedConfig):
 class BoxesConfig(Section):
     """Boxes of people in images."""
 
-    other_words: ClassVar[dict[str, str]] = {"box": "boxes", "cameras": "camera", "topic": "name"}
-
     cameras: tuple[str, ...] | None = Field(
         default=None, min_length=1, description="names of the cameras; all if absent"
     )
@@ -56,7 +53,6 @@ class BoxesConfig(Section):
 class HriConfig(ShortSection):
     """People as a camera sees them, for ROS4HRI."""
 
-    other_words: ClassVar[dict[str, str]] = {"camera": "cameras name"}
     short_key: ClassVar[str] = "camera"
 
     camera: str = Field(description="camera that sees the people")
@@ -64,13 +60,6 @@ class HriConfig(ShortSection):
 
 class AdaptersConfig(Section):
     """Messages for other people stacks; a key for each row of the table of adapters but ``hri``."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "detections_2d": "detection2d vision_msgs boxes",
-        "detections_3d": "detection3d",
-        "people": "people_msgs",
-        "tracked_persons": "spencer spencer_tracking_msgs",
-    }
 
     detections_2d: BoxesConfig | None = Field(default=None, description="vision_msgs/Detection2DArray")
     detections_3d: FramedConfig | None = Field(default=None, description="vision_msgs/Detection3DArray")

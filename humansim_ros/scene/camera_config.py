@@ -118,8 +118,6 @@ class OutageFault(_EventFault):
 class LateFault(Section):
     """Images are sent late, in order."""
 
-    other_words: ClassVar[dict[str, str]] = {"delay": "latency time"}
-
     probability: Share = Field(default=1.0, description="probability that a frame is delayed")
     delay: tuple[_Delay, _Delay] = Field(
         examples=[[0.05, 0.1]], description="least and greatest delay, seconds"
@@ -191,12 +189,6 @@ class CalibrationDrift(Section):
 class CalibrationFault(Section):
     """The published calibration differs from the camera, in a random direction."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "rotation": "angle deg degrees turn",
-        "translation": "offset position metres",
-        "focal": "focal_length zoom f",
-    }
-
     rotation: float = Field(default=0.0, ge=0, le=180, description="error of the published rotation, degrees")
     translation: float = Field(
         default=0.0, ge=0, le=100, description="error of the published position, metres"
@@ -224,8 +216,6 @@ class CalibrationFault(Section):
 class FlickerFault(Section):
     """The light flickers, as 1 + depth cos(2 pi frequency t)."""
 
-    other_words: ClassVar[dict[str, str]] = {"depth": "amplitude strength", "frequency": "hz rate"}
-
     frequency: float = Field(
         gt=0, le=1e5, examples=[100], description="maxima of the light per second; mains have 100 or 120"
     )
@@ -249,7 +239,6 @@ class DirtFault(NumberSection):
     """Spots on the lens, out of focus."""
 
     number_key: ClassVar[str] = "spots"
-    other_words: ClassVar[dict[str, str]] = {"spots": "count number", "size": "diameter radius"}
 
     spots: _Count = Field(description="number of spots")
     size: tuple[_SpotSize, _SpotSize] = Field(
@@ -262,21 +251,6 @@ class DirtFault(NumberSection):
 
 class FaultsConfig(Section):
     """Faults of a camera."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "drop": "drops dropped loss lost",
-        "freeze": "frozen stuck",
-        "outage": "outages dead dies",
-        "late": "delay latency",
-        "out_of_order": "reorder order swap",
-        "duplicate": "duplicates twice repeat",
-        "clock": "stamp time_offset",
-        "trigger_delay": "trigger sync triggered_late",
-        "calibration": "extrinsics intrinsics miscalibration",
-        "flicker": "lamp mains light",
-        "exposure_steps": "exposure auto_exposure",
-        "dirt": "dust smudge spots",
-    }
 
     seed: int = Field(default=0, ge=0, description="the same seed gives the same faults")
     drop: DropFault | None = Field(default=None, description="frames that are lost")
@@ -300,8 +274,6 @@ class FaultsConfig(Section):
 class TrajectoryConfig(ShortSection):
     """Trajectory of a camera."""
 
-    other_words: ClassVar[dict[str, str]] = {"file": "path"}
-
     file: FileName = Field(description="a trajectory in the format of the TUM RGB-D benchmark")
     end: Literal["clamp", "loop", "ping_pong"] = Field(
         default="clamp", description="after the last pose: stay, start again, or go back"
@@ -314,7 +286,6 @@ class StereoConfig(NumberSection):
     """Second camera to the right of a camera, of the same kind."""
 
     number_key: ClassVar[str] = "baseline"
-    other_words: ClassVar[dict[str, str]] = {"baseline": "distance offset"}
 
     baseline: float = Field(
         gt=0, le=100, description="distance between the two cameras along the rows of their images, metres"
@@ -334,21 +305,6 @@ class CameraConfig(Section):
     """One camera: its intrinsics (fov_deg, K, P or calibration) and its pose (position and look_at, R and t,
     trajectory, P or calibration).
     """
-
-    other_words: ClassVar[dict[str, str]] = {
-        "size": "resolution image_size",
-        "fov_deg": "fov hfov field_of_view angle",
-        "K": "intrinsics camera_matrix",
-        "distortion": "d dist dist_coeffs distortion_coefficients distortion_coeffs",
-        "distortion_model": "lens model",
-        "position": "location pos center centre",
-        "look_at": "target lookat",
-        "t": "translation",
-        "R": "rotation",
-        "calibration": "file",
-        "rate": "fps framerate frame_rate hz frequency",
-        "offset": "phase delay",
-    }
 
     model_config = ConfigDict(coerce_numbers_to_str=True)  # cameras of files may have the names 0, 1, 2
 
@@ -469,11 +425,6 @@ class CameraConfig(Section):
 
 class RigConfig(ShortSection):
     """Cameras of a calibration file."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "rate": "fps framerate frame_rate hz frequency",
-        "offset": "phase delay",
-    }
 
     model_config = ConfigDict(coerce_numbers_to_str=True)
 

@@ -73,7 +73,6 @@ _NodeName = Annotated[
 class HandKeyConfig(ShortSection):
     """Pose of the hands from a time of the motion on."""
 
-    other_words: ClassVar[dict[str, str]] = {"pose": "name hand gesture", "time": "at start", "side": "hand"}
     short_key: ClassVar[str] = "pose"
 
     pose: HandPoseName = Field(description="name of the hand pose")
@@ -91,14 +90,6 @@ class HandKeyConfig(ShortSection):
 class FaceKeyConfig(ShortSection):
     """What a face does from a time on; what a key does not name goes on."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "expression": "emotion name face",
-        "actions": "weights blendshapes shapes",
-        "gaze": "look_at eyes target look",
-        "speak": "talk speech say",
-        "time": "at start",
-        "strength": "weight intensity",
-    }
     short_key: ClassVar[str] = "expression"
 
     time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins, seconds of the scene")
@@ -137,11 +128,6 @@ class FaceKeyConfig(ShortSection):
 class FaceConfig(ShortSection):
     """Face of a human over the time of the scene."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "alive": "blink blinks life living",
-        "file": "path csv take",
-        "mouth": "teeth tongue",
-    }
     short_key: ClassVar[str] = "keys"
 
     alive: bool = Field(default=False, description="blink, and let the eyes glance around")
@@ -168,17 +154,6 @@ class FaceConfig(ShortSection):
 
 class ReachConfig(Section):
     """A hand that goes to something, stays there, and goes back."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "to": "target goal object human",
-        "at": "point joint place on",
-        "hand": "side arm",
-        "start": "time from begin",
-        "palm": "normal facing",
-        "fingers": "direction along",
-        "pose": "hands gesture grip",
-        "shake": "shaking",
-    }
 
     hand: Literal["left", "right"] = Field(default="right", description="the hand")
     to: BoundedVector3 | str = Field(
@@ -262,14 +237,6 @@ def living_face(alive: bool, seed: int) -> FaceConfig | None:
 class MotionConfig(ShortSection):
     """Motion of a human."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "file": "path bvh name clip",
-        "yaw_deg": "heading rotation yaw direction",
-        "position": "location place pos",
-        "unit": "scale",
-        "joint_names": "joints mapping",
-    }
-
     file: FileName = Field(
         default="walk",
         description="name of a built-in motion, an activity (activity#4), or a file "
@@ -343,8 +310,6 @@ class MotionConfig(ShortSection):
 class KeyframesConfig(ShortSection):
     """Keyframes that move, rotate and scale a human or an object: a file, and one of its objects."""
 
-    other_words: ClassVar[dict[str, str]] = {"file": "path", "object": "name"}
-
     file: FileName = Field(description="a keyframe animation file (XML)")
     object: str | None = Field(
         default=None, description="name in the file; the name of the human or object if absent"
@@ -353,12 +318,6 @@ class KeyframesConfig(ShortSection):
 
 class HumanConfig(ShortSection):
     """One human."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "body": "mesh model character human",
-        "motion": "animation bvh clip",
-        "outfit": "clothes texture costume",
-    }
 
     short_key: ClassVar[str] = "body"
 
@@ -417,14 +376,6 @@ class HoldConfig(ShortSection):
 class ObjectConfig(ShortSection):
     """One object, static or moving."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "mesh": "shape model body",
-        "rotation_deg": "rotation yaw_deg orientation",
-        "size": "scale dimensions",
-        "position": "location place pos",
-        "color": "rgb",
-    }
-
     short_key: ClassVar[str] = "mesh"
 
     mesh: FileName = Field(
@@ -462,8 +413,6 @@ class ObjectConfig(ShortSection):
 class RoomConfig(Section):
     """The furnished room."""
 
-    other_words: ClassVar[dict[str, str]] = {"size": "dimensions"}
-
     size: tuple[float, float, float] = Field(
         default=(7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
     )
@@ -489,15 +438,6 @@ _Tone = Annotated[int, Field(ge=1, le=10)]
 class PeopleConfig(Section):
     """People drawn by seed from surveys (docs/humans.md)."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "age": "ages years",
-        "women": "female sex gender",
-        "stature": "height size",
-        "bmi": "weight",
-        "skin": "tone tones",
-        "uniform": "same_outfit outfit clothes",
-    }
-
     age: tuple[_Age, _Age] = Field(default=(2.0, 90.0), description="youngest and oldest age, years")
     women: Share = Field(default=0.5, description="share of women and girls")
     stature: tuple[_Stature, _Stature] = Field(
@@ -521,8 +461,6 @@ class PeopleConfig(Section):
 
 class VarietyConfig(Section):
     """Random humans from a seed."""
-
-    other_words: ClassVar[dict[str, str]] = {"count": "number n", "bodies": "humans", "people": "population"}
 
     count: int = Field(ge=0, le=1000, description="number of humans")
     seed: int = Field(default=1, ge=0, description="the same seed gives the same humans")
@@ -566,8 +504,6 @@ class VarietyConfig(Section):
 class FlowConfig(Section):
     """People who walk from an area to another one, and back."""
 
-    other_words: ClassVar[dict[str, str]] = {"start": "from source", "goal": "to end target destination"}
-
     start: _Area = Field(description="area that they come from: x, y of two corners")
     goal: _Area = Field(description="area that they walk to: x, y of two corners")
     share: float = Field(default=1.0, gt=0, le=1e6, description="how many, relative to the other flows")
@@ -587,8 +523,6 @@ class QueueConfig(Section):
 
 class CrowdConfig(Section):
     """People who walk among each other without touching (docs/crowds.md)."""
-
-    other_words: ClassVar[dict[str, str]] = {"count": "number n", "duration": "seconds length"}
 
     count: int = Field(ge=0, le=1000, description="number of people")
     seed: int = Field(default=1, ge=0, description="the same seed gives the same crowd")
@@ -649,8 +583,6 @@ class CrowdConfig(Section):
 
 class LightConfig(Section):
     """Light, shadows and tone mapping. Colours are linear light: 1 shows a surface in its own colour."""
-
-    other_words: ClassVar[dict[str, str]] = {"strength": "intensity", "sun": "direction"}
 
     mode: Literal["lit", "shadeless"] = Field(
         default="lit", description="shadeless: colours of surfaces without light and shadow"
@@ -779,14 +711,6 @@ class MemberConfig(ShortSection):
 class TimeConfig(Section):
     """How time goes on: in real time, or in lockstep with all nodes (docs/lockstep.md)."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "mode": "clock type",
-        "wait_for": "members wait trackers",
-        "timeout": "time_out limit",
-        "rate": "pace speed",
-        "frames": "count number",
-    }
-
     mode: Literal["realtime", "lockstep"] = Field(
         default="realtime",
         description="lockstep: the next frame waits until all nodes have finished this one",
@@ -825,16 +749,6 @@ def checked_license(text: str | None) -> str | None:
 
 class SceneConfig(Section):
     """Content of a scene file."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "rate": "fps framerate frame_rate hz frequency",
-        "humans": "people persons actors human",
-        "variety": "random",
-        "scanners": "lidars lidar lasers scanner laser",
-        "license": "licence",
-        "adapters": "bridge bridges adapter",
-        "hri": "ros4hri hri_msgs",
-    }
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
     renderer: RendererName = Field(default="moderngl", description="pyrender is for comparisons")

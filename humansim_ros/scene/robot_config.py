@@ -20,13 +20,6 @@ _Frame = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_/]*$", max_length=2
 class PathConfig(Section):
     """Path of a robot: straight lines between points, and turns on the spot."""
 
-    other_words: ClassVar[dict[str, str]] = {
-        "points": "waypoints path poses",
-        "speed": "velocity",
-        "turn_deg": "turn_rate",
-        "end": "loop",
-    }
-
     points: tuple[_Point, ...] = Field(
         min_length=2, max_length=10_000, description="points x, y in map, metres; it starts at the first"
     )
@@ -62,16 +55,6 @@ class VibrationConfig(NumberSection):
 
 class RobotConfig(Section):
     """A robot that carries cameras; it follows ``cmd_vel`` unless a path, trajectory or odometry moves it."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "mesh": "shape model body",
-        "yaw_deg": "heading rotation yaw",
-        "position": "location place pos start",
-        "size": "scale dimensions",
-        "path": "waypoints route",
-        "odometry": "odom follow",
-        "max_speed": "speed velocity",
-    }
 
     mesh: FileName = Field(
         default="robot",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -33,12 +33,6 @@ _Microseconds = Annotated[float, Field(ge=0, le=1e6)]
 
 class PatternConfig(Section):
     """A scan pattern of your own."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "elevations_deg": "rings channels lasers beams elevations",
-        "columns": "points horizontal width",
-        "azimuth_deg": "fov angle_range azimuth",
-    }
 
     kind: Literal["spinning", "raster"] = Field(
         default="spinning",
@@ -75,18 +69,6 @@ class PatternConfig(Section):
 
 class ScannerConfig(Section):
     """One laser scanner: its model or pattern, and its pose. Other keys replace values of the model."""
-
-    other_words: ClassVar[dict[str, str]] = {
-        "model": "type preset name",
-        "position": "location pos center centre",
-        "rotation_deg": "rotation rpy orientation yaw_deg",
-        "rate": "fps hz frequency",
-        "range": "ranges limits distance",
-        "layout": "fields format points",
-        "returns": "echoes return",
-        "noise": "stddev sigma",
-        "dropout": "drop drop_out loss",
-    }
 
     model: ScannerName | None = Field(default=None, description="a scanner by name")
     pattern: PatternConfig | None = Field(default=None, description="a pattern of your own, without a model")

@@ -63,16 +63,6 @@ class DepthSensorConfig(ShortSection):
     """Depth sensor of a camera: optics of its own beside the colour optics, and its errors."""
 
     short_key: ClassVar[str] = "preset"
-    other_words: ClassVar[dict[str, str]] = {
-        "preset": "name device type",
-        "model": "kind principle technology",
-        "size": "resolution image_size",
-        "fov_deg": "fov hfov field_of_view angle",
-        "K": "intrinsics camera_matrix",
-        "position": "offset translation extrinsics",
-        "range": "min max depth_range near far",
-        "grazing_deg": "max_angle incidence",
-    }
 
     preset: Preset | None = Field(default=None, description="a known sensor; other keys change its settings")
     model: Model | None = Field(default=None, description="how it measures; as the preset if absent")

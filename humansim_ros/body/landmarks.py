@@ -5,7 +5,6 @@ MakeHuman bodies are recognised by their topology; their joints come from a tabl
 
 from __future__ import annotations
 
-import functools
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -65,13 +65,9 @@ def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
 
 # -- words that shells complete
 
-#: Export formats: their own table loads OpenCV and moderngl, for which a shell would wait.
-EXPORT_FORMATS = (
-    *("images", "depth-png", "depth-exr", "depth-npy", "labels", "body-parts", "materials", "flow-flo"),
-    *("flow-kitti", "coco", "yolo", "mot", "thesis", "kitti", "nuscenes", "aicity", "foxglove", "rerun"),
-    *("mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb", "usd", "mujoco"),
-    *("gazebo", "webdataset", "huggingface", "statistics", "croissant"),
-)
+
+#: Export formats: another module would load OpenCV and moderngl, for which a shell would wait.
+EXPORT_FORMATS = tuple(read_table("export_formats"))
 
 
 def built_in_motions(incomplete: str) -> list[str]:

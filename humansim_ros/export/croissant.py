@@ -9,13 +9,13 @@ from typing import Any
 
 from humansim_ros import __version__
 from humansim_ros.export.writer import ExportFolder, FormatWriter, Record
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.scene.about_config import AboutConfig
 
 #: Name of the card, in the root of the export.
 CARD = "croissant.json"
 #: The context, as the specification prints it; media types by suffix; and kinds of splits by usual names.
-_WORDS = json.loads(resource_path("config/croissant.json").read_text("utf-8"))
+_WORDS = read_table("croissant")
 _CONTEXT, _MEDIA_TYPES, _SPLITS = (_WORDS[name] for name in ("context", "media_types", "splits"))
 
 

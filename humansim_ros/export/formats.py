@@ -6,7 +6,6 @@ the table, a row of docs/export.md, and a test that reads the files with the rea
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,7 +14,7 @@ from typing import Any
 
 from humansim_ros.errors import ExportError, did_you_mean
 from humansim_ros.export.writer import FormatWriter
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
@@ -75,8 +74,7 @@ def _read(name: str, row: Mapping[str, Any]) -> ExportFormat:
 
 #: All formats by name, in the order in which they are written.
 EXPORT_FORMATS: dict[str, ExportFormat] = {
-    name: _read(name, row)
-    for name, row in json.loads(resource_path("config/export_formats.json").read_text("utf-8")).items()
+    name: _read(name, row) for name, row in read_table("export_formats").items()
 }
 
 

@@ -21,7 +21,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.images import encoded_image
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.files import ANY_SIZE, read_bytes
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.rotations import matrix_to_quaternion
@@ -63,7 +63,7 @@ class FoxgloveWriter(FormatWriter):
 
         frames = dict(records)
         kinds = {name: kind for record in frames.values() for name, kind in record["topics"].items()}
-        schemas = json.loads(resource_path("config/foxglove_schemas.json").read_text("utf-8"))
+        schemas = read_table("foxglove_schemas")
         topics = [
             BagTopic(name, kind, definition=json.dumps(schemas[kind]), serialization="json")
             for name, kind in kinds.items()

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from humansim_ros.errors import KeypointError, did_you_mean
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 
 _Value = TypeVar("_Value")
 #: Set of all keypoints of OpenPose.
@@ -184,8 +183,7 @@ def _read(name: str, row: Mapping[str, Any]) -> KeypointSet:
 
 #: All keypoint sets by name.
 KEYPOINT_SETS: Mapping[str, KeypointSet] = {
-    name: _read(name, row)
-    for name, row in json.loads(resource_path("config/keypoint_sets.json").read_text("utf-8")).items()
+    name: _read(name, row) for name, row in read_table("keypoint_sets").items()
 }
 
 #: Sets of detectors that write keypoints without names, by the number of the keypoints. 18 are those of

@@ -9,7 +9,6 @@ docs/keypoints.md says how they were found.
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,7 +21,7 @@ from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.data import SOURCE
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 
@@ -93,7 +92,7 @@ def skin_points() -> Mapping[str, SkinPoint]:
     return {
         name: SkinPoint(tuple(row["uv"]), tuple(row["vertices"]), tuple(row["weights"]))
         for file in ("body_landmarks", "face_mesh_points")
-        for name, row in json.loads(resource_path(f"config/{file}.json").read_text("utf-8")).items()
+        for name, row in read_table(file).items()
     }
 
 

@@ -8,7 +8,6 @@ attributes and constants.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros.errors import RosError, printable
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 #: Most characters of a name that is looked for.
@@ -148,10 +147,7 @@ class MessagePackage:
 
 
 #: The packages of ``config/message_packages.json`` by name.
-MESSAGE_PACKAGES = {
-    name: MessagePackage(name, **row)
-    for name, row in json.loads(resource_path("config/message_packages.json").read_text("utf-8")).items()
-}
+MESSAGE_PACKAGES = {name: MessagePackage(name, **row) for name, row in read_table("message_packages").items()}
 
 
 def begins_with_stamp(kind: Any) -> bool:

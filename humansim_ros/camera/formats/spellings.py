@@ -8,7 +8,6 @@ are K of a camera.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -21,7 +20,7 @@ from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, 
 from humansim_ros.camera.formats.colmap import COLMAP_MODELS
 from humansim_ros.camera.formats.texts import BRACKETS, text_document
 from humansim_ros.errors import CameraError
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 
 
 def words(text: str) -> frozenset[str]:
@@ -30,7 +29,7 @@ def words(text: str) -> frozenset[str]:
 
 
 #: Spellings of each parameter, and keys of groups, in lower case without characters between words.
-_KEYS = json.loads(resource_path("config/camera_keys.json").read_text())
+_KEYS = read_table("camera_keys")
 _ROLES = {word: role for role, lines in _KEYS["parameters"].items() for word in " ".join(lines).split()}
 #: Numbers of one value of each parameter, largest first; a list of such values is one for each camera.
 _COUNTS = {

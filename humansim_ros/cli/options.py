@@ -179,32 +179,7 @@ class Renamed:
 REMOVED_IN = "0.4.0"
 #: Renamed options of each command.
 RENAMED = {
-    "run": (
-        Renamed("--duration", "--seconds"),
-        Renamed("--processes", "--jobs"),
-        Renamed("--mesh", "--body"),
-        Renamed("--record-topics", "--topics"),
-        Renamed("--record-compression", "--compression"),
-        Renamed("--evaluate", "--estimate"),
-        Renamed("--evaluate-keypoints", "--keypoints"),
-        Renamed("--evaluate-output", "--output"),
-    ),
-    "demo": (Renamed("--duration", "--seconds"),),
-    "bench": (Renamed("--processes", "--jobs"),),
-    "export": (Renamed("--frames", "--range", ".*:.*"),),
-    "evaluate": (Renamed("--json", "--output", "[^-].*"),),
-    "challenge": (Renamed("--estimate-topic", "--estimate"),),
-    "camera plot": (Renamed("--at", "--height"),),
-    "camera place": (
-        Renamed("--plot", "--picture"),
-        Renamed("--tilt", "--tilt-deg"),
-        Renamed("--roll", "--roll-deg"),
-    ),
-    "human build": (Renamed("--preview", "--picture"),),
-    "human rig": (Renamed("--preview", "--picture"),),
-    "human fit": (Renamed("--human", "--body"), Renamed("--report", "--picture")),
-    "human texture": (Renamed("--report", "--picture"), Renamed("--size", "--texture-size")),
-    "motion render": (Renamed("--phases", "--frames"),),
+    command: tuple(Renamed(**row) for row in rows) for command, rows in read_table("renamed_options").items()
 }
 
 #: Options that have gone from a command, and why.

@@ -1,4 +1,4 @@
-"""Table of the motion formats that are read: the one place for their names, suffixes and parts."""
+"""Motion formats: their names, suffixes and parts are rows of config/motion_formats.json."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+from humansim_ros.io.assets import read_table
 
 
 @dataclass(frozen=True)
@@ -28,57 +30,22 @@ class MotionFormat:
     also: str = ""
 
 
+_TABLE = read_table("motion_formats")
 #: All formats. A file with another suffix is read as BVH.
-MOTION_FORMATS = (
-    MotionFormat("bvh", "BVH", (".bvh",), "root"),
-    MotionFormat("acclaim", "ASF/AMC", (".amc", ".asf"), "skeleton file"),
-    MotionFormat("zip", "BVH in ZIP", (".zip",), "file in the archive"),
-    MotionFormat("gltf", "glTF", (".gltf", ".glb", ".vrm"), "animation", "human"),
-    MotionFormat("vrma", "VRMA", (".vrma",), "animation"),
-    MotionFormat("smpl", "AMASS/SMPL", (".npz",), "person", "human"),
-    MotionFormat("poses", "SMPL in PKL, PT, NPY", (".pkl", ".pickle", ".pt", ".pth", ".npy"), "person"),
-    MotionFormat("markers", "C3D, TRC", (".c3d", ".trc"), "person"),
-    MotionFormat("fbx", "FBX", (".fbx",), "animation", "human"),
-    MotionFormat("collada", "COLLADA", (".dae",), "animation", "human"),
-)
+MOTION_FORMATS = tuple(MotionFormat(**{**row, "suffixes": tuple(row["suffixes"])}) for row in _TABLE["read"])
 #: Suffixes of all formats.
 MOTION_SUFFIXES = tuple(suffix for known in MOTION_FORMATS for suffix in known.suffixes)
 #: Names of all formats, for messages and help.
 MOTION_TITLES = ", ".join(known.title for known in MOTION_FORMATS)
 
 
-_WRITE = "write points with names as .trc, or SMPL as .npz"
-#: Formats that are not read: suffixes, name, and what to do.
-_UNREAD = (
-    (".mot .sto .osim", "OpenSim", "play its markers (.trc), or export places of joints as .trc or .c3d"),
-    (".csv .tsv .xlsx .mat .h5 .hdf5", "a table of numbers", _WRITE),
-    (".json .jsonl .xml .yaml", "keypoints or settings", _WRITE),
-    (".mvnx .mvn .mtb", "Xsens MVN", "export .bvh, .fbx or .c3d from MVN"),
-    (".usd .usda .usdc .usdz .abc", "USD or Alembic", "export .glb or .fbx, such as from Blender"),
-    (
-        ".blend .ma .mb .max .bip .c4d .hip .uasset",
-        "a scene of an editor",
-        "export .bvh, .glb or .fbx from it",
-    ),
-    (".anim .vmd .vpd .pmx .htr .gtr .iclone .mcp", "an animation of another program", "export .bvh or .fbx"),
-    (
-        ".tak .qtm .vsk .x2d .xcp .cap .v3d .cmz",
-        "a recording of a capture system",
-        "export .c3d, .trc or .bvh",
-    ),
-    (
-        ".mp4 .mov .avi .mkv .webm",
-        "a video",
-        "estimate its poses with another program, such as WHAM or GVHMR",
-    ),
-)
-
-
 def unread_format(file: str | os.PathLike[str]) -> str | None:
     """What a file is that is not read, and what to do, by its suffix; None for other suffixes."""
     suffix = Path(file).suffix.lower()
-    row = next((row for row in _UNREAD if suffix in row[0].split()), None)
-    return None if row is None else f"{row[1]} ({suffix}), which is not read as a motion: {row[2]}"
+    for row in _TABLE["unread"]:
+        if suffix in row["suffixes"]:
+            return f"{row['name']} ({suffix}), which is not read as a motion: {row['advice']}"
+    return None
 
 
 def motion_format(file: str | os.PathLike[str]) -> MotionFormat | None:

@@ -89,6 +89,12 @@ DepthContent = tuple[DepthCapture, View]
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
+#: Functions that build the messages of properties of :class:`CameraTruth`.
+_TRUTH: Mapping[str, Callable[..., PointCloud2]] = {
+    "joints": messages.joint_view_message,
+    "boxes": messages.boxes_message,
+    "visible_vertices": messages.visible_vertices_message,
+}
 #: Legends that a recording has only if they are asked for.
 _OPTIONAL_LEGENDS = ("keypoints", "body_part", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
@@ -170,41 +176,30 @@ class HumanTopics:
             lambda _, stamp: messages.header(stamp, messages.WORLD_FRAME),
             lambda _: None,
         )
-        self.joints: Topic[HumanState] = Topic(
-            f"{root}/joints", MultiDOFJointState, messages.joints_message, state, shown=True
+
+        def of_body(path: str, kind: type[Any], build: Callable[[HumanState, int], Any]) -> Topic[HumanState]:
+            return Topic(f"{root}/{path}", kind, build, state, shown=path != "markers")
+
+        self.joints = of_body("joints", MultiDOFJointState, messages.joints_message)
+        self.vertices = of_body(
+            "vertices", PointCloud2, lambda body, stamp: messages.vertices_message(body.vertices, stamp)
         )
-        self.vertices: Topic[HumanState] = Topic(
-            f"{root}/vertices",
-            PointCloud2,
-            lambda body, stamp: messages.vertices_message(body.vertices, stamp),
-            state,
-            shown=True,
-        )
-        self.markers: Topic[HumanState] = Topic(
-            f"{root}/markers",
+        self.markers = of_body(
+            "markers",
             MarkerArray,
             lambda body, stamp: self.marker_builder.build(name, actor.instance, body, stamp),
-            state,
         )
         self.mesh = _sent_once(f"{root}/mesh", MeshMessage, lambda: messages.mesh_message(actor.human.mesh))
         self.face: Topic[HumanState] | None = None
         if actor.face is not None:
-            self.face = Topic(
-                f"{root}/face",
-                JointState,
-                lambda body, stamp: messages.face_message(body.face, stamp),
-                state,
-                shown=True,
+            self.face = of_body(
+                "face", JointState, lambda body, stamp: messages.face_message(body.face, stamp)
             )
         self.swing: Topic[HumanState] | None = None
         if actor.human.loose is not None:
             count = len(actor.human.loose.kinds)
-            self.swing = Topic(
-                f"{root}/swing",
-                JointState,
-                lambda body, stamp: messages.swing_message(body.swing, count, stamp),
-                state,
-                shown=True,
+            self.swing = of_body(
+                "swing", JointState, lambda body, stamp: messages.swing_message(body.swing, count, stamp)
             )
         self.keypoints: dict[str, Topic[HumanState]] = {
             keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
@@ -240,20 +235,12 @@ class ObjectTopics:
     def __init__(self, item: SceneObject) -> None:
         root = f"objects/{item.name}"
 
-        def pose(frame: Frame) -> ObjectPose:
-            return frame.objects[item.name]
+        def topic(path: str, kind: type[Any], build: Callable[[ObjectPose, int], Any]) -> Topic[ObjectPose]:
+            return Topic(f"{root}/{path}", kind, build, lambda frame: frame.objects[item.name])
 
-        self.marker: Topic[ObjectPose] = Topic(
-            f"{root}/marker",
-            Marker,
-            lambda pose, stamp: messages.object_message(item, pose, stamp),
-            pose,
-        )
-        self.twist: Topic[ObjectPose] = Topic(
-            f"{root}/twist",
-            TwistStamped,
-            lambda pose, stamp: messages.twist_message(pose.velocity, stamp),
-            pose,
+        self.marker = topic("marker", Marker, lambda pose, stamp: messages.object_message(item, pose, stamp))
+        self.twist = topic(
+            "twist", TwistStamped, lambda pose, stamp: messages.twist_message(pose.velocity, stamp)
         )
 
     def __iter__(self) -> Iterator[Topic[Any]]:
@@ -377,11 +364,15 @@ class CameraTopics:
             )
 
         self.truth = {
-            kind: of_truth(kind, self._truth_builder(kind), needs=kind, shown=kind == "joints")
-            for kind in REQUIRED_CHANNELS
+            kind: of_truth(kind, self._builder(build, attrgetter(kind)), needs=kind, shown=kind == "joints")
+            for kind, build in _TRUTH.items()
         }
         self.keypoints = {
-            keypoints: of_truth(f"keypoints/{keypoints}", self._keypoint_builder(keypoints), optional=True)
+            keypoints: of_truth(
+                f"keypoints/{keypoints}",
+                self._builder(messages.joint_view_message, methodcaller("keypoints", keypoints)),
+                optional=True,
+            )
             for keypoints in KEYPOINT_SETS
         }
         # about four pixels in an image of 640 x 480
@@ -435,30 +426,13 @@ class CameraTopics:
 
     def compressed(self, settings: ImageCompression) -> Topic[View]:
         """Images as JPEG or PNG, in the format of image_transport's plugin ``compressed``."""
-        name, frame, encoding = self._name, self._image_frame, self._camera.encoding
-        return Topic(
-            f"{name}/{CHANNEL_TABLE['rgb'].topic}/{COMPRESSED['rgb']}",
-            CompressedImage,
-            lambda view, stamp: messages.compressed_image_message(view.rgb, encoding, settings, stamp, frame),
-            lambda simulated: simulated.views[name],
-            camera=name,
-            channels=frozenset({"rgb"}),
-            faulty=self._has_faults,
-            raw=f"{name}/{CHANNEL_TABLE['rgb'].topic}",
-        )
+        (topic,) = self._channel_topics(CHANNEL_TABLE["rgb"], settings)
+        return topic
 
     def compressed_depth(self, settings: DepthCompression) -> Topic[View]:
         """Depth as PNG of 16 bits, in the format of image_transport's plugin ``compressedDepth``."""
-        name, frame = self._name, self._image_frame
-        return Topic(
-            f"{name}/{CHANNEL_TABLE['depth'].topic}/{COMPRESSED['depth']}",
-            CompressedImage,
-            lambda view, stamp: messages.compressed_depth_message(view.depth, settings, stamp, frame),
-            lambda simulated: simulated.views[name],
-            camera=name,
-            channels=frozenset({"depth"}),
-            raw=f"{name}/{CHANNEL_TABLE['depth'].topic}",
-        )
+        (topic,) = self._channel_topics(CHANNEL_TABLE["depth"], settings)
+        return topic
 
     def __iter__(self) -> Iterator[Topic[Any]]:
         return iter(self.all(_DEFAULT_COMPRESSION))
@@ -489,26 +463,29 @@ class CameraTopics:
         return channel.encoding or self._camera.encoding
 
     def _channel_topics(
-        self, channel: Channel, compression: ImageCompression | None = None
+        self, channel: Channel, compression: ImageCompression | DepthCompression | None = None
     ) -> Sequence[Topic[View]]:
         """Topic of a channel, or one for each labelled body. ``compression``: none for raw images."""
         name, frame, encoding = self._name, self._image_frame, self._encoding(channel)
+        is_raw = compression is None
 
         def topic(path: str, image: Callable[[View], NDArray[Any]]) -> Topic[View]:
             def message(view: View, stamp: int) -> Any:
                 if compression is None:
                     return messages.image_message(image(view), encoding, stamp, frame)
+                if isinstance(compression, DepthCompression):
+                    return messages.compressed_depth_message(image(view), compression, stamp, frame)
                 return messages.compressed_image_message(image(view), encoding, compression, stamp, frame)
 
             return Topic(
-                f"{name}/{path}" if compression is None else f"{name}/{path}/{COMPRESSED[channel.name]}",
-                Image if compression is None else CompressedImage,
+                f"{name}/{path}" if is_raw else f"{name}/{path}/{COMPRESSED[channel.name]}",
+                Image if is_raw else CompressedImage,
                 message,
                 lambda simulated: simulated.views[name],
-                shown=compression is None and channel.name in _SHOWN_CHANNELS,
+                shown=is_raw and channel.name in _SHOWN_CHANNELS,
                 camera=name,
                 channels=frozenset({channel.name}),
-                raw="" if compression is None else f"{name}/{path}",
+                raw="" if is_raw else f"{name}/{path}",
                 faulty=self._has_faults and channel.name == "rgb",
             )
 
@@ -549,22 +526,10 @@ class CameraTopics:
             ),
         }
 
-    def _truth_builder(self, kind: str) -> Callable[[CameraTruth, int], PointCloud2]:
-        """Function that builds the messages of one property of :class:`CameraTruth`."""
-        builders: dict[str, Callable[..., PointCloud2]] = {
-            "joints": messages.joint_view_message,
-            "boxes": messages.boxes_message,
-            "visible_vertices": messages.visible_vertices_message,
-        }
-        return self._builder(builders[kind], attrgetter(kind))
-
-    def _keypoint_builder(self, keypoints: str) -> Callable[[CameraTruth, int], PointCloud2]:
-        """Function that builds the messages of one keypoint set."""
-        return self._builder(messages.joint_view_message, methodcaller("keypoints", keypoints))
-
     def _builder(
         self, build: Callable[..., PointCloud2], values: Callable[[CameraTruth], Mapping[str, Any]]
     ) -> Callable[[CameraTruth, int], PointCloud2]:
+        """Function that builds the messages of some values by human or object."""
         labels, frame = self._scene.labels, self._frame
 
         def message(truth: CameraTruth, stamp: int) -> PointCloud2:

@@ -20,7 +20,7 @@ import numpy as np
 from humansim_ros.camera.camera import MAX_SIZE, Camera
 from humansim_ros.camera.checks import check_image_size, guess_image_size, has_pose, image_size
 from humansim_ros.camera.formats import FORMATS, READ_FORMATS
-from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
+from humansim_ros.camera.formats.base import CalibrationFile, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.lens_keys import check_unread, other_lens
@@ -41,6 +41,7 @@ from humansim_ros.camera.formats.spellings import (
     plain,
 )
 from humansim_ros.camera.formats.syntax import name_of_half, other_half, read_document
+from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
 from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists

@@ -1,14 +1,14 @@
 """Calibration formats, one module per family of formats.
 
-To add a format, define a :class:`CalibrationFormat` in a module of this folder (its name, title, file suffix
-and syntax, and functions that recognise, read and write it), and add it to :data:`FORMATS` below. The rest of
-the package needs no change: ``camera/calibration.py`` converts units and axes, guesses missing image sizes,
-checks cameras, writes files, and reports errors with file, line and key for all formats; the command line
-takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers, names,
-lists of cameras and names of lens models.
+To add a format, give it a row of ``config/calibration_formats.json``, and in a module here functions that
+recognise, read and write it (:func:`calibration_format`); then add it to :data:`FORMATS` below.
+The rest of the package needs no change: ``camera/calibration.py`` converts units and axes, guesses
+missing image sizes, checks cameras, writes files, and reports errors with file, line and key for all formats;
+the command line takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers,
+names, lists of cameras and names of lens models.
 """
 
-from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
+from humansim_ros.camera.formats.base import CalibrationFile, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import ANIPOSE, ASSOCIATION, CAM, H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.devices import K4A, OPEN3D, REALSENSE, ZED
@@ -20,6 +20,7 @@ from humansim_ros.camera.formats.photogrammetry import BUNDLER, MESHROOM, METASH
 from humansim_ros.camera.formats.projection import KRTD, MIDDLEBURY, MVSNET, PROJECTION
 from humansim_ros.camera.formats.ros import CAMERA_INFO, INI, KALIBR
 from humansim_ros.camera.formats.scene import SCENE
+from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.camera.formats.transforms import BLENDER, TRANSFORMS
 
 #: All formats, in the order in which they are tried: the first one that recognises a file reads it.

@@ -20,7 +20,6 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.lens import MODELS, Lens, fit_lens
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.yaml import line_of
@@ -89,7 +88,7 @@ class CalibrationFile:
 
     Keys are paths into ``document``. Wrong values raise CameraError with file, key, and line where known.
     ``tree``, ``key_lines``: nodes of YAML, and lines of the keys of TOML. ``given_size``: image size that the
-    caller knows. ``syntax``: as of :class:`CalibrationFormat`. ``renamed``: keys of ``document`` -> their
+    caller knows. ``syntax``: as of ``CalibrationFormat``. ``renamed``: keys of ``document`` -> their
     names in the file, where they differ.
     """
 
@@ -270,48 +269,6 @@ class CalibrationFile:
             if end < 0:
                 return
             start = end + 1
-
-
-@dataclass(frozen=True)
-class CalibrationFormat:
-    """A calibration format.
-
-    Attributes:
-        name: Name on the command line.
-        title: Name in messages.
-        suffix: Suffix of its files.
-        syntax: ``text``, ``yaml``, ``json``, ``toml``, ``xml`` or ``npz``.
-        matches: Whether a file of this syntax has this format.
-        read: Cameras of a file by name.
-        write: Content of each file by its name; a format of one file has the name "".
-        multiple: Whether a file holds more than one camera.
-        unit: Metres per unit of the file.
-        up: Axis of its world that points up.
-        holds_size, holds_pose, holds_skew, holds_rectified: Parts of a camera that it can store.
-        lenses: Distortion models that it can store, and the number of their coefficients.
-        sizes: Usual image sizes of a format that does not store the size.
-        find_unit: Finds the metres per unit of a file, where the format does not define them.
-        also: Other syntaxes from which it is read, after all of their own formats.
-    """
-
-    name: str
-    title: str
-    suffix: str
-    syntax: str
-    matches: Callable[[CalibrationFile], bool]
-    read: Callable[[CalibrationFile], dict[str, RawCamera]]
-    write: Callable[[Mapping[str, Camera]], Mapping[str, str | bytes]]
-    multiple: bool = True
-    unit: float = 1.0
-    up: str = "z"
-    holds_size: bool = True
-    holds_pose: bool = True
-    holds_skew: bool = True
-    holds_rectified: bool = False
-    lenses: Mapping[str, int] = field(default_factory=dict)
-    sizes: tuple[ImageSize, ...] = ()
-    find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None
-    also: tuple[str, ...] = ()
 
 
 def is_number(word: str) -> bool:
@@ -505,7 +462,6 @@ def has_keys(*needed: set[str]) -> Predicate:
     return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)
 
 
-COUNTS = {model: len(coefficients) for model, coefficients in MODELS.items()}
 #: Numbers of coefficients of each model in files; more coefficients may follow if they are zero.
 _FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 #: Names of each model, in lower case without other characters than letters and digits.

@@ -15,13 +15,13 @@ import numpy as np
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
-    CalibrationFormat,
     RawCamera,
     SourceLocation,
     image_names,
     row,
     without_suffix,
 )
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import CameraError
 from humansim_ros.io.files import read_text
@@ -195,14 +195,4 @@ def _model_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
     return "FULL_OPENCV", (*camera.distortion, 0.0, 0.0, 0.0)[:8]
 
 
-COLMAP = CalibrationFormat(
-    "colmap",
-    "COLMAP text model",
-    "",
-    "text",
-    _is_colmap,
-    _read,
-    _write,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4},
-)
+COLMAP = calibration_format("colmap", _is_colmap, _read, _write)

@@ -21,7 +21,6 @@ from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     LARGEST,
     CalibrationFile,
-    CalibrationFormat,
     Key,
     Keys,
     RawCamera,
@@ -40,6 +39,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.conventions import FilePose, resolved
 from humansim_ros.camera.formats.spellings import role_of
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
@@ -64,9 +64,7 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": format_cam(cam_of(camera))}
 
 
-CAM = CalibrationFormat(
-    "cam", ".cam of the thesis", ".cam", "text", _is_cam, _read, _write, multiple=False, holds_skew=False
-)
+CAM = calibration_format("cam", _is_cam, _read, _write)
 
 
 # -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras has a pose per subject, 11 in all
@@ -265,46 +263,11 @@ def _panel_and_node(name: str, index: int) -> dict[str, int]:
     return {"panel": panel, "node": node}
 
 
-H36M = CalibrationFormat(
-    "human36m",
-    "Human3.6M JSON",
-    ".json",
-    "json",
-    _is_h36m,
-    _read_h36m,
-    _write_h36m,
-    unit=0.001,
-    holds_size=False,
-    lenses={"plumb_bob": 5},
-    sizes=((1000, 1000),),
+H36M = calibration_format("human36m", _is_h36m, _read_h36m, _write_h36m)
+SHELF = calibration_format(
+    "shelf", _is_shelf, _read_shelf, _write_shelf, find_unit=lambda file, _: stated_unit(file) or 0.001
 )
-SHELF = CalibrationFormat(
-    "shelf",
-    "Shelf/Campus JSON",
-    ".json",
-    "json",
-    _is_shelf,
-    _read_shelf,
-    _write_shelf,
-    unit=0.001,
-    find_unit=lambda file, _: stated_unit(file) or 0.001,
-    holds_size=False,
-    holds_skew=False,
-    lenses={"plumb_bob": 5},
-    sizes=((1032, 776), (360, 288)),
-)
-PANOPTIC = CalibrationFormat(
-    "panoptic",
-    "CMU Panoptic JSON",
-    ".json",
-    "json",
-    _is_panoptic,
-    _read_panoptic,
-    _write_panoptic,
-    unit=0.01,
-    up="-y",
-    lenses={"plumb_bob": 5},
-)
+PANOPTIC = calibration_format("panoptic", _is_panoptic, _read_panoptic, _write_panoptic)
 
 
 _PARTS = {"matrix", "rotation", "translation", "distortions"}
@@ -366,15 +329,8 @@ def _text(name: str) -> str:
     return f'"{escaped}"'
 
 
-ANIPOSE = CalibrationFormat(
-    "anipose",
-    "Anipose, FreeMoCap, Pose2Sim TOML",
-    ".toml",
-    "toml",
-    *reader_of(_cameras_anipose, _camera_anipose),
-    _write_anipose,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4},
-    find_unit=find_unit,
+ANIPOSE = calibration_format(
+    "anipose", *reader_of(_cameras_anipose, _camera_anipose), _write_anipose, find_unit=find_unit
 )
 
 
@@ -440,12 +396,6 @@ def _write_association(cameras: Mapping[str, Camera]) -> dict[str, str]:
     )
 
 
-ASSOCIATION = CalibrationFormat(
-    "4dassociation",
-    "4DAssociation JSON",
-    ".json",
-    "json",
-    *reader_of(_cameras_association, _camera_association),
-    _write_association,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8},
+ASSOCIATION = calibration_format(
+    "4dassociation", *reader_of(_cameras_association, _camera_association), _write_association
 )

@@ -27,7 +27,6 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
-    CalibrationFormat,
     Keys,
     RawCamera,
     SourceLocation,
@@ -41,6 +40,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.spellings import POSE, find_parameters, plain, role_of
 from humansim_ros.camera.formats.syntax import TOML_HEAD, ZED_SECTION
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -183,18 +183,7 @@ def _write_zed(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join(lines) + "\n"}
 
 
-ZED = CalibrationFormat(
-    "zed",
-    "ZED .conf",
-    ".conf",
-    "text",
-    _is_zed,
-    _read_zed,
-    _write_zed,
-    unit=0.001,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8},
-)
+ZED = calibration_format("zed", _is_zed, _read_zed, _write_zed)
 
 
 # -- Azure Kinect
@@ -311,17 +300,7 @@ def _write_k4a(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {**json_file({"CalibrationInformation": {"Cameras": written}})}
 
 
-K4A = CalibrationFormat(
-    "k4a",
-    "Azure Kinect JSON",
-    ".json",
-    "json",
-    _is_k4a,
-    _read_k4a,
-    _write_k4a,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8},
-)
+K4A = calibration_format("k4a", _is_k4a, _read_k4a, _write_k4a)
 
 
 # -- RealSense and Open3D
@@ -489,23 +468,5 @@ def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras | {depth[0]: replace(cameras[depth[0]], R=np.eye(3)), color[0]: posed}
 
 
-REALSENSE = CalibrationFormat(
-    "realsense",
-    "RealSense intrinsics JSON",
-    ".json",
-    "json",
-    _matches_realsense,
-    _read_realsense,
-    _write_realsense,
-    holds_pose=False,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "equidistant": 4},
-)
-OPEN3D = CalibrationFormat(
-    "open3d",
-    "Open3D camera JSON",
-    ".json",
-    "json",
-    *reader_of(_open3d_cameras, _open3d_camera),
-    _write_open3d,
-)
+REALSENSE = calibration_format("realsense", _matches_realsense, _read_realsense, _write_realsense)
+OPEN3D = calibration_format("open3d", *reader_of(_open3d_cameras, _open3d_camera), _write_open3d)

@@ -28,7 +28,6 @@ import numpy as np
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
-    CalibrationFormat,
     Keys,
     RawCamera,
     fitted_lens,
@@ -38,6 +37,7 @@ from humansim_ros.camera.formats.base import (
 from humansim_ros.camera.formats.matrices import MATRICES, read_matrices
 from humansim_ros.camera.formats.spellings import keys_of, plain, words
 from humansim_ros.camera.formats.syntax import read_document
+from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, located, warn_about
 from humansim_ros.io.assets import resource_path

@@ -23,10 +23,8 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
-    COUNTS,
     MAX_CAMERAS,
     CalibrationFile,
-    CalibrationFormat,
     RawCamera,
     SourceLocation,
     check_count,
@@ -56,6 +54,7 @@ from humansim_ros.camera.formats.spellings import (
     unit_of_keys,
     words,
 )
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.io.npz import npz_bytes
 from humansim_ros.rotations import quaternion_to_matrix
@@ -524,26 +523,5 @@ def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": npz_bytes(arrays)}
 
 
-MATRICES = CalibrationFormat(
-    "matrices",
-    "JSON with K, R, t",
-    ".json",
-    "json",
-    is_matrices,
-    read_matrices,
-    _write_json,
-    lenses=COUNTS,
-    find_unit=_find_unit,
-    also=("yaml", "toml", "xml", "text"),
-)
-MATRICES_NPZ = CalibrationFormat(
-    "npz",
-    "npz with K, R, t",
-    ".npz",
-    "npz",
-    is_matrices,
-    read_matrices,
-    _write_npz,
-    lenses=COUNTS,
-    find_unit=_find_unit,
-)
+MATRICES = calibration_format("matrices", is_matrices, read_matrices, _write_json, find_unit=_find_unit)
+MATRICES_NPZ = calibration_format("npz", is_matrices, read_matrices, _write_npz, find_unit=_find_unit)

@@ -32,7 +32,6 @@ from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
-    CalibrationFormat,
     Keys,
     RawCamera,
     SourceLocation,
@@ -41,6 +40,7 @@ from humansim_ros.camera.formats.base import (
     row,
 )
 from humansim_ros.camera.formats.spellings import SCALARS, role_of
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
@@ -159,9 +159,7 @@ def _write_vicon(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join([*lines, "</Cameras>"]) + "\n"}
 
 
-VICON = CalibrationFormat(
-    "vicon", "Vicon .xcp", ".xcp", "xml", _is_vicon, _read_vicon, _write_vicon, unit=0.001, holds_skew=False
-)
+VICON = calibration_format("vicon", _is_vicon, _read_vicon, _write_vicon)
 
 
 # -- OptiTrack Motive
@@ -249,18 +247,7 @@ def _attributes(values: Mapping[str, float]) -> str:
     return " ".join(f'{key}="{text}"' for key, text in texts.items())
 
 
-MOTIVE = CalibrationFormat(
-    "motive",
-    "OptiTrack Motive .mcal",
-    ".mcal",
-    "xml",
-    _is_motive,
-    _read_motive,
-    _write_motive,
-    up="y",
-    holds_skew=False,
-    lenses={"plumb_bob": 5},
-)
+MOTIVE = calibration_format("motive", _is_motive, _read_motive, _write_motive)
 
 
 # -- Theia3D
@@ -355,17 +342,7 @@ def _write_theia(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join([*lines, "  </cameras>", "</calibration>"]) + "\n"}
 
 
-THEIA = CalibrationFormat(
-    "theia",
-    "Theia3D calibration",
-    ".txt",
-    "xml",
-    _is_theia,
-    _read_theia,
-    _write_theia,
-    unit=0.001,
-    lenses={"plumb_bob": 5},
-)
+THEIA = calibration_format("theia", _is_theia, _read_theia, _write_theia)
 
 
 # -- Qualisys
@@ -447,17 +424,7 @@ def _write_qualisys(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join([*lines, "  </cameras>", "</calibration>"]) + "\n"}
 
 
-QUALISYS = CalibrationFormat(
-    "qualisys",
-    "Qualisys .qca.txt",
-    ".qca.txt",
-    "xml",
-    _is_qualisys,
-    _read_qualisys,
-    _write_qualisys,
-    unit=0.001,
-    lenses={"plumb_bob": 5},
-)
+QUALISYS = calibration_format("qualisys", _is_qualisys, _read_qualisys, _write_qualisys)
 
 
 # -- DLT
@@ -526,7 +493,7 @@ def _write_dlt(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join(row(values, ",") for values in np.array(columns).T) + "\n"}
 
 
-DLT = CalibrationFormat("dlt", "DLT csv", ".csv", "text", _is_dlt, _read_dlt, _write_dlt, holds_size=False)
+DLT = calibration_format("dlt", _is_dlt, _read_dlt, _write_dlt)
 
 
 # -- Ego-Exo4D
@@ -599,14 +566,4 @@ def _write_ego(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join(lines) + "\n"}
 
 
-EGOEXO = CalibrationFormat(
-    "egoexo4d",
-    "Ego-Exo4D csv",
-    ".csv",
-    "text",
-    _is_ego,
-    _read_ego,
-    _write_ego,
-    holds_skew=False,
-    lenses={"equidistant": 4},
-)
+EGOEXO = calibration_format("egoexo4d", _is_ego, _read_ego, _write_ego)

@@ -19,9 +19,7 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
-    COUNTS,
     CalibrationFile,
-    CalibrationFormat,
     Key,
     RawCamera,
     SourceLocation,
@@ -35,6 +33,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.lens_keys import model_of_four
 from humansim_ros.camera.formats.syntax import Matrix, name_of_half, other_half, read_document
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
@@ -328,12 +327,6 @@ def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return json_file({key: item(value) for key, value in _entries(cameras).items()})
 
 
-def _format(name: str, title: str, suffix: str, syntax: str, write: Any) -> CalibrationFormat:
-    return CalibrationFormat(
-        name, title, suffix, syntax, _is_storage, _read, write, holds_rectified=True, lenses=COUNTS
-    )
-
-
-OPENCV = _format("opencv", "OpenCV FileStorage YAML", ".yml", "yaml", _write_yaml)
-OPENCV_XML = _format("opencv_xml", "OpenCV FileStorage XML", ".xml", "xml", _write_xml)
-OPENCV_JSON = _format("opencv_json", "OpenCV FileStorage JSON", ".json", "json", _write_json)
+OPENCV = calibration_format("opencv", _is_storage, _read, _write_yaml)
+OPENCV_XML = calibration_format("opencv_xml", _is_storage, _read, _write_xml)
+OPENCV_JSON = calibration_format("opencv_json", _is_storage, _read, _write_json)

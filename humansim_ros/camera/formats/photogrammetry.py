@@ -26,7 +26,6 @@ from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
-    CalibrationFormat,
     Keys,
     RawCamera,
     SourceLocation,
@@ -38,6 +37,7 @@ from humansim_ros.camera.formats.base import (
     row,
     without_suffix,
 )
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import read_text
@@ -307,16 +307,7 @@ def _write_metashape(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join([*lines, "  </chunk>", "</document>"]) + "\n"}
 
 
-METASHAPE = CalibrationFormat(
-    "metashape",
-    "Metashape XML",
-    ".xml",
-    "xml",
-    _is_metashape,
-    _read_metashape,
-    _write_metashape,
-    lenses={"plumb_bob": 5, "equidistant": 4},
-)
+METASHAPE = calibration_format("metashape", _is_metashape, _read_metashape, _write_metashape)
 
 
 # -- OpenMVG
@@ -441,17 +432,7 @@ def _square(name: str, camera: Camera) -> None:
         raise CameraError("this format needs square pixels: idealize the camera with --square", key=name)
 
 
-OPENMVG = CalibrationFormat(
-    "openmvg",
-    "OpenMVG sfm_data.json",
-    ".json",
-    "json",
-    _is_openmvg,
-    _read_openmvg,
-    _write_openmvg,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "equidistant": 4},
-)
+OPENMVG = calibration_format("openmvg", _is_openmvg, _read_openmvg, _write_openmvg)
 
 
 # -- Meshroom
@@ -573,17 +554,7 @@ def _write_meshroom(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {**json_file({"version": ["1", "2", "6"], "views": views, "intrinsics": lenses, "poses": poses})}
 
 
-MESHROOM = CalibrationFormat(
-    "meshroom",
-    "Meshroom cameras.sfm",
-    ".sfm",
-    "json",
-    _is_meshroom,
-    _read_meshroom,
-    _write_meshroom,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "equidistant": 4},
-)
+MESHROOM = calibration_format("meshroom", _is_meshroom, _read_meshroom, _write_meshroom)
 
 
 # -- Bundler
@@ -654,15 +625,4 @@ def _write_bundler(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"bundle.out": "\n".join(lines) + "\n", "list.txt": "\n".join(images.values()) + "\n"}
 
 
-BUNDLER = CalibrationFormat(
-    "bundler",
-    "Bundler bundle.out",
-    "",
-    "text",
-    _is_bundler,
-    _read_bundler,
-    _write_bundler,
-    holds_size=False,
-    holds_skew=False,
-    lenses={"plumb_bob": 2},
-)
+BUNDLER = calibration_format("bundler", _is_bundler, _read_bundler, _write_bundler)

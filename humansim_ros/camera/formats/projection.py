@@ -24,7 +24,6 @@ from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
-    CalibrationFormat,
     RawCamera,
     SourceLocation,
     check_words,
@@ -33,6 +32,7 @@ from humansim_ros.camera.formats.base import (
     without_suffix,
 )
 from humansim_ros.camera.formats.spellings import role_of
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, located
 from humansim_ros.types import ImageSize
 
@@ -131,9 +131,7 @@ def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-PROJECTION = CalibrationFormat(
-    "p", "projection matrices", ".txt", "text", _is_projection, _read_projection, _write_projection
-)
+PROJECTION = calibration_format("p", _is_projection, _read_projection, _write_projection)
 
 
 #: OpenCV has no more coefficients.
@@ -186,18 +184,7 @@ def _write_krtd(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n\n".join(blocks) + "\n"}
 
 
-KRTD = CalibrationFormat(
-    "krtd",
-    "KRTD",
-    ".krtd",
-    "text",
-    _is_krtd,
-    _read_krtd,
-    _write_krtd,
-    multiple=False,
-    holds_size=False,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8},
-)
+KRTD = calibration_format("krtd", _is_krtd, _read_krtd, _write_krtd)
 
 
 def _is_par(file: CalibrationFile) -> bool:
@@ -239,16 +226,7 @@ def _write_middlebury(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-MIDDLEBURY = CalibrationFormat(
-    "middlebury",
-    "Middlebury par.txt",
-    "_par.txt",
-    "text",
-    _is_par,
-    _read_middlebury,
-    _write_middlebury,
-    holds_size=False,
-)
+MIDDLEBURY = calibration_format("middlebury", _is_par, _read_middlebury, _write_middlebury)
 
 
 # -- MVSNet
@@ -283,14 +261,4 @@ def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}
 
 
-MVSNET = CalibrationFormat(
-    "mvsnet",
-    "MVSNet cam.txt",
-    "_cam.txt",
-    "text",
-    _is_mvsnet,
-    _read_mvsnet,
-    _write_mvsnet,
-    multiple=False,
-    holds_size=False,
-)
+MVSNET = calibration_format("mvsnet", _is_mvsnet, _read_mvsnet, _write_mvsnet)

@@ -19,9 +19,7 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
-    COUNTS,
     CalibrationFile,
-    CalibrationFormat,
     Key,
     RawCamera,
     SourceLocation,
@@ -29,6 +27,7 @@ from humansim_ros.camera.formats.base import (
     find_model,
     row,
 )
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.rotations import invert_rigid, transform
 from humansim_ros.types import Array
@@ -257,32 +256,8 @@ def _write_ini(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-CAMERA_INFO = CalibrationFormat(
-    "camera_info",
-    "ROS camera_info YAML",
-    ".yaml",
-    "yaml",
-    _is_camera_info,
-    _read_camera_info,
-    _write_camera_info,
-    multiple=False,
-    holds_pose=False,
-    holds_rectified=True,
-    lenses=COUNTS,
-)
-INI = CalibrationFormat(
-    "ini",
-    "ROS camera_info INI",
-    ".ini",
-    "text",
-    _is_ini,
-    _read_ini,
-    _write_ini,
-    multiple=False,
-    holds_pose=False,
-    holds_rectified=True,
-    lenses={"plumb_bob": 5, "rational_polynomial": 8},
-)
+CAMERA_INFO = calibration_format("camera_info", _is_camera_info, _read_camera_info, _write_camera_info)
+INI = calibration_format("ini", _is_ini, _read_ini, _write_ini)
 
 
 #: Largest error of orthonormality that rounding explains.
@@ -388,14 +363,4 @@ def _matrix_lines_kalibr(key: str, matrix: Array) -> list[str]:
     return [f"  {key}:", *(f"  - [{row(values, ', ')}]" for values in matrix)]
 
 
-KALIBR = CalibrationFormat(
-    "kalibr",
-    "Kalibr camchain YAML",
-    ".yaml",
-    "yaml",
-    _is_camchain,
-    _read,
-    _write,
-    holds_skew=False,
-    lenses={"plumb_bob": 4, "equidistant": 4},
-)
+KALIBR = calibration_format("kalibr", _is_camchain, _read, _write)

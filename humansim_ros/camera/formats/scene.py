@@ -9,14 +9,13 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
-    COUNTS,
     CalibrationFile,
-    CalibrationFormat,
     Key,
     RawCamera,
     find_model,
     row,
 )
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
@@ -131,14 +130,4 @@ def _matrix_lines(matrices: Mapping[str, Array | None]) -> list[str]:
     return lines
 
 
-SCENE = CalibrationFormat(
-    "scene",
-    "cameras of a scene file",
-    ".yaml",
-    "yaml",
-    _is_scene,
-    _read,
-    _write,
-    holds_rectified=True,
-    lenses=COUNTS,
-)
+SCENE = calibration_format("scene", _is_scene, _read, _write)

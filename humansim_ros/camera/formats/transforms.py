@@ -21,7 +21,6 @@ from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
-    CalibrationFormat,
     Key,
     Keys,
     RawCamera,
@@ -34,6 +33,7 @@ from humansim_ros.camera.formats.base import (
     reader_of,
     without_suffix,
 )
+from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array, ImageSize
@@ -197,17 +197,7 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return json_file({**fisheye, "frames": frames})
 
 
-TRANSFORMS = CalibrationFormat(
-    "transforms",
-    "transforms.json of NeRF, Instant-NGP",
-    ".json",
-    "json",
-    _is_transforms,
-    _read,
-    _write,
-    holds_skew=False,
-    lenses={"plumb_bob": 5, "equidistant": 4},
-)
+TRANSFORMS = calibration_format("transforms", _is_transforms, _read, _write)
 
 
 # -- Blender: cameras as scripts write them, with the names of bpy
@@ -306,12 +296,4 @@ def _write_blender(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {**json_file({"cameras": content})}
 
 
-BLENDER = CalibrationFormat(
-    "blender",
-    "Blender camera JSON",
-    ".json",
-    "json",
-    *reader_of(_blender_cameras, _blender_camera),
-    _write_blender,
-    holds_skew=False,
-)
+BLENDER = calibration_format("blender", *reader_of(_blender_cameras, _blender_camera), _write_blender)

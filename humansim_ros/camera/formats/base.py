@@ -15,6 +15,7 @@ from functools import cached_property
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
 import yaml
@@ -32,6 +33,10 @@ Key = str | int
 LARGEST = 1e15
 #: Longest line in characters: a line of COLMAP may hold a hundred thousand points of an image.
 _LONGEST_LINE = 4 << 20
+#: From the camera axes of OpenGL (x right, y up, z backward) to those of OpenCV, as a transform.
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+#: The same as a rotation.
+FLIP = OPENGL[:3, :3]
 #: Largest difference from 1 of the length of a quaternion that is a rotation.
 _LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
@@ -342,6 +347,33 @@ def json_file(content: Any) -> dict[str, str]:
     return {"": json.dumps(content, indent=1) + "\n"}
 
 
+def xml_file(content: Mapping[str, Any]) -> dict[str, str]:
+    """Texts by file name of a format whose only file is XML, as its readers see it: attributes, and lists of
+    elements by their tag.
+    """
+
+    def element(tag: str, content: Mapping[str, Any]) -> Element:
+        below = {k: v for k, v in content.items() if isinstance(v, list) and isinstance(v[0], dict)}
+        texts = {key: text_of(value) for key, value in content.items() if key not in below}
+        one = Element(tag)
+        one.text = texts.pop("text", None)
+        one.attrib.update(texts)
+        one.extend(element(key, item) for key, items in below.items() for item in items)
+        return one
+
+    ((tag, inside),) = content.items()
+    root = element(tag, inside)
+    indent(root)
+    return {"": f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, "unicode")}\n'}
+
+
+def text_of(value: Any) -> str:
+    """Text of a number, of a list of numbers with blanks between them, or a text itself."""
+    if isinstance(value, list):
+        return " ".join(map(text_of, value))
+    return number(value) if isinstance(value, float) else str(value)
+
+
 def without_suffix(name: str) -> str:
     """Name of a camera from the name of its image."""
     for suffix in _IMAGE_SUFFIXES:
@@ -350,18 +382,20 @@ def without_suffix(name: str) -> str:
     return name
 
 
-def check_words(names: Iterable[str]) -> None:
-    """Raise CameraError unless names can be written in columns separated by blanks."""
+def check_names(names: Iterable[str], words: bool = False) -> None:
+    """Raise CameraError unless names are printable, or, for columns between blanks, are words."""
     for name in names:
-        if not name or not name.isprintable() or any(c.isspace() for c in name) or name[0] in "#;%/":
+        if words and (not name.isprintable() or name.split() != [name] or name[0] in "#;%/"):
             message = "this format needs a name without blanks that does not begin with # ; % or /"
             raise CameraError(message, key=name)
+        if not name.isprintable() or name != name.strip() or not name:
+            raise CameraError("this format needs a name without control characters", key=name)
 
 
 def image_names(cameras: Iterable[str]) -> dict[str, str]:
     """Image names of cameras, for formats that name cameras by their images."""
     names = list(cameras)
-    check_words(names)
+    check_names(names, words=True)
     return {name: f"{name}.png" for name in names}
 
 

@@ -16,12 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from humansim_ros.camera.formats.base import CalibrationFile, RawCamera, SourceLocation
+from humansim_ros.camera.formats.base import FLIP, CalibrationFile, RawCamera, SourceLocation
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array
 
-#: Rotation from the camera axes of OpenGL to the axes of OpenCV.
-_FLIP = np.diag([1.0, -1.0, -1.0])
 #: Largest miss of a rig whose cameras look at a common place, as a fraction of their distance from it.
 _SURE = 0.35
 #: Smallest difference of evidence of a sure reading, in all and by the common point alone.
@@ -71,7 +69,7 @@ _READINGS = (
     _Reading("camera_to_world", "from the camera to the world (X = R x + t)", lambda r, t: (r.T, t)),
     _Reading("camera_center", _CENTER, lambda r, t: (r, t), 3.0),
     _Reading("transposed", "transposed (x = R^T X + t), as in MATLAB", lambda r, t: (r.T, -r @ t), 3.0),
-    _Reading("opengl", _OPENGL, lambda r, t: (_FLIP @ r.T, t)),
+    _Reading("opengl", _OPENGL, lambda r, t: (FLIP @ r.T, t)),
 )
 _STATED = {reading.name: index for index, reading in enumerate(_READINGS)}
 _STATED |= {"w2c": 0, "opencv": 0, "c2w": 1, "matlab": 3}

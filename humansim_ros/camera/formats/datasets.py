@@ -39,7 +39,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.conventions import FilePose, resolved
 from humansim_ros.camera.formats.spellings import role_of
-from humansim_ros.camera.formats.table import calibration_format
+from humansim_ros.camera.formats.table import Values, calibration_format
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
@@ -191,23 +191,6 @@ def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
     return {**cameras, **resolved(file, cameras, poses)}
 
 
-def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    data = {}
-    for name, camera in cameras.items():
-        k1, k2, p1, p2, k3 = camera.distortion[:5]
-        data[name] = {
-            "R": nested(camera.R),
-            "T": nested(camera.center[:, None]),
-            "fx": camera.K[0, 0],
-            "fy": camera.K[1, 1],
-            "cx": camera.K[0, 2],
-            "cy": camera.K[1, 2],
-            "k": nested(np.array([[k1], [k2], [k3]])),
-            "p": nested(np.array([[p1], [p2]])),
-        }
-    return json_file(data)
-
-
 # -- CMU Panoptic: x = R X + t in centimetres, y down
 
 
@@ -239,35 +222,18 @@ def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def _write_panoptic(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    written = [
-        {
-            "name": name,
-            "type": "hd" if camera.size == (1920, 1080) else "vga",
-            "resolution": list(camera.size),
-            **_panel_and_node(name, index),
-            "K": nested(camera.K),
-            "distCoef": nested(camera.distortion[:5]),
-            "R": nested(camera.R),
-            "t": nested(camera.t[:, None]),
-        }
-        for index, (name, camera) in enumerate(cameras.items())
-    ]
-    return json_file({"cameras": written})
-
-
-def _panel_and_node(name: str, index: int) -> dict[str, int]:
-    """Panel and node of the studio: the parts of a name."""
-    matched = _PANEL_AND_NODE.fullmatch(name)
-    panel, node = (int(matched[1]), int(matched[2])) if matched else (0, index)
-    return {"panel": panel, "node": node}
+def _panoptic_values(own: Values, camera: Camera) -> Values:
+    """Kind of a camera, and its panel and node in the studio: the parts of its name."""
+    matched = _PANEL_AND_NODE.fullmatch(own["name"])
+    panel, node = (int(matched[1]), int(matched[2])) if matched else (0, own["index"])
+    return {"type": "hd" if camera.size == (1920, 1080) else "vga", "panel": panel, "node": node}
 
 
 H36M = calibration_format("human36m", _is_h36m, _read_h36m, _write_h36m)
 SHELF = calibration_format(
-    "shelf", _is_shelf, _read_shelf, _write_shelf, find_unit=lambda file, _: stated_unit(file) or 0.001
+    "shelf", _is_shelf, _read_shelf, find_unit=lambda file, _: stated_unit(file) or 0.001
 )
-PANOPTIC = calibration_format("panoptic", _is_panoptic, _read_panoptic, _write_panoptic)
+PANOPTIC = calibration_format("panoptic", _is_panoptic, _read_panoptic, values=_panoptic_values)
 
 
 _PARTS = {"matrix", "rotation", "translation", "distortions"}
@@ -382,20 +348,4 @@ def _pose(file: CalibrationFile, at: Keys) -> tuple[Array | None, Array, tuple[s
     return rotation_of(file, *at, "R"), file.numbers((3,), *at, t_key), ("R", t_key)
 
 
-def _write_association(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    return json_file(
-        {
-            name: {
-                "K": nested(camera.K.ravel()),
-                "RT": nested(np.column_stack([camera.R, camera.t]).ravel()),
-                "distCoeff": nested(camera.distortion),
-                "imgSize": list(camera.size),
-            }
-            for name, camera in cameras.items()
-        }
-    )
-
-
-ASSOCIATION = calibration_format(
-    "4dassociation", *reader_of(_cameras_association, _camera_association), _write_association
-)
+ASSOCIATION = calibration_format("4dassociation", *reader_of(_cameras_association, _camera_association))

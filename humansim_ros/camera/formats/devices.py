@@ -33,14 +33,13 @@ from humansim_ros.camera.formats.base import (
     check_count,
     find_cameras,
     has_keys,
-    json_file,
     nested,
     number,
     reader_of,
 )
 from humansim_ros.camera.formats.spellings import POSE, find_parameters, plain, role_of
 from humansim_ros.camera.formats.syntax import TOML_HEAD, ZED_SECTION
-from humansim_ros.camera.formats.table import calibration_format
+from humansim_ros.camera.formats.table import Values, calibration_format
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array, ImageSize
 
@@ -272,35 +271,18 @@ def _k4a_camera(file: CalibrationFile, at: Keys, size: ImageSize, scale: Array, 
     )
 
 
-def _write_k4a(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    written = []
-    if not set(cameras) <= {"depth", "color"}:
-        raise CameraError(
-            "this format has cameras of the names depth and color only", key=next(iter(cameras))
-        )
-    for name, camera in cameras.items():
-        width, height = camera.size
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*camera.distortion, 0.0, 0.0, 0.0)[:8]
-        k = camera.K
-        point = ((k[0, 2] + 0.5) / width, (k[1, 2] + 0.5) / height)
-        values = (*point, k[0, 0] / width, k[1, 1] / height, k1, k2, k3, k4, k5, k6, 0.0, 0.0, p2, p1)
-        written.append(
-            {
-                "Intrinsics": {
-                    "ModelParameterCount": 14,
-                    "ModelParameters": nested(values),
-                    "ModelType": _BROWN,
-                },
-                "Purpose": _COLOR if name == "color" else "CALIBRATION_CameraPurposeDepth",
-                "Rt": {"Rotation": nested(camera.R.ravel()), "Translation": nested(camera.t)},
-                "SensorWidth": width,
-                "SensorHeight": height,
-            }
-        )
-    return {**json_file({"CalibrationInformation": {"Cameras": written}})}
+def _k4a_values(own: Values, camera: Camera) -> Values:
+    if own["name"] not in ("depth", "color"):
+        raise CameraError("this format has cameras of the names depth and color only", key=own["name"])
+    width, height = camera.size
+    point = own["cx_corner"] / width, own["cy_corner"] / height
+    lens = (own.get(key, 0.0) for key in ("k1", "k2", "k3", "k4", "k5", "k6"))
+    values = (*point, own["fx"] / width, own["fy"] / height, *lens, 0.0, 0.0, own["p2"], own["p1"])
+    purpose = _COLOR if own["name"] == "color" else "CALIBRATION_CameraPurposeDepth"
+    return {"parameters": nested(values), "purpose": purpose}
 
 
-K4A = calibration_format("k4a", _is_k4a, _read_k4a, _write_k4a)
+K4A = calibration_format("k4a", _is_k4a, _read_k4a, values=_k4a_values)
 
 
 # -- RealSense and Open3D
@@ -369,24 +351,6 @@ def _model(file: CalibrationFile, at: Keys, coefficients: str, distortion: Array
     return model
 
 
-def _write_realsense(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    content = {}
-    for name, camera in cameras.items():
-        k = camera.K
-        bent = camera.distorted
-        content[name] = {
-            "width": camera.size[0],
-            "height": camera.size[1],
-            "fx": k[0, 0],
-            "fy": k[1, 1],
-            "ppx": k[0, 2],
-            "ppy": k[1, 2],
-            "model": _WRITTEN[str(camera.model)] if bent else "none",
-            "coeffs": [*nested(camera.distortion), 0.0][:5] if bent else [0.0] * 5,
-        }
-    return json_file(content)
-
-
 # -- Open3D
 
 
@@ -426,25 +390,6 @@ def _open3d_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     )
 
 
-def _write_open3d(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    version = {"version_major": 1, "version_minor": 0}
-    parameters = [
-        {
-            "class_name": "PinholeCameraParameters",
-            "name": name,
-            "intrinsic": {
-                "width": camera.size[0],
-                "height": camera.size[1],
-                "intrinsic_matrix": nested(camera.K.T.ravel()),
-            },
-            "extrinsic": nested(camera.optical_from_world.T.ravel()),
-            **version,
-        }
-        for name, camera in cameras.items()
-    ]
-    return json_file({"class_name": "PinholeCameraTrajectory", "parameters": parameters, **version})
-
-
 #: Keys of rs2_extrinsics between the streams of one device.
 _EXTRINSICS = ("extrinsics", "depth_to_color", "depth_to_color_extrinsics", "extrinsics_depth_to_color")
 _matches_realsense, _read_streams = reader_of(_realsense_cameras, _realsense_camera)
@@ -468,5 +413,11 @@ def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras | {depth[0]: replace(cameras[depth[0]], R=np.eye(3)), color[0]: posed}
 
 
-REALSENSE = calibration_format("realsense", _matches_realsense, _read_realsense, _write_realsense)
-OPEN3D = calibration_format("open3d", *reader_of(_open3d_cameras, _open3d_camera), _write_open3d)
+def _realsense_values(own: Values, camera: Camera) -> Values:
+    if not camera.distorted:
+        return {"lens": "none", "coeffs": [0.0] * 5}
+    return {"lens": _WRITTEN[str(camera.model)], "coeffs": [*nested(camera.distortion), 0.0][:5]}
+
+
+REALSENSE = calibration_format("realsense", _matches_realsense, _read_realsense, values=_realsense_values)
+OPEN3D = calibration_format("open3d", *reader_of(_open3d_cameras, _open3d_camera))

@@ -30,9 +30,7 @@ from humansim_ros.camera.formats.base import (
     check_count,
     find_model,
     find_unit,
-    json_file,
     model_of,
-    nested,
     opencv_model,
     rotation_of,
     without_suffix,
@@ -486,22 +484,6 @@ def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float
 # -- writing
 
 
-def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    content = {
-        name: {
-            "width": camera.size[0],
-            "height": camera.size[1],
-            "K": nested(camera.K),
-            "distortion_model": str(camera.model),
-            "dist": nested(camera.distortion),
-            "R": nested(camera.R),
-            "t": nested(camera.t),
-        }
-        for name, camera in cameras.items()
-    }
-    return {**json_file({"convention": "world_to_camera", "unit": "m", "cameras": content})}
-
-
 def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     models = {str(camera.model) for camera in cameras.values()}
     if len(models) > 1:
@@ -523,5 +505,5 @@ def _write_npz(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     return {"": npz_bytes(arrays)}
 
 
-MATRICES = calibration_format("matrices", is_matrices, read_matrices, _write_json, find_unit=_find_unit)
+MATRICES = calibration_format("matrices", is_matrices, read_matrices, find_unit=_find_unit)
 MATRICES_NPZ = calibration_format("npz", is_matrices, read_matrices, _write_npz, find_unit=_find_unit)

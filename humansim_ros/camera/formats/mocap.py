@@ -24,39 +24,32 @@ import csv
 from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.formats.base import (
+    FLIP,
     MAX_CAMERAS,
     CalibrationFile,
     Keys,
     RawCamera,
     SourceLocation,
+    check_names,
     fitted_lens,
-    number,
     row,
 )
 from humansim_ros.camera.formats.spellings import SCALARS, role_of
-from humansim_ros.camera.formats.table import calibration_format
+from humansim_ros.camera.formats.table import Values, calibration_format
 from humansim_ros.errors import CameraError, some_of, warn_about
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
-
-_FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 def _whole(file: CalibrationFile, values: Array, *keys: str | int) -> ImageSize:
     if any(value != int(value) or value <= 0 for value in values):
         raise file.error("needs width and height, whole numbers above zero", *keys)
     return int(values[0]), int(values[1])
-
-
-def _check_name(name: str) -> None:
-    if not name.isprintable() or name != name.strip() or not name:
-        raise CameraError("this format needs a name without control characters", key=name)
 
 
 # -- Vicon
@@ -134,32 +127,7 @@ def _vicon_lens(
     return lens.model, lens.coefficients
 
 
-def _write_vicon(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<Cameras VERSION="1.0">']
-    for index, (name, camera) in enumerate(cameras.items()):
-        _check_name(name)
-        k = camera.K
-        point = row(k[:2, 2])
-        frame = {
-            "FRAME": "0",
-            "FOCAL_LENGTH": number(k[0, 0]),
-            "PRINCIPAL_POINT": point,
-            "ORIENTATION": row(matrix_to_quaternion(camera.R)),
-            "POSITION": row(camera.center),
-            "VICON_RADIAL2": f"Vicon3Parameter {point} 0 0 0",
-        }
-        size = f'SENSOR_SIZE="{camera.size[0]} {camera.size[1]}"'
-        ratio = f'PIXEL_ASPECT_RATIO="{number(k[0, 0] / k[1, 1])}"'
-        words = " ".join(f'{key}="{value}"' for key, value in frame.items())
-        lines += [
-            f'  <Camera DEVICEID={quoteattr(name)} USERID="{index + 1}" {size} {ratio}>',
-            f"    <KeyFrames><KeyFrame {words}/></KeyFrames>",
-            "  </Camera>",
-        ]
-    return {"": "\n".join([*lines, "</Cameras>"]) + "\n"}
-
-
-VICON = calibration_format("vicon", _is_vicon, _read_vicon, _write_vicon)
+VICON = calibration_format("vicon", _is_vicon, _read_vicon)
 
 
 # -- OptiTrack Motive
@@ -193,7 +161,7 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
         rotation, center = None, None
         if file.get(*outer) is not None:
             axes = np.reshape([file.number(*outer, key) for key in _ORIENT], (3, 3))
-            rotation = _FLIP @ axes.T
+            rotation = FLIP @ axes.T
             center = np.array([file.number(*outer, key) for key in "XYZ"])
         camera_ = RawCamera(
             pinhole(fx, fy, cx, cy),
@@ -213,41 +181,7 @@ def _read_motive(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def _write_motive(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    lines = ['<?xml version="1.0"?>', '<calibrationProfile version="1">', "<Calibration>"]
-    lines.append(f'<Cameras Count="{len(cameras)}">')
-    for index, (name, camera) in enumerate(cameras.items()):
-        _check_name(name)
-        k = camera.K
-        lens = {
-            "LensCenterX": k[0, 2],
-            "LensCenterY": k[1, 2],
-            "HorizontalFocalLength": k[0, 0],
-            "VerticalFocalLength": k[1, 1],
-            **dict(zip(_LENS, camera.distortion, strict=False)),
-        }
-        axes = (_FLIP @ camera.R).T
-        pose = {
-            **dict(zip("XYZ", camera.center, strict=True)),
-            **dict(zip(_ORIENT, axes.ravel(), strict=True)),
-        }
-        size = f'ImagerPixelWidth="{camera.size[0]}" ImagerPixelHeight="{camera.size[1]}"'
-        lines += [
-            f"  <Camera Serial={quoteattr(name)}>",
-            f'    <Properties CameraID="{index + 1}"/><Attributes {size}/>',
-            f"    <IntrinsicStandardCameraModel {_attributes(lens)}/>",
-            f"    <Extrinsic {_attributes(pose)}/>",
-            "  </Camera>",
-        ]
-    return {"": "\n".join([*lines, "</Cameras>", "</Calibration>", "</calibrationProfile>"]) + "\n"}
-
-
-def _attributes(values: Mapping[str, float]) -> str:
-    texts = {key: str(value) if isinstance(value, int) else number(value) for key, value in values.items()}
-    return " ".join(f'{key}="{text}"' for key, text in texts.items())
-
-
-MOTIVE = calibration_format("motive", _is_motive, _read_motive, _write_motive)
+MOTIVE = calibration_format("motive", _is_motive, _read_motive)
 
 
 # -- Theia3D
@@ -291,10 +225,6 @@ def _read_k(file: CalibrationFile, inner: Keys) -> Array:
     return k
 
 
-def _attributes_of_k(k: Array) -> dict[str, float]:
-    return dict(zip(_K, (k[0, 0], k[1, 1], k[0, 2], k[1, 2], k[0, 1]), strict=True))
-
-
 def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for at in _theia_cameras(file):
@@ -320,29 +250,7 @@ def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
     return cameras
 
 
-def _write_theia(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    lines = ['<?xml version="1.0"?>', "<calibration>", "  <cameras>"]
-    for name, camera in cameras.items():
-        _check_name(name)
-        pose = {**dict(zip("xyz", camera.t, strict=True)), **dict(zip(_R, camera.R.ravel(), strict=True))}
-        lens = {
-            "sensorMinU": 0.0,
-            "sensorMaxU": camera.size[0],
-            "sensorMinV": 0.0,
-            "sensorMaxV": camera.size[1],
-            **_attributes_of_k(camera.K),
-            **dict(zip((names[0] for names in _THEIA_LENS), camera.distortion, strict=False)),
-        }
-        lines += [
-            f'    <camera active="1" serial={quoteattr(name)} viewrotation="0">',
-            f"      <transform {_attributes(pose)}/>",
-            f"      <intrinsic {_attributes(lens)}/>",
-            "    </camera>",
-        ]
-    return {"": "\n".join([*lines, "  </cameras>", "</calibration>"]) + "\n"}
-
-
-THEIA = calibration_format("theia", _is_theia, _read_theia, _write_theia)
+THEIA = calibration_format("theia", _is_theia, _read_theia)
 
 
 # -- Qualisys
@@ -380,7 +288,7 @@ def _qualisys_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     k[:2, 2] -= corner
     rotation, center = None, np.zeros(3)
     if file.get(*outer) is not None:
-        rotation = _FLIP @ np.reshape([file.number(*outer, key) for key in _R], (3, 3))
+        rotation = FLIP @ np.reshape([file.number(*outer, key) for key in _R], (3, 3))
         center = np.array([file.number(*outer, key) for key in "xyz"])
     return RawCamera(
         k,
@@ -407,24 +315,13 @@ def _window(file: CalibrationFile, at: Keys) -> tuple[Array, ImageSize | None]:
     return np.zeros(2), None
 
 
-def _write_qualisys(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<calibration type="regular">', "  <cameras>"]
-    for name, camera in cameras.items():
-        _check_name(name)
-        width, height = camera.size
-        window = {"left": 0, "top": 0, "right": width - 1, "bottom": height - 1}
-        pose = dict(zip(_R, (_FLIP @ camera.R).ravel(), strict=True))
-        lens = dict(zip(_QTM_LENS, camera.distortion, strict=False))
-        intrinsic = _attributes_of_k(camera.K * _SUBPIXELS) | lens
-        lines.append(f'    <camera active="1" serial={quoteattr(name)} model="none" viewrotation="0">')
-        lines.append(f"      <fov_video {_attributes(window)}/>")
-        center = dict(zip("xyz", camera.center, strict=True))
-        lines.append(f"      <transform {_attributes(center | pose)}/>")
-        lines += [f"      <intrinsic {_attributes(intrinsic)}/>", "    </camera>"]
-    return {"": "\n".join([*lines, "  </cameras>", "</calibration>"]) + "\n"}
+def _qualisys_values(own: Values, camera: Camera) -> Values:
+    places = {"fu": "fx", "fv": "fy", "cu": "cx", "cv": "cy", "shear": "skew"}
+    lens = {key: own[value] * _SUBPIXELS for key, value in places.items()}
+    return {**lens, "right": own["width"] - 1, "bottom": own["height"] - 1}
 
 
-QUALISYS = calibration_format("qualisys", _is_qualisys, _read_qualisys, _write_qualisys)
+QUALISYS = calibration_format("qualisys", _is_qualisys, _read_qualisys, values=_qualisys_values)
 
 
 # -- DLT
@@ -552,7 +449,7 @@ def _read_ego(file: CalibrationFile) -> dict[str, RawCamera]:
 def _write_ego(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     lines = [",".join(_EGO)]
     for name, camera in cameras.items():
-        _check_name(name)
+        check_names([name])
         if camera.model != "equidistant":
             raise CameraError("this format has only the equidistant lens", key=name)
         if set(name) & set(',"'):

@@ -16,7 +16,6 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
+    FLIP,
     MAX_CAMERAS,
     CalibrationFile,
     Keys,
@@ -31,20 +31,15 @@ from humansim_ros.camera.formats.base import (
     SourceLocation,
     fitted_lens,
     image_names,
-    json_file,
-    nested,
     number,
     row,
     without_suffix,
 )
-from humansim_ros.camera.formats.table import calibration_format
-from humansim_ros.camera.lens import Lens
+from humansim_ros.camera.formats.table import Values, calibration_format
+from humansim_ros.camera.lens import MODELS, Lens
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import read_text
 from humansim_ros.types import Array, ImageSize
-
-_FLIP = np.diag([1.0, -1.0, -1.0])
-
 
 # -- Metashape
 
@@ -267,47 +262,17 @@ def _reference_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array] | No
         return None
     center = np.array([file.number(*at, key) for key in "xyz"])
     yaw, pitch, roll = (file.number(*at, key) for key in ("yaw", "pitch", "roll"))
-    pose = Rotation.from_euler("ZXY", [-yaw, pitch, roll], degrees=True).as_matrix() @ _FLIP
+    pose = Rotation.from_euler("ZXY", [-yaw, pitch, roll], degrees=True).as_matrix() @ FLIP
     return pose.T, center
 
 
-def _write_metashape(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    sensors, views = [], []
-    for index, (name, camera) in enumerate(cameras.items()):
-        width, height = camera.size
-        k, d = camera.K, camera.distortion
-        fisheye = camera.model == "equidistant"
-        names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p2", "p1", "k3")
-        kind = "fisheye" if fisheye else "frame"
-        values = {
-            "f": k[1, 1],
-            "cx": k[0, 2] + 0.5 - width / 2,
-            "cy": k[1, 2] + 0.5 - height / 2,
-            "b1": k[0, 0] - k[1, 1],
-            "b2": k[0, 1],
-            **dict(zip(names, d, strict=False)),
-        }
-        resolution = f'<resolution width="{width}" height="{height}"/>'
-        lens = "".join(f"<{key}>{number(value)}</{key}>" for key, value in values.items())
-        sensors += [
-            f'      <sensor id="{index}" label={quoteattr(name)} type="{kind}">{resolution}',
-            f'        <calibration type="{kind}" class="adjusted">{resolution}{lens}</calibration></sensor>',
-        ]
-        pose = row(camera.world_from_optical.ravel())
-        views += [
-            f'      <camera id="{index}" sensor_id="{index}" label={quoteattr(name)}>',
-            f"        <transform>{pose}</transform></camera>",
-        ]
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        '<document version="2.0.0">',
-        '  <chunk label="Chunk 1">',
-    ]
-    lines += ["    <sensors>", *sensors, "    </sensors>", "    <cameras>", *views, "    </cameras>"]
-    return {"": "\n".join([*lines, "  </chunk>", "</document>"]) + "\n"}
+def _metashape_values(own: Values, camera: Camera) -> Values:
+    middle = camera.K[:2, 2] + 0.5 - np.array(camera.size) / 2
+    kind = "fisheye" if camera.model == "equidistant" else "frame"
+    return {"cx_middle": middle[0], "cy_middle": middle[1], "b1": own["fx"] - own["fy"], "kind": kind}
 
 
-METASHAPE = calibration_format("metashape", _is_metashape, _read_metashape, _write_metashape)
+METASHAPE = calibration_format("metashape", _is_metashape, _read_metashape, values=_metashape_values)
 
 
 # -- OpenMVG
@@ -319,7 +284,6 @@ _OPENMVG = {
     "disto_t2": (("k1", "k2", "k3", "p1", "p2"), "plumb_bob"),
     "fisheye": (("k1", "k2", "k3", "k4"), "equidistant"),
 }
-_ORDER = {"plumb_bob": ("k1", "k2", "p1", "p2", "k3"), "equidistant": ("k1", "k2", "k3", "k4")}
 
 
 def _is_openmvg(file: CalibrationFile) -> bool:
@@ -388,7 +352,7 @@ def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     for key, (names, kind) in _OPENMVG.items():
         if data.get(key) is not None:
             values = dict(zip(names, file.numbers((len(names),), *at, key), strict=True))
-            distortion, model = tuple(values.get(name, 0.0) for name in _ORDER[kind]), kind
+            distortion, model = tuple(values.get(name, 0.0) for name in MODELS[kind]), kind
     return RawCamera(
         pinhole(focal, focal, cx, cy),
         size=size,
@@ -398,41 +362,18 @@ def _openmvg_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     )
 
 
-def _write_openmvg(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    images = image_names(cameras)
-    views, lenses, poses = [], [], []
-    for index, (name, camera) in enumerate(cameras.items()):
-        _square(name, camera)
-        width, height = camera.size
-        fisheye = camera.model == "equidistant"
-        key = "fisheye" if fisheye else "disto_t2"
-        values = dict(zip(_ORDER[str(camera.model)], camera.distortion, strict=True))
-        base = {
-            "width": width,
-            "height": height,
-            "focal_length": camera.K[0, 0],
-            "principal_point": nested(camera.K[:2, 2]),
-        }
-        lens = {**base, key: [values[k] for k in _OPENMVG[key][0]]}
-        kind = "fisheye" if fisheye else "pinhole_brown_t2"
-        ids = {"id_view": index, "id_intrinsic": index, "id_pose": index}
-        view = {"local_path": "", "filename": images[name], "width": width, "height": height, **ids}
-        views.append(
-            {"key": index, "value": {"polymorphic_id": 1 << 30, "ptr_wrapper": {"id": index, "data": view}}}
-        )
-        wrapped = {"polymorphic_name": kind, "ptr_wrapper": {"id": index, "data": lens}}
-        lenses.append({"key": index, "value": wrapped})
-        poses.append({"key": index, "value": {"rotation": nested(camera.R), "center": nested(camera.center)}})
-    content = {"sfm_data_version": "0.3", "root_path": "", "views": views, "intrinsics": lenses}
-    return {**json_file({**content, "extrinsics": poses, "structure": [], "control_points": []})}
-
-
-def _square(name: str, camera: Camera) -> None:
+def _check_square(name: str, camera: Camera) -> None:
     if abs(camera.K[0, 0] / camera.K[1, 1] - 1) > 1e-9:
         raise CameraError("this format needs square pixels: idealize the camera with --square", key=name)
 
 
-OPENMVG = calibration_format("openmvg", _is_openmvg, _read_openmvg, _write_openmvg)
+def _openmvg_values(own: Values, camera: Camera) -> Values:
+    _check_square(own["name"], camera)
+    lens, key = ("fisheye", "fisheye") if camera.model == "equidistant" else ("pinhole_brown_t2", "disto_t2")
+    return {"lens": lens, key: [own[name] for name in _OPENMVG[key][0]]}
+
+
+OPENMVG = calibration_format("openmvg", _is_openmvg, _read_openmvg, values=_openmvg_values)
 
 
 # -- Meshroom
@@ -512,7 +453,7 @@ def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     distortion: tuple[float, ...] = ()
     if model is not None and len(values):
         given = dict(zip(names, file.numbers((len(names),), *at, key), strict=True))
-        distortion = tuple(given.get(name, 0.0) for name in _ORDER[model])
+        distortion = tuple(given.get(name, 0.0) for name in MODELS[model])
     return RawCamera(
         pinhole(fx, fy, point[0], point[1]),
         size=(width, height),
@@ -522,39 +463,19 @@ def _meshroom_lens(file: CalibrationFile, at: Keys) -> RawCamera:
     )
 
 
-def _write_meshroom(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    images = image_names(cameras)
-    views, lenses, poses = [], [], []
-    for index, (name, camera) in enumerate(cameras.items()):
-        width, height = camera.size
-        fisheye = camera.model == "equidistant"
-        kind = "fisheye4" if fisheye else "brown"
-        values = dict(zip(_ORDER[str(camera.model)], camera.distortion, strict=True))
-        ids = {"viewId": str(index), "poseId": str(index), "intrinsicId": str(index)}
-        views.append({**ids, "path": images[name], "width": str(width), "height": str(height)})
-        lenses.append(
-            {
-                "intrinsicId": str(index),
-                "width": str(width),
-                "height": str(height),
-                "sensorWidth": "36.0",
-                "type": "pinhole",
-                "distortionType": kind,
-                "focalLength": number(camera.K[0, 0] / width * 36.0),
-                "pixelRatio": number(camera.K[1, 1] / camera.K[0, 0]),
-                "principalPoint": [number(p) for p in camera.K[:2, 2] - np.array(camera.size) / 2],
-                "distortionParams": [number(values[k]) for k in _ALICE[kind][0]],
-            }
-        )
-        transform = {
-            "rotation": [number(v) for v in camera.R.T.ravel()],
-            "center": [number(v) for v in camera.center],
-        }
-        poses.append({"poseId": str(index), "pose": {"transform": transform, "locked": "0"}})
-    return {**json_file({"version": ["1", "2", "6"], "views": views, "intrinsics": lenses, "poses": poses})}
+def _meshroom_values(own: Values, camera: Camera) -> Values:
+    kind = "fisheye4" if camera.model == "equidistant" else "brown"
+    lists = {
+        "principal": camera.K[:2, 2] - np.array(camera.size) / 2,
+        "coefficients": [own[name] for name in _ALICE[kind][0]],
+        "R_columns": own["R_columns"],
+        "center": own["center"],
+    }
+    texts = {key: [number(value) for value in values] for key, values in lists.items()}
+    return {"lens": kind, "focal": own["fx"] / own["width"] * 36.0, "ratio": own["fy"] / own["fx"], **texts}
 
 
-MESHROOM = calibration_format("meshroom", _is_meshroom, _read_meshroom, _write_meshroom)
+MESHROOM = calibration_format("meshroom", _is_meshroom, _read_meshroom, values=_meshroom_values)
 
 
 # -- Bundler
@@ -587,7 +508,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
         if size is None:
             message = f"missing: image size; pixels count from the image centre, and {image[:60]} is not here"
             raise CameraError(f"{message}: give the size", path=file.path, key="size")
-        r, t = _FLIP @ np.array(values[1:4]), _FLIP @ np.array(values[4])
+        r, t = FLIP @ np.array(values[1:4]), FLIP @ np.array(values[4])
         where = SourceLocation(None, rows[0][0])
         k = pinhole(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
         camera = RawCamera(
@@ -613,7 +534,7 @@ def _write_bundler(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
     images = image_names(cameras)
     lines = ["# Bundle file v0.3", f"{len(cameras)} 0"]
     for name, camera in cameras.items():
-        _square(name, camera)
+        _check_square(name, camera)
         middle = (np.array(camera.size) - 1) / 2
         if np.abs(camera.K[:2, 2] - middle).max() > 1e-6:
             raise CameraError(
@@ -621,7 +542,7 @@ def _write_bundler(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
             )
         k1, k2 = camera.distortion[:2]
         lines.append(row((camera.K[0, 0], k1, k2)))
-        lines += [row(values) for values in (*(_FLIP @ camera.R), _FLIP @ camera.t)]
+        lines += [row(values) for values in (*(FLIP @ camera.R), FLIP @ camera.t)]
     return {"bundle.out": "\n".join(lines) + "\n", "list.txt": "\n".join(images.values()) + "\n"}
 
 

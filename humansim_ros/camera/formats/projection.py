@@ -26,7 +26,7 @@ from humansim_ros.camera.formats.base import (
     CalibrationFile,
     RawCamera,
     SourceLocation,
-    check_words,
+    check_names,
     image_names,
     row,
     without_suffix,
@@ -124,7 +124,7 @@ def _camera(file: CalibrationFile, values: list[float], line: int, size: ImageSi
 
 
 def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    check_words(cameras)
+    check_names(cameras, words=True)
     lines = []
     for name, camera in cameras.items():
         lines += [f"# {name} {camera.size[0]}x{camera.size[1]}", *(row(values) for values in camera.P)]
@@ -255,7 +255,7 @@ def _read_mvsnet(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _write_mvsnet(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    check_words(cameras)
+    check_names(cameras, words=True)
     (camera,) = cameras.values()
     lines = ["extrinsic", *(row(values) for values in camera.optical_from_world), "", "intrinsic"]
     return {"": "\n".join([*lines, *(row(values) for values in camera.K), "", "0.1 0.01"]) + "\n"}

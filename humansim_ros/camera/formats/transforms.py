@@ -11,7 +11,6 @@ resolution_x and resolution_y. https://docs.blender.org/api/current/bpy.types.Ca
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera.camera import Camera, pinhole
 from humansim_ros.camera.checks import size_of_named_image
 from humansim_ros.camera.formats.base import (
+    FLIP,
     CalibrationFile,
     Key,
     Keys,
@@ -27,13 +27,10 @@ from humansim_ros.camera.formats.base import (
     SourceLocation,
     find_cameras,
     has_keys,
-    image_names,
-    json_file,
-    nested,
     reader_of,
     without_suffix,
 )
-from humansim_ros.camera.formats.table import calibration_format
+from humansim_ros.camera.formats.table import Values, calibration_format
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array, ImageSize
@@ -48,7 +45,6 @@ _MODELS = {
     **dict.fromkeys(("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL"), "plumb_bob"),
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "equidistant"),
 }
-_FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 def _is_transforms(file: CalibrationFile) -> bool:
@@ -92,7 +88,7 @@ def _camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCam
     at = file.location(*keys)
     return RawCamera(
         k,
-        _FLIP @ pose[:3, :3].T,
+        FLIP @ pose[:3, :3].T,
         center=pose[:3, 3],
         size=size,
         distortion=distortion,
@@ -169,35 +165,11 @@ def _lens(file: CalibrationFile, index: int) -> tuple[str, tuple[float, ...]]:
     return model, tuple(values[key] for key in MODELS[model])
 
 
-def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    images = image_names(cameras)
-    frames = []
-    for name, camera in cameras.items():
-        pose = camera.world_from_optical.copy()
-        pose[:3, :3] = pose[:3, :3] @ _FLIP
-        model = str(camera.model)
-        k = camera.K
-        frames.append(
-            {
-                "file_path": f"{_FOLDER}{images[name]}",
-                "w": camera.size[0],
-                "h": camera.size[1],
-                "fl_x": k[0, 0],
-                "fl_y": k[1, 1],
-                "cx": k[0, 2] + 0.5,
-                "cy": k[1, 2] + 0.5,
-                "camera_model": "OPENCV_FISHEYE" if model == "equidistant" else "OPENCV",
-                **{key: camera.distortion[i] for i, key in enumerate(MODELS[model])},
-                "transform_matrix": nested(pose),
-            }
-        )
-    fisheye = (
-        {"is_fisheye": True} if all(camera.model == "equidistant" for camera in cameras.values()) else {}
-    )
-    return json_file({**fisheye, "frames": frames})
+def _values(own: Values, camera: Camera) -> Values:
+    return {"lens": "OPENCV_FISHEYE" if camera.model == "equidistant" else "OPENCV"}
 
 
-TRANSFORMS = calibration_format("transforms", _is_transforms, _read, _write)
+TRANSFORMS = calibration_format("transforms", _is_transforms, _read, values=_values)
 
 
 # -- Blender: cameras as scripts write them, with the names of bpy
@@ -252,7 +224,7 @@ def _blender_camera(file: CalibrationFile, at: Keys) -> RawCamera:
     part = "matrix_world" if file.get(*at, "matrix_world") is not None else "location"
     return RawCamera(
         pinhole(focal, focal / aspect, cx, cy),
-        _FLIP @ rotation.T,
+        FLIP @ rotation.T,
         center=center,
         size=(width, height),
         locations=file.locations(at, K=key, R=part, t=part),
@@ -275,25 +247,13 @@ def _blender_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array]:
     return np.asarray(Rotation.from_euler("xyz", angles).as_matrix()), center
 
 
-def _write_blender(cameras: Mapping[str, Camera]) -> dict[str, str | bytes]:
-    content = {}
-    for name, camera in cameras.items():
-        pose = camera.world_from_optical.copy()
-        pose[:3, :3] = pose[:3, :3] @ _FLIP
-        (width, height), k = camera.size, camera.K
-        content[name] = {
-            "matrix_world": nested(pose),
-            "lens": k[0, 0] / width * 36.0,
-            "sensor_width": 36.0,
-            "sensor_fit": "HORIZONTAL",
-            "shift_x": (width / 2 - k[0, 2] - 0.5) / width,
-            "shift_y": (k[1, 2] + 0.5 - height / 2) / width * (k[0, 0] / k[1, 1]),
-            "pixel_aspect_x": 1.0,
-            "pixel_aspect_y": k[0, 0] / k[1, 1],
-            "resolution_x": width,
-            "resolution_y": height,
-        }
-    return {**json_file({"cameras": content})}
+def _blender_values(own: Values, camera: Camera) -> Values:
+    width, height = camera.size
+    return {
+        "lens": own["fx"] / width * 36.0,
+        "shift_x": (width / 2 - own["cx"] - 0.5) / width,
+        "shift_y": (own["cy"] + 0.5 - height / 2) / width * own["aspect"],
+    }
 
 
-BLENDER = calibration_format("blender", *reader_of(_blender_cameras, _blender_camera), _write_blender)
+BLENDER = calibration_format("blender", *reader_of(_blender_cameras, _blender_camera), values=_blender_values)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import ShortSection
 
 Model = Literal["structured_light", "active_stereo", "time_of_flight"]
@@ -19,44 +21,11 @@ _Angle = Annotated[float, Field(ge=-360, le=360)]
 _Row = tuple[float, float, float]
 _Distance = Annotated[float, Field(ge=0.01, le=MAX_DEPTH)]
 
+_TABLE = json.loads(resource_path("config/depth_sensors.json").read_text())
 #: Keys of each model with their defaults. No other model has them.
-MODEL_KEYS: dict[str, dict[str, float | None]] = {
-    "structured_light": {"baseline": 0.075, "disparity_step": 0.125},
-    "active_stereo": {"baseline": 0.05, "disparity_step": 0.03125, "disparity_noise": 0.08, "dark": 0.01},
-    "time_of_flight": {"sigma": 0.00115, "background": 0.02, "dark": 0.01, "ambiguity": None},
-}
-
-_AZURE: dict[str, Any] = {
-    "model": "time_of_flight",
-    "position": (-0.032, -0.002, 0.004),
-    "rotation_deg": (-6.0, 0.0, 0.0),
-}
-_REALSENSE: dict[str, Any] = {"model": "active_stereo", "size": (848, 480), "fov_deg": 87.0}
+MODEL_KEYS: dict[str, dict[str, float | None]] = _TABLE["models"]
 #: Keys of sensors by name; docs/depth_cameras.md names their sources.
-PRESETS: dict[str, dict[str, Any]] = {
-    "kinect_v1": {
-        "model": "structured_light",
-        "size": (640, 480),
-        "fov_deg": 58.1,
-        "position": (-0.025, 0.0, 0.0),
-        "range": (0.8, 4.0),
-    },
-    "kinect_v2": {
-        "model": "time_of_flight",
-        "size": (512, 424),
-        "fov_deg": 70.6,
-        "position": (-0.052, 0.0, 0.0),
-        "range": (0.5, 4.5),
-        "sigma": 0.0015,
-        "background": 0.05,
-        "dark": 0.005,
-        "ambiguity": 18.75,
-    },
-    "azure_kinect_nfov": {**_AZURE, "size": (640, 576), "fov_deg": 75.0, "range": (0.5, 3.86)},
-    "azure_kinect_wfov": {**_AZURE, "size": (512, 512), "fov_deg": 120.0, "range": (0.25, 2.88)},
-    "realsense_d435": {**_REALSENSE, "position": (0.015, 0.0, 0.0), "range": (0.2, 10.0)},
-    "realsense_d455": {**_REALSENSE, "baseline": 0.095, "position": (-0.059, 0.0, 0.0), "range": (0.4, 20.0)},
-}
+PRESETS: dict[str, dict[str, Any]] = _TABLE["presets"]
 
 
 class DepthSensorConfig(ShortSection):

@@ -157,18 +157,9 @@ def _posed_camera(
     if model is None:
         raise CameraError(f"there is no camera {words[8][:40]} in {CAMERAS}", path=file.path, line=line)
     xyzw = np.roll(values[:4] / length, -1)
-    return RawCamera(
-        model.K,
-        quaternion_to_matrix(xyzw),
-        values[4:],
-        size=model.size,
-        distortion=model.distortion,
-        model=model.model,
-        locations={
-            **model.locations,
-            **dict.fromkeys(("R", "t"), SourceLocation(None, line, file.path)),
-        },
-    )
+    posed = dict.fromkeys(("R", "t"), SourceLocation(None, line, file.path))
+    locations = {**model.locations, **posed}
+    return replace(model, R=quaternion_to_matrix(xyzw), t=values[4:], locations=locations)
 
 
 def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:

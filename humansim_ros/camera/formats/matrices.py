@@ -26,7 +26,6 @@ from humansim_ros.camera.formats.base import (
     MAX_CAMERAS,
     CalibrationFile,
     RawCamera,
-    SourceLocation,
     check_count,
     find_model,
     find_unit,
@@ -49,6 +48,7 @@ from humansim_ros.camera.formats.spellings import (
     find_parameters,
     parts_found,
     plain,
+    size_of,
     unit_of_keys,
     words,
 )
@@ -254,25 +254,16 @@ def _short(pairs: _Pairs, identities: Mapping[str, Identity]) -> _Pairs:
 # -- intrinsics
 
 
-def _numbers(entry: Entry) -> Array:
-    return entry.file.some_numbers(*entry.keys)
-
-
 def _scalar(entries: Mapping[str, Entry], role: str) -> float | None:
     entry = entries.get(role)
     return None if entry is None else float(entry.file.numbers((), *entry.keys))
 
 
-def _where(entry: Entry) -> SourceLocation:
-    location = entry.file.location(*entry.keys)
-    return SourceLocation(location.key, location.line, entry.file.path)
-
-
 def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamera:
     """K, size and lens of a camera; with its pose, if they come from P."""
-    size = _size(entries)
+    size = size_of(entries)
     locations = {
-        part: _where(entries[role])
+        part: entries[role].location
         for part, role in (
             ("K", "K"),
             ("K", "fx"),
@@ -285,13 +276,13 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
     if "params" in entries and not {"K", "fx", "focal"} & entries.keys():
         params = entries["params"]
         name = colmap_model(entries) or ""
-        return replace(camera_of_model(name, _numbers(params).tolist(), _where(params)), size=size)
+        return replace(camera_of_model(name, params.numbers().tolist(), params.location), size=size)
     if "P" in entries and not {"K", "fx", "focal"} & entries.keys():
         camera = _from_projection(entries["P"])
     else:
         camera = RawCamera(_k(entries, size), locations=locations)
     distortion, model = _lens(file, entries, camera.K)
-    if size is not None and "size" in entries and "K" in entries and _is_transposed(_numbers(entries["K"])):
+    if size is not None and "size" in entries and "K" in entries and _is_transposed(entries["K"].numbers()):
         size = size[1], size[0]  # MATLAB's size is rows and columns
     return replace(camera, size=size, distortion=distortion, model=model)
 
@@ -299,24 +290,24 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
 def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
     if "K" in entries:
         entry = entries["K"]
-        values = _numbers(entry)
+        values = entry.numbers()
         if len(values) == 4:
             return pinhole(*values)
-        k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.file.numbers((3, 3), *entry.keys)
+        k = values.reshape(4, 4)[:3, :3] if len(values) == 16 else entry.numbers(3, 3)
         if _is_transposed(k.ravel()):
             why = (
                 "is transposed, as in MATLAB, whose pixels count from 1; here they are taken to count from 0"
             )
-            warn_about(entry.file.path, f"{_where(entry).key}: {why}")
+            warn_about(entry.file.path, f"{entry.location.key}: {why}")
             return k.T
         return k
-    focal = _numbers(entries["focal"]) if "focal" in entries else np.zeros(0)
+    focal = entries["focal"].numbers() if "focal" in entries else np.zeros(0)
     fx = _scalar(entries, "fx")
     fx = float(focal[0]) if fx is None else fx
     fy = _scalar(entries, "fy")
     fy = (float(focal[-1]) if len(focal) else fx) if fy is None else fy
     middle = (None, None) if size is None else tuple(side / 2 - _CENTRED for side in size)
-    center = _numbers(entries["principal"]) if "principal" in entries else ()
+    center = entries["principal"].numbers() if "principal" in entries else ()
     if len(center) == 2:
         cx, cy = (float(value) for value in center)
     else:
@@ -324,7 +315,7 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
         values_ = [value if value is not None else side for value, side in zip(given, middle, strict=True)]
         if values_[0] is None or values_[1] is None:
             entry = entries.get("fx") or entries["focal"]
-            raise entry.file.error("needs a principal point (cx, cy) or an image size as well", *entry.keys)
+            raise entry.error("needs a principal point (cx, cy) or an image size as well")
         cx, cy = values_[0], values_[1]
     k = pinhole(fx, fy, cx, cy)
     alpha = _scalar(entries, "alpha") or 0.0  # of cv2.fisheye; a larger one is of another lens
@@ -338,47 +329,31 @@ def _is_transposed(k: Array) -> bool:
 
 
 def _from_projection(entry: Entry) -> RawCamera:
-    values = _numbers(entry)
+    values = entry.numbers()
     if len(values) not in (12, 16):
-        raise entry.file.error(f"needs 3 x 4 or 4 x 4 numbers, not {len(values)}", *entry.keys)
-    at = _where(entry)
+        raise entry.error(f"needs 3 x 4 or 4 x 4 numbers, not {len(values)}")
     try:
         camera = Camera.from_projection_matrix(values.reshape(-1, 4)[:3], (1, 1))
     except CameraError as error:
-        raise CameraError(error.message, path=at.path, line=at.line, key=at.key) from None
-    return RawCamera(camera.K, camera.R, camera.t, locations=dict.fromkeys(("K", "R", "t"), at))
-
-
-def _size(entries: Mapping[str, Entry]) -> ImageSize | None:
-    width, height = entries.get("width"), entries.get("height")
-    if width is not None and height is not None:
-        return width.file.positive_integer(*width.keys), height.file.positive_integer(*height.keys)
-    if "size" in entries:
-        return entries["size"].file.pair_size(*entries["size"].keys)
-    if "shape" in entries:
-        entry = entries["shape"]
-        height_, width_ = _numbers(entry)[:2]
-        if any(side != int(side) or side <= 0 for side in (height_, width_)):
-            raise entry.file.error("needs height and width, whole numbers above zero", *entry.keys)
-        return int(width_), int(height_)
-    return None
+        raise entry.error(error.message) from None
+    return RawCamera(camera.K, camera.R, camera.t, locations=dict.fromkeys(("K", "R", "t"), entry.location))
 
 
 def _lens(
     file: CalibrationFile, entries: Mapping[str, Entry], k: Array
 ) -> tuple[tuple[float, ...], str | None]:
     """Coefficients and model of a camera with K (3, 3)."""
-    word = str(entries["model"].value).strip().lower() if "model" in entries else ""
-    fisheye = str(entries["fisheye"].value).strip().lower() if "fisheye" in entries else ""
+    word = entries["model"].word if "model" in entries else ""
+    fisheye = entries["fisheye"].word if "fisheye" in entries else ""
     bent = fisheye in ("true", "1", "yes") or "fisheye" in word
     if "distortion" in entries:
         entry = entries["distortion"]
-        coefficients = _numbers(entry)
+        coefficients = entry.numbers()
         keys = entry.keys
     elif "radial" in entries:
         keys = entries["radial"].keys
-        radial = [*_numbers(entries["radial"]), 0.0, 0.0, 0.0, 0.0][:6]
-        tangential = _numbers(entries["tangential"]) if "tangential" in entries else np.zeros(2)
+        radial = [*entries["radial"].numbers(), 0.0, 0.0, 0.0, 0.0][:6]
+        tangential = entries["tangential"].numbers() if "tangential" in entries else np.zeros(2)
         coefficients = np.array([*radial[:2], *tangential, *radial[2:]])
     else:
         first = [_scalar(entries, role) or 0.0 for role in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")]
@@ -427,12 +402,10 @@ def _pose(entries: Mapping[str, Entry]) -> FilePose | None:
         present = rotation or shift
         assert present is not None
         what = "rotation" if rotation is None else "translation"
-        raise present.file.error(
-            f"needs a {what} (such as {'R' if rotation is None else 't'}) as well", *present.keys
-        )
+        raise present.error(f"needs a {what} (such as {'R' if rotation is None else 't'}) as well")
     r = _rotation(rotation)
-    t = shift.file.numbers((3,), *shift.keys)
-    locations = {"R": _where(rotation), "t": _where(shift)}
+    t = shift.numbers(3)
+    locations = {"R": rotation.location, "t": shift.location}
     if "Rinverse" in entries and rotation is entries["Rinverse"]:
         return FilePose(
             r.T if shift is entries.get("center") else r,
@@ -450,29 +423,29 @@ def _pose(entries: Mapping[str, Entry]) -> FilePose | None:
 
 
 def _pose_matrix(entry: Entry, kind: str) -> FilePose:
-    rows = 4 if len(_numbers(entry)) == 16 else 3
-    values = entry.file.numbers((rows, 4), *entry.keys)
+    rows = 4 if len(entry.numbers()) == 16 else 3
+    values = entry.numbers(rows, 4)
     if rows == 4 and not values[:3, 3].any() and values[3, :3].any():
         values = values.T  # in column order
     if rows == 4 and not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
-        raise entry.file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *entry.keys)
-    at = _where(entry)
+        raise entry.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers")
+    at = entry.location
     return FilePose(values[:3, :3], values[:3, 3], kind, entry.key not in _UNCLEAR, {"R": at, "t": at})
 
 
 def _rotation(entry: Entry) -> Array:
-    values = _numbers(entry)
+    values = entry.numbers()
     if entry.key.startswith("q") or len(values) == 4:
         length = float(np.linalg.norm(values))
         if len(values) != 4 or abs(length - 1) > 1e-2:
-            raise entry.file.error("is not a quaternion of length 1", *entry.keys)
+            raise entry.error("is not a quaternion of length 1")
         order = "x, y, z, w" if entry.key.endswith(("orientation", "xyzw")) else "w, x, y, z"
         if not entry.key.endswith(("xyzw", "wxyz", "qvec")):
-            where = f"{_where(entry).key}: the order of the quaternion"
+            where = f"{entry.location.key}: the order of the quaternion"
             warn_about(entry.file.path, f"{where} is taken as {order}")
         return quaternion_to_matrix((values if order[0] == "x" else np.roll(values, -1)) / length)
     if entry.key == "rxyz" and np.linalg.norm(values) > 2 * np.pi:
-        raise entry.file.error("is no rotation vector in radians: give a matrix, not angles", *entry.keys)
+        raise entry.error("is no rotation vector in radians: give a matrix, not angles")
     return rotation_of(entry.file, *entry.keys)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from humansim_ros.camera.formats.base import (
     CalibrationFile,
     Key,
     RawCamera,
-    SourceLocation,
     find_model,
     json_file,
     nested,
@@ -32,36 +30,17 @@ from humansim_ros.camera.formats.base import (
     vector_of,
 )
 from humansim_ros.camera.formats.lens_keys import model_of_four
+from humansim_ros.camera.formats.spellings import CAMERA_KEYS, Entry, size_of
 from humansim_ros.camera.formats.syntax import Matrix, name_of_half, other_half, read_document
 from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
 #: Names of the camera parameters, without regard to case and underscores, in order of precedence.
-_NAMES = {
-    "K": ("camera_matrix", "intrinsic_matrix", "intrinsics", "intrinsic", "mtx", "K", "M"),
-    "distortion": (
-        *(
-            "distortion_coefficients",
-            "distortion_coeffs",
-            "dist_coeffs",
-            "dist_coeff",
-            "dist_coefs",
-            "dist_coef",
-        ),
-        *("distortion", "dist", "D"),
-    ),
-    "R": ("rotation_matrix", "rotation", "rot", "rvec", "R"),
-    "t": ("translation_vector", "translation", "tvec", "T"),
-    "rectification": ("rectification_matrix",),
-    "rectified": ("projection_matrix", "P"),
-    "width": ("image_width", "width", "W"),
-    "height": ("image_height", "height", "H"),
-    "size": ("image_size", "resolution", "size", "DIM"),
-    "model": ("distortion_model", "camera_model", "model"),
-    "fisheye": ("fisheye_model", "fisheye"),
-}
+_NAMES: dict[str, list[str]] = {part: names.split() for part, names in CAMERA_KEYS["opencv"].items()}
 _PARTS = ("K", "distortion", "R", "t", "rectification", "rectified")
+#: Parameters that all cameras may share.
+_SHARED = ("width", "height", "size", "model", "fisheye")
 _SUFFIX = r"(?:_?([0-9]+)|_([A-Za-z0-9_-]+))?"
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -74,30 +53,7 @@ def _pattern(names: Sequence[str]) -> re.Pattern[str]:
 _PATTERNS = {part: _pattern(names) for part, names in _NAMES.items()}
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """A camera parameter in a file."""
-
-    file: CalibrationFile
-    keys: tuple[Key, ...]
-
-    @property
-    def value(self) -> Any:
-        return self.file.get(*self.keys)
-
-    @property
-    def location(self) -> SourceLocation:
-        location = self.file.location(*self.keys)
-        return SourceLocation(location.key, location.line, self.file.path)
-
-    def numbers(self) -> Array:
-        return self.file.some_numbers(*self.keys)
-
-    def matrix(self, shape: tuple[int, ...]) -> Array:
-        return self.file.numbers(shape, *self.keys)
-
-
-_Table = dict[str, dict[str, _Entry]]
+_Table = dict[str, dict[str, Entry]]
 
 
 def _is_storage(file: CalibrationFile) -> bool:
@@ -115,7 +71,7 @@ def _is_opencv_json(file: CalibrationFile, table: _Table) -> bool:
 
 def _table(files: Sequence[CalibrationFile]) -> _Table:
     """Parameter -> suffix of a camera -> entry."""
-    ranked: dict[str, dict[str, tuple[int, _Entry]]] = {part: {} for part in _NAMES}
+    ranked: dict[str, dict[str, tuple[int, Entry]]] = {part: {} for part in _NAMES}
     for file in files:
         for key in file.document if isinstance(file.document, dict) else ():
             for part, pattern in _PATTERNS.items():
@@ -131,7 +87,7 @@ def _table(files: Sequence[CalibrationFile]) -> _Table:
                 suffix = matched[2] or matched[3] or ""
                 known = ranked[part].get(suffix)
                 if known is None or rank < known[0]:
-                    ranked[part][suffix] = rank, _Entry(file, keys)
+                    ranked[part][suffix] = rank, Entry(file, keys)
     return {part: {s: entry for s, (_, entry) in entries.items()} for part, entries in ranked.items()}
 
 
@@ -149,77 +105,51 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     stereo = list(table["K"]) == ["1", "2"] and "" in table["R"] and "" in table["t"]
     for suffix in table["K"]:
         name = suffix or str(file.get("camera_name") or "").strip() or stem
-        entries = {part: _entry_of(by_suffix, suffix, part) for part, by_suffix in table.items()}
-        file.add(cameras, name, _camera(entries, suffix, stereo, table))
+        entries = {part: by_suffix[suffix] for part, by_suffix in table.items() if suffix in by_suffix}
+        shared = {part: table[part][""] for part in _SHARED if "" in table[part]}
+        file.add(cameras, name, _camera(shared | entries, suffix, stereo, table))
     return cameras
 
 
-def _entry_of(entries: Mapping[str, _Entry], suffix: str, part: str) -> _Entry | None:
-    """Entry of one camera; lens models and sizes may be shared by all cameras."""
-    shared = entries.get("") if part in ("width", "height", "size", "model", "fisheye") else None
-    return entries.get(suffix, shared)
-
-
-def _camera(entries: Mapping[str, _Entry | None], suffix: str, stereo: bool, table: _Table) -> RawCamera:
-    k = entries["K"]
-    assert k is not None
-    rotation, t = entries["R"], entries["t"]
-    rectification, rectified = entries["rectification"], entries["rectified"]
+def _camera(entries: Mapping[str, Entry], suffix: str, stereo: bool, table: _Table) -> RawCamera:
+    k, rotation, t = entries["K"].numbers(3, 3), entries.get("R"), entries.get("t")
+    rectification, rectified = entries.get("rectification"), entries.get("rectified")
     if stereo:
         rectification = rotation or rectification
         rotation, t = (None, None) if suffix == "1" else (table["R"][""], table["t"][""])
     elif rotation is not None and t is None and rectified is not None:
         rotation, rectification = None, rotation  # as in CameraInfo
-    if (rotation is None) != (t is None):
-        present, missing = (rotation, "T") if t is None else (t, "R")
-        assert present is not None
-        raise present.file.error(f"needs {missing} as well", *present.keys)
-    distortion = np.zeros(0) if entries["distortion"] is None else entries["distortion"].numbers()
+    if rotation is None and t is not None:
+        raise t.error("needs R as well")
+    if rotation is not None and t is None:
+        raise rotation.error("needs T as well")
+    distortion = entries["distortion"].numbers() if "distortion" in entries else np.zeros(0)
+    r = np.eye(3) if stereo else None  # the first camera of a stereo pair is the world
     return RawCamera(
-        k.matrix((3, 3)),
-        _pose_rotation(rotation, stereo),
-        np.zeros(3) if t is None else t.matrix((3,)),
-        size=_size(entries),
+        k,
+        r if rotation is None else rotation_of(rotation.file, *rotation.keys),
+        np.zeros(3) if t is None else t.numbers(3),
+        size=size_of(entries),
         distortion=tuple(distortion),
-        model=_model(entries, distortion, k.matrix((3, 3))),
-        rectification=None if rectification is None else rectification.matrix((3, 3)),
-        rectified=None if rectified is None else rectified.matrix((3, 4)),
-        locations={part: entry.location for part in _PARTS if (entry := entries[part]) is not None},
+        model=_model(entries, distortion, k),
+        rectification=None if rectification is None else rectification.numbers(3, 3),
+        rectified=None if rectified is None else rectified.numbers(3, 4),
+        locations={part: entries[part].location for part in _PARTS if part in entries},
     )
 
 
-def _pose_rotation(entry: _Entry | None, stereo: bool) -> Array | None:
-    """R of a camera; None without extrinsics. The first camera of a stereo pair is the world."""
-    if entry is None:
-        return np.eye(3) if stereo else None
-    return rotation_of(entry.file, *entry.keys)
-
-
-def _size(entries: Mapping[str, _Entry | None]) -> tuple[int, int] | None:
-    width, height, size = entries["width"], entries["height"], entries["size"]
-    if width is not None and height is not None:
-        return width.file.positive_integer(*width.keys), height.file.positive_integer(*height.keys)
-    if size is None:
-        return None
-    values = size.matrix((2,))
-    if any(v != int(v) or v <= 0 for v in values):
-        raise size.file.error("needs width and height, whole numbers above zero", *size.keys)
-    return int(values[0]), int(values[1])
-
-
-def _model(entries: Mapping[str, _Entry | None], distortion: Array, k: Array) -> str | None:
+def _model(entries: Mapping[str, Entry], distortion: Array, k: Array) -> str | None:
     """Distortion model: OpenCV distinguishes models by their number of coefficients, except for fisheyes."""
-    distortion_entry, name, fisheye = entries["distortion"], entries["model"], entries["fisheye"]
-    word = "" if name is None else str(name.value).strip().lower()
+    lens, name, fisheye = (entries.get(part) for part in ("distortion", "model", "fisheye"))
+    word = "" if name is None else name.word
     if word in ("", "pinhole", "perspective", "opencv"):
-        bent = None if fisheye is None else str(fisheye.value).strip().lower() not in ("0", "false", "no")
+        bent = None if fisheye is None else fisheye.word not in ("0", "false", "no")
         word = "equidistant" if bent else opencv_model(distortion)
-        if distortion_entry is not None and len(distortion) == 4:
-            word = model_of_four(distortion_entry.file, distortion_entry.keys, distortion, k, bent)
-    if distortion_entry is None:
+        if lens is not None and len(distortion) == 4:
+            word = model_of_four(lens.file, lens.keys, distortion, k, bent)
+    if lens is None:
         return None if word != "equidistant" else word
-    name_keys = (name or fisheye or distortion_entry).keys
-    return find_model(distortion_entry.file, word, distortion, name_keys, distortion_entry.keys)
+    return find_model(lens.file, word, distortion, (name or fisheye or lens).keys, lens.keys)
 
 
 # -- writing

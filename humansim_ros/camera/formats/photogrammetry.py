@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -90,17 +91,8 @@ def _read_metashape(file: CalibrationFile) -> dict[str, RawCamera]:
             skipped += 1
             file.add(cameras, name, lens, *at)
             continue
-        location = file.location(*at)
-        posed = RawCamera(
-            lens.K,
-            pose[0],
-            center=pose[1],
-            size=lens.size,
-            distortion=lens.distortion,
-            model=lens.model,
-            locations={**lens.locations, "": location, "R": location, "t": location},
-        )
-        file.add(cameras, name, posed, *at)
+        locations = {**lens.locations, **dict.fromkeys(("", "R", "t"), file.location(*at))}
+        file.add(cameras, name, replace(lens, R=pose[0], center=pose[1], locations=locations), *at)
     if not cameras:
         raise CameraError("the document has no cameras", path=file.path)
     if referenced:
@@ -309,7 +301,7 @@ def _read_openmvg(file: CalibrationFile) -> dict[str, RawCamera]:
             )
         pose = poses.get(str(view.get("id_pose")))
         name = without_suffix(str(view.get("filename") or view.get("id_view") or index))
-        file.add(cameras, name, _posed(file, lens, pose, "rotation", "center"), *at)
+        file.add(cameras, name, _posed(file, lens, pose), *at)
     if not cameras:
         raise file.error("the file has no views", "views")
     return cameras
@@ -319,26 +311,14 @@ def _of(item: Any, key: str) -> Any:
     return item.get(key) if isinstance(item, Mapping) else None
 
 
-def _posed(
-    file: CalibrationFile,
-    lens: RawCamera,
-    pose: Keys | None,
-    rotation: str,
-    center: str,
-    columns: bool = False,
-) -> RawCamera:
+def _posed(file: CalibrationFile, lens: RawCamera, pose: Keys | None, columns: bool = False) -> RawCamera:
     """Camera with a lens and a pose x = R (X - C); without a pose if ``pose`` is None."""
     if pose is None:
         return lens
-    r = file.numbers((3, 3), *pose, rotation)
-    return RawCamera(
-        lens.K,
-        r.T if columns else r,
-        center=file.numbers((3,), *pose, center),
-        size=lens.size,
-        distortion=lens.distortion,
-        model=lens.model,
-        locations={**lens.locations, **file.locations(pose, R=rotation, t=center)},
+    r = file.numbers((3, 3), *pose, "rotation")
+    locations = {**lens.locations, **file.locations(pose, R="rotation", t="center")}
+    return replace(
+        lens, R=r.T if columns else r, center=file.numbers((3,), *pose, "center"), locations=locations
     )
 
 
@@ -419,7 +399,7 @@ def _read_meshroom(file: CalibrationFile) -> dict[str, RawCamera]:
         name = without_suffix(path.rsplit("/", 1)[-1])
         name = name if name not in cameras else f"{name}_{view.get('viewId')}"
         pose = poses.get(str(view.get("poseId", view.get("viewId"))))
-        file.add(cameras, name, _posed(file, lens, pose, "rotation", "center", columns=True), *at)
+        file.add(cameras, name, _posed(file, lens, pose, columns=True), *at)
     return cameras
 
 

@@ -16,11 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.formats.base import MAX_CAMERAS, CalibrationFile, Key, Keys, is_number, metres_of
+from humansim_ros.camera.formats.base import (
+    MAX_CAMERAS,
+    CalibrationFile,
+    Key,
+    Keys,
+    SourceLocation,
+    is_number,
+    metres_of,
+)
 from humansim_ros.camera.formats.colmap import COLMAP_MODELS
 from humansim_ros.camera.formats.texts import BRACKETS, text_document
 from humansim_ros.errors import CameraError
 from humansim_ros.io.assets import read_table
+from humansim_ros.types import Array, ImageSize
 
 
 def words(text: str) -> frozenset[str]:
@@ -29,8 +38,8 @@ def words(text: str) -> frozenset[str]:
 
 
 #: Spellings of each parameter, and keys of groups, in lower case without characters between words.
-_KEYS = read_table("camera_keys")
-_ROLES = {word: role for role, lines in _KEYS["parameters"].items() for word in " ".join(lines).split()}
+CAMERA_KEYS = read_table("camera_keys")
+_ROLES = {word: role for role, lines in CAMERA_KEYS["parameters"].items() for word in " ".join(lines).split()}
 #: Numbers of one value of each parameter, largest first; a list of such values is one for each camera.
 _COUNTS = {
     "K": (16, 9, 4),
@@ -58,7 +67,7 @@ POSE = ROTATION | TRANSLATION
 _MOVED = TRANSLATION - {"P"}
 SIZE = frozenset({"width", "size", "shape"})
 #: Keys that group parameters or cameras, and do not name a camera.
-_GROUPS = words(" ".join(_KEYS["groups"]))
+_GROUPS = words(" ".join(CAMERA_KEYS["groups"]))
 #: Ends of keys that group the parameters of one camera, such as color_intrinsics.
 _SECTION = re.compile(
     r"(.+?)[_. -]?(?:intrinsics?|extrinsics?|calibration|calib|params|parameters|pose|intri|extri)",
@@ -120,12 +129,30 @@ class Entry:
 
     file: CalibrationFile
     keys: Keys
-    key: str
+    key: str = ""
 
     @property
     def value(self) -> Any:
         """Value in the file."""
         return self.file.get(*self.keys)
+
+    @property
+    def word(self) -> str:
+        """Value in the file as a word in lower case."""
+        return str(self.value).strip().lower()
+
+    @property
+    def location(self) -> SourceLocation:
+        """Location with the path of the file."""
+        return replace(self.file.location(*self.keys), path=self.file.path)
+
+    def numbers(self, *shape: int) -> Array:
+        """Array of a shape; all numbers (N,) without one."""
+        return self.file.numbers(shape, *self.keys) if shape else self.file.some_numbers(*self.keys)
+
+    def error(self, message: str) -> CameraError:
+        """Error about the value."""
+        return self.file.error(message, *self.keys)
 
 
 @dataclass
@@ -150,6 +177,21 @@ class Found:
         for length in range(len(identity) + 1):
             entries |= self.cameras.get(identity[:length], {})
         return entries
+
+
+def size_of(entries: Mapping[str, Entry]) -> ImageSize | None:
+    """Image size of a camera with these parameters; None without one."""
+    width, height = entries.get("width"), entries.get("height")
+    if width is not None and height is not None:
+        return width.file.positive_integer(*width.keys), height.file.positive_integer(*height.keys)
+    if "size" in entries:
+        return entries["size"].file.pair_size(*entries["size"].keys)
+    if "shape" in entries:
+        high, wide = entries["shape"].numbers()[:2]
+        if any(side != int(side) or side <= 0 for side in (high, wide)):
+            raise entries["shape"].error("needs height and width, whole numbers above zero")
+        return int(wide), int(high)
+    return None
 
 
 def role_of(key: Key) -> str | None:

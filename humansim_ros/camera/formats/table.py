@@ -119,8 +119,8 @@ def calibration_format(
         content = _filled(template, each, {"count": len(each), "all_fisheye": fisheyes})
         return json_file(content) if row["syntax"] == "json" else xml_file(content)
 
-    functions = {"matches": matches, "read": read, "write": write or write_template, "find_unit": find_unit}
-    return CalibrationFormat(name, **functions, **row)
+    write = write or write_template
+    return CalibrationFormat(name, matches=matches, read=read, write=write, find_unit=find_unit, **row)
 
 
 def _tuples(value: Any) -> Any:
@@ -138,7 +138,7 @@ def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
     own = dict(zip(MODELS[str(camera.model)], camera.distortion, strict=True))
     c2w, w2c = camera.world_from_optical, camera.optical_from_world
     matrices = {"K": k, "R": camera.R, "Rt": w2c[:3], "w2c": w2c, "c2w": c2w, "gl": c2w @ OPENGL}
-    vectors = {"t": camera.t, "center": camera.center, "distortion": camera.distortion}
+    vectors = {"t": camera.t, "center": camera.center, "distortion": np.array(camera.distortion)}
     return {
         "name": name,
         "image": f"{name}.png",
@@ -156,10 +156,10 @@ def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
         "cx_corner": k[0, 2] + 0.5,
         "cy_corner": k[1, 2] + 0.5,
         "aspect": k[0, 0] / k[1, 1],
-        **{key: nested(value) for key, value in (*matrices.items(), *vectors.items())},
+        **{key: nested(value) for key, value in {**matrices, **vectors}.items()},
         **{f"{key}_flat": nested(matrix.ravel()) for key, matrix in matrices.items()},
         **{f"{key}_columns": nested(matrix.T.ravel()) for key, matrix in matrices.items()},
-        **{f"{key}_column": nested(np.array(vector)[:, None]) for key, vector in vectors.items()},
+        **{f"{key}_column": nested(vector[:, None]) for key, vector in vectors.items()},
         **{f"{m}{i + 1}{j + 1}": matrices[m][i, j] for m in ("R", "gl") for i in range(3) for j in range(3)},
         "quaternion": nested(matrix_to_quaternion(camera.R)),
         **own,

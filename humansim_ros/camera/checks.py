@@ -5,6 +5,7 @@ Image sizes come from image files, or are guessed from principal points where a 
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
+from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import open_file, reading_errors, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.rotations import angle_between
@@ -209,17 +211,9 @@ def _check_pose(camera: Camera) -> Iterator[str]:
         yield f"the camera is {distance} from the origin: is the unit of the file correct?"
 
 
-#: Common image sizes of cameras and data sets, landscape.
-COMMON = (
-    *((160, 120), (176, 144), (320, 240), (352, 288), (360, 288), (384, 288), (400, 300), (410, 308)),
-    *((480, 270), (512, 424), (512, 512), (640, 360), (640, 480), (640, 512), (656, 492), (704, 576)),
-    *((720, 480), (720, 576), (752, 480), (768, 576), (800, 600), (820, 616), (848, 480), (960, 540)),
-    *((960, 720), (1000, 1000), (1024, 576), (1024, 768), (1024, 1024), (1032, 776), (1242, 375)),
-    *((1280, 720), (1280, 800), (1280, 960), (1280, 1024), (1296, 972), (1440, 1080), (1600, 1200)),
-    *((1624, 1224), (1640, 1232), (1920, 1080), (1920, 1200), (1936, 1216), (2028, 1520), (2048, 1088)),
-    *((2048, 1536), (2048, 2048), (2448, 2048), (2560, 1440), (2592, 1944), (3280, 2464), (3840, 2160)),
-    *((4000, 3000), (4032, 3024), (4056, 3040), (4096, 2160), (4096, 3000), (5472, 3648)),
-)
+#: Image sizes of cameras: common ones (landscape), and of the cameras of some formats.
+IMAGE_SIZES = json.loads(resource_path("config/image_sizes.json").read_text())
+COMMON: tuple[ImageSize, ...] = tuple((width, height) for width, height in IMAGE_SIZES["common"])
 #: Largest distance of the principal point of an image that was not cropped from its centre, as a fraction of
 #: the side.
 _FAR_FROM_MIDDLE = 0.06

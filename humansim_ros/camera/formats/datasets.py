@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.checks import IMAGE_SIZES
 from humansim_ros.camera.formats.base import (
     LARGEST,
     CalibrationFile,
@@ -42,7 +43,7 @@ from humansim_ros.camera.formats.spellings import role_of
 from humansim_ros.camera.formats.table import Values, calibration_format
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError
-from humansim_ros.types import Array
+from humansim_ros.types import Array, ImageSize
 
 _LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
 
@@ -70,12 +71,7 @@ CAM = calibration_format("cam", _is_cam, _read, _write)
 # -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras has a pose per subject, 11 in all
 
 #: Image sizes of the cameras by their serial numbers.
-_H36M_SIZES = {
-    "54138969": (1000, 1002),
-    "55011271": (1000, 1000),
-    "58860488": (1000, 1000),
-    "60457274": (1000, 1002),
-}
+_H36M_SIZES: dict[str, ImageSize] = {serial: (w, h) for serial, (w, h) in IMAGE_SIZES["human36m"].items()}
 #: Keys of the lens and focal lengths of Shelf and Campus; one of them is enough to recognise a file.
 _SHELF_INTRINSICS = {"k", "p", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera, pinhole
+from humansim_ros.camera.checks import IMAGE_SIZES
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
     Keys,
@@ -46,17 +47,7 @@ from humansim_ros.types import Array, ImageSize
 # -- ZED
 
 #: Image size of each resolution of ZED cameras.
-_ZED_SIZES = {
-    "2K": (2208, 1242),
-    "FHD": (1920, 1080),
-    "FHD1200": (1920, 1200),
-    "HD": (1280, 720),
-    "HD1200": (1920, 1200),
-    "SVGA": (960, 600),
-    "VGA": (672, 376),
-    "QHDPLUS": (3200, 1800),
-    "4K": (3840, 2160),
-}
+_ZED_SIZES: dict[str, ImageSize] = {mode: (w, h) for mode, (w, h) in IMAGE_SIZES["zed"].items()}
 _ZED_CAMERA = re.compile(r"(LEFT|RIGHT)_CAM_([A-Z0-9]+)", re.IGNORECASE)
 _SECTION = re.compile(r"\[\s*([A-Za-z0-9_]{1,60})\s*\]")
 _MOST_LINES = 2000

@@ -5,7 +5,6 @@ Image sizes come from image files, or are guessed from principal points where a 
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.files import open_file, reading_errors, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.rotations import angle_between
@@ -212,7 +211,7 @@ def _check_pose(camera: Camera) -> Iterator[str]:
 
 
 #: Image sizes of cameras: common ones (landscape), and of the cameras of some formats.
-IMAGE_SIZES = json.loads(resource_path("config/image_sizes.json").read_text())
+IMAGE_SIZES = read_table("image_sizes")
 COMMON: tuple[ImageSize, ...] = tuple((width, height) for width, height in IMAGE_SIZES["common"])
 #: Largest distance of the principal point of an image that was not cropped from its centre, as a fraction of
 #: the side.

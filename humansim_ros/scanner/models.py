@@ -6,7 +6,6 @@ a pattern names a function below, and its other keys are the arguments.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.scanner.pattern import Pattern, oscillating, raster, rosette, spinning
 
 #: Fields of the points, as drivers name and order them; ``scan`` is a sensor_msgs/LaserScan.
@@ -96,6 +95,4 @@ def _model(row: dict[str, Any]) -> ScannerModel:
 
 
 #: All models by name.
-MODELS = {
-    name: _model(row) for name, row in json.loads(resource_path("config/scanners.json").read_text()).items()
-}
+MODELS = {name: _model(row) for name, row in read_table("scanners").items()}

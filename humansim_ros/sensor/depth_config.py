@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.schema import ShortSection
 
 Model = Literal["structured_light", "active_stereo", "time_of_flight"]
@@ -21,7 +20,7 @@ _Angle = Annotated[float, Field(ge=-360, le=360)]
 _Row = tuple[float, float, float]
 _Distance = Annotated[float, Field(ge=0.01, le=MAX_DEPTH)]
 
-_TABLE = json.loads(resource_path("config/depth_sensors.json").read_text())
+_TABLE = read_table("depth_sensors")
 #: Keys of each model with their defaults. No other model has them.
 MODEL_KEYS: dict[str, dict[str, float | None]] = _TABLE["models"]
 #: Keys of sensors by name; docs/depth_cameras.md names their sources.

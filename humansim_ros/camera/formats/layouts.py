@@ -16,7 +16,6 @@ IntelRealSense/librealsense; https://jarvis-mocap.github.io, https://captury.com
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -40,11 +39,11 @@ from humansim_ros.camera.formats.syntax import read_document
 from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, located, warn_about
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.io.files import exists, read_text
 from humansim_ros.types import Array
 
-_TABLE, _MOST_BYTES = "config/calibration_layouts.json", 8 << 20
+_MOST_BYTES = 8 << 20
 #: Cameras by name, or in a list, as mappings of keys.
 _Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
 #: Lenses whose names do not tell the names of their parameters.
@@ -423,4 +422,4 @@ def _format(row: Mapping[str, Any]) -> CalibrationFormat:
 
 
 #: Formats that are only read.
-LAYOUTS = tuple(_format(row) for row in json.loads(resource_path(_TABLE).read_text()))
+LAYOUTS = tuple(_format(row) for row in read_table("calibration_layouts"))

@@ -13,7 +13,6 @@ digits within a longer text. What is below the key ``$each`` is written for each
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Template
@@ -33,11 +32,11 @@ from humansim_ros.camera.formats.base import (
     xml_file,
 )
 from humansim_ros.camera.lens import MODELS
-from humansim_ros.io.assets import resource_path
+from humansim_ros.io.assets import read_table
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import ImageSize
 
-_ROWS: Mapping[str, dict[str, Any]] = json.loads(resource_path("config/calibration_formats.json").read_text())
+_ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")
 
 
 @dataclass(frozen=True)

@@ -112,8 +112,7 @@ def check_image_size(camera: Camera) -> list[str]:
     """
     (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
     if camera.K[0, 0] * _MOST_IN_WIDTH < width:
-        what = f"a focal length of {camera.K[0, 0]:g} pixels is too short for an image of {width}x{height}"
-        return [f"{what}: K is in pixels, not in millimetres or fractions of the image"]
+        return [_not_in_pixels(camera)]
     share = _principal_share(camera)
     distance = float(np.abs(share - 0.5).max())
     low, high = sorted(share)
@@ -164,8 +163,13 @@ def _check_intrinsics(camera: Camera) -> Iterator[str]:
         yield f"the pixels are not square: fx / fy is {fx / fy:.3f}"
     if abs(skew) > _SKEWED * fx:
         yield f"there is a skew of {skew:.3g}, {abs(skew) / fx:.1%} of the focal length"
-    if not camera.distorted and not _FOCAL_LENGTHS[0] < fx / width < _FOCAL_LENGTHS[1]:
-        yield f"the focal length is {fx:.3g} pixels for {width} of width: is K in pixels?"
+    plausible = _FOCAL_LENGTHS[0] < fx / width < _FOCAL_LENGTHS[1]
+    if not camera.distorted and not plausible and fx * _MOST_IN_WIDTH >= width:
+        yield _not_in_pixels(camera)
+
+
+def _not_in_pixels(camera: Camera) -> str:
+    return f"the focal length is {camera.K[0, 0]:.3g} pixels for {camera.size[0]} of width: is K in pixels?"
 
 
 def _check_lens(camera: Camera) -> Iterator[str]:

@@ -28,6 +28,7 @@ from humansim_ros.export.source import versions
 from humansim_ros.export.writer import ExportCamera, ExportScene
 from humansim_ros.io.files import parse_json
 from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.messages.camera_truth import body_box, joint_places
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.topics import COMPRESSED
@@ -511,19 +512,11 @@ class BagFrames:
     def _boxes(self, points: NDArray[Any]) -> dict[str, BodyBox]:
         """Boxes by name of a human or object."""
         by_label = {int(point["instance"]): point for point in points}
-        found = {}
-        for name, label in self._source.scene.labels.items():
-            if label in by_label:
-                point = by_label[label]
-                found[name] = BodyBox(
-                    visible=_floats(point, ("left", "top", "right", "bottom")),
-                    whole=_floats(point, ("whole_left", "whole_top", "whole_right", "whole_bottom")),
-                    truncation=float(point["truncation"]),
-                    visible_fraction=float(point["visible_fraction"]),
-                    pixels=int(point["pixels"]),
-                    kind=_KINDS.get(int(point["kind"]), "human"),  # type: ignore[arg-type]
-                )
-        return found
+        return {
+            name: body_box(point, _KINDS.get(int(point["kind"]), "human"))  # type: ignore[arg-type]
+            for name, label in self._source.scene.labels.items()
+            if (point := by_label.get(label)) is not None
+        }
 
     def _keypoints(self, points: NDArray[Any], camera: Camera) -> dict[str, KeypointView]:
         """Keypoints in an image by person."""
@@ -537,10 +530,10 @@ class BagFrames:
                     f"{len(rows)} points of {name} are not the points of {self._source.keypoints}",
                     path=self._source.path,
                 )
-            optical = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(float)
+            pixels, optical = joint_places(rows)
             found[name] = KeypointView(
                 optical=optical,
-                pixels=np.stack([rows["u"], rows["v"]], axis=1).astype(float),
+                pixels=pixels,
                 visible=rows["visible"],
                 occluder=rows["occluder"],
                 by=rows["by"],
@@ -640,7 +633,3 @@ def _simple(camera: Camera) -> Camera:
 def _pose_key(message: TransformStamped) -> tuple[float, ...]:
     p, q = message.transform.translation, message.transform.rotation
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-
-
-def _floats(point: Any, names: Sequence[str]) -> Array:
-    return np.array([point[name] for name in names], dtype=float)

@@ -106,21 +106,21 @@ class GltfSkeleton:
     def joint_of(self, gltf: Gltf, node: int) -> int | None:
         """Nearest joint at or above a node; None if there is none."""
         joint_of_node = {int(n): joint for joint, n in enumerate(self.nodes)}
-        while node >= 0 and node not in joint_of_node:
-            node = int(gltf.parents[node])
-        return joint_of_node.get(node)
+        return joint_of_node.get(_nearest(gltf, node, joint_of_node))
 
 
 def _parents(gltf: Gltf, nodes: NDArray[np.intp]) -> NDArray[np.intp]:
     """Nearest joint above each joint (J,), or -1."""
     joint_of_node = {int(node): joint for joint, node in enumerate(nodes)}
-    parents = np.full(len(nodes), -1, dtype=np.intp)
-    for joint, node in enumerate(nodes):
-        above = int(gltf.parents[node])
-        while above >= 0 and above not in joint_of_node:
-            above = int(gltf.parents[above])
-        parents[joint] = joint_of_node[above] if above >= 0 else -1
-    return parents
+    above = [_nearest(gltf, int(gltf.parents[node]), joint_of_node) for node in nodes]
+    return np.array([joint_of_node.get(node, -1) for node in above], dtype=np.intp)
+
+
+def _nearest(gltf: Gltf, node: int, nodes: Collection[int]) -> int:
+    """First of some nodes at or above a node; -1 if there is none."""
+    while node >= 0 and node not in nodes:
+        node = int(gltf.parents[node])
+    return node
 
 
 def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
@@ -215,10 +215,7 @@ def _misplaced(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
     for chain in _CHAINS:
         present = [node_of[bone] for bone in chain if bone in node_of]
         for above, node in pairwise(present):
-            over = int(gltf.parents[node])
-            while over >= 0 and over != above:
-                over = int(gltf.parents[over])
-            if over < 0:
+            if _nearest(gltf, int(gltf.parents[node]), (above,)) < 0:
                 wrong[node] = named[node]
     return wrong
 

@@ -27,7 +27,13 @@ from humansim_ros.errors import (
 )
 from humansim_ros.io.schema import Section
 from humansim_ros.keypoints import keypoint_set
-from humansim_ros.messages.camera_truth import BODY_KINDS, read_boxes, read_joint_view
+from humansim_ros.messages.camera_truth import (
+    BODY_KINDS,
+    body_box,
+    joint_places,
+    read_boxes,
+    read_joint_view,
+)
 from humansim_ros.messages.headers import TF_TOPIC, WORLD_FRAME, header, optical_frame
 from humansim_ros.messages.hri import (
     HRI_KEYPOINTS,
@@ -460,17 +466,10 @@ def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
         name, kind = names.get(int(row["instance"])), kinds.get(int(row["kind"]))
         if name is None or kind is None or name in boxes:
             raise RosError(f"a box has label {row['instance']} and kind {row['kind']}, or two have one label")
-        with np.errstate(invalid="ignore"):  # signalling NaN
-            visible, whole = (
-                np.array([row[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
-                for part in ("", "whole_")
-            )
-        pixels, truncation = int(row["pixels"]), float(row["truncation"])
-        shown = [*(visible if pixels else ()), *(whole if not truncation >= 1 else ())]
+        box = boxes[name] = body_box(row, cast(Kind, kind))
+        shown = [*(box.visible if box.pixels else ()), *(box.whole if not box.truncation >= 1 else ())]
         if not within_bounds(shown):
             raise RosError(f"the box of {name} is not finite")
-        share = float(row["visible_fraction"])
-        boxes[name] = BodyBox(visible, whole, truncation, share, pixels, cast(Kind, kind))
     if missing := [name for name in names.values() if name not in boxes]:
         raise RosError(f"no box of {some_of(missing)}")
     return boxes
@@ -486,9 +485,7 @@ def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
         own = rows[rows["human"] == actor.instance]
         if not np.array_equal(own["joint"], np.arange(count)):
             raise RosError(f"{len(own)} keypoints of {name}, which are not the {count} of {HRI_KEYPOINTS}")
-        with np.errstate(invalid="ignore"):  # signalling NaN
-            pixels = np.stack([own["u"], own["v"]], axis=1).astype(float)
-            optical = np.stack([own[axis] for axis in "xyz"], axis=1).astype(float)
+        pixels, optical = joint_places(own)
         if not (within_bounds(np.nan_to_num(pixels)) and within_bounds(np.nan_to_num(optical))):
             raise RosError(f"a keypoint of {name} is far away")
         if (own["visible"] > VISIBLE).any() or not np.isfinite(pixels[own["visible"] > OUTSIDE]).all():

@@ -20,9 +20,10 @@ from humansim_ros.messages.types import (
     Point,
     PointCloud2,
 )
+from humansim_ros.render.renderer import Kind
 from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, JointView
-from humansim_ros.types import Color
+from humansim_ros.types import Array, Color
 
 #: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
 JOINT_POINT = np.dtype(
@@ -72,6 +73,15 @@ def read_joint_view(message: PointCloud2) -> NDArray[Any]:
     return read_points(message, ("x", "y", "z", "u", "v", "visible", "human", "joint"))
 
 
+def joint_places(points: NDArray[Any]) -> tuple[Array, Array]:
+    """Pixels (N, 2), and positions (N, 3) in the optical frame, of points (N,) of :data:`JOINT_POINT`."""
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        pixels, optical = (
+            np.stack([points[axis] for axis in axes], axis=1).astype(float) for axes in ("uv", "xyz")
+        )
+    return pixels, optical
+
+
 def overlay_message(views: Sequence[JointView], radius: float, stamp: int, frame: str) -> ImageMarker:
     """Build ``<camera>/overlay``: the joints inside the image as points, hidden ones in another colour.
 
@@ -117,6 +127,17 @@ def read_boxes(message: PointCloud2) -> NDArray[Any]:
     another layout.
     """
     return read_points(message, BOX_POINT.names or ())
+
+
+def body_box(point: Any, kind: Kind) -> BodyBox:
+    """Box of a point of :data:`BOX_POINT`, of a body of some kind."""
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        visible, whole = (
+            np.array([point[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
+            for part in ("", "whole_")
+        )
+    shares = float(point["truncation"]), float(point["visible_fraction"])
+    return BodyBox(visible, whole, *shares, int(point["pixels"]), kind)
 
 
 def visible_vertices_message(

@@ -119,11 +119,7 @@ def _table(sweep: Sweep, rays: Rays, points: NDArray[Any], head: Any) -> PointCl
     table["t"][place] = np.maximum(rays.times + (sweep.start - sweep.stamp), 0)
     chosen = sweep.returns.rays
     table[place[0][chosen], place[1][chosen]] = points
-    message = point_cloud(table.ravel(), head)
-    message.height, message.width = rings, columns
-    message.row_step = message.point_step * columns
-    message.is_dense = False
-    return message
+    return point_cloud(table, head)
 
 
 def _put(points: NDArray[Any], names: str, values: NDArray[Any]) -> None:
@@ -175,12 +171,9 @@ def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointClou
         rings, columns = rays.grid
         ordered = np.zeros((rings, columns), SCANNER_TRUTH)
         ordered[rays.rings, np.arange(len(rays)) // rings] = every
-        every = ordered.ravel()
+        return point_cloud(ordered, head)
     message = point_cloud(every, head)
     message.is_dense = False
-    if table and rays.grid is not None:
-        message.height, message.width = rays.grid
-        message.row_step = message.point_step * message.width
     return message
 
 

@@ -14,10 +14,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_parameters
 from rclpy.task import Future
 
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.messages.cdr import check_serialised, deserialised
+from humansim_ros.ros.requests import limited
 
 #: ``max_bytes`` of subscriptions that take serialised messages of any size, and do not read them.
 ANY_SIZE = -1
@@ -27,6 +29,8 @@ _LARGE = 1 << 22
 _LINE_EVERY = 1.0
 #: Most elements of a sequence in a request: each of the parameters to set is checked alone.
 _MAX_PARAMETERS, _MAX_REQUESTED = 300, 1000
+#: Most characters of the value of a parameter.
+_MAX_TEXT = 100_000
 
 
 @dataclass
@@ -176,9 +180,14 @@ class GuardedNode(Node):
             with self.guard(source, "the request is refused") as fault:
                 _check_request(request)
                 return callback(request, response)
+            if isinstance(request, RosError):
+                self.run_soon(release_memory)
             return _refusal(request, srv_type.Response(), fault.reason)
 
+        # a longer queue than rclpy's, as the services of parameters have it: requests beyond it are lost
+        options.setdefault("qos_profile", qos_profile_parameters)
         service = super().create_service(srv_type, srv_name, on_request, **options)
+        service.srv_type = limited(srv_type, _MAX_PARAMETERS)
         send = service.send_response
 
         # not a coroutine, which the EventsExecutor does not await
@@ -250,7 +259,7 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
         if hasattr(response, text):
             setattr(response, text, reason)
     if hasattr(response, "results"):
-        response.results = [refused] * len(request.parameters)
+        response.results = [refused] * len(getattr(request, "parameters", (None,)))
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = refused
     elif hasattr(getattr(response, "result", None), "error_message"):
@@ -261,6 +270,8 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
 
 def _check_request(request: Any) -> None:
     """Raise RosError for a service request that rclpy cannot read, or not in a short time."""
+    if isinstance(request, RosError):
+        raise request
     for name in request.get_fields_and_field_types():
         value = getattr(request, name)
         limit = _MAX_PARAMETERS if name == "parameters" else _MAX_REQUESTED
@@ -269,3 +280,5 @@ def _check_request(request: Any) -> None:
     for parameter in getattr(request, "parameters", ()):
         if parameter.value.type not in {each.value for each in Parameter.Type}:
             raise RosError(f"{parameter.value.type} is no type of a parameter")
+        if (length := len(parameter.value.string_value)) > _MAX_TEXT:
+            raise RosError(f"a value of {length} characters; at most {_MAX_TEXT} are read")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -9,10 +10,11 @@ from typing import Any
 
 import pytest
 from conftest import ROOT
+from rclpy.qos import qos_profile_parameters
 from ros_support import Client, rclpy
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros import guarded_node, runtime
+from humansim_ros.ros import guarded_node, requests, runtime
 from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.runtime import make_executor
 
@@ -330,3 +332,60 @@ def test_memory_of_long_messages_that_are_refused_is_given_back(
     guarded.client.spin_until(lambda: len(released) >= releases)
     assert guarded.errors() == 1
     assert len(released) == releases
+
+
+@pytest.mark.slow
+def test_a_request_of_200000_parameters_is_refused_before_python_objects_are_made_of_it(
+    guarded: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """rclpy makes them before it calls the service: in ten seconds, with hundreds of megabytes."""
+    from rcl_interfaces.msg import Parameter
+    from rcl_interfaces.srv import SetParameters
+
+    made: list[int] = []
+    monkeypatch.setattr(
+        guarded_node, "_check_request", lambda request: made.append(isinstance(request, RosError))
+    )
+    client = guarded.client.node.create_client(SetParameters, "guarded/set_parameters")
+    assert guarded.client.spin_until(client.service_is_ready)
+    many = SetParameters.Request(parameters=[Parameter(name="x")] * 200_000)
+    answer = client.call_async(many)
+    assert guarded.client.spin_until(answer.done)
+    assert made == [True]
+    monkeypatch.undo()
+    for count, text in ((300, "Invalid access"), (301, "301 parameters; at most 300 are read")):
+        request = SetParameters.Request(parameters=[Parameter(name="x")] * count)
+        answer = client.call_async(request)
+        assert guarded.client.spin_until(answer.done)
+        assert answer.result().results[0].reason.startswith(text)
+
+
+def test_services_have_a_queue_for_many_calls_at_once(guarded: Any) -> None:
+    from std_srvs.srv import Trigger
+
+    def succeed(_: Any, response: Any) -> Any:
+        response.success = True
+        return response
+
+    guarded.node.create_service(Trigger, "often", succeed)
+    # the queue of the client for answers is its own
+    client = guarded.client.node.create_client(Trigger, "often", qos_profile=qos_profile_parameters)
+    assert guarded.client.spin_until(client.service_is_ready)
+    answers = [client.call_async(Trigger.Request()) for _ in range(200)]
+    assert guarded.client.spin_until(lambda: all(answer.done() for answer in answers), 30)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("rcl_interfaces.srv.SetParameters", [("parameters", 0)]),
+        ("rcl_interfaces.srv.SetParametersAtomically", [("parameters", 0)]),
+        ("rcl_interfaces.srv.GetParameters", []),
+        ("sensor_msgs.srv.SetCameraInfo", []),
+    ],
+)
+def test_lists_of_messages_are_found_in_requests(name: str, expected: list[tuple[str, int]]) -> None:
+    package, _, kind = name.split(".")
+    request = getattr(importlib.import_module(f"{package}.srv"), kind).Request
+    found = [(field, at) for field, type_, at in requests._fields(request) if "/" in type_ and "<" in type_]
+    assert found == expected

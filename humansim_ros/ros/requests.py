@@ -1,0 +1,86 @@
+"""Requests of services with too many elements: refused before rclpy makes Python objects of them."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
+
+from humansim_ros.errors import RosError
+
+#: Bytes of the numbers of messages in C; strings and lists are a pointer, a size and a capacity.
+_BYTES = {"boolean": 1, "octet": 1, "char": 1, "wchar": 2, "float": 4, "double": 8}
+_LIST = 24
+
+_get_name = ctypes.PYFUNCTYPE(ctypes.c_char_p, ctypes.py_object)(("PyCapsule_GetName", ctypes.pythonapi))
+_get_pointer = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)(
+    ("PyCapsule_GetPointer", ctypes.pythonapi)
+)
+_new = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p)(
+    ("PyCapsule_New", ctypes.pythonapi)
+)
+_Convert = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p)
+
+
+def limited(srv_type: Any, most: int) -> Any:
+    """Service type whose requests are RosErrors if one of their lists has more than ``most`` messages.
+
+    rclpy makes an object of each message before it calls the callback of the service: of 200,000 parameters
+    in ten seconds, with hundreds of megabytes, in which the node does nothing else.
+    """
+    kind = srv_type.Request
+    lists = [(name, at) for name, field, at in _fields(kind) if "/" in field and "<" in field]
+    if not lists:
+        return srv_type
+    meta = type(kind)
+    if meta._TYPE_SUPPORT is None:
+        meta.__import_type_support__()
+    name = _get_name(meta._CONVERT_TO_PY)
+    convert = _Convert(_get_pointer(meta._CONVERT_TO_PY, name))
+
+    @_Convert
+    def checked(message: int) -> Any:
+        for field, at in lists:
+            count = ctypes.c_size_t.from_address(message + at + ctypes.sizeof(ctypes.c_void_p)).value
+            if count > most:
+                return RosError(f"{count} {field}; at most {most} are read in one request")
+        return convert(message)
+
+    capsule = _new(ctypes.cast(checked, ctypes.c_void_p), name, None)
+    checking = type(meta.__name__, (meta,), {"_CONVERT_TO_PY": capsule, "_alive": (checked, name)})
+    request = checking(kind.__name__, (kind,), {"__slots__": ()})
+    return type(srv_type)(srv_type.__name__, (srv_type,), {"__slots__": (), "Request": request})
+
+
+def _fields(kind: Any, at: int = 0) -> Iterator[tuple[str, str, int]]:
+    """Name, type and address of each field of a message in C, also of messages within it."""
+    for name, field in kind.get_fields_and_field_types().items():
+        size, align = _layout(field)
+        at += -at % align
+        if "/" in field and "<" not in field and "[" not in field:
+            yield from _fields(_message(field), at)
+        yield name, field, at
+        at += size
+
+
+def _layout(field: str) -> tuple[int, int]:
+    """Bytes of a field in C, and what its address is a multiple of."""
+    if found := re.fullmatch(r"(.+)\[(\d+)\]", field):
+        size, align = _layout(found[1])
+        return size * int(found[2]), align
+    if field.startswith(("sequence<", "string", "wstring")):
+        return _LIST, 8
+    if "/" in field:
+        parts = [(at, *_layout(part)) for _, part, at in _fields(_message(field))]
+        align = max(align for *_, align in parts)
+        end = max(at + size for at, size, _ in parts)
+        return end + -end % align, align
+    size = _BYTES.get(field) or int(re.sub(r"\D", "", field)) // 8
+    return size, size
+
+
+def _message(field: str) -> Any:
+    package, name = field.split("/")
+    return getattr(import_module(f"{package}.msg"), name)

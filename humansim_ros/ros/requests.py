@@ -40,7 +40,6 @@ def limited(srv_type: Any, most: int) -> Any:
     name = _get_name(meta._CONVERT_TO_PY)
     convert = _Convert(_get_pointer(meta._CONVERT_TO_PY, name))
 
-    @_Convert
     def checked(message: int) -> Any:
         for field, at in lists:
             count = ctypes.c_size_t.from_address(message + at + ctypes.sizeof(ctypes.c_void_p)).value
@@ -48,8 +47,9 @@ def limited(srv_type: Any, most: int) -> Any:
                 return RosError(f"{count} {field}; at most {most} are read in one request")
         return convert(message)
 
-    capsule = _new(ctypes.cast(checked, ctypes.c_void_p), name, None)
-    checking = type(meta.__name__, (meta,), {"_CONVERT_TO_PY": capsule, "_alive": (checked, name)})
+    callback = _Convert(checked)
+    capsule = _new(ctypes.cast(callback, ctypes.c_void_p), name, None)
+    checking = type(meta.__name__, (meta,), {"_CONVERT_TO_PY": capsule, "_alive": (callback, name)})
     request = checking(kind.__name__, (kind,), {"__slots__": ()})
     return type(srv_type)(srv_type.__name__, (srv_type,), {"__slots__": (), "Request": request})
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -424,6 +424,7 @@ _SCENE_KEYS = {"model": "distortion_model", "fov": "fov_deg"}
 _DEFAULT_SIZE = (640, 480)
 
 
+@lru_cache(maxsize=256)
 def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:
     fov = float(np.radians(60.0 if fov_deg is None else fov_deg))
     return Camera.look_at((0, 0, 0), (1, 0, 0), size, fov).K

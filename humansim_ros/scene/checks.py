@@ -76,7 +76,8 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
         *check_faults(samples),
         *_rate(samples, processors),
     ]
-    return sorted((finding.located(scene) for finding in found), key=lambda finding: finding.severity)
+    source = scene.source.loading()  # which reads the file once for all lines
+    return sorted((finding.located(source) for finding in found), key=lambda finding: finding.severity)
 
 
 def _obstacles(samples: SceneSamples, room: bool) -> list[Obstacle]:

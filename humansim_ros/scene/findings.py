@@ -21,6 +21,7 @@ from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.objects import SceneObject
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array, Indices
 
 #: Vertices closer than this share of the size of a mesh are one vertex.
@@ -153,10 +154,11 @@ class Finding:
         where = f"{self.path or 'scene'}{'' if self.line is None else f':{self.line}'}"
         return f"{where}: {self.key}: {self.text}"
 
-    def located(self, scene: Scene) -> Finding:
+    def located(self, source: SceneSource) -> Finding:
         """The same finding with the file of the scene and the line of the key."""
-        path = None if scene.path is None else str(scene.path)
-        return replace(self, path=path, line=scene.source.line(self.key))
+        return replace(
+            self, path=None if source.path is None else str(source.path), line=source.line(self.key)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for ``humansim check --json``."""
@@ -206,6 +208,12 @@ class SceneSamples:
         names = [name for name in self.scene.actors if humans[name].motion.file != LIVE]
         paths = {name: self.scene.actors[name].joint_paths(self.times) for name in names[: self.humans]}
         return {name: path[:, self._body(name)] for name, path in paths.items()}
+
+    @cached_property
+    def side_by_side(self) -> tuple[Array, Indices]:
+        """Joints (N, P, 3) of all humans of :attr:`joints`, and the first of each."""
+        counts = [0, *(path.shape[1] for path in self.joints.values())]
+        return np.concatenate(list(self.joints.values()), axis=1), np.cumsum(counts)[:-1]
 
     def joint_names(self, name: str) -> list[str]:
         """Names of the joints of a human, without those of fingers, toes, jaw and eyes."""
@@ -294,6 +302,20 @@ class Obstacle:
     def _box(self) -> tuple[Array, Array]:
         vertices = np.asarray(self.mesh.vertices, dtype=float)
         return vertices.min(axis=0), vertices.max(axis=0)
+
+    def is_beside(self, low: Sequence[float], high: Sequence[float]) -> bool:
+        """Whether a box, from ``low`` (3,) to ``high`` (3,) in ``map``, does not touch that of the obstacle.
+
+        False for a moving one.
+        """
+        if self.moving is not None:
+            return False
+        return any(a > d or b < c for a, b, c, d in zip(low, high, *self._sides, strict=True))
+
+    @cached_property
+    def _sides(self) -> tuple[list[float], list[float]]:
+        low, high = self._box
+        return low.tolist(), high.tolist()
 
     def contains(self, points: Array, times: Array) -> NDArray[np.bool_]:
         """Whether points (N, 3) at times (N,), or one point, are inside one of the solids."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import yaml
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section, warn_about
@@ -157,15 +158,17 @@ class SceneSource:
         """Line of a dotted key, or of its deepest section that is in the file."""
         if key is None or (self.path is None and self.text is None):
             return None
+        return line_of(self.once(self._tree, "tree"), key.split("."))
+
+    def _tree(self) -> yaml.Node | None:
+        """Nodes of the scene file; None if it cannot be read any more."""
         try:
             if self.text is not None:
-                _, tree = parse_yaml(self.text, SceneError, self.path or "scene")
-            else:
-                assert self.path is not None
-                _, tree = read_yaml(self.path, SceneError, "scene")
+                return parse_yaml(self.text, SceneError, self.path or "scene")[1]
+            assert self.path is not None
+            return read_yaml(self.path, SceneError, "scene")[1]
         except SceneError:
             return None
-        return line_of(tree, key.split("."))
 
 
 def name_objects(value: Any, key: str, objects: dict[str, Human | Motion | Mesh]) -> Any:

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera, Trajectory, write_calibration
 from humansim_ros.cli import main as cli
-from humansim_ros.scene import Finding, Scene, check_scene
+from humansim_ros.scene import Finding, Scene, check_scene, source
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.findings import closed_parts, points_inside, segments_crossing, volume
 from humansim_ros.types import Array
@@ -642,3 +642,38 @@ def test_a_scanner_in_a_wall_or_that_meets_nobody_is_found(scanner: dict[str, An
     else:
         assert (only(found).severity, only(found).key) == ("error", "scanners.lidar.position")
         assert text in only(found).text
+
+
+def test_many_cameras_read_the_scene_file_once_and_look_at_few_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Work for each camera does not grow with the numbers of cameras, findings and pieces of furniture."""
+    count = 200
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    cameras = {
+        f"c{number}": {"position": [5 * np.cos(a).item(), 5 * np.sin(a).item(), 1.6], "look_at": [0, 0, 1]}
+        for number, a in enumerate(angles)
+    }
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene_with(cameras=cameras)))
+    scene = Scene.load(path)
+    parsed: list[Any] = []
+    projected: list[int] = []
+    project, read_yaml = Camera.project_optical, source.read_yaml
+
+    def counted(self: Camera, points: Array) -> Any:
+        projected.append(np.asarray(points).size // 3)
+        return project(self, points)
+
+    def read(*arguments: Any) -> Any:
+        parsed.append(arguments)
+        return read_yaml(*arguments)
+
+    monkeypatch.setattr(source, "read_yaml", read)
+    monkeypatch.setattr(Camera, "project_optical", counted)
+    found = check_scene(scene, processors=64)
+    outside = [finding for finding in found if "outside the room" in finding.text]
+    assert len(outside) == count and all(finding.line for finding in outside)
+    assert len(parsed) == 1
+    assert len(projected) < 3 * count
+    assert sum(projected) < 30_000 * 30 + count * 30 * 100

@@ -164,6 +164,8 @@ def test_each_hostile_call_is_answered_in_bounded_memory(
         pids = [pid for starter in children(run.pid) for pid in (starter, *children(starter))]
         before = megabytes(pids)
         for name, kind in caller.services():
+            if at_once > 1 and ("get_type_description" in name or "/_action/" in name):
+                continue  # ROS makes them, with a queue of ten requests
             hostile = list(requests(kind)) if at_once == 1 else at_once * [("default", kind.Request())]
             for first in range(0, len(hostile), at_once):
                 caller.call(name, kind, hostile[first : first + at_once])

@@ -11,10 +11,16 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+    from humansim_ros.io.quotes import FileQuotes
+
+#: What hides the content of files in the messages of this module; None: messages quote files.
+HIDING: ContextVar[FileQuotes | None] = ContextVar("HIDING", default=None)
 
 
 #: Largest coordinate and size in metres, and velocity in m/s or rad/s.
@@ -44,11 +50,11 @@ class HumansimError(Exception):
         line: int | None = None,
         key: str | None = None,
     ) -> None:
-        self.message = message
-        self.path = None if path is None else os.fspath(path)
+        self.message = _hidden(message)
+        self.path = None if path is None else _hidden(os.fspath(path))
         self.line = line
-        self.key = key
-        super().__init__(message)
+        self.key = None if key is None else _hidden(key)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         where = "".join(
@@ -100,6 +106,12 @@ def located(
         at = found.line if found.line is not None else line
         raised = (error or type(found))(found.message, path=found.path or path, line=at, key=found.key or key)
         raise raised from None
+
+
+def _hidden(text: str) -> str:
+    """A text for people without the content of files that it must not show."""
+    quotes = HIDING.get()
+    return text if quotes is None else quotes.hide(text)
 
 
 def near_names(word: str, known: Iterable[str], least: float = 0.65) -> list[str]:
@@ -217,6 +229,9 @@ def warn_about(path: str | os.PathLike[str], message: str) -> None:
 
 class HumansimWarning(UserWarning):
     """Input is usable but doubtful; the message says what is assumed."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(_hidden(message))
 
 
 def show_warnings() -> None:

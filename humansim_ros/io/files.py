@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from humansim_ros.errors import HumansimError, did_you_mean, near_names
+from humansim_ros.errors import HIDING, HumansimError, did_you_mean, near_names
 
 #: Bytes of a file that :func:`read_blocks` reads at once.
 _BLOCK = 1 << 20
@@ -88,6 +88,8 @@ def open_file(
         except BaseException:
             os.close(descriptor)
             raise
+    if (quotes := HIDING.get()) is not None:
+        quotes.files[os.fspath(path)] = None
     return os.fdopen(descriptor, "rb")
 
 

@@ -22,6 +22,7 @@ from humansim_ros.humans.levels import levels_of
 from humansim_ros.humans.loading import forget_people_data
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_blocks
+from humansim_ros.io.quotes import hiding_quotes
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
@@ -307,7 +308,7 @@ class Scene(Pictured):
     def from_config(cls, config: SceneConfig, source: SceneSource | None = None) -> Scene:
         """Make a scene from a checked configuration. ``source`` finds its files and locates its errors."""
         source = source or SceneSource()
-        with source.locating_errors():
+        with source.locating_errors(), hiding_quotes(lambda: (config, source.folder)):
             scene = cls._from_config(config, source.loading())
         forget_people_data()
         return replace(scene, source=source)

@@ -14,7 +14,10 @@ import numpy as np
 import pytest
 from test_scene_errors import FILE_KEYS, changed, folder, write  # noqa: F401  # folder is a fixture
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, HumansimWarning
+from humansim_ros.io.files import open_file
+from humansim_ros.io.quotes import hiding_quotes
+from humansim_ros.motion import read_motion
 from humansim_ros.scene import Scene
 
 #: Words of a file that nobody may see.
@@ -91,6 +94,51 @@ def said(path: Path) -> Iterator[str]:
         except HumansimError as error:
             yield str(error)
     yield from (str(warning.message) for warning in caught)
+
+
+@pytest.mark.parametrize("kind", ["words", "bad yaml", "json", "bvh", "csv", "obj", "moves"])
+@pytest.mark.parametrize("key", ["humans.anna.motion.file", "humans.anna.face.file", "rig.file"])
+def test_a_message_hides_words_of_a_file_that_a_scene_names(
+    folder: Path,  # noqa: F811
+    tmp_path: Path,
+    key: str,
+    kind: str,
+) -> None:
+    secret, scene = tmp_path / "of_another.bvh", folder / "of_somebody_else.yaml"
+    secret.write_bytes(CONTENTS[kind])
+    write(scene, changed(key, "MARKED"), str(secret))
+    messages = list(said(scene))
+    assert messages and not any(word in text for text in messages for word in SECRETS)
+    assert str(secret) in messages[0] and key in messages[0]
+
+
+def test_the_reader_of_a_file_quotes_it(tmp_path: Path) -> None:
+    path = tmp_path / "own.bvh"
+    path.write_bytes(CONTENTS["words"])
+    with pytest.raises(HumansimError, match="xyzzyKey"):
+        read_motion(path)
+
+
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("expected HIERARCHY, not 'root:x:0:0'", "expected HIERARCHY, not '…'"),
+        (r"a line '\tplughValue\n' is wrong", "a line '…' is wrong"),
+        ("the joints walker_07, plughValue", "the joints walker_07, …"),
+        ("12345 triangles, the code 4711081547110815", "12345 triangles, the code …"),
+        ("PLUGHVALUE and plughvalue", "… and …"),
+    ],
+)
+def test_what_is_in_a_file_is_hidden_in_a_message(tmp_path: Path, message: str, shown: str) -> None:
+    path = tmp_path / "secret"
+    path.write_text(
+        "root:x:0:0\n plughValue walker_07 12345 4711081547110815 PLUGHVALUE plughvalue HIERARCHY"
+    )
+    with hiding_quotes(lambda: "walker_07"):
+        open_file(path, HumansimError, "test", 1000).close()
+        assert str(HumansimError(message)) == shown
+        assert str(HumansimWarning(message)) == shown
+    assert str(HumansimError(message)) == message
 
 
 @pytest.mark.nightly

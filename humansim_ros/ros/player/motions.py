@@ -17,6 +17,7 @@ from humansim_ros.errors import HumansimError, MotionError, RosError, warn_about
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.io.files import expand_user, size_text
 from humansim_ros.io.motion_formats import MOTION_TITLES, split_motion_name
+from humansim_ros.io.quotes import hiding_quotes
 from humansim_ros.motion.activity import is_activity
 from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.files import find_motion
@@ -259,7 +260,8 @@ class RequestedMotions(SceneSource):
             find_motion(path if "/" in file else file, self.folder)
             name = path if part is None else f"{path}#{part}"
         try:
-            return super().motion(name, positions)
+            with hiding_quotes(lambda: (name, self.folder)):
+                return super().motion(name, positions)
         except HumansimError as error:
             where = name if error.path is None else error.path
             line = "" if error.line is None else f":{error.line}"

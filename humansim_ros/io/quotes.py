@@ -1,0 +1,89 @@
+"""Messages about files that somebody else has named, as in a scene: they do not show what is in the files."""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+import humansim_ros
+from humansim_ros.errors import HIDING
+from humansim_ros.io.assets import resource_path
+
+#: In place of what is in a file.
+HIDDEN = "…"
+#: Parts of a message: what is in quotes, and words.
+_PARTS = re.compile(r"""(?<!\w)'(?:[^'\\]|\\.)+'(?!\w)|(?<!\w)"(?:[^"\\]|\\.)+"(?!\w)|[\w.:+$-]{3,}""")
+_WORD, _ESCAPE = re.compile(r"\w{3,}"), re.compile(r"\\(?:x..|u.{4}|U.{8}|.)")
+#: A number of fewer characters outside quotes may be a count or a length by chance.
+_NUMBER = re.compile(r"[\d.,:+-]{1,8}")
+_ENCODINGS = ("utf-8", "utf-16-le", "utf-16-be", "latin-1", "cp932", "gb18030", "cp949", "big5", "euc_jp")
+
+
+class FileQuotes:
+    """Hides words of the files that are read in texts. ``known``: text whose words may be shown."""
+
+    def __init__(self, known: Callable[[], object]) -> None:
+        self.files: dict[str, None] = {}
+        self._known = known
+
+    def hide(self, text: str) -> str:
+        """The text with ``…`` for each part that is in a file, and neither known nor of this package."""
+        return _PARTS.sub(lambda found: self._shown(found[0]), text) if self.files else text
+
+    def _shown(self, part: str) -> str:
+        quoted = part[0] in "'\""
+        whole = part.strip("'\"….:")
+        if not quoted and _NUMBER.fullmatch(whole):
+            return part
+        words = [whole, *_WORD.findall(_ESCAPE.sub(" ", whole))]
+        if not any(self._is_quote(word) for word in words if len(word) > 2):
+            return part
+        return f"{part[0]}{HIDDEN}{part[0]}" if quoted else HIDDEN
+
+    def _is_quote(self, word: str) -> bool:
+        lower = word.lower()
+        if lower in _own_words() or lower in "\n".join([*self.files, str(self._known())]).lower():
+            return False
+        own = str(resource_path("assets"))
+        return any(_is_in(Path(file), word) for file in self.files if not file.startswith(own))
+
+
+@contextmanager
+def hiding_quotes(known: Callable[[], object]) -> Iterator[None]:
+    """Hide what is in the files that are read meanwhile, in all errors and warnings of the package.
+
+    ``known``: gives what may be shown: the settings that name the files.
+    """
+    quotes = FileQuotes(known)
+    token = HIDING.set(quotes)
+    try:
+        yield
+    finally:
+        HIDING.reset(token)
+
+
+@cache
+def _own_words() -> str:
+    """Words that tell nothing about a file: the sources and the tables of this package."""
+    package = Path(humansim_ros.__file__).parent
+    files = (*package.rglob("*.py"), *resource_path("config").rglob("*.*"))
+    texts = (file.read_text("utf-8", "replace") for file in files if file.suffix in (".py", ".yaml", ".json"))
+    return "\n".join(texts).lower()
+
+
+def _is_in(file: Path, word: str) -> bool:
+    forms = set[bytes]()
+    for encoding in _ENCODINGS:
+        with suppress(UnicodeEncodeError):
+            forms |= {form.encode(encoding) for form in (word, word.lower(), word.upper())}
+    with (
+        suppress(OSError, ValueError),  # removed meanwhile, or empty
+        file.open("rb") as opened,
+        mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content,
+    ):
+        return any(content.find(form) >= 0 for form in forms)
+    return False

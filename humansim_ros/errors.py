@@ -17,10 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from humansim_ros.io.quotes import FileQuotes
-
-#: What hides the content of files in the messages of this module; None: messages quote files.
-HIDING: ContextVar[FileQuotes | None] = ContextVar("HIDING", default=None)
+#: What hides the content of files in messages (a FileQuotes of io/quotes.py); None: messages quote files.
+HIDING: ContextVar[Any] = ContextVar("HIDING", default=None)
 
 
 #: Largest coordinate and size in metres, and velocity in m/s or rad/s.
@@ -111,7 +109,7 @@ def located(
 def _hidden(text: str) -> str:
     """A text for people without the content of files that it must not show."""
     quotes = HIDING.get()
-    return text if quotes is None else quotes.hide(text)
+    return text if quotes is None else str(quotes.hide(text))
 
 
 def near_names(word: str, known: Iterable[str], least: float = 0.65) -> list[str]:

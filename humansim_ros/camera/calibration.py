@@ -18,7 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
-from humansim_ros.camera.checks import check_image_size, guess_image_size, has_pose, image_size
+from humansim_ros.camera.checks import (
+    check_focal_length,
+    check_image_size,
+    guess_image_size,
+    has_pose,
+    image_size,
+)
 from humansim_ros.camera.formats import FORMATS, READ_FORMATS
 from humansim_ros.camera.formats.base import CalibrationFile, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
@@ -462,7 +468,7 @@ def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, 
             message = mirrored if _mirrors(raw, part) else error.message
             raise CameraError(message, path=at.path or path, line=at.line, key=key) from None
     messages = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
-    for message in (*messages, *check_image_size(camera)):
+    for message in (*messages, *(check_focal_length(camera) or check_image_size(camera))):
         warn_about(path, f"{name}: {message}")
     return camera
 

@@ -104,6 +104,12 @@ def check_rig(cameras: Mapping[str, Camera]) -> list[str]:
     return messages
 
 
+def check_focal_length(camera: Camera) -> list[str]:
+    """Check whether K is in pixels, not in millimetres or fractions of the image. Returns messages."""
+    is_long = camera.K[0, 0] * _MOST_IN_WIDTH >= camera.size[0]
+    return [] if is_long else [_not_in_pixels(camera)]
+
+
 def check_image_size(camera: Camera) -> list[str]:
     """Check whether K belongs to an image of another size. Returns messages.
 
@@ -111,8 +117,6 @@ def check_image_size(camera: Camera) -> list[str]:
     centre of another size fits much better, and that image has the same shape.
     """
     (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
-    if camera.K[0, 0] * _MOST_IN_WIDTH < width:
-        return [_not_in_pixels(camera)]
     share = _principal_share(camera)
     distance = float(np.abs(share - 0.5).max())
     low, high = sorted(share)
@@ -136,7 +140,7 @@ def note_principal_points(cameras: Mapping[str, Camera]) -> list[str]:
     distances = {
         name: float(np.abs(_principal_share(camera) - 0.5).max())
         for name, camera in cameras.items()
-        if not check_image_size(camera)
+        if not check_focal_length(camera) and not check_image_size(camera)
     }
     far = {name: distance for name, distance in distances.items() if distance > _OFF_CENTER}
     if not far:
@@ -158,13 +162,13 @@ def _principal_share(camera: Camera) -> Array:
 def _check_intrinsics(camera: Camera) -> Iterator[str]:
     width = camera.size[0]
     (fx, skew, _), (_, fy, _) = camera.K[:2]
-    yield from check_image_size(camera)
+    yield from (short := check_focal_length(camera)) or check_image_size(camera)
     if abs(fx / fy - 1) > _NOT_SQUARE:
         yield f"the pixels are not square: fx / fy is {fx / fy:.3f}"
     if abs(skew) > _SKEWED * fx:
         yield f"there is a skew of {skew:.3g}, {abs(skew) / fx:.1%} of the focal length"
     plausible = _FOCAL_LENGTHS[0] < fx / width < _FOCAL_LENGTHS[1]
-    if not camera.distorted and not plausible and fx * _MOST_IN_WIDTH >= width:
+    if not camera.distorted and not plausible and not short:
         yield _not_in_pixels(camera)
 
 

@@ -46,6 +46,8 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
         raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
 
 
+#: Flags with which files are opened: never waiting.
+_READ = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
 #: Limit of :func:`open_file` for files that are read part by part.
 ANY_SIZE = 1 << 62
 
@@ -76,10 +78,12 @@ def open_file(
     with reading_errors(path, error, what):
         # before it is opened: to open a pipe or a device can have effects
         _check_entry(Path(path).stat(), path, error, what)
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        descriptor = os.open(path, _READ)
         try:
             status = os.fstat(descriptor)
             _check_entry(status, path, error, what)
+            if (quotes := HIDING.get()) is not None:
+                quotes.files[os.fspath(path)] = None
             if status.st_size == 0 and not may_be_empty:
                 raise error(f"the {what} file is empty", path=path)
             if status.st_size > most:
@@ -88,8 +92,6 @@ def open_file(
         except BaseException:
             os.close(descriptor)
             raise
-    if (quotes := HIDING.get()) is not None:
-        quotes.files[os.fspath(path)] = None
     return os.fdopen(descriptor, "rb")
 
 

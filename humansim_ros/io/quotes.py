@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -20,6 +21,8 @@ _PARTS = re.compile(r"""(?<!\w)'(?:[^'\\]|\\.)+'(?!\w)|(?<!\w)"(?:[^"\\]|\\.)+"(
 _WORD, _ESCAPE = re.compile(r"\w{3,}"), re.compile(r"\\(?:x..|u.{4}|U.{8}|.)")
 #: A number of fewer characters outside quotes may be a count or a length by chance.
 _NUMBER = re.compile(r"[\d.,:+-]{1,8}")
+#: Bytes of the largest file that is searched.
+_LARGEST = 1 << 24
 _ENCODINGS = ("utf-8", "utf-16-le", "utf-16-be", "latin-1", "cp932", "gb18030", "cp949", "big5", "euc_jp")
 
 
@@ -46,7 +49,8 @@ class FileQuotes:
 
     def _is_quote(self, word: str) -> bool:
         lower = word.lower()
-        if lower in _own_words() or lower in "\n".join([*self.files, str(self._known())]).lower():
+        shown = (*self.files, str(self._known()))
+        if any(lower in text.lower() for text in shown) or any(lower in text for text in _own_texts()):
             return False
         own = str(resource_path("assets"))
         return any(_is_in(Path(file), word) for file in self.files if not file.startswith(own))
@@ -67,23 +71,27 @@ def hiding_quotes(known: Callable[[], object]) -> Iterator[None]:
 
 
 @cache
-def _own_words() -> str:
-    """Words that tell nothing about a file: the sources and the tables of this package."""
+def _own_texts() -> tuple[str, ...]:
+    """Texts whose words tell nothing about a file: the sources and the tables of this package."""
     package = Path(humansim_ros.__file__).parent
     files = (*package.rglob("*.py"), *resource_path("config").rglob("*.*"))
-    texts = (file.read_text("utf-8", "replace") for file in files if file.suffix in (".py", ".yaml", ".json"))
-    return "\n".join(texts).lower()
+    return tuple(
+        file.read_text("utf-8", "replace").lower()
+        for file in files
+        if file.suffix in (".py", ".yaml", ".json")
+    )
 
 
 def _is_in(file: Path, word: str) -> bool:
+    """Whether a file has a word in any encoding; files that would take long to search have all words."""
     forms = set[bytes]()
     for encoding in _ENCODINGS:
         with suppress(UnicodeEncodeError):
             forms |= {form.encode(encoding) for form in (word, word.lower(), word.upper())}
     with (
         suppress(OSError, ValueError),  # removed meanwhile, or empty
-        file.open("rb") as opened,
+        open(file, "rb", opener=lambda path, flags: os.open(path, flags | os.O_NONBLOCK)) as opened,
         mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content,
     ):
-        return any(content.find(form) >= 0 for form in forms)
+        return len(content) > _LARGEST or any(content.find(form) >= 0 for form in forms)
     return False

@@ -586,7 +586,7 @@ def test_a_parameter_reads_no_other_file_of_the_machine_and_quotes_none(
     )
     assert elsewhere == missing.replace("missing", "elsewhere")
     assert "motion_folders" in elsewhere
-    with pytest.warns(HumansimWarning, match="notes.bvh.*secret"):  # on this machine
+    with pytest.warns(HumansimWarning, match="notes.bvh.*HIERARCHY"):  # on this machine
         notes = player.set(motion=str(player.motions / "notes.bvh"))
     assert "not a motion that can be read" in notes
     assert "not a regular file" in player.set(motion=str(player.motions / "pipe.bvh"))

@@ -103,7 +103,7 @@ class ExportTruth:
         """Number of the first frame."""
         return self._frames.start
 
-    def images(self, numbers: Collection[int], keypoints: KeypointSet | None) -> ImageTruth:
+    def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
         """Truth of the images of its COCO file; the parameters are for scenes."""
         document = self._document
         return ImageTruth(
@@ -257,7 +257,7 @@ class SceneImages:
         last = (number + 1) * max(timing.step for timing in timings)
         return bisect_right(range(last), number, key=self._first) - 1
 
-    def images(self, numbers: Collection[int], keypoints: KeypointSet | None) -> ImageTruth:
+    def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
         """Render the frames from the first to the last of some images, or the first one; needs OpenGL.
 
         ``keypoints``: set of the estimate. The truth has it if its OKS constants are published, else its own

@@ -155,7 +155,7 @@ class C3dFile:
         samples = min(len(turns) // (17 * used), frames * step) if used else 0
         turns = turns[: samples * 17 * used].reshape(samples, used, 17)[::step]
         with np.errstate(all="ignore"):
-            points = table[..., :3] * (1.0 if scale < 0 else scale)
+            points = table[..., :3] * (1.0 if scale < 0 else float(scale))
             return _seen(points, table[..., 3:]), _seen(turns[..., 12:15], turns[..., 16:])
 
 

@@ -14,7 +14,7 @@ from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.export.source import FrameReader, SimulatedSource
 from humansim_ros.jobs.frame_job import Costs, FrameResult
-from humansim_ros.record.recording import result_of
+from humansim_ros.record.recording import RecordingPlan, result_of
 from humansim_ros.scene import Frame
 
 CAMERAS = ("left", "right", "top")
@@ -44,6 +44,10 @@ class Numbers:
     frames: int = 12
     cameras: Sequence[str] = CAMERAS
     costs: Costs = field(default_factory=Costs, compare=False)
+
+    @property
+    def plan(self) -> RecordingPlan:
+        return RecordingPlan("", self.frames, (), "raw", "mcap", "none", 0, 0.0, "")
 
     @property
     def topics(self) -> Sequence[BagTopic]:

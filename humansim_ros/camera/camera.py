@@ -134,19 +134,10 @@ class Camera(Pictured):
             raise CameraError(
                 f"the field of view must be between 0 and 180 degrees, not {np.degrees(fov):g}", key="fov"
             )
-        centre = _matrix(position, (3,), "position")
-        forward = _matrix(target, (3,), "look_at") - centre
-        right = np.cross(forward, _matrix(up, (3,), "up"))
-        if np.linalg.norm(forward) < 1e-9:
-            raise CameraError("position and look_at are the same point", key="look_at")
-        if np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
-            raise CameraError("the camera looks straight along its up direction: give another 'up'", key="up")
-        z = forward / np.linalg.norm(forward)
-        x = right / np.linalg.norm(right)
-        rotation = np.stack([x, np.cross(z, x), z])
+        rotation, translation = look_at_pose(position, target, up)
         f = width / 2 / np.tan(fov / 2)
         k = pinhole(f, f, (width - 1) / 2, (height - 1) / 2)
-        return cls(size, k, rotation, -rotation @ centre)
+        return cls(size, k, rotation, translation)
 
     @classmethod
     def from_projection_matrix(cls, P: ArrayLike, size: ImageSize) -> Camera:
@@ -360,6 +351,27 @@ def _checked_size(size: ImageSize) -> ImageSize:
     if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
         raise CameraError(f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size")
     return width, height
+
+
+def look_at_pose(
+    position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
+) -> tuple[Array, Array]:
+    """R (3, 3) and t (3,) of a camera that looks from one point at another, parameters as of look_at.
+
+    Raises:
+        CameraError: ``position`` equals ``target``, or ``up`` is parallel to the view direction.
+    """
+    centre = _matrix(position, (3,), "position")
+    forward = _matrix(target, (3,), "look_at") - centre
+    right = np.cross(forward, _matrix(up, (3,), "up"))
+    if np.linalg.norm(forward) < 1e-9:
+        raise CameraError("position and look_at are the same point", key="look_at")
+    if np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
+        raise CameraError("the camera looks straight along its up direction: give another 'up'", key="up")
+    z = forward / np.linalg.norm(forward)
+    x = right / np.linalg.norm(right)
+    rotation = np.stack([x, np.cross(z, x), z])
+    return rotation, -rotation @ centre
 
 
 def _matrix(value: ArrayLike, shape: tuple[int, ...], key: str) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from humansim_ros.camera.camera import Camera, Region
+from humansim_ros.camera.camera import Camera, Region, look_at_pose
 from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
@@ -347,8 +347,8 @@ def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
     if config.R is not None and config.t is not None:
         return replace(camera, R=np.array(config.R), t=np.array(config.t))
     if config.position is not None and config.look_at is not None:
-        placed = Camera.look_at(config.position, config.look_at, camera.size, up=config.up)
-        return replace(camera, R=placed.R, t=placed.t)
+        rotation, translation = look_at_pose(config.position, config.look_at, config.up)
+        return replace(camera, R=rotation, t=translation)
     without_pose = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
     if without_pose and config.calibration is not None and config.trajectory is None:
         source.warn(

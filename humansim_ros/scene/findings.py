@@ -310,7 +310,9 @@ class Obstacle:
         """
         if self.moving is not None:
             return False
-        return any(a > d or b < c for a, b, c, d in zip(low, high, *self._sides, strict=True))
+        (left, front, bottom), (right, back, top) = self._sides
+        outside = low[0] > right or high[0] < left or low[1] > back or high[1] < front
+        return outside or low[2] > top or high[2] < bottom
 
     @cached_property
     def _sides(self) -> tuple[list[float], list[float]]:

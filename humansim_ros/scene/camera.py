@@ -334,6 +334,7 @@ def _displaced(pose: CameraPose, rotation: Array, translation: Array) -> CameraP
 
 def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
     """Camera of a section; at the origin if its pose comes from a trajectory."""
+    pose = _stated_pose(config)
     if config.calibration is not None:
         camera = _calibrated(config, source)
     elif config.P is not None:
@@ -343,12 +344,9 @@ def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
         k = _intrinsics(config.fov_deg, size) if config.K is None else np.array(config.K)
         stereo = (np.array(m) if m is not None else None for m in (config.rectification, config.rectified))
         lens = (config.distortion, config.distortion_model)
-        camera = Camera(size, k, np.eye(3), np.zeros(3), *lens, *stereo)
-    if config.R is not None and config.t is not None:
-        return replace(camera, R=np.array(config.R), t=np.array(config.t))
-    if config.position is not None and config.look_at is not None:
-        rotation, translation = look_at_pose(config.position, config.look_at, config.up)
-        return replace(camera, R=rotation, t=translation)
+        return Camera(size, k, *(pose or (np.eye(3), np.zeros(3))), *lens, *stereo)
+    if pose is not None:
+        return replace(camera, R=pose[0], t=pose[1])
     without_pose = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
     if without_pose and config.calibration is not None and config.trajectory is None:
         source.warn(
@@ -356,6 +354,15 @@ def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
             f"{config.calibration} has no pose: the camera is at the origin and looks up",
         )
     return camera
+
+
+def _stated_pose(config: CameraConfig) -> tuple[Array, Array] | None:
+    """R (3, 3) and t (3,) of a section; None if it has no pose of its own."""
+    if config.R is not None and config.t is not None:
+        return np.array(config.R), np.array(config.t)
+    if config.position is not None and config.look_at is not None:
+        return look_at_pose(config.position, config.look_at, config.up)
+    return None
 
 
 def _calibrated(config: CameraConfig, source: SceneSource) -> Camera:

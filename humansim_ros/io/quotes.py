@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import humansim_ros
@@ -33,6 +33,10 @@ class FileQuotes:
         self.files: dict[str, None] = {}
         self._known = known
 
+    @cached_property
+    def _known_text(self) -> str:
+        return str(self._known()).lower()
+
     def hide(self, text: str) -> str:
         """The text with ``…`` for each part that is in a file, and neither known nor of this package."""
         return _PARTS.sub(lambda found: self._shown(found[0]), text) if self.files else text
@@ -49,8 +53,8 @@ class FileQuotes:
 
     def _is_quote(self, word: str) -> bool:
         lower = word.lower()
-        shown = (*self.files, str(self._known()))
-        if any(lower in text.lower() for text in shown) or any(lower in text for text in _own_texts()):
+        shown = (*map(str.lower, self.files), self._known_text, *_own_texts())
+        if any(lower in text for text in shown):
             return False
         own = str(resource_path("assets"))
         return any(_is_in(Path(file), word) for file in self.files if not file.startswith(own))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any
 
@@ -22,6 +22,8 @@ _new = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, cty
     ("PyCapsule_New", ctypes.pythonapi)
 )
 _Convert = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p)
+_Fill = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p)
+_Create, _Destroy = ctypes.PYFUNCTYPE(ctypes.c_void_p), ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 
 
 def limited(srv_type: Any, most: int) -> Any:
@@ -40,9 +42,15 @@ def limited(srv_type: Any, most: int) -> Any:
     name = _get_name(meta._CONVERT_TO_PY)
     convert = _Convert(_get_pointer(meta._CONVERT_TO_PY, name))
 
+    def counts(message: int) -> list[tuple[str, int]]:
+        size = ctypes.sizeof(ctypes.c_void_p)
+        return [(field, ctypes.c_size_t.from_address(message + at + size).value) for field, at in lists]
+
+    if not _are_right(kind, counts):
+        return srv_type  # of a ROS whose messages have another layout
+
     def checked(message: int) -> Any:
-        for field, at in lists:
-            count = ctypes.c_size_t.from_address(message + at + ctypes.sizeof(ctypes.c_void_p)).value
+        for field, count in counts(message):
             if count > most:
                 return RosError(f"{count} {field}; at most {most} are read in one request")
         return convert(message)
@@ -52,6 +60,36 @@ def limited(srv_type: Any, most: int) -> Any:
     checking = type(meta.__name__, (meta,), {"_CONVERT_TO_PY": capsule, "_alive": (callback, name)})
     request = checking(kind.__name__, (kind,), {"__slots__": ()})
     return type(srv_type)(srv_type.__name__, (srv_type,), {"__slots__": (), "Request": request})
+
+
+def _are_right(kind: Any, counts: Callable[[int], list[tuple[str, int]]]) -> bool:
+    """Whether ``counts`` finds the lengths of the lists of a request in C: of its own lists, not of those in
+    its messages.
+    """
+    meta, sample = type(kind), kind()
+    create, fill, destroy = (
+        function(_get_pointer(capsule, _get_name(capsule)))
+        for function, capsule in (
+            (_Create, meta._CREATE_ROS_MESSAGE),
+            (_Fill, meta._CONVERT_FROM_PY),
+            (_Destroy, meta._DESTROY_ROS_MESSAGE),
+        )
+    )
+    own = sample.get_fields_and_field_types()
+    message = create()
+    try:
+        expected = []
+        for number, (field, count) in enumerate(counts(message), 1):
+            if count != 0:
+                return False
+            if found := re.fullmatch(r"sequence<([^,>]+).*", own.get(field, "")):
+                setattr(sample, field, number * [_message(found[1])()])
+                expected.append((field, number))
+            else:
+                expected.append((field, 0))
+        return bool(fill(sample, message)) and counts(message) == expected
+    finally:
+        destroy(message)
 
 
 def _fields(kind: Any, at: int = 0) -> Iterator[tuple[str, str, int]]:

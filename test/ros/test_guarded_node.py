@@ -389,3 +389,13 @@ def test_lists_of_messages_are_found_in_requests(name: str, expected: list[tuple
     request = getattr(importlib.import_module(f"{package}.srv"), kind).Request
     found = [(field, at) for field, type_, at in requests._fields(request) if "/" in type_ and "<" in type_]
     assert found == expected
+
+
+def test_requests_with_another_layout_in_c_are_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    from rcl_interfaces.srv import SetParameters
+
+    fields = requests._fields
+    monkeypatch.setattr(
+        requests, "_fields", lambda kind: [(name, type_, at + 16) for name, type_, at in fields(kind)]
+    )
+    assert requests.limited(SetParameters, 300) is SetParameters

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from humansim_ros.camera import Camera
+from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.humans import Human, draw_person, make_person
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, transform
 
 #: Bands of height, and their height in metres.
 BANDS, BAND = 40, 0.055

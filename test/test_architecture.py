@@ -45,7 +45,7 @@ LAYERS = (
     ("io",),
 )
 #: Modules of the top level, which every folder may import.
-BASE = {"__init__", "errors", "pictures", "rotations", "types"}
+BASE = {"__init__", "errors", "geometry", "pictures", "types"}
 PUBLIC = {
     "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View evaluate
         export idealize load_human read_bvh read_calibration read_mesh read_motion record write_bvh

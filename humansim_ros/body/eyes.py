@@ -14,7 +14,7 @@ import numpy as np
 
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import rotate, smooth_step, unit_vectors
+from humansim_ros.geometry import rotate, smooth_step, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: The eyes, left first.

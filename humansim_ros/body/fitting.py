@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from humansim_ros.body.landmarks import joint_positions, known_joints, measure
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import nearest_axis
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import nearest_axis
 from humansim_ros.types import Array
 
 #: Samples of a surface: their mean distance is 1 % of a person's height.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.joint_names import FINGERS, finger_bones
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import multiply_quaternions, rotate, unit_vectors
+from humansim_ros.geometry import multiply_quaternions, rotate, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Names of the finger bones of both hands, the left one first.

@@ -11,9 +11,9 @@ from humansim_ros.body.landmarks import Volume, solid
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import angle_between
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.normals import mean_normals
-from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array
 
 #: Heat transfer from bone to skin relative to diffusion; larger values give sharper joints.

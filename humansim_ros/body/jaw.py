@@ -13,7 +13,7 @@ import numpy as np
 
 from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import fit_similarity, rotate
+from humansim_ros.geometry import fit_similarity, rotate
 from humansim_ros.types import Array, Indices
 
 BONE = "temporomandibular"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
-from humansim_ros.rotations import smooth_step
+from humansim_ros.geometry import smooth_step
 from humansim_ros.types import Array
 
 #: Kinds of loose parts: the numbers in a file.

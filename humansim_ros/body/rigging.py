@@ -11,8 +11,8 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.heat_weights import heat_weights
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import angle_between
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array
 
 RigRule = Literal["heat", "thesis", "thesis-printed"]

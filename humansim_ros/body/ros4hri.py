@@ -19,7 +19,7 @@ import numpy as np
 
 from humansim_ros.body.eyes import EYE_BONES
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     cross_products,
     perpendicular,
     rotation_vector_to_matrix,

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
 from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.mesh import LARGEST
-from humansim_ros.rotations import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
 from humansim_ros.types import Array
 
 

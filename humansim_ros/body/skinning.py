@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import cross, matrix_to_quaternion
 from humansim_ros.mesh.mesh import normalise_weights
-from humansim_ros.rotations import cross, matrix_to_quaternion
 from humansim_ros.types import Array, FloatArray
 
 #: Usual limit of game engines.

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
+from humansim_ros.geometry import transform
 from humansim_ros.pictures import Pictured
-from humansim_ros.rotations import transform
 from humansim_ros.types import Array, ImageSize
 
 #: Largest error of orthonormality at which a rotation is corrected; matrices with larger errors are refused.

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
+from humansim_ros.geometry import angle_between
 from humansim_ros.io.assets import read_table
 from humansim_ros.io.files import open_file, reading_errors, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
-from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array, ImageSize
 
 #: Most focal lengths in the width of an image; a fisheye of 220 degrees has four.

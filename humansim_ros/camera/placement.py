@@ -27,10 +27,10 @@ from pydantic import ConfigDict, Field, model_validator
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
+from humansim_ros.geometry import angle_between
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
-from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array
 
 #: Largest condition number of the equations of optical axes that meet in a point.

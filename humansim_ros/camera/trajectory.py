@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import MAX_COORDINATE, CameraError, warn_about
+from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.io.files import atomic_path, read_text
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.types import Array
 
 #: Behaviour after the last pose: stay there, start again, or go back.

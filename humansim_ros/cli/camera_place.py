@@ -208,7 +208,7 @@ def _board_pose(calibration: Calibration, camera: Camera, text: str | None) -> A
     import numpy as np
 
     from humansim_ros.camera.calibration import Z_UP_FROM_FILE
-    from humansim_ros.rotations import rotation_vector_to_matrix, transform
+    from humansim_ros.geometry import rotation_vector_to_matrix, transform
 
     if text is None:
         return transform(Z_UP_FROM_FILE[calibration.up], np.zeros(3))

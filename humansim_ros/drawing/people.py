@@ -32,6 +32,7 @@ from humansim_ros.drawing.canvas import (
     write_png,
 )
 from humansim_ros.errors import HumansimError
+from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.file_frame import axis_vector
 from humansim_ros.motion.info import headings, mean_heading
@@ -39,7 +40,6 @@ from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, transform
 from humansim_ros.types import Array, Color, Image, Indices
 
 Viewpoint = Literal["side", "front", "three-quarter"]

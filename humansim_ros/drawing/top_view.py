@@ -24,7 +24,7 @@ from humansim_ros.drawing.canvas import (
     hsv_colors,
     text_size,
 )
-from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.types import Array, Color, Image
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.evaluate.joint_names import LimbEnd
-from humansim_ros.rotations import fit_similarity
+from humansim_ros.geometry import fit_similarity
 from humansim_ros.types import Array, Indices
 
 #: Thresholds of the AUC [Mehta 2017]: 0 to 150 mm in steps of 5 mm.

@@ -15,11 +15,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import warn_about
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
-from humansim_ros.humans.human import Human
-from humansim_ros.io.images import encode_image
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.normals import SurfaceNormals
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     WORLD_FROM_BODY,
     matrix_to_quaternion,
     multiply_quaternions,
@@ -27,6 +23,10 @@ from humansim_ros.rotations import (
     quaternion_to_matrix,
     transform,
 )
+from humansim_ros.humans.human import Human
+from humansim_ros.io.images import encode_image
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array

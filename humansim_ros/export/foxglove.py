@@ -21,10 +21,10 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import ExportError
 from humansim_ros.export.images import encoded_image
 from humansim_ros.export.writer import ExportFolder, ExportFrame, FormatWriter, Record
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.io.assets import read_table
 from humansim_ros.io.files import ANY_SIZE, read_bytes
 from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.truth import OUTSIDE
 from humansim_ros.types import Array

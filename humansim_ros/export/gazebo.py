@@ -30,9 +30,9 @@ from humansim_ros.export.animation import (
     warn_of_curved_skinning,
 )
 from humansim_ros.export.writer import ExportCamera, ExportFolder, Record
+from humansim_ros.geometry import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix, transform
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix, transform
 from humansim_ros.types import Array
 
 _MESHES = "meshes"

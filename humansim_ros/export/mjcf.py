@@ -29,10 +29,10 @@ from humansim_ros.export.animation import (
     warn_of_curved_skinning,
 )
 from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.io.npz import npz_bytes
 from humansim_ros.mesh.mesh import Mesh, split_seams
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array
 
 _ASSETS = "assets"

@@ -17,8 +17,8 @@ from humansim_ros.camera.formats.datasets import H36M, PANOPTIC
 from humansim_ros.errors import ExportError
 from humansim_ros.export.openpose import calibration_text
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 _MILLIMETRES = 1000.0

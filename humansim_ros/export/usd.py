@@ -26,10 +26,10 @@ from humansim_ros.export.animation import (
     warn_of_curved_skinning,
 )
 from humansim_ros.export.writer import ExportFolder, Record, warn_of_lenses
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.io.images import decode_srgb
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 #: Name of the file, and of the folder of its textures.

@@ -17,13 +17,13 @@ from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.body.skinning import limit_bones
 from humansim_ros.errors import MeshError, MotionError, warn_about
+from humansim_ros.geometry import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.humans.makehuman.skeleton import Bones
 from humansim_ros.mesh.mesh import Mesh, SkinnedMesh
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import LIMBS, match_motion
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array
 
 #: Range of statures, metres; a mesh of another size has another unit.

@@ -23,10 +23,10 @@ from defusedxml.common import DefusedXmlException
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, located, printable, some_of, warn_about
+from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size, decode_srgb
 from humansim_ros.mesh.glb import GlbBuilder
-from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Most elements and attributes of a file; nodes with all instances; numbers, which count at each use; keys of

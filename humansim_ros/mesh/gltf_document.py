@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, located, printable, some_of
+from humansim_ros.geometry import find_cycle, levels, quaternion_to_matrix
 from humansim_ros.io.converters import converted_fbx, is_collada, is_fbx
 from humansim_ros.io.files import parse_json, read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
@@ -38,7 +39,6 @@ from humansim_ros.mesh.gltf_compression import (
     meshopt_view,
 )
 from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, GltfMesh, Node, Primitive, Skin
-from humansim_ros.rotations import find_cycle, levels, quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: Maximum size of a file.

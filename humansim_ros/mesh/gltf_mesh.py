@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_matrix, vstack
 
 from humansim_ros.errors import MeshError, in_section, located, warn_about
+from humansim_ros.geometry import unit_vectors
 from humansim_ros.io.images import encode_srgb
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.mesh.gltf_document import Gltf
@@ -19,7 +20,6 @@ from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.mesh.mesh import FaceIndices, Material, Mesh, SkinnedMesh, normalise_weights, padded
 from humansim_ros.mesh.normals import shading_weights
 from humansim_ros.mesh.texels import PLAIN, atlas_mesh, plain_tile
-from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Image
 
 _REPEATED, _MIRRORED, _CLAMPED = 10497, 33648, 33071

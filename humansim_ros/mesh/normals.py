@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
-from humansim_ros.rotations import cross
+from humansim_ros.geometry import cross
 from humansim_ros.types import Array, FloatArray, Indices
 
 Weighting = Literal["angle", "area"]

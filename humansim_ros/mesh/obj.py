@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MeshError, located, warn_about
+from humansim_ros.geometry import unit_vectors
 from humansim_ros.io.files import decode_text, exists, read_bytes, read_text, resolve_inside, size_text
 from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.mesh.mesh import MAX_BYTES, FaceIndices, Material, Mesh, height_to_normal_map, without_maps
 from humansim_ros.mesh.normals import shading_weights
 from humansim_ros.mesh.texels import PLAIN, atlas_mesh, plain_tile
-from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Image
 
 #: Keyword -> line number and words after it, of one material. The last statement of a keyword counts.

@@ -25,6 +25,13 @@ from humansim_ros.errors import (
     some_of,
     within_bounds,
 )
+from humansim_ros.geometry import (
+    invert_rigid,
+    matrix_to_quaternion,
+    multiply_quaternions,
+    quaternion_to_matrix,
+    transform,
+)
 from humansim_ros.io.schema import Section
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.camera_truth import (
@@ -66,13 +73,6 @@ from humansim_ros.messages.types import (
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.renderer import Kind
-from humansim_ros.rotations import (
-    invert_rigid,
-    matrix_to_quaternion,
-    multiply_quaternions,
-    quaternion_to_matrix,
-    transform,
-)
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.adapter_config import (

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.body.ros4hri import JOINTS, HriLinks
 from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import SceneError
+from humansim_ros.geometry import invert_rigid, matrix_to_quaternion, transform
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.messages.cameras import transform_message
 from humansim_ros.messages.headers import TF_TOPIC, WORLD_FRAME, header, to_nanoseconds
@@ -37,7 +38,6 @@ from humansim_ros.messages.types import (
     TwistStamped,
     Vector3,
 )
-from humansim_ros.rotations import invert_rigid, matrix_to_quaternion, transform
 from humansim_ros.scene import HumanState
 from humansim_ros.truth import OCCLUDED, VISIBLE, JointView
 from humansim_ros.types import Array

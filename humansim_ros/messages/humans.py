@@ -9,6 +9,7 @@ import numpy as np
 from humansim_ros.body.face_actions import ACTIONS, FaceState
 from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import RosError, within_bounds
+from humansim_ros.geometry import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.cdr import unpack
@@ -31,7 +32,6 @@ from humansim_ros.messages.types import (
 )
 from humansim_ros.messages.types import Mesh as MeshMessage
 from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.rotations import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.capture import JointMotion
 from humansim_ros.types import Array, Float32Array, Indices

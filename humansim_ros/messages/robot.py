@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from humansim_ros.errors import RosError, printable, within_bounds
+from humansim_ros.geometry import multiply_quaternions, quaternion_to_matrix
 from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import header, to_nanoseconds
 from humansim_ros.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
 from humansim_ros.motion.kinematics import Velocity
-from humansim_ros.rotations import multiply_quaternions, quaternion_to_matrix
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.robot import Robot, carried
 from humansim_ros.types import Array

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
+from humansim_ros.geometry import smooth_step
 from humansim_ros.io.assets import resource_path
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.joint_match import opposite_joints
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import smooth_step
 from humansim_ros.types import Array
 
 #: Kinds of activity. ``around``: stand, talk, sit, walk on errands; ``desk``: sit, write, eat; ``standing``:

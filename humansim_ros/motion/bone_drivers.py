@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.motion.file_frame import BodyLines
-from humansim_ros.motion.joint_match import JointMatch
-from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     WORLD_FROM_BODY,
     angle_between,
     from_y_axis,
@@ -21,6 +18,9 @@ from humansim_ros.rotations import (
     rotate,
     unit_vectors,
 )
+from humansim_ros.motion.file_frame import BodyLines
+from humansim_ros.motion.joint_match import JointMatch
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array, Indices
 
 #: Rotations of pelvis, chest and feet that follow from positions, in order after the rotations of all joints.

@@ -15,11 +15,7 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.kinematics import JointPoses, Motion
-from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
-from humansim_ros.motion.world_motion import PoseCorrection, WorldMotion
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     cross_products,
     lengths_of,
     matrix_to_quaternion,
@@ -30,6 +26,10 @@ from humansim_ros.rotations import (
     smooth_step,
     unit_vectors,
 )
+from humansim_ros.motion.kinematics import JointPoses, Motion
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.soles import contact_steps, sole_loads, sole_points, standing_feet, true_runs
+from humansim_ros.motion.world_motion import PoseCorrection, WorldMotion
 from humansim_ros.types import Array
 
 #: Largest share of its length to which a leg is straightened, unless it was straighter before.

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
+from humansim_ros.geometry import WORLD_FROM_BODY, angle_between, nearest_axis, unit_vectors
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import WORLD_FROM_BODY, angle_between, nearest_axis, unit_vectors
 from humansim_ros.types import Array
 
 #: Angles (degrees) up to which trunk, legs, hips and shoulders count as a standing person's.

@@ -13,13 +13,13 @@ import numpy as np
 from humansim_ros.body.eyes import gaze_angles, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, located, printable, some_of
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import member
 from humansim_ros.motion.faces import VOWELS, WeightTrack, linear
 from humansim_ros.motion.gltf_motion import Track, find_animation, frame_times, node_tracks, sample_track
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: How far rounding may put a weight out of 0 to 1.

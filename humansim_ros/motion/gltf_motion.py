@@ -12,11 +12,11 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from humansim_ros.errors import MotionError, located, warn_about
+from humansim_ros.geometry import rotate
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.motion.kinematics import Motion, motion_of_rotations
-from humansim_ros.rotations import rotate
 from humansim_ros.types import Array
 
 #: Lowest frame rate, and the rate where keys are not evenly spaced, per second.

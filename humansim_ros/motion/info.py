@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.file_frame import axis_vector, detect_file_frame
 from humansim_ros.motion.files import read_motion
@@ -24,7 +25,6 @@ from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import find_stances, slide_distances
 from humansim_ros.motion.world_motion import WorldMotion, floor_height, playing_warnings, posture_warnings
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: Most frames, spread over the motion, from which bounds, floor and heading are measured.

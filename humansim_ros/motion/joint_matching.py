@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.geometry import lengths_of, rotate, unit_vectors
 from humansim_ros.io.files import exists
 from humansim_ros.motion.detail_joints import detail_joints
 from humansim_ros.motion.joint_match import (
@@ -36,7 +37,6 @@ from humansim_ros.motion.joint_tables import (
 )
 from humansim_ros.motion.kinematics import Motion, refuse_cycle
 from humansim_ros.motion.skeleton_matching import match_shape
-from humansim_ros.rotations import lengths_of, rotate, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Most frames, spread over the motion, that are looked at.

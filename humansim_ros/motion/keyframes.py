@@ -21,9 +21,9 @@ from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MAX_COORDINATE, MotionError, did_you_mean, located
+from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.files import atomic_path, read_bytes
 from humansim_ros.motion.kinematics import AROUND, JointPoses
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
 
 KeyframeLoop = Literal["none", "repeat"]

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import MotionError, printable, some_of
-from humansim_ros.pictures import Pictured
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     find_cycle,
     levels,
     multiply_quaternions,
@@ -28,6 +27,7 @@ from humansim_ros.rotations import (
     rotation_vector_to_quaternion,
     transform,
 )
+from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array, Indices
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")

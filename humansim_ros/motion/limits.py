@@ -23,11 +23,11 @@ from pydantic import ConfigDict, Field, model_validator
 from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
+from humansim_ros.geometry import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
-from humansim_ros.rotations import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
 
 #: Anatomical directions; ``out`` is away from the middle of the body, so that both sides share a range.

@@ -16,10 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MotionError, some_of, warn_about
-from humansim_ros.io.marker_files import MarkerFile, likely_scale, read_c3d_points, read_trc_points
-from humansim_ros.motion.kinematics import Motion, motion_of_rotations
-from humansim_ros.motion.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     are_rotations,
     nearest_axis,
     perpendicular,
@@ -28,6 +25,9 @@ from humansim_ros.rotations import (
     shortest_rotations,
     unit_vectors,
 )
+from humansim_ros.io.marker_files import MarkerFile, likely_scale, read_c3d_points, read_trc_points
+from humansim_ros.motion.kinematics import Motion, motion_of_rotations
+from humansim_ros.motion.marker_names import NEEDED, NEEDED_MARKERS, SIDES, Marks, is_seen, people_of
 from humansim_ros.types import Array, Indices
 
 #: Largest file, and most labels and points of a file.

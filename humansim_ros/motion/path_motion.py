@@ -13,11 +13,7 @@ import scipy.spatial
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.contacts import Leg, two_bone
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
-from humansim_ros.motion.soles import true_runs
-from humansim_ros.motion.world_motion import Placement, WorldMotion
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     matrix_to_quaternion,
     multiply_quaternions,
     quaternion_to_matrix,
@@ -25,6 +21,10 @@ from humansim_ros.rotations import (
     slerp,
     smooth_step,
 )
+from humansim_ros.motion.contacts import Leg, two_bone
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
+from humansim_ros.motion.soles import true_runs
+from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array, Indices
 
 #: Poses of a gait in one cycle.

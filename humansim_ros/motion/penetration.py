@@ -12,8 +12,8 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.rigging import dominant_bones, without_details
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import rotate
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import rotate
 from humansim_ros.types import Array, Indices
 
 #: Radius and, for the trunk, half the width, as shares of the stature; measured on assets/humans/adult_man.

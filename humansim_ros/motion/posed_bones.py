@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
+from humansim_ros.geometry import WORLD_FROM_BODY, matrix_to_quaternion
 from humansim_ros.io.files import atomic_path
 from humansim_ros.motion.bvh import write_bvh
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion
 from humansim_ros.types import Array
 
 SUFFIXES = (".bvh", ".npz", ".json")

@@ -11,11 +11,7 @@ import numpy as np
 
 from humansim_ros.body.hands import HandAnatomy
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.motion.contacts import Leg, two_bone
-from humansim_ros.motion.keyframes import KeyframeSpace
-from humansim_ros.motion.kinematics import AROUND, JointPoses, Motion
-from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     cross_products,
     matrix_to_quaternion,
     perpendicular,
@@ -25,6 +21,10 @@ from humansim_ros.rotations import (
     rotation_vector_to_matrix,
     unit_vectors,
 )
+from humansim_ros.motion.contacts import Leg, two_bone
+from humansim_ros.motion.keyframes import KeyframeSpace
+from humansim_ros.motion.kinematics import AROUND, JointPoses, Motion
+from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.types import Array
 
 #: Place of the palm between wrist and finger tips, and height of its skin over the line between them, as

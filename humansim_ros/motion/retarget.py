@@ -12,6 +12,17 @@ import numpy as np
 from humansim_ros.body.hands import FINGER_BONES
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, within_bounds
+from humansim_ros.geometry import (
+    WORLD_FROM_BODY,
+    angle_between,
+    are_rotations,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rotate,
+    rotation_vector_to_matrix,
+    transform,
+    unit_vectors,
+)
 from humansim_ros.motion.bone_drivers import (
     LINE_ROTATIONS,
     SHORTEST_LINK,
@@ -29,17 +40,6 @@ from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import JointLimits, load_limits
 from humansim_ros.motion.soles import sole_heights
 from humansim_ros.motion.world_motion import WorldMotion, floor_height
-from humansim_ros.rotations import (
-    WORLD_FROM_BODY,
-    angle_between,
-    are_rotations,
-    matrix_to_quaternion,
-    quaternion_to_matrix,
-    rotate,
-    rotation_vector_to_matrix,
-    transform,
-    unit_vectors,
-)
 from humansim_ros.types import Array, Indices
 
 #: Hands that no key poses.

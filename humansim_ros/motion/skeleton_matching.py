@@ -13,10 +13,10 @@ from itertools import combinations
 
 import numpy as np
 
+from humansim_ros.geometry import unit_vectors
 from humansim_ros.motion.joint_match import MIN_CONFIDENCE, JointMatch, match_roles
 from humansim_ros.motion.joint_tables import JointTable
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by at most this share.

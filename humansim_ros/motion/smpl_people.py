@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.rotations import rotate, rotation_vector_to_matrix
+from humansim_ros.geometry import rotate, rotation_vector_to_matrix
 from humansim_ros.types import Array
 
 Arrays = dict[str, NDArray[Any]]

@@ -12,11 +12,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import MotionError, some_of
-from humansim_ros.motion.file_frame import FileFrame
-from humansim_ros.motion.joint_match import JointMatch, opposite_joints
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion
-from humansim_ros.motion.pace import pace_warning
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     WORLD_FROM_BODY,
     matrix_to_quaternion,
     multiply_quaternions,
@@ -26,6 +22,10 @@ from humansim_ros.rotations import (
     smooth_step,
     unit_vectors,
 )
+from humansim_ros.motion.file_frame import FileFrame
+from humansim_ros.motion.joint_match import JointMatch, opposite_joints
+from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion
+from humansim_ros.motion.pace import pace_warning
 from humansim_ros.types import Array, Indices
 
 #: A person is slower, m/s, and moves less in one frame, metres. The fastest run is 12.4 m/s.

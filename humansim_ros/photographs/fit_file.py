@@ -10,6 +10,7 @@ import yaml
 from pydantic import Field
 
 from humansim_ros.errors import MAX_COORDINATE, PhotographError, located
+from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.io.files import atomic_path
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
@@ -24,7 +25,6 @@ from humansim_ros.photographs.person_fit import (
     Proportions,
 )
 from humansim_ros.photographs.views import MAX_FRAMES
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, transform, unit_quaternions
 
 _HEADER = "# Fit of `humansim human fit`; docs/from_photographs.md describes the keys.\n"
 _Number = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]

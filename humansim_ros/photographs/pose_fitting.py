@@ -17,9 +17,9 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
+from humansim_ros.geometry import fit_similarity, from_y_axis, quaternion_to_matrix, unit_vectors
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
-from humansim_ros.rotations import fit_similarity, from_y_axis, quaternion_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Points count less and less beyond this number of standard deviations of their noise.

@@ -11,17 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.humans.human import Human
-from humansim_ros.keypoints.locator import KeypointLocator
-from humansim_ros.keypoints.sets import KeypointSet
-from humansim_ros.motion.limits import JointLimits, load_limits
-from humansim_ros.photographs.person_fit import Proportions
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     matrix_to_quaternion,
     quaternion_to_matrix,
     rotation_vector_to_matrix,
     transform,
 )
+from humansim_ros.humans.human import Human
+from humansim_ros.keypoints.locator import KeypointLocator
+from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.motion.limits import JointLimits, load_limits
+from humansim_ros.photographs.person_fit import Proportions
 from humansim_ros.types import Array, Indices
 
 #: Bones that have one factor of length together, by their names without the side.

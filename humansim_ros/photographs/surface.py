@@ -16,12 +16,12 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import PhotographError
+from humansim_ros.geometry import unit_vectors
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.texels import SurfaceTexels
 from humansim_ros.render.gl import GLRenderer
 from humansim_ros.render.renderer import Body
-from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
 

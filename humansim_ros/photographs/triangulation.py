@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import HumansimWarning, PhotographError, some_of
+from humansim_ros.geometry import unit_vectors
 from humansim_ros.humans.loading import load_human
 from humansim_ros.keypoints.locator import KeypointLocator
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.photographs.views import PhotoSet
-from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Human whose proportions are the mean ones.

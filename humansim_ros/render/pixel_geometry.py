@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
+from humansim_ros.geometry import cross
 from humansim_ros.render.caches import LruCache
 from humansim_ros.render.renderer import AdjacentFrame, Body
-from humansim_ros.rotations import cross
 from humansim_ros.types import Array, Float32Array, Indices, LinearColor
 
 #: Metres, and share of the distance, that a surface may lie before a point that still counts as visible: the

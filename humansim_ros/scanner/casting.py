@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.scanner.ray_index import Angles, Bounds, RayIndex
 from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 

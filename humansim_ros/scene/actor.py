@@ -15,6 +15,14 @@ from humansim_ros.body.face_actions import FaceState
 from humansim_ros.body.jaw import Jaw
 from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import MotionError, in_section, warn_about
+from humansim_ros.geometry import (
+    matrix_to_quaternion,
+    moved,
+    quaternion_to_matrix,
+    rotate,
+    transform,
+    unit_vectors,
+)
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.motion.contacts import ON_SKIN, FootContacts, SkinContact, skin_on_floor
@@ -31,14 +39,6 @@ from humansim_ros.motion.reaches import Palm, Reaches
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
-from humansim_ros.rotations import (
-    matrix_to_quaternion,
-    moved,
-    quaternion_to_matrix,
-    rotate,
-    transform,
-    unit_vectors,
-)
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
 from humansim_ros.scene.source import STANDING, SceneSource
 from humansim_ros.truth.upright_boxes import UprightBox, upright_box

@@ -19,9 +19,9 @@ from humansim_ros.camera.camera import Camera, Region, look_at_pose
 from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
+from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.render.renderer import Backdrop
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.config import RandomiseConfig, SceneConfig, load_config
 from humansim_ros.scene.environment import load_backdrop

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.camera.checks import check_image_size, check_rig, field_of_view
 from humansim_ros.errors import some_of
-from humansim_ros.rotations import angle_between
+from humansim_ros.geometry import angle_between
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.findings import Finding, Obstacle, SceneSamples, Severity, numbers
 from humansim_ros.scene.scene import Scene

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.rotations import rotation_vector_to_matrix
+from humansim_ros.geometry import rotation_vector_to_matrix
 from humansim_ros.scene.camera_config import (
     MAX_DELAY,
     MAX_TRIGGER_DELAY,

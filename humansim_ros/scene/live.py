@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.errors import MotionError, within_bounds
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.motion.bone_drivers import has_rotations
 from humansim_ros.motion.faces import FACE_JOINT, check_face
 from humansim_ros.motion.hand_poses import HAND_JOINTS
@@ -21,7 +22,6 @@ from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.loose_swing import LOOSE_JOINT, check_swing, swing_joints
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.types import Array
 

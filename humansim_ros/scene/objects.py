@@ -17,19 +17,19 @@ import scipy
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, did_you_mean, in_section, warn_about
-from humansim_ros.io.assets import read_table
-from humansim_ros.mesh.load import read_mesh_z_up
-from humansim_ros.mesh.mesh import Material, Mesh
-from humansim_ros.motion.keyframes import Keyframes, KeyframeTrack, read_keyframes
-from humansim_ros.motion.kinematics import Velocity
-from humansim_ros.render import Body
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     multiply_quaternions,
     normalised,
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
     transform,
 )
+from humansim_ros.io.assets import read_table
+from humansim_ros.mesh.load import read_mesh_z_up
+from humansim_ros.mesh.mesh import Material, Mesh
+from humansim_ros.motion.keyframes import Keyframes, KeyframeTrack, read_keyframes
+from humansim_ros.motion.kinematics import Velocity
+from humansim_ros.render import Body
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array, Color

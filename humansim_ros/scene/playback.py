@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 
 from humansim_ros.errors import MotionError, SceneError, in_section
+from humansim_ros.geometry import matrix_to_quaternion, multiply_quaternions, normalised
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.motion.kinematics import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
-from humansim_ros.rotations import matrix_to_quaternion, multiply_quaternions, normalised
 from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig

@@ -12,13 +12,13 @@ import numpy as np
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
-from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     compose_poses,
     multiply_quaternions,
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
 )
+from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
 from humansim_ros.scene.camera_config import TrajectoryConfig
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.objects import ObjectPose, SceneObject

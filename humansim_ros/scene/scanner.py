@@ -10,7 +10,7 @@ import scipy
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
-from humansim_ros.rotations import compose_poses
+from humansim_ros.geometry import compose_poses
 from humansim_ros.scanner.casting import Poses
 from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
 from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning

@@ -14,11 +14,11 @@ from humansim_ros.camera import Camera
 from humansim_ros.drawing.views import channel_picture, draw_joints
 from humansim_ros.errors import EvaluationError, HumansimError
 from humansim_ros.evaluate.truth import FIRST_STAMP, truth_at
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.humans import Human
 from humansim_ros.jobs.frame_job import Costs, FrameResult, cores
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation

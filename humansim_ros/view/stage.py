@@ -20,10 +20,10 @@ from humansim_ros.camera.coverage import Coverage
 from humansim_ros.drawing.canvas import distinct_hues, hsv_colors
 from humansim_ros.errors import CameraError
 from humansim_ros.export.glb import GlbDocument
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh, split_seams
 from humansim_ros.mesh.normals import SurfaceNormals
-from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, Color, Image
 from humansim_ros.view.server import PREFIX, PageServer
 from humansim_ros.view.source import JOINTS, ViewFrame, ViewSource, jpeg_of

@@ -21,13 +21,13 @@ from humansim_ros.evaluate.live import LiveOptions, check_world
 from humansim_ros.evaluate.pose_sequence import PoseSequence
 from humansim_ros.evaluate.readers.detections import is_of_images
 from humansim_ros.evaluate.readers.estimates import read_estimates
+from humansim_ros.geometry import fit_similarity, from_y_axis, quaternion_to_matrix, transform
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import MAX_BONES
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.messages.people import GROUND, Pose, PoseFrame
 from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.rotations import fit_similarity, from_y_axis, quaternion_to_matrix, transform
 from humansim_ros.types import Array, Indices
 
 #: Axes of body space (y up, facing +z) in axes of ``map`` (z up, facing +x).

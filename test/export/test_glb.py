@@ -20,10 +20,10 @@ from humansim_ros import Scene, load_human, read_motion
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.export.animation import AnimatedHuman, influences
 from humansim_ros.export.glb import glb_bytes
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.humans import Human
 from humansim_ros.mesh import Mesh
 from humansim_ros.mesh.mesh import split_seams
-from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.scene.actor import HumanState
 
 RATE, FRAMES = 30.0, 6

@@ -15,7 +15,7 @@ from humansim_ros.errors import HumansimWarning
 from humansim_ros.export.animation import AnimatedHuman
 from humansim_ros.export.glb import BvhWriter, posed_bones
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportScene, ExportSettings
-from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.scene import Frame
 
 

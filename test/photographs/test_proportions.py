@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from humansim_ros.errors import MeshError, PhotographError
+from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix, transform
 from humansim_ros.humans import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.person_fit import (
@@ -20,7 +21,6 @@ from humansim_ros.photographs.person_fit import (
     surface_offsets,
     with_proportions,
 )
-from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix, transform
 
 LEGS = {"l_knee": 1.2, "r_knee": 1.2}
 

@@ -16,6 +16,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import PhotographError
 from humansim_ros.export.animation import AnimatedHuman
 from humansim_ros.export.glb import glb_bytes
+from humansim_ros.geometry import WORLD_FROM_BODY, transform
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import read_human, write_human
 from humansim_ros.mesh.mesh import Mesh
@@ -28,7 +29,6 @@ from humansim_ros.photographs.texturing import (
     triangle_neighbours,
 )
 from humansim_ros.render import Body, Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, transform
 from humansim_ros.scene import Scene, Simulation
 
 

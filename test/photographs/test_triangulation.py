@@ -13,13 +13,13 @@ from photographs.studio import ring, studio_cameras
 
 from humansim_ros.camera import Camera, write_calibration
 from humansim_ros.errors import HumansimWarning, PhotographError
+from humansim_ros.geometry import transform
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.triangulation import front_distance, triangulate, triangulate_photos
 from humansim_ros.photographs.views import write_points
-from humansim_ros.rotations import transform
 
 COCO = keypoint_set("coco17")
 SHELF = list(studio_cameras("shelf").values())

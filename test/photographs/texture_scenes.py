@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix
 from humansim_ros.humans import Human
 from humansim_ros.photographs.surface import TextureView
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix
 
 #: Light that leaves textures as they are.
 PLAIN = Lighting(mode="shadeless")

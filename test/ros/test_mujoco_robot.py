@@ -21,8 +21,8 @@ from humansim_ros.export.exporting import Export, export
 from humansim_ros.export.formats import chosen_formats
 from humansim_ros.export.plan import ExportPlan
 from humansim_ros.export.source import SimulatedSource
+from humansim_ros.geometry import quaternion_to_matrix, transform
 from humansim_ros.ros.nodes.in_process import InProcessNodes
-from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.scene.states import SceneStates
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed")

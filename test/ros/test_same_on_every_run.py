@@ -18,7 +18,7 @@ from ros_support import Client, Lockstep, write_scene
 
 from humansim_ros import messages
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.rotations import unit_quaternions
+from humansim_ros.geometry import unit_quaternions
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.live import JointSource, LiveRetargeter
 

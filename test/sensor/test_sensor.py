@@ -21,8 +21,8 @@ from scipy.integrate import quad
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
+from humansim_ros.geometry import moved
 from humansim_ros.render import View
-from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.sensor import ChromaticAberration, Noise, Sensor, SensorConfig, Vignetting
 

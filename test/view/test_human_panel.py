@@ -20,7 +20,7 @@ pytest.importorskip("viser")
 
 from humansim_ros import load_human
 from humansim_ros.errors import HumansimError
-from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.view.inputs import new_scene
 from humansim_ros.view.panels import drawn_person
 from humansim_ros.view.panels.human import HumanPanel

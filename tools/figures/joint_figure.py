@@ -28,9 +28,9 @@ from humansim_ros.drawing.canvas import (  # noqa: E402
     text_size,
     write_png,
 )
+from humansim_ros.geometry import WORLD_FROM_BODY, transform  # noqa: E402
 from humansim_ros.motion import load_limits  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
-from humansim_ros.rotations import WORLD_FROM_BODY, transform  # noqa: E402
 from humansim_ros.types import Array, Image  # noqa: E402
 
 _SIZE = (1180, 860)

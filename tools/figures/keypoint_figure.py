@@ -28,9 +28,9 @@ from humansim_ros.drawing.canvas import (  # noqa: E402
     draw_line,
     draw_text,
 )
+from humansim_ros.geometry import WORLD_FROM_BODY  # noqa: E402
 from humansim_ros.io.assets import built_in_names  # noqa: E402
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet  # noqa: E402
-from humansim_ros.rotations import WORLD_FROM_BODY  # noqa: E402
 from humansim_ros.scene import Frame  # noqa: E402
 from humansim_ros.truth import VISIBLE  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402

@@ -17,9 +17,9 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.drawing.views import color_depth
+from humansim_ros.geometry import moved
 from humansim_ros.io.assets import built_in_names, resource_path
 from humansim_ros.render import GLRenderer
-from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import SceneConfig, load_config

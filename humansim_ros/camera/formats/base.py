@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.lens import MODELS, Lens, fit_lens
 from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.io.yaml import line_of
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
 Key = str | int

@@ -24,8 +24,8 @@ from humansim_ros.camera.formats.base import (
 from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import CameraError
+from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.files import read_text
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
 #: Largest file of a rig; larger ones are models of large scenes.

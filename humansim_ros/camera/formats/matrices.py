@@ -54,8 +54,8 @@ from humansim_ros.camera.formats.spellings import (
 )
 from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, some_of, warn_about
+from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.io.npz import npz_bytes
-from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array, ImageSize
 
 #: Keys that do not say the direction of a transform.

@@ -42,7 +42,7 @@ from humansim_ros.camera.formats.base import (
 from humansim_ros.camera.formats.spellings import SCALARS, role_of
 from humansim_ros.camera.formats.table import Values, calibration_format
 from humansim_ros.errors import CameraError, some_of, warn_about
-from humansim_ros.rotations import matrix_to_quaternion
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.types import Array, ImageSize
 
 

@@ -29,7 +29,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, warn_about
-from humansim_ros.rotations import invert_rigid, transform
+from humansim_ros.geometry import invert_rigid, transform
 from humansim_ros.types import Array
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")

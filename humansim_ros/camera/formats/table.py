@@ -32,8 +32,8 @@ from humansim_ros.camera.formats.base import (
     xml_file,
 )
 from humansim_ros.camera.lens import MODELS
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.io.assets import read_table
-from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import ImageSize
 
 _ROWS: Mapping[str, dict[str, Any]] = read_table("calibration_formats")

@@ -15,10 +15,10 @@ from humansim_ros.errors import EvaluationError, did_you_mean, located, printabl
 from humansim_ros.evaluate.nearby import RobotPath
 from humansim_ros.evaluate.readers.estimates import bag_transforms, deserialised_message, is_bag, split_topic
 from humansim_ros.evaluate.truth import FIRST_STAMP, MAX_TRUTH_FRAMES
+from humansim_ros.geometry import quaternion_to_matrix, transform
 from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import WORLD_FRAME, to_nanoseconds
 from humansim_ros.messages.transforms import TF, read_links
-from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 

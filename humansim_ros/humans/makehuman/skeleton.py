@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.joint_names import DETAIL_BONES
+from humansim_ros.geometry import from_y_axis, quaternion_to_matrix, shortest_rotations, unit_vectors
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.surface import ramp
 from humansim_ros.io.assets import read_table
-from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, shortest_rotations, unit_vectors
 from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import ConvexHull
 
+from humansim_ros.geometry import smooth_step
 from humansim_ros.humans.makehuman.data import VertexIndices, VertexMask
 from humansim_ros.mesh.normals import mean_normals
-from humansim_ros.rotations import smooth_step
 from humansim_ros.types import Array
 
 NONE, SHOES, TROUSERS, SHIRT = range(4)  # in the order of layers

@@ -10,7 +10,7 @@ import numpy as np
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.export.glb import GlbDocument
-from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.geometry import WORLD_FROM_BODY
 from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.inputs import EmptySource

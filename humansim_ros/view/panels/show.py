@@ -8,7 +8,7 @@ from dataclasses import fields
 from typing import Any
 
 from humansim_ros.camera import Camera
-from humansim_ros.rotations import matrix_to_quaternion
+from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.view.panels.page import SPEEDS, Page, plain_markdown
 from humansim_ros.view.server import PREFIX
 from humansim_ros.view.source import ViewFrame, jpeg_of

@@ -1,4 +1,4 @@
-"""Rotations, vectors and the levels of joint trees, as arrays with leading batch axes, for the inner loops.
+"""Rotations, poses, vectors and levels of joint trees, as arrays with leading batch axes, for inner loops.
 
 Quaternions are ``xyzw`` (ROS, SciPy); matrices act on column vectors.
 """

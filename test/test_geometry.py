@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation, Slerp
 
-from humansim_ros.rotations import (
+from humansim_ros.geometry import (
     WORLD_FROM_BODY,
     cross,
     cross_products,

@@ -31,6 +31,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.export.glb import AnimatedHuman, glb_bytes
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
 from humansim_ros.render.body_buffers import ProjectedPoints, contour
@@ -40,7 +41,7 @@ from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.render.pyrender import import_pyrender
 from humansim_ros.scene import Scene
-from humansim_ros.scene.objects import SHAPES, ObjectPose
+from humansim_ros.scene.objects import SHAPES
 from humansim_ros.types import Array
 from humansim_ros.view.stage import glb_of
 

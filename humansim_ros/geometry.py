@@ -5,12 +5,18 @@ Quaternions are ``xyzw`` (ROS, SciPy); matrices act on column vectors.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy
+from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.types import Array, FloatArray, Indices
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 def levels(parents: Indices) -> tuple[Indices, ...]:
@@ -173,6 +179,21 @@ def unit_quaternions(quaternions: NDArray[Any]) -> Array:
     return np.where(np.abs(length - 1) <= _ROUNDING, q, q / length)
 
 
+def from_degrees(angles: ArrayLike) -> Rotation:
+    """Rotation by angles (..., 3) about the fixed x axis, then y, then z, in degrees [thesis §9.2]."""
+    return scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=True)
+
+
+def turn_about_z(yaw: float) -> Array:
+    """Quaternion (4,) xyzw of a turn about the z axis, in radians."""
+    return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
+
+
+def heading_of_hips(across: Array) -> float:
+    """Direction that hips face, radians from x to y. ``across``: (3,) from the right hip to the left one."""
+    return float(np.arctan2(-across[0], across[1]))
+
+
 def slerp(start: Array, end: Array, fraction: Array) -> Array:
     """Spherical interpolation between unit quaternions (..., 4) on the shorter arc; ``fraction`` (...,) 0 to
     1.
@@ -197,6 +218,12 @@ def are_rotations(matrices: Array) -> bool:
         return False
     products = matrices @ np.swapaxes(matrices, -1, -2)
     return bool((np.abs(products - np.eye(3)) < 1e-3).all() and (np.linalg.det(matrices) > 0).all())
+
+
+def nearest_rotations(matrices: Array) -> Array:
+    """Rotations (..., 3, 3) nearest to matrices (..., 3, 3); a mirrored matrix stays mirrored."""
+    u, _, vt = np.linalg.svd(matrices)
+    return np.asarray(u @ vt, dtype=float)
 
 
 def from_y_axis(direction: Array) -> Array:
@@ -342,3 +369,105 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
         np.multiply(a[j], b[k], out=out[i])
         out[i] -= a[k] * b[j]
     return out
+
+
+#: Half the time span of the central differences that give velocities; and the times of one, seconds.
+VELOCITY_STEP = 1e-3
+AROUND: Array = VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
+
+
+def central_difference(
+    positions: Array, rotations: Array, seconds: float | Array = 2 * VELOCITY_STEP
+) -> tuple[Array, Array]:
+    """Linear and angular velocities, (..., 3) each, from the first to the last of K poses.
+
+    ``positions``: (K, ..., 3). ``rotations``: quaternions (K, ..., 4) xyzw. ``seconds``: time between them.
+    """
+    before, after = normalised(rotations[0]), normalised(rotations[-1])
+    turn = quaternion_to_rotation_vector(multiply_quaternions(after, before * (-1, -1, -1, 1)))
+    return (positions[-1] - positions[0]) / seconds, turn / seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity:
+    """Velocity of a pose: ``linear`` (3,) m/s and ``angular`` (3,) rad/s, in the axes of ``map``."""
+
+    linear: Array
+    angular: Array
+
+    @classmethod
+    def between(cls, positions: Array, rotations: Array, seconds: float) -> Velocity:
+        """Velocity from the first to the last of K poses: positions (K, 3), rotations (K, 4); in seconds."""
+        return cls(*central_difference(positions, rotations, max(seconds, 1e-12)))
+
+    def scaled(self, factor: float) -> Velocity:
+        """Both velocities times a factor."""
+        return self if factor == 1 else Velocity(self.linear * factor, self.angular * factor)
+
+    def of_point(self, arm: Array) -> Velocity:
+        """Velocity of a point that is fixed to the pose, ``arm`` (3,) away from it in ``map``."""
+        return Velocity(self.linear + np.cross(self.angular, arm), self.angular)
+
+
+@dataclass(frozen=True)
+class ObjectPose:
+    """Pose and size of an object: a point x of its mesh is at ``position + rotation (size * x)``.
+
+    Attributes:
+        position: (3,) in ``map``, metres.
+        rotation: (4,) quaternion xyzw.
+        size: (3,) factors along the axes of the mesh; metres for a built-in mesh.
+        velocity: Velocity at this time; None if unknown.
+    """
+
+    position: Array
+    rotation: Array
+    size: Array = field(default_factory=lambda: np.ones(3))
+    velocity: Velocity | None = None
+
+    @classmethod
+    def on_floor(cls, x: float, y: float, yaw: float, velocity: Velocity | None = None) -> ObjectPose:
+        """Pose on the floor.
+
+        Args:
+            x: Metres in ``map``.
+            y: Metres in ``map``.
+            yaw: Heading in radians from +x to the left.
+            velocity: Velocity; None if it is zero or unknown.
+        """
+        return cls(np.array([x, y, 0.0]), turn_about_z(yaw), velocity=velocity)
+
+    def moved(self, seconds: float) -> ObjectPose:
+        """Pose ``seconds`` later at constant velocity."""
+        if self.velocity is None or seconds == 0:
+            return self
+        turn = rotation_vector_to_quaternion(seconds * self.velocity.angular)
+        position = self.position + seconds * self.velocity.linear
+        return replace(
+            self, position=position, rotation=multiply_quaternions(turn, normalised(self.rotation))
+        )
+
+    def carry(self, pose: ObjectPose) -> ObjectPose:
+        """Pose in ``map`` of a thing that this one carries; the size of this one has no effect.
+
+        ``pose``: pose and velocity of the thing in the axes of this one; without velocity it is fixed there.
+        """
+        position, rotation = compose_poses((self.position, self.rotation), (pose.position, pose.rotation))
+        velocity = self.velocity
+        if velocity is not None:
+            velocity = velocity.of_point(position - self.position)
+            if pose.velocity is not None:
+                turn = quaternion_to_matrix(self.rotation)
+                linear, angular = turn @ pose.velocity.linear, turn @ pose.velocity.angular
+                velocity = Velocity(velocity.linear + linear, velocity.angular + angular)
+        return ObjectPose(position, rotation, pose.size, velocity)
+
+    @property
+    def matrix(self) -> Array:
+        """(4, 4) transform of points of the mesh to ``map``."""
+        return transform(quaternion_to_matrix(self.rotation) * self.size, self.position)
+
+    def apply(self, points: Array) -> Array:
+        """Transform points (..., 3) of the mesh to ``map``."""
+        turned = (points * self.size) @ quaternion_to_matrix(self.rotation).T
+        return np.asarray(turned + self.position)

@@ -49,6 +49,7 @@ from humansim_ros.camera.formats.spellings import (
 from humansim_ros.camera.formats.syntax import name_of_half, other_half, read_document
 from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
+from humansim_ros.geometry import nearest_rotations
 from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists
 from humansim_ros.types import Array, ImageSize
@@ -483,10 +484,7 @@ def _mirrors(raw: RawCamera, part: str) -> bool:
 def _orthonormal(r: Array) -> Array:
     """Rotation that Camera makes from a matrix; a matrix that Camera refuses is unchanged."""
     error = np.abs(r @ r.T - np.eye(3)).max()
-    if not 1e-12 < error < 1e-3:
-        return r
-    u, _, vt = np.linalg.svd(r)
-    return np.asarray(u @ vt, dtype=float)
+    return nearest_rotations(r) if 1e-12 < error < 1e-3 else r
 
 
 # -- URLs

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
-from humansim_ros.geometry import transform
+from humansim_ros.geometry import nearest_rotations, transform
 from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array, ImageSize
 
@@ -129,15 +129,8 @@ class Camera(Pictured):
             >>> camera.center.round(9).tolist()
             [3.0, 3.0, 2.0]
         """
-        width, height = _checked_size(size)
-        if not 0 < fov < np.pi:
-            raise CameraError(
-                f"the field of view must be between 0 and 180 degrees, not {np.degrees(fov):g}", key="fov"
-            )
-        rotation, translation = look_at_pose(position, target, up)
-        f = width / 2 / np.tan(fov / 2)
-        k = pinhole(f, f, (width - 1) / 2, (height - 1) / 2)
-        return cls(size, k, rotation, translation)
+        k = pinhole_of_fov(size, fov)
+        return cls(size, k, *look_at_pose(position, target, up))
 
     @classmethod
     def from_projection_matrix(cls, P: ArrayLike, size: ImageSize) -> Camera:
@@ -334,8 +327,7 @@ def _rotation(value: ArrayLike, key: str) -> Array:
     if error <= 1e-12:
         return r
     # exactly orthonormal, so that the published extrinsics are a rigid transform
-    u, _, vt = np.linalg.svd(r)
-    return np.asarray(u @ vt, dtype=float)
+    return nearest_rotations(r)
 
 
 def _checked_size(size: ImageSize) -> ImageSize:
@@ -351,6 +343,20 @@ def _checked_size(size: ImageSize) -> ImageSize:
     if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
         raise CameraError(f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size")
     return width, height
+
+
+def pinhole_of_fov(size: ImageSize, fov: float) -> Array:
+    """K (3, 3) of an ideal camera by its horizontal field of view in radians.
+
+    Raises:
+        CameraError: ``fov`` is not between 0 and pi.
+    """
+    width, height = _checked_size(size)
+    if not 0 < fov < np.pi:
+        message = f"the field of view must be between 0 and 180 degrees, not {np.degrees(fov):g}"
+        raise CameraError(message, key="fov")
+    f = width / 2 / np.tan(fov / 2)
+    return pinhole(f, f, (width - 1) / 2, (height - 1) / 2)
 
 
 def look_at_pose(

@@ -27,7 +27,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.geometry import angle_between
+from humansim_ros.geometry import angle_between, from_degrees
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
@@ -50,10 +50,8 @@ class RigPlacement:
     @classmethod
     def from_degrees(cls, rotation_deg: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> RigPlacement:
         """RigPlacement from angles (3,) about the x axis of ``map``, then y, then z, in degrees."""
-        rotation = scipy.spatial.transform.Rotation.from_euler(
-            "xyz", np.asarray(rotation_deg, dtype=float), degrees=True
-        )
-        return cls(np.asarray(rotation.as_matrix()), np.asarray(position, dtype=float))
+        rotation = from_degrees(np.asarray(rotation_deg, dtype=float)).as_matrix()
+        return cls(np.asarray(rotation), np.asarray(position, dtype=float))
 
     @property
     def rotation_deg(self) -> Array:

@@ -23,7 +23,12 @@ from defusedxml.common import DefusedXmlException
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, located, printable, some_of, warn_about
-from humansim_ros.geometry import matrix_to_quaternion, rotation_vector_to_matrix, unit_vectors
+from humansim_ros.geometry import (
+    matrix_to_quaternion,
+    nearest_rotations,
+    rotation_vector_to_matrix,
+    unit_vectors,
+)
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size, decode_srgb
 from humansim_ros.mesh.glb import GlbBuilder
@@ -568,5 +573,9 @@ def _decomposed(matrices: Array) -> dict[str, Array]:
     axes = matrices[:, :3, :3]
     scales = np.linalg.norm(axes, axis=1)
     scales[np.linalg.det(axes) < 0, 0] *= -1
-    u, _, vt = np.linalg.svd(axes / np.where(scales == 0, 1.0, scales)[:, None])
-    return {"translation": matrices[:, :3, 3], "rotation": matrix_to_quaternion(u @ vt), "scale": scales}
+    rotations = nearest_rotations(axes / np.where(scales == 0, 1.0, scales)[:, None])
+    return {
+        "translation": matrices[:, :3, 3],
+        "rotation": matrix_to_quaternion(rotations),
+        "scale": scales,
+    }

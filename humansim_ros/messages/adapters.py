@@ -7,7 +7,6 @@ give the same messages.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -290,11 +289,6 @@ def _scanner_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
     return pose.position, pose.rotation
 
 
-def _turned(yaw: float) -> Array:
-    """Quaternion (4,) xyzw of a heading in ``map``."""
-    return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
-
-
 # --- builders
 
 
@@ -373,11 +367,11 @@ def people_message(frame: Frame, placed: Placed, labels: Mapping[str, int], stam
     axes = placed.at(frame)
     for name, state in frame.humans.items():
         place = standing(state)
-        tags = {"instance": str(labels[name])} | ({"velocity": "unknown"} if place.linear is None else {})
+        tags = {"instance": str(labels[name])} | ({"velocity": "unknown"} if place.velocity is None else {})
         person = PEOPLE_MSGS.message("Person")(
             name=name, position=axes.point(place.position), reliability=1.0
         )
-        speed = axes.vector(np.zeros(3) if place.linear is None else place.linear)
+        speed = axes.vector(np.zeros(3) if place.velocity is None else place.velocity.linear)
         person.velocity = Point(x=speed.x, y=speed.y, z=speed.z)
         person.tagnames, person.tags = list(tags), list(tags.values())
         message.people.append(person)
@@ -404,13 +398,13 @@ def tracked_persons_message(
         track = SPENCER_MSGS.message("TrackedPerson")(track_id=labels[name], is_occluded=not seen)
         track.is_matched, track.detection_id = seen, labels[name] if seen else 0
         track.age = Duration(sec=age[0], nanosec=age[1])
-        track.pose = PoseWithCovariance(pose=axes.pose(place.position, _turned(place.yaw)))
+        track.pose = PoseWithCovariance(pose=axes.pose(place.position, place.rotation))
         track.twist = TwistWithCovariance()
-        if place.linear is None or place.yaw_rate is None:
+        if place.velocity is None:
             track.twist.covariance = _variances(UNSET)
         else:
-            turning = axes.vector(np.array([0.0, 0.0, place.yaw_rate]))
-            track.twist.twist = Twist(linear=axes.vector(place.linear), angular=turning)
+            linear, angular = (axes.vector(each) for each in (place.velocity.linear, place.velocity.angular))
+            track.twist.twist = Twist(linear=linear, angular=angular)
         message.tracks.append(track)
     return message
 

@@ -10,7 +10,7 @@ import numpy as np
 from humansim_ros.camera import Camera
 from humansim_ros.camera.camera import Region
 from humansim_ros.errors import CameraError, RosError, within_bounds
-from humansim_ros.geometry import matrix_to_quaternion, unit_quaternions
+from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, unit_quaternions
 from humansim_ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.messages.types import (
     CameraInfo,
@@ -26,9 +26,8 @@ from humansim_ros.messages.types import (
     TwistStamped,
     Vector3,
 )
-from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.objects import FURNITURE, ObjectPose, SceneObject
+from humansim_ros.scene.objects import FURNITURE, SceneObject
 from humansim_ros.types import Array
 
 _WHOLE_SENSOR = Region()

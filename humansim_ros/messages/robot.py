@@ -8,13 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from humansim_ros.errors import RosError, printable, within_bounds
-from humansim_ros.geometry import multiply_quaternions, quaternion_to_matrix
+from humansim_ros.geometry import ObjectPose, Velocity, multiply_quaternions, quaternion_to_matrix
 from humansim_ros.messages.cameras import rigid_pose
 from humansim_ros.messages.headers import header, to_nanoseconds
 from humansim_ros.messages.types import Odometry, Point, Pose, Quaternion, Twist, Vector3
-from humansim_ros.motion.kinematics import Velocity
-from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.robot import Robot, carried
+from humansim_ros.scene.robot import Robot
 from humansim_ros.types import Array
 
 
@@ -46,7 +44,7 @@ def in_odometry(robot: Robot, base: ObjectPose) -> ObjectPose:
     start = robot.start
     back = start.rotation * (-1, -1, -1, 1)
     position = quaternion_to_matrix(back) @ (base.position - start.position)
-    return ObjectPose(position, multiply_quaternions(back, base.rotation), np.ones(3))
+    return ObjectPose(position, multiply_quaternions(back, base.rotation))
 
 
 def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
@@ -67,9 +65,9 @@ def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
     if not within_bounds([*linear, *angular]):
         raise RosError("the velocity of a robot's odometry is not finite, or above 1000 km/s")
     turn = quaternion_to_matrix(rotation)
-    moving = ObjectPose(position, rotation, np.ones(3), Velocity(turn @ linear, turn @ angular))
+    moving = ObjectPose(position, rotation, velocity=Velocity(turn @ linear, turn @ angular))
     start = replace(robot.start, velocity=Velocity(np.zeros(3), np.zeros(3)))
-    return to_nanoseconds(message.header.stamp), carried(start, moving)
+    return to_nanoseconds(message.header.stamp), start.carry(moving)
 
 
 def read_command(message: Twist) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from humansim_ros import messages
 from humansim_ros.camera import Camera, Region
 from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import SceneError
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
@@ -60,7 +61,7 @@ from humansim_ros.scene.capture import DepthCapture
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.scene.live import JointSource
-from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.objects import SceneObject
 from humansim_ros.scene.robot import Robot
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner

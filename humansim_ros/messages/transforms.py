@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.errors import RosError, within_bounds
-from humansim_ros.geometry import quaternion_to_matrix, transform
+from humansim_ros.geometry import ObjectPose, quaternion_to_matrix, transform
 from humansim_ros.messages.cameras import transform_message
 from humansim_ros.messages.cdr import unpack
 from humansim_ros.messages.headers import TF_STATIC_TOPIC, TF_TOPIC, WORLD_FRAME
 from humansim_ros.messages.topic import Topic
 from humansim_ros.messages.types import TransformStamped
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.types import Array

@@ -1,3 +1,4 @@
+from humansim_ros.geometry import Velocity as Velocity
 from humansim_ros.motion.bvh import read_bvh as read_bvh
 from humansim_ros.motion.bvh import write_bvh as write_bvh
 from humansim_ros.motion.files import read_motion as read_motion
@@ -8,7 +9,6 @@ from humansim_ros.motion.joint_tables import JointTable as JointTable
 from humansim_ros.motion.keyframes import read_keyframes as read_keyframes
 from humansim_ros.motion.kinematics import JointPoses as JointPoses
 from humansim_ros.motion.kinematics import Motion as Motion
-from humansim_ros.motion.kinematics import Velocity as Velocity
 from humansim_ros.motion.limits import load_limits as load_limits
 from humansim_ros.motion.penetration import fit_capsules as fit_capsules
 from humansim_ros.motion.penetration import report_penetration as report_penetration

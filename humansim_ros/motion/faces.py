@@ -19,10 +19,10 @@ import numpy as np
 from humansim_ros.body.eyes import LOOKS, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
 from humansim_ros.errors import MotionError, did_you_mean
-from humansim_ros.geometry import angle_between, smooth_step, unit_vectors
+from humansim_ros.geometry import AROUND, VELOCITY_STEP, angle_between, smooth_step, unit_vectors
 from humansim_ros.io.assets import read_table
 from humansim_ros.motion.face_keys import FaceKey
-from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array
 
 #: Joints that carry a face in a motion begin with this.

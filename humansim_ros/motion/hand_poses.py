@@ -18,10 +18,17 @@ from humansim_ros.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
 from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError, did_you_mean
-from humansim_ros.geometry import quaternion_to_matrix, rotate, smooth_step
+from humansim_ros.geometry import (
+    AROUND,
+    VELOCITY_STEP,
+    central_difference,
+    quaternion_to_matrix,
+    rotate,
+    smooth_step,
+)
 from humansim_ros.io.assets import read_table
 from humansim_ros.motion.hand_keys import MAX_SECONDS, HandKey, HandPoseName
-from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array, Indices
 
 if TYPE_CHECKING:

@@ -16,14 +16,13 @@ from xml.sax.xmlreader import AttributesImpl
 
 import defusedxml.sax
 import numpy as np
-import scipy
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MAX_COORDINATE, MotionError, did_you_mean, located
-from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.geometry import AROUND, from_degrees, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.files import atomic_path, read_bytes
-from humansim_ros.motion.kinematics import AROUND, JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array
 
 KeyframeLoop = Literal["none", "repeat"]
@@ -53,8 +52,7 @@ class KeyframePose:
     def quaternion(self) -> Array:
         """(..., 4) xyzw of R = Rz Ry Rx: about the fixed x axis first, then y, then z [thesis §9.2]."""
         angles = self.rotation.reshape(-1, 3)
-        rotation = scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=True)
-        return np.asarray(rotation.as_quat().reshape(*self.rotation.shape[:-1], 4))
+        return np.asarray(from_degrees(angles).as_quat().reshape(*self.rotation.shape[:-1], 4))
 
 
 @dataclass(frozen=True)

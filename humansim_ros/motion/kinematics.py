@@ -18,12 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import MotionError, printable, some_of
 from humansim_ros.geometry import (
+    VELOCITY_STEP,
+    central_difference,
     find_cycle,
     levels,
     multiply_quaternions,
     normalised,
     quaternion_to_matrix,
-    quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
     transform,
 )
@@ -283,11 +284,6 @@ def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
     return total
 
 
-#: Half the time span of the central differences that give velocities; and the times of one, seconds.
-VELOCITY_STEP = 1e-3
-AROUND: Array = VELOCITY_STEP * np.array([-1.0, 0.0, 1.0])
-
-
 @dataclass(frozen=True)
 class JointPoses:
     """Poses of J joints at N times, in ``map``.
@@ -405,32 +401,3 @@ class JointPoses:
         positions = self.positions + self.linear * steps
         turns = rotation_vector_to_quaternion(self.angular * steps)
         return JointPoses(self.names, positions, multiply_quaternions(turns, normalised(self.rotations)))
-
-
-@dataclass(frozen=True, eq=False)
-class Velocity:
-    """Velocity of a pose: ``linear`` (3,) m/s and ``angular`` (3,) rad/s, in the axes of ``map``."""
-
-    linear: Array
-    angular: Array
-
-    @classmethod
-    def between(cls, positions: Array, rotations: Array, seconds: float) -> Velocity:
-        """Velocity from the first to the last of K poses: positions (K, 3), rotations (K, 4); in seconds."""
-        return cls(*central_difference(positions, rotations, max(seconds, 1e-12)))
-
-    def scaled(self, factor: float) -> Velocity:
-        """Both velocities times a factor."""
-        return self if factor == 1 else Velocity(self.linear * factor, self.angular * factor)
-
-
-def central_difference(
-    positions: Array, rotations: Array, seconds: float | Array = 2 * VELOCITY_STEP
-) -> tuple[Array, Array]:
-    """Linear and angular velocities, (..., 3) each, from the first to the last of K poses.
-
-    ``positions``: (K, ..., 3). ``rotations``: quaternions (K, ..., 4) xyzw. ``seconds``: time between them.
-    """
-    before, after = normalised(rotations[0]), normalised(rotations[-1])
-    turn = quaternion_to_rotation_vector(multiply_quaternions(after, before * (-1, -1, -1, 1)))
-    return (positions[-1] - positions[0]) / seconds, turn / seconds

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.errors import MotionError
 from humansim_ros.geometry import (
+    VELOCITY_STEP,
     matrix_to_quaternion,
     multiply_quaternions,
     quaternion_to_matrix,
@@ -22,7 +23,7 @@ from humansim_ros.geometry import (
     smooth_step,
 )
 from humansim_ros.motion.contacts import Leg, two_bone
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.soles import true_runs
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array, Indices

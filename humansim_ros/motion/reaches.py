@@ -12,6 +12,7 @@ import numpy as np
 from humansim_ros.body.hands import HandAnatomy
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.geometry import (
+    AROUND,
     cross_products,
     matrix_to_quaternion,
     perpendicular,
@@ -23,7 +24,7 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.contacts import Leg, two_bone
 from humansim_ros.motion.keyframes import KeyframeSpace
-from humansim_ros.motion.kinematics import AROUND, JointPoses, Motion
+from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.types import Array
 

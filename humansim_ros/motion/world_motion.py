@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import MotionError, some_of
 from humansim_ros.geometry import (
+    VELOCITY_STEP,
     WORLD_FROM_BODY,
     matrix_to_quaternion,
     multiply_quaternions,
@@ -24,7 +25,7 @@ from humansim_ros.geometry import (
 )
 from humansim_ros.motion.file_frame import FileFrame
 from humansim_ros.motion.joint_match import JointMatch, opposite_joints
-from humansim_ros.motion.kinematics import VELOCITY_STEP, JointPoses, Motion
+from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.pace import pace_warning
 from humansim_ros.types import Array, Indices
 

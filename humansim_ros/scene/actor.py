@@ -16,6 +16,9 @@ from humansim_ros.body.jaw import Jaw
 from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.geometry import (
+    AROUND,
+    VELOCITY_STEP,
+    central_difference,
     matrix_to_quaternion,
     moved,
     quaternion_to_matrix,
@@ -32,7 +35,7 @@ from humansim_ros.motion.hand_keys import BUILT_IN_HANDS, HandKey
 from humansim_ros.motion.hand_poses import HandKeys, ReachingHand, without_hands
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
-from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, JointPoses, Motion, central_difference
+from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.loose_swing import LooseSwing, without_swing
 from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
 from humansim_ros.motion.reaches import Palm, Reaches

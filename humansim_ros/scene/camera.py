@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -15,20 +15,18 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from humansim_ros.camera.camera import Camera, Region, look_at_pose
+from humansim_ros.camera.camera import Camera, Region, look_at_pose, pinhole_of_fov
 from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
-from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, slerp
-from humansim_ros.motion.kinematics import Velocity
+from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.camera_config import CameraConfig, RigConfig
 from humansim_ros.scene.config import RandomiseConfig, SceneConfig, load_config
 from humansim_ros.scene.environment import load_backdrop
 from humansim_ros.scene.faults import CalibrationError, FaultSchedule, FrameFaults
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.randomise import random_numbers
-from humansim_ros.scene.robot import Robot, Route, carried, robot_of_mount
+from humansim_ros.scene.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.stereo import right_camera
 from humansim_ros.scene.timing import CameraTiming
@@ -96,10 +94,7 @@ class CameraPose:
     def beside(self, offset: Array) -> CameraPose:
         """Pose of the same rotation at an offset (3,) metres in the optical frame, fixed to this one."""
         turned = self.R.T @ offset
-        velocity = self.velocity
-        if velocity is not None:
-            linear = velocity.linear + np.cross(velocity.angular, turned)
-            velocity = replace(velocity, linear=linear)
+        velocity = None if self.velocity is None else self.velocity.of_point(turned)
         return CameraPose.at(self.position + turned, self.rotation, velocity)
 
     def toward(self, other: CameraPose, share: float) -> CameraPose:
@@ -191,8 +186,8 @@ class SceneCamera:
     def mounted_on(self, robot: Robot) -> SceneCamera:
         """The same camera on a robot: its pose in ``map`` becomes its pose in ``base_link``."""
         pose = CameraPose.of(self.whole)
-        place = ObjectPose(pose.position, pose.rotation, np.ones(3))
-        start = CameraPose.of_object(carried(robot.body_at(0.0), place))
+        place = ObjectPose(pose.position, pose.rotation)
+        start = CameraPose.of_object(robot.body_at(0.0).carry(place))
         whole = replace(self.whole, R=start.R, t=start.t)
         return replace(self, whole=whole, mount=(place, robot))
 
@@ -232,7 +227,7 @@ class SceneCamera:
         """
         if self.mount is not None:
             place, carrier = self.mount
-            return CameraPose.of_object(carried(robot or carrier.body_at(seconds), place))
+            return CameraPose.of_object((robot or carrier.body_at(seconds)).carry(place))
         if self.route is None:
             return CameraPose.of(self.camera)
         pose = CameraPose.of_object(self.route.at(seconds))
@@ -341,7 +336,8 @@ def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
         camera = Camera.from_projection_matrix(config.P, config.size or _DEFAULT_SIZE)
     else:
         size = config.size or _DEFAULT_SIZE
-        k = _intrinsics(config.fov_deg, size) if config.K is None else np.array(config.K)
+        fov = float(np.radians(60.0 if config.fov_deg is None else config.fov_deg))
+        k = pinhole_of_fov(size, fov) if config.K is None else np.array(config.K)
         stereo = (np.array(m) if m is not None else None for m in (config.rectification, config.rectified))
         lens = (config.distortion, config.distortion_model)
         return Camera(size, k, *(pose or (np.eye(3), np.zeros(3))), *lens, *stereo)
@@ -429,12 +425,6 @@ def _scene_keys() -> Iterator[None]:
 #: Parameters of a camera that have another name in scene files.
 _SCENE_KEYS = {"model": "distortion_model", "fov": "fov_deg"}
 _DEFAULT_SIZE = (640, 480)
-
-
-@lru_cache(maxsize=256)
-def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:
-    fov = float(np.radians(60.0 if fov_deg is None else fov_deg))
-    return Camera.look_at((0, 0, 0), (1, 0, 0), size, fov).K
 
 
 def build_cameras(

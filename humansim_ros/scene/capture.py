@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from humansim_ros.body.face_actions import FaceState
 from humansim_ros.body.loose import SwingState
 from humansim_ros.camera import Camera
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.render import AdjacentFrame, Body, Renderer, RenderRequest, View
 from humansim_ros.render.pixel_geometry import pixel_rays
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.sensor.depth import Millimetres, aligned, metres, points_of

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from humansim_ros.errors import SceneError, in_section, located
+from humansim_ros.geometry import from_degrees
 from humansim_ros.io.files import open_file, read_bytes, reading_errors
 from humansim_ros.io.images import MAX_IMAGE_BYTES, MAX_PIXELS, declared_size, decode_image
 from humansim_ros.mesh.load import read_materials_z_up
@@ -99,8 +99,7 @@ def _load_meshes(config: WorldMeshConfig, source: SceneSource, key: str) -> list
     with in_section(f"{key}.file"):
         mesh = source.mesh(config.file)
         meshes = read_materials_z_up(source.find(config.file), config.up_axis) if mesh is None else [mesh]
-    turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
-    rotation = config.scale * turn.as_matrix()
+    rotation = config.scale * from_degrees(config.rotation_deg).as_matrix()
     meshes = [replace(m, vertices=m.vertices @ rotation.T + np.array(config.position)) for m in meshes]
     points = np.concatenate([mesh.vertices for mesh in meshes])
     side = float(np.ptp(points, axis=0).max())

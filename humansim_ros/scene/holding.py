@@ -9,12 +9,19 @@ from functools import cached_property
 import numpy as np
 
 from humansim_ros.errors import SceneError, did_you_mean
-from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix, unit_vectors
-from humansim_ros.motion.kinematics import AROUND, VELOCITY_STEP, Velocity
+from humansim_ros.geometry import (
+    AROUND,
+    VELOCITY_STEP,
+    ObjectPose,
+    Velocity,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    unit_vectors,
+)
 from humansim_ros.motion.reaches import PALM
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import HoldConfig
-from humansim_ros.scene.objects import SHAPES, ObjectPose, SceneObject
+from humansim_ros.scene.objects import SHAPES, SceneObject
 from humansim_ros.types import Array
 
 #: Half the thickness of a hand, metres.

@@ -17,18 +17,11 @@ import scipy
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError, did_you_mean, in_section, warn_about
-from humansim_ros.geometry import (
-    multiply_quaternions,
-    normalised,
-    quaternion_to_matrix,
-    rotation_vector_to_quaternion,
-    transform,
-)
+from humansim_ros.geometry import ObjectPose, Velocity, from_degrees, multiply_quaternions, normalised
 from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Material, Mesh
 from humansim_ros.motion.keyframes import Keyframes, KeyframeTrack, read_keyframes
-from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.render import Body
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.source import SceneSource
@@ -36,43 +29,6 @@ from humansim_ros.types import Array, Color
 
 #: Segments around a sphere or a cylinder.
 _SEGMENTS = 48
-
-
-@dataclass(frozen=True)
-class ObjectPose:
-    """Pose and size of an object: a point x of its mesh is at ``position + rotation (size * x)``.
-
-    Attributes:
-        position: (3,) in ``map``, metres.
-        rotation: (4,) quaternion xyzw.
-        size: (3,) factors along the axes of the mesh; metres for a built-in mesh.
-        velocity: Velocity at this time; None if unknown.
-    """
-
-    position: Array
-    rotation: Array
-    size: Array
-    velocity: Velocity | None = None
-
-    def moved(self, seconds: float) -> ObjectPose:
-        """Pose ``seconds`` later at constant velocity."""
-        if self.velocity is None or seconds == 0:
-            return self
-        turn = rotation_vector_to_quaternion(seconds * self.velocity.angular)
-        position = self.position + seconds * self.velocity.linear
-        return replace(
-            self, position=position, rotation=multiply_quaternions(turn, normalised(self.rotation))
-        )
-
-    @property
-    def matrix(self) -> Array:
-        """(4, 4) transform of points of the mesh to ``map``."""
-        return transform(quaternion_to_matrix(self.rotation) * self.size, self.position)
-
-    def apply(self, points: Array) -> Array:
-        """Transform points (..., 3) of the mesh to ``map``."""
-        turned = (points * self.size) @ quaternion_to_matrix(self.rotation).T
-        return np.asarray(turned + self.position)
 
 
 @dataclass(frozen=True)
@@ -140,8 +96,8 @@ class SceneObject:
             color = config.color if colored else FURNITURE[shape].color
         elif colored or (mesh.colors is None and mesh.texture is None):
             mesh = replace(mesh, colors=np.tile(np.array(color, np.uint8), (len(mesh.vertices), 1)))
-        turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
-        pose = ObjectPose(np.array(config.position), turn.as_quat(), np.array(config.size))
+        turn = from_degrees(config.rotation_deg).as_quat()
+        pose = ObjectPose(np.array(config.position), turn, np.array(config.size))
         return cls(name, shape, color, mesh, pose, keyframes, instance)
 
     @property

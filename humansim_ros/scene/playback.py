@@ -14,21 +14,21 @@ import numpy as np
 import scipy
 
 from humansim_ros.errors import MotionError, SceneError, in_section
-from humansim_ros.geometry import matrix_to_quaternion, multiply_quaternions, normalised
+from humansim_ros.geometry import ObjectPose, Velocity, multiply_quaternions, normalised
 from humansim_ros.io.schema_errors import validated
-from humansim_ros.motion.kinematics import JointPoses, Velocity
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.faces import with_gazes
 from humansim_ros.scene.holding import followed
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.robot import CommandedDrive
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
+from humansim_ros.scene.standing import standing_in
 from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.
@@ -405,10 +405,10 @@ class Playback:
         """Pose of an object, static or moving, at the scene time that was shown last."""
         return self._placed(name, self.elapsed * 1e-9)
 
-    def human_pose(self, name: str) -> EntityPose:
+    def human_pose(self, name: str) -> ObjectPose:
         """Pose of a human on the floor, at the scene time that was shown last."""
         actor = self.actors[name]
-        return EntityPose.of_human(actor.joint_poses(self.elapsed * 1e-9), actor.motion.match.roles["Hips"])
+        return standing_in(actor.joint_poses(self.elapsed * 1e-9), actor.motion.match.roles["Hips"])
 
     def placement(self, name: str, position: Array, yaw: float) -> dict[str, Any]:
         """Settings of a motion for :meth:`prepare` that put a human somewhere else now.
@@ -465,46 +465,6 @@ def _paced(poses: JointPoses, pace: float) -> JointPoses:
     if pace == 1 or poses.linear is None or poses.angular is None:
         return poses
     return replace(poses, linear=poses.linear * pace, angular=poses.angular * pace)
-
-
-@dataclass(frozen=True)
-class EntityPose:
-    """Pose of an entity in ``map``: position (3,) in metres, rotation (4,) as quaternion xyzw.
-
-    ``velocity``: None if it is unknown.
-    """
-
-    position: Array
-    rotation: Array
-    velocity: Velocity | None = None
-
-    @classmethod
-    def of_object(cls, pose: ObjectPose) -> EntityPose:
-        """Pose of an object: the origin of its mesh."""
-        return cls(pose.position, pose.rotation, pose.velocity)
-
-    @classmethod
-    def of_camera(cls, pose: CameraPose) -> EntityPose:
-        """Pose of a camera: its optical frame."""
-        return cls(-pose.R.T @ pose.t, matrix_to_quaternion(pose.R.T), pose.velocity)
-
-    @classmethod
-    def of_human(cls, poses: JointPoses, hips: int) -> EntityPose:
-        """Pose of a human: the point of the floor below the hips, x in the direction that the hips face.
-
-        ``poses``: joints at one time (N = 1). ``hips``: number of the joint of the hips.
-        """
-        x, y, _ = poses.positions[0, hips]
-        heading = scipy.spatial.transform.Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
-        yaw = np.arctan2(heading[1], heading[0])
-        velocity = None
-        if poses.linear is not None and poses.angular is not None:
-            change = np.cross(poses.angular[0, hips], heading)
-            flat = max(float(heading[:2] @ heading[:2]), 1e-9)  # of somebody who lies on the back
-            rate = (heading[0] * change[1] - heading[1] * change[0]) / flat
-            velocity = Velocity(poses.linear[0, hips] * (1, 1, 0), np.array([0.0, 0.0, rate]))
-        rotation = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
-        return cls(np.array([x, y, 0.0]), rotation, velocity)
 
 
 @dataclass(frozen=True)

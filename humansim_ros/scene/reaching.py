@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
-from humansim_ros.geometry import quaternion_to_matrix, rotate, unit_vectors
+from humansim_ros.geometry import ObjectPose, quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.motion.hand_poses import ReachingHand
 from humansim_ros.motion.reaches import PALM, GoalAt, HandGoal, Reach, Reaches, in_round
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import LIVE, HumanConfig, ReachConfig
-from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.objects import SceneObject
 from humansim_ros.types import Array
 
 #: Metres between a joint and the skin that a palm touches there.

@@ -13,15 +13,16 @@ import numpy as np
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.geometry import (
-    compose_poses,
+    VELOCITY_STEP,
+    ObjectPose,
+    Velocity,
     multiply_quaternions,
     quaternion_to_matrix,
     rotation_vector_to_quaternion,
 )
-from humansim_ros.motion.kinematics import VELOCITY_STEP, Velocity
 from humansim_ros.scene.camera_config import TrajectoryConfig
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
-from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.objects import SceneObject
 from humansim_ros.scene.randomise import random_numbers
 from humansim_ros.scene.robot_config import ROBOT, PathConfig, RobotConfig, VibrationConfig
 from humansim_ros.scene.source import SceneSource
@@ -31,39 +32,6 @@ from humansim_ros.types import Array
 _SINES, _SPREAD = 4, 0.4
 #: Commands that a drive remembers, for jumps back in time.
 _MOST_COMMANDS = 20_000
-
-
-def planar_pose(x: float, y: float, yaw: float, velocity: Velocity | None = None) -> ObjectPose:
-    """Pose on the floor.
-
-    Args:
-        x: Metres in ``map``.
-        y: Metres in ``map``.
-        yaw: Heading in radians from +x to the left.
-        velocity: Its velocity; None if it stands, or if it is unknown.
-    """
-    rotation = np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
-    return ObjectPose(np.array([x, y, 0.0]), rotation, np.ones(3), velocity)
-
-
-def carried(base: ObjectPose, pose: ObjectPose) -> ObjectPose:
-    """Pose in ``map`` of a thing that a base carries.
-
-    Args:
-        base: Pose of the base in ``map``; its size has no effect.
-        pose: Pose and velocity of the thing in the axes of the base; without velocity it is fixed there.
-    """
-    position, rotation = compose_poses((base.position, base.rotation), (pose.position, pose.rotation))
-    velocity = base.velocity
-    if velocity is not None:
-        arm = position - base.position
-        linear, angular = velocity.linear + np.cross(velocity.angular, arm), velocity.angular
-        if pose.velocity is not None:
-            turn = quaternion_to_matrix(base.rotation)
-            linear = linear + turn @ pose.velocity.linear
-            angular = angular + turn @ pose.velocity.angular
-        velocity = Velocity(linear, angular)
-    return ObjectPose(position, rotation, pose.size, velocity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +66,7 @@ class Route:
         early, late = self.path.difference_times(time, VELOCITY_STEP * max(self.speed, 1e-6))
         positions, rotations = zip(self.path.in_map(early), self.path.in_map(late), strict=True)
         velocity = Velocity.between(np.array(positions), np.array(rotations), late - early)
-        return ObjectPose(*self.path.in_map(time), np.ones(3), velocity.scaled(self.speed))
+        return ObjectPose(*self.path.in_map(time), velocity=velocity.scaled(self.speed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +97,8 @@ class Vibration:
         turn, turn_rate = offset[3:], rate[3:]
         # angular velocity of a rotation vector, to the second order of its small angle
         angular = turn_rate + np.cross(turn, turn_rate) / 2
-        return ObjectPose(
-            offset[:3], rotation_vector_to_quaternion(turn), np.ones(3), Velocity(rate[:3], angular)
-        )
+        velocity = Velocity(rate[:3], angular)
+        return ObjectPose(offset[:3], rotation_vector_to_quaternion(turn), velocity=velocity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +145,7 @@ class Robot:
         """Pose and velocity of ``base_link`` at a scene time; of a robot without route at its start."""
         if self.route is not None:
             return self.route.at(seconds)
-        return planar_pose(*self.config.position, math.radians(self.config.yaw_deg))
+        return ObjectPose.on_floor(*self.config.position, math.radians(self.config.yaw_deg))
 
     def body_at(self, seconds: float, base: ObjectPose | None = None) -> ObjectPose:
         """Pose and velocity of its body at a scene time, with vibration.
@@ -186,7 +153,7 @@ class Robot:
         ``base``: where ``base_link`` is then; as :meth:`base_at` says if None.
         """
         base = self.base_at(seconds) if base is None else base
-        return base if self._vibration is None else carried(base, self._vibration.at(seconds))
+        return base if self._vibration is None else base.carry(self._vibration.at(seconds))
 
     def base_of(self, body: ObjectPose, seconds: float) -> ObjectPose:
         """Pose of ``base_link`` at a scene time from the pose of its body, without velocity."""
@@ -195,7 +162,7 @@ class Robot:
         shaken = self._vibration.at(seconds)
         rotation = multiply_quaternions(body.rotation, shaken.rotation * (-1, -1, -1, 1))
         position = body.position - quaternion_to_matrix(rotation) @ shaken.position
-        return ObjectPose(position, rotation, np.ones(3))
+        return ObjectPose(position, rotation)
 
     @cached_property
     def _vibration(self) -> Vibration | None:
@@ -279,7 +246,7 @@ class CommandedDrive:
         drives = seconds - command.seconds < self._config.timeout
         speed, turn = (command.speed, command.turn) if drives else (0.0, 0.0)
         linear = np.array([speed * math.cos(yaw), speed * math.sin(yaw), 0.0])
-        return planar_pose(x, y, yaw, Velocity(linear, np.array([0.0, 0.0, turn])))
+        return ObjectPose.on_floor(x, y, yaw, Velocity(linear, np.array([0.0, 0.0, turn])))
 
     def _add(self, command: _Command) -> None:
         later = bisect_right(self._commands, command.seconds, key=lambda each: each.seconds)
@@ -323,7 +290,7 @@ def path_trajectory(config: PathConfig) -> Trajectory:
             for share in (0.5, 1.0) if abs(turn) > 1e-9 else ():
                 time += abs(turn) / 2 / math.radians(config.turn_deg)
                 rows.append((time, *points[number + 1], yaw + share * turn))
-    poses = [planar_pose(x, y, yaw) for _, x, y, yaw in rows]
+    poses = [ObjectPose.on_floor(x, y, yaw) for _, x, y, yaw in rows]
     return Trajectory(
         np.array([row[0] for row in rows]),
         np.array([pose.position for pose in poses]),

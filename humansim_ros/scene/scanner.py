@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import SceneError, in_section
-from humansim_ros.geometry import compose_poses
+from humansim_ros.geometry import ObjectPose, compose_poses, from_degrees
 from humansim_ros.scanner.casting import Poses
 from humansim_ros.scanner.models import MODELS, Layout, ScannerModel, StampOf
 from humansim_ros.scanner.pattern import SUBRAYS, Pattern, raster, spinning
 from humansim_ros.scanner.returns import Measuring
 from humansim_ros.scene.config import SceneConfig
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.robot import Robot, Route, robot_of_mount
 from humansim_ros.scene.scanner_config import MAX_RAYS, MAX_RAYS_PER_SECOND, ScannerConfig
 from humansim_ros.scene.source import SceneSource
@@ -109,7 +107,7 @@ class SceneScanner:
         ``robot``: pose of the body of the robot then; as its settings say if None.
         """
         here = self.poses(np.array([seconds]), None if robot is None else poses_of([robot]))
-        return ObjectPose(here.positions[0], here.rotations[0], np.ones(3))
+        return ObjectPose(here.positions[0], here.rotations[0])
 
 
 def poses_of(objects: Sequence[ObjectPose]) -> Poses:
@@ -178,7 +176,7 @@ def _route(config: ScannerConfig, source: SceneSource) -> Route:
     if config.trajectory is not None:
         with in_section("trajectory"):
             return Route.read(config.trajectory, source)
-    turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
+    turn = from_degrees(config.rotation_deg)
     return Route(Trajectory(np.zeros(1), np.array([config.position]), turn.as_quat()[None]))
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError, SceneError
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.humans import Human
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.keypoints.sets import BySet
@@ -33,7 +34,6 @@ from humansim_ros.scene.capture import (
     request_at_stamp,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene, short_list
 from humansim_ros.scene.states import SceneStates
 from humansim_ros.scene.sweeps import Sweep

@@ -2,50 +2,44 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+import scipy
 
+from humansim_ros.geometry import ObjectPose, Velocity, heading_of_hips
+from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.scene.actor import HumanState
-from humansim_ros.types import Array
 
 #: Joints from which the heading follows.
 HIPS = ("l_hip", "r_hip")
 
 
-class Standing(NamedTuple):
-    """Place of a person in ``map``.
-
-    Attributes:
-        position: Point on the floor below the middle of the hips, (3,) metres.
-        yaw: Direction that the hips face, radians from x to y.
-        linear: Velocity of the point, (3,) m/s; None if it is unknown.
-        yaw_rate: Velocity of the heading, rad/s; None if it is unknown.
-    """
-
-    position: Array
-    yaw: float
-    linear: Array | None
-    yaw_rate: float | None
-
-
-def standing(state: HumanState) -> Standing:
-    """Return the place of a person."""
+def standing(state: HumanState) -> ObjectPose:
+    """Return the place of a person: the point on the floor below the middle of the hips, x ahead of them."""
     left, right = (state.joint_names.index(name) for name in HIPS)
     middle = (state.positions[left] + state.positions[right]) / 2
     across = state.positions[left] - state.positions[right]
-    position = np.array([*middle[:2], 0.0])
-    linear = yaw_rate = None
+    velocity = None
     if state.linear is not None:
         speed = (state.linear[left] + state.linear[right]) / 2
         turning = state.linear[left] - state.linear[right]
-        linear = np.array([*speed[:2], 0.0])
         # of the angle of a vector (x, y): (x y' - y x') / (x² + y²)
         length = across[:2] @ across[:2]
-        yaw_rate = float((across[0] * turning[1] - across[1] * turning[0]) / length) if length > 0 else 0.0
-    return Standing(position, _yaw(across), linear, yaw_rate)
+        rate = float((across[0] * turning[1] - across[1] * turning[0]) / length) if length > 0 else 0.0
+        velocity = Velocity(np.array([*speed[:2], 0.0]), np.array([0.0, 0.0, rate]))
+    return ObjectPose.on_floor(middle[0], middle[1], heading_of_hips(across), velocity)
 
 
-def _yaw(across: Array) -> float:
-    """Heading of hips. ``across``: vector (3,) from the right one to the left one."""
-    return float(np.arctan2(-across[0], across[1]))
+def standing_in(poses: JointPoses, hips: int) -> ObjectPose:
+    """As :func:`standing`, of a person whose body is not computed.
+
+    ``poses``: joints of the motion at one time (N = 1). ``hips``: number of the joint of the hips.
+    """
+    x, y, _ = poses.positions[0, hips]
+    ahead = scipy.spatial.transform.Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
+    velocity = None
+    if poses.linear is not None and poses.angular is not None:
+        change = np.cross(poses.angular[0, hips], ahead)
+        flat = max(float(ahead[:2] @ ahead[:2]), 1e-9)  # of somebody who lies on the back
+        rate = (ahead[0] * change[1] - ahead[1] * change[0]) / flat
+        velocity = Velocity(poses.linear[0, hips] * (1, 1, 0), np.array([0.0, 0.0, rate]))
+    return ObjectPose.on_floor(x, y, float(np.arctan2(ahead[1], ahead[0])), velocity)

@@ -13,11 +13,11 @@ from typing import cast
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from humansim_ros.camera.camera import MAX_SIZE, Camera
+from humansim_ros.camera.camera import MAX_SIZE, Camera, pinhole_of_fov
 from humansim_ros.errors import CameraError
+from humansim_ros.geometry import from_degrees
 from humansim_ros.sensor.depth_config import MAX_DEPTH, DepthSensorConfig
 from humansim_ros.sensor.sensor import generator, luminance, normal_numbers, srgb_to_light
 from humansim_ros.types import Array, Float32Array, Image, Indices
@@ -115,9 +115,8 @@ class DepthSensor:
             k = np.array(config.K)
         else:
             fov = float(np.radians(60.0 if config.fov_deg is None else config.fov_deg))
-            k = Camera.look_at((0, 0, 0), (1, 0, 0), config.size, fov).K
-        turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
-        rotation = turn.as_matrix().T
+            k = pinhole_of_fov(config.size, fov)
+        rotation = from_degrees(config.rotation_deg).as_matrix().T
         return Camera(config.size, k, rotation, -rotation @ np.array(config.position))
 
     def camera_at(self, R: Array, t: Array) -> Camera:

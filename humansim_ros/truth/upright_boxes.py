@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from humansim_ros.geometry import heading_of_hips, turn_about_z
 from humansim_ros.types import Array, Float32Array
 
 
@@ -32,7 +33,7 @@ class UprightBox:
     @property
     def quaternion(self) -> Array:
         """Rotation (4,) xyzw from the axes of the box (ahead, left, up) to ``map``."""
-        return np.array([0.0, 0.0, np.sin(self.yaw / 2), np.cos(self.yaw / 2)])
+        return turn_about_z(self.yaw)
 
 
 def upright_box(vertices: Array | Float32Array, joint_names: Sequence[str], positions: Array) -> UprightBox:
@@ -44,8 +45,7 @@ def upright_box(vertices: Array | Float32Array, joint_names: Sequence[str], posi
         positions: (J, 3) of the joints in ``map``, metres.
     """
     left, right = (positions[joint_names.index(name)] for name in ("l_hip", "r_hip"))
-    across = left - right
-    yaw = float(np.arctan2(-across[0], across[1]))
+    yaw = heading_of_hips(left - right)
     turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     turned = vertices @ turn.T
     low, high = turned.min(axis=0), turned.max(axis=0)

@@ -262,7 +262,8 @@ def test_tracks_have_pose_and_turning_in_the_axes_of_a_camera(
         np.testing.assert_allclose(
             forward, np.cross([*across[:2], 0], [0, 0, 1]) / math.hypot(*across[:2]), atol=1e-9
         )
-        yaws = [standing(scene.actors[name].at(seconds + side * step)).yaw for side in (-1, 1)]
+        turns = [standing(scene.actors[name].at(seconds + side * step)).rotation for side in (-1, 1)]
+        yaws = Rotation.from_quat(turns).as_euler("zyx")[:, 0]
         turning = camera.R.T @ xyz(track.twist.twist.angular)
         np.testing.assert_allclose(turning, [0, 0, (yaws[1] - yaws[0]) / (2 * step)], atol=2e-3)
         assert not np.any(track.pose.covariance) and not np.any(track.twist.covariance)

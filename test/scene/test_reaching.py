@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.geometry import quaternion_to_matrix
-from humansim_ros.motion.kinematics import VELOCITY_STEP
+from humansim_ros.geometry import VELOCITY_STEP, quaternion_to_matrix
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.soles import sole_points
 from humansim_ros.scene import Scene, check_scene

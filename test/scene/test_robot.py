@@ -10,10 +10,10 @@ import pytest
 import scipy
 
 from humansim_ros.errors import HumansimError, RosError, SceneError
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.messages import in_odometry, odometry_message, read_command, read_odometry
 from humansim_ros.messages.types import Twist, Vector3
 from humansim_ros.scene import Scene
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.robot import Robot
 

@@ -29,7 +29,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError, warn_about
-from humansim_ros.geometry import invert_rigid, transform
+from humansim_ros.geometry import invert_rigid, nearest_rotations, transform
 from humansim_ros.types import Array
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")
@@ -300,8 +300,7 @@ def _rigid(matrix: Array) -> Array:
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
         return matrix
-    u, _, vt = np.linalg.svd(rotation)
-    return transform(u @ vt, matrix[:3, 3])
+    return transform(nearest_rotations(rotation), matrix[:3, 3])
 
 
 def _camera_kalibr(file: CalibrationFile, name: str, pose: Array, pose_key: str) -> RawCamera:

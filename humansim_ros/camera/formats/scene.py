@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import Camera, look_at_pose, pinhole_of_fov
 from humansim_ros.camera.formats.base import (
     CalibrationFile,
     Key,
@@ -88,19 +88,18 @@ def _matrices(
         if file.get(*at, "P") is not None:
             camera = Camera.from_projection_matrix(file.numbers((3, 4), *at, "P"), size)
             return camera.K, camera.R, camera.t
-        camera = Camera.look_at((0, 0, 0), (1, 0, 0), size, np.radians(_fov(file, at)))
+        k = pinhole_of_fov(size, np.radians(_fov(file, at)))
         if file.get(*at, "position") is not None:
             up = (0, 0, 1) if file.get(*at, "up") is None else file.numbers((3,), *at, "up")
             position, target = (file.numbers((3,), *at, key) for key in ("position", "look_at"))
-            camera = Camera.look_at(position, target, size, np.radians(_fov(file, at)), up)
-            r, t = camera.R, camera.t
+            r, t = look_at_pose(position, target, up)
         else:
             r, t = file.numbers((3, 3), *at, "R"), file.numbers((3,), *at, "t")
     except CameraError as error:
         if error.path is not None:
             raise
         raise file.error(error.message, *at, *((error.key,) if error.key else ())) from None
-    return camera.K if file.get(*at, "K") is None else file.numbers((3, 3), *at, "K"), r, t
+    return k if file.get(*at, "K") is None else file.numbers((3, 3), *at, "K"), r, t
 
 
 def _fov(file: CalibrationFile, at: tuple[Key, ...]) -> float:

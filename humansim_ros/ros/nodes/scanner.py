@@ -16,6 +16,7 @@ from typing import Any
 from geometry_msgs.msg import TransformStamped
 
 from humansim_ros.errors import SceneError
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.messages.topics import ScannerTopics
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
@@ -23,7 +24,6 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.capture import SceneState
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.sweeps import LiveScanning
 

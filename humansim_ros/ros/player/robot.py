@@ -11,11 +11,11 @@ from rclpy.qos import qos_profile_sensor_data
 
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError
+from humansim_ros.geometry import ObjectPose
 from humansim_ros.messages.topics import RobotTopics
 from humansim_ros.ros.player.playing import FramePlayer
 from humansim_ros.ros.qos import NEWEST
 from humansim_ros.ros.transforms import TransformSender
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses, Tick
 from humansim_ros.scene.robot import Robot
 

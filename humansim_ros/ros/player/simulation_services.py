@@ -20,14 +20,14 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
 from humansim_ros.errors import HumansimError, RosError, printable, within_bounds
+from humansim_ros.geometry import ObjectPose, Velocity
 from humansim_ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
-from humansim_ros.motion.kinematics import Velocity
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.processes.node_processes import QUIT
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import LIVE
-from humansim_ros.scene.playback import Entity, EntityPose, Tick, scene_entities
+from humansim_ros.scene.playback import Entity, Tick, scene_entities
 from humansim_ros.types import Array
 
 _PACKAGE = "simulation_interfaces"
@@ -471,19 +471,18 @@ class SimulationServices:
             if name_matches(entity.name):
                 yield entity
 
-    def _pose(self, entity: Entity) -> EntityPose:
+    def _pose(self, entity: Entity) -> ObjectPose | CameraPose:
         """Pose at the last frame, with the velocity per second of the wall clock."""
         playback, clock = self._player.playback, self._player.playback_clock
         if entity.kind == "human":
-            pose = playback.human_pose(entity.key)
+            pose: ObjectPose | CameraPose = playback.human_pose(entity.key)
         elif entity.kind == "object":
-            pose = EntityPose.of_object(playback.object_pose(entity.key))
+            pose = playback.object_pose(entity.key)
         else:
             camera = self._player.scene.scene_cameras[entity.key]
             moved = self._camera_poses.get(entity.key)
             at_rest = replace(camera.pose(0.0), velocity=_REST)
-            now = camera.pose(playback.elapsed * 1e-9) if camera.moves else moved or at_rest
-            pose = EntityPose.of_camera(now)
+            pose = camera.pose(playback.elapsed * 1e-9) if camera.moves else moved or at_rest
         if not entity.moves and entity.kind == "object":
             return replace(pose, velocity=_REST)
         pace = 0.0 if clock.paused else clock.speed

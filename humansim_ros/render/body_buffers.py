@@ -1,4 +1,4 @@
-"""Bodies on the device, for as long as their meshes live; the pixels that they may cover; their contours."""
+"""Buffers of bodies on the device, the pixels that the bodies may cover, and their contours."""
 
 from __future__ import annotations
 
@@ -29,15 +29,13 @@ from humansim_ros.render.renderer import Body
 from humansim_ros.render.target import Rectangle
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Poses of a body whose derived arrays are cached: the poses of some frames and of an exposure.
+#: Most poses of a body for which derived arrays are cached: enough for some frames and one exposure.
 _MAX_POSES = 12
 
 
 class BodyCache:
-    """Buffers of bodies on the device. They are released some time after their mesh is gone.
-
-    ``lit``, ``ids``: programs that draw bodies with colour, and without.
-    """
+    """Buffers of bodies on the device. They are released some time after their mesh is gone. ``lit``: program
+    that draws bodies in colour. ``ids``: program that draws triangle ids only."""
 
     def __init__(self, ctx: moderngl.Context, lit: moderngl.Program, ids: moderngl.Program) -> None:
         self._ctx, self._programs = ctx, (lit, ids)
@@ -47,7 +45,7 @@ class BodyCache:
         return len(self._meshes)
 
     def pose(self, body: Body) -> PosedBody:
-        """A body in its pose, which is uploaded when it is drawn."""
+        """The body in its pose. It is uploaded when it is drawn."""
         buffers = self._meshes.get(body.mesh)
         if buffers is None:
             buffers = self._meshes.put(body.mesh, _MeshBuffers(self._ctx, body.mesh, self._programs))
@@ -60,7 +58,7 @@ class BodyCache:
 
 
 class _MeshBuffers:
-    """Parts of bodies that follow from their mesh alone."""
+    """Buffers of a mesh that are the same in all poses."""
 
     def __init__(
         self,
@@ -80,7 +78,7 @@ class _MeshBuffers:
         self._levels: dict[int, tuple[Indices, _MeshBuffers]] = {}
 
     def level(self, number: int, mesh: Mesh, levels: Simplification) -> tuple[Indices, _MeshBuffers]:
-        """Vertices (v,) of a level of the mesh, and its buffers."""
+        """Vertices (v,) of the mesh that a level of detail uses, and the buffers of that level."""
         if number not in self._levels:
             _, uv, corners = split_seams(mesh)
             triangles, coordinates = levels.level(number, mesh.triangles, corners)
@@ -100,7 +98,7 @@ class _MeshBuffers:
         return self._levels[number]
 
     def body(self, instance: int) -> _BodyBuffers:
-        """Return the buffers of an instance: bodies of one frame may share a mesh."""
+        """Return the buffers of an instance. Several bodies of a frame may have the same mesh."""
         if instance not in self._bodies:
             self._bodies[instance] = _BodyBuffers(self)
         return self._bodies[instance]
@@ -196,7 +194,7 @@ class PosedBody:
     _buffers: _BodyBuffers
 
     def level(self, number: int) -> PosedBody:
-        """The body with a level of its mesh."""
+        """The body at a level of detail."""
         levels = self.body.levels
         if not number or levels is None:
             return self
@@ -216,7 +214,7 @@ class PosedBody:
 
     @property
     def has_skin_mask(self) -> bool:
-        """Whether the texture says where skin is."""
+        """Whether the texture marks the pixels that show skin."""
         return self._buffers.mesh.has_skin_mask
 
     @property
@@ -230,7 +228,7 @@ class PosedBody:
         return self.posed.human_caster if self.body.kind == "human" else self.posed.object_caster
 
     def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
-        """Draw the triangles of some indices (M,)."""
+        """Draw the triangles with the indices ``triangles`` (M,)."""
         if not len(triangles):
             return
         self._buffers.upload_positions(self.posed)
@@ -239,20 +237,19 @@ class PosedBody:
         self._buffers.draw(lit, triangles)
 
     def draw_depths(self, program: moderngl.Program) -> None:
-        """Draw all triangles with a program that needs positions only. It must be the same in each call."""
+        """Draw all triangles with a program that needs positions only. Each call must pass the same
+        program."""
         self._buffers.upload_positions(self.posed)
         self._buffers.draw_depths(program)
 
     def bent(self, camera: Camera, angle: float) -> NDArray[np.bool_] | None:
-        """(N,) whether a lens bends an edge of each triangle; None if it bends no edge visibly.
-
-        ``angle``: radians below which edges are visibly straight.
-        """
+        """(N,) whether the lens visibly bends an edge of each triangle; None if no edge is bent. ``angle``:
+        edges that span a smaller angle (radians) look straight."""
         offsets = self.posed.points - camera.center.astype(np.float32)[:, None]
         closest = float(np.sqrt(np.einsum("ij,ij->j", offsets, offsets).min()))
         for tolerance in (VISIBLE, TOLERANCE):
             smallest = angle * (tolerance / VISIBLE) ** 0.5
-            # objects may have any size
+            # objects may have any size, so each one is tested
             human = self.body.kind == "human"
             edges = self.topology.longer(smallest * closest) if human else np.arange(len(self.topology.edges))
             starts, ends = self.posed.vertices[self.topology.edges[edges].T]
@@ -266,7 +263,7 @@ class PosedBody:
         return found
 
     def tessellated(self, camera: Camera, triangles: Indices) -> TessellatedMesh:
-        """Some triangles (M,), tessellated for a lens."""
+        """The triangles (M,), tessellated so that the lens can bend their edges."""
         expanded = self._buffers.mesh.expanded
         used, corners = np.unique(expanded.corners.take(triangles, axis=0), return_inverse=True)
         attributes = expanded.attributes(self.posed).take(used, axis=0)
@@ -275,7 +272,7 @@ class PosedBody:
 
     @property
     def whole(self) -> TessellatedMesh:
-        """All triangles as they are, not tessellated."""
+        """All triangles, not tessellated."""
         expanded = self._buffers.mesh.expanded
         corners = expanded.corners.astype(np.intp)
         return TessellatedMesh(expanded.attributes(self.posed), corners, np.arange(len(corners)))
@@ -292,21 +289,22 @@ class PosedBody:
             pieces.draw(program, [mesh.material], [len(tessellated.triangles)])
 
 
-#: Pixels of tolerance when a triangle is tested for pixel centers: projections are in single precision, and
+#: A triangle covers a pixel center within this tolerance, pixels. Projections are in single precision, and
 #: the device rounds them to 1/256 of a pixel.
 _ROUNDING = np.float32(1 / 64)
-#: Half of it, times the length of an edge of a triangle between two columns and two rows of pixel centers.
+#: Half of ``_ROUNDING``, times the length of an edge that lies between two columns and two rows of pixel
+#: centers.
 _NEAR_EDGE = np.float32(3 / 128)
-#: Share of its depth by which a surface is behind others beyond doubt.
+#: A surface is certainly hidden if another surface lies at less than this share of its depth.
 _BEHIND = 0.999
 
 
 class ProjectedPoints:
-    """Projections of world points (3, N) into a camera.
+    """World points (3, N), projected into a camera.
 
-    ``near``: some points are so near that the camera may be inside their surface; ``behind``: all points are
-    behind the camera. ``plane``: two of (N,): columns and rows; x and y of the normalised image plane if the
-    lens distorts; not valid if ``near``.
+    ``near``: some points are so near that the camera may be inside their surface. ``behind``: all points are
+    behind the camera. ``plane``: x and y (N,) each. They are columns and rows; if the lens distorts, they are
+    coordinates in the normalised image plane. They are not valid if ``near``.
     """
 
     def __init__(self, points: Float32Array, camera: Camera) -> None:
@@ -323,7 +321,7 @@ class ProjectedPoints:
 
     @cached_property
     def pixels(self) -> tuple[Float32Array, Float32Array]:
-        """Columns and rows (N,); NaN beyond the field of view of the lens."""
+        """Columns and rows (N,). NaN beyond the field of view of the lens."""
         camera = self.camera
         if not camera.distorted:
             return self.plane
@@ -338,16 +336,14 @@ class ProjectedPoints:
 
     @cached_property
     def rectangle(self) -> Rectangle:
-        """Pixels that a surface between the points may touch."""
+        """Pixels that a surface with these points as corners may touch."""
         return image_bounds([self], self.camera)
 
     @cached_property
     def _cells(self) -> NDArray[np.int64]:
-        """(N,) cells of a grid through the pixel centers, two numbers of 32 bits: column and row.
-
-        The first and the last ones have no end. A point on a line of the grid, or beyond the field of view,
-        has a cell of its own.
-        """
+        """(N,) cell of each point in a grid with its lines through the pixel centers. A cell is one number:
+        32 bits for the column, 32 bits for the row. The cells at the border extend to infinity. A point on a
+        line of the grid, or beyond the field of view, has a cell of its own."""
         cells = np.empty((len(self.depth), 2), np.int32)
         own = -1 - np.arange(len(self.depth), dtype=np.int32)
         for axis, (places, size) in enumerate(zip(self.pixels, self.camera.size, strict=True)):
@@ -358,25 +354,24 @@ class ProjectedPoints:
         return cells.view(np.int64)[:, 0]
 
     def covering(self, corners: Sequence[NDArray[np.intp]]) -> NDArray[np.bool_]:
-        """(M,) whether each triangle may cover a pixel center; ``corners``: its vertices, three of (M,).
-
-        The others, most triangles of a human, leave no trace in the image: no column of pixel centers is
-        between their corners, or no row.
-        """
+        """(M,) whether each triangle may cover a pixel center. ``corners``: vertices of the triangles, three
+        of (M,). Most triangles of a human are too small: no column or no row of pixel centers lies between
+        their corners. Such triangles leave no trace in the image."""
         first, second, third = (self._cells.take(corner) for corner in corners)
         different = ((first ^ second) | (first ^ third)).view(np.int32).reshape(-1, 2)
         return np.asarray((different[:, 0] != 0) & (different[:, 1] != 0))
 
     def unhidden(self, corners: Sequence[NDArray[np.intp]], nearest: Float32Array) -> NDArray[np.bool_]:
-        """(M,) whether each triangle may show in the image, with surfaces before it.
+        """(M,) whether each triangle may be visible in the image, behind the surfaces that are known so far.
 
-        Tested are triangles with one pixel center between their corners, as most small ones: whether they
-        cover it, and whether another surface before them does.
+        Most small triangles have one pixel center between their corners. Only these are tested: a triangle is
+        hidden if it misses the center, or if a nearer surface covers it.
+
 
         Args:
             corners: Vertices of the triangles, three of (M,).
-            nearest: (H, W) depth of a surface that each pixel shows, or of one behind it, metres. Updated
-                with these triangles.
+            nearest: (H, W) upper bound of the depth that each pixel shows, metres. The call lowers it where
+                these triangles are nearer.
         """
         x, y = ([axis.take(corner) for corner in corners] for axis in self.pixels)
         column, row = (np.ceil(_least(each) - _ROUNDING) for each in (x, y))
@@ -386,7 +381,7 @@ class ProjectedPoints:
         tested = np.flatnonzero(single)
         column, row = column.take(tested), row.take(tested)
         x, y = [each.take(tested) - column for each in x], [each.take(tested) - row for each in y]
-        # distances to the edges, times their lengths, which are less than 3 pixels
+        # distance to each edge times the length of that edge, which is less than 3 pixels
         sides = [x[i] * y[j] - x[j] * y[i] for i, j in ((0, 1), (1, 2), (2, 0))]
         low, high = _least(sides), _greatest(sides)
         shown = (low > -_NEAR_EDGE) | (high < _NEAR_EDGE)
@@ -400,32 +395,32 @@ class ProjectedPoints:
         return result
 
     def crossing(self, starts: Indices, ends: Indices) -> NDArray[np.bool_]:
-        """(M,) whether straight edges between points, (M,) each, may cross a line between pixel centers."""
+        """(M,) whether the straight edges from ``starts`` (M,) to ``ends`` (M,) may cross a line through
+        pixel centers."""
         return np.asarray(self._cells.take(starts) != self._cells.take(ends))
 
     def is_hidden(self, static: Float32Array) -> bool:
-        """Whether a surface between the points is outside the image, or all of it is behind the static scene.
-
-        ``static``: (H, W) depth of the static scene, metres.
-        """
+        """Whether no surface with these points as corners is visible: it is outside the image, or completely
+        behind the static scene. ``static``: (H, W) depth of the static scene, metres."""
         rectangle = self.rectangle
         if rectangle.empty or rectangle.near:
             return rectangle.empty
         return float(static[rectangle.slices].max()) < _BEHIND * self.closest
 
 
-#: Pixels between those that are looked at to guess which bodies others hide, and the border of its rectangle
-#: that a body is taken not to fill, as a share of each side.
+#: To guess which bodies are hidden, every ``_CELL``-th pixel is tested. A body is assumed not to fill this
+#: share of each side of its rectangle.
 _CELL, _UNFILLED = 4, 1 / 6
-#: Fewest bodies that are drawn between two reads of depths, and the largest number of reads in a frame.
+#: Fewest bodies that are drawn between two reads of depths, and most reads in a frame.
 _FEWEST_DRAWN, _MAX_READS = 4, 8
 
 
 class HiddenBodies:
-    """Which bodies others hide: the depths tell that have been drawn so far.
+    """Finds bodies that other bodies hide, from the depths drawn so far.
 
-    A read waits until all that has been drawn is finished. Depths are read when they are likely to show that
-    a body is hidden.
+    A read waits until everything drawn before is finished. So depths are read only when they are likely to
+    show that a body is hidden.
+
 
     Args:
         bodies: Vertices of the bodies in the order in which they are drawn.
@@ -441,14 +436,15 @@ class HiddenBodies:
         rectangle: Rectangle,
         read: Callable[[], Float32Array],
     ) -> None:
-        #: (H, W) depth of a surface that each pixel shows, or of one behind it, metres
+        #: (H, W) upper bound of the depth that each pixel shows, metres
         self.depth = static.copy()
         self._within, self._read = self.depth[rectangle.slices], read
         self._likely = _likely_hidden(bodies, static) if len(bodies) > _FEWEST_DRAWN else set()
         self._drawn, self._enough = 0, max(_FEWEST_DRAWN, len(bodies) / _MAX_READS)
 
     def contains(self, body: ProjectedPoints) -> bool:
-        """Whether others hide the next body. It is drawn then unless they do."""
+        """Whether the next body is hidden by others. If it is not, the caller draws it before the next
+        call."""
         if body in self._likely:
             if self._drawn >= self._enough:
                 depth = self._read()
@@ -486,7 +482,7 @@ def _greatest(three: Sequence[Float32Array]) -> Float32Array:
 
 
 def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle:
-    """Return the pixels that surfaces between the points may touch: the whole image if one is near."""
+    """Return the pixels that surfaces with these corners may touch: the whole image if a surface is near."""
     width, height = camera.size
     low: Array = np.full(2, np.inf)
     high: Array = np.full(2, -np.inf)
@@ -506,7 +502,7 @@ def image_bounds(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle
 
 
 def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
-    """Return the angle (radians) below which edges are visibly straight within a rectangle."""
+    """Return the angle (radians) within which edges in a rectangle look straight."""
     return LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
 
 
@@ -545,7 +541,7 @@ def contour(
 
 
 def wider_than(angle: float, starts: Float32Array, ends: Float32Array, camera: Camera) -> NDArray[np.bool_]:
-    """Find edges that may span more than an angle, seen from a camera.
+    """Find the edges that may span more than an angle when a camera looks at them.
 
     Args:
         angle: Radians.
@@ -561,5 +557,5 @@ def wider_than(angle: float, starts: Float32Array, ends: Float32Array, camera: C
 
 
 def _squares(vectors: Float32Array) -> Float32Array:
-    """(N,) squared lengths."""
+    """(N,) squared lengths of vectors."""
     return np.asarray(np.einsum("ij,ij->i", vectors, vectors))

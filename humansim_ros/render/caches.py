@@ -16,9 +16,9 @@ class LruCache(Generic[_Key, _Value]):
 
     Args:
         max_count: Largest number of values.
-        max_bytes: Largest sum of ``nbytes``; no limit if None.
+        max_bytes: Largest sum of ``nbytes``; if None, there is no limit.
         min_count: Number of values that are cached even if they exceed ``max_bytes``.
-        nbytes: Returns the memory of a value; it may grow while the value is cached.
+        nbytes: Returns the memory of a value; the memory may grow while the value is cached.
         release: Called with each value that leaves the cache.
     """
 
@@ -65,16 +65,15 @@ class LruCache(Generic[_Key, _Value]):
         return self.put(key, make()) if value is None else value
 
     def discard(self, key: _Key) -> None:
-        """Drop a value without releasing it."""
+        """Remove a value without a call of ``release``."""
         with self._lock:
             self._values.pop(key, None)
 
 
 class WeakCache(Generic[_Value]):
-    """Values that belong to objects, by identity, for as long as the object lives.
-
-    A value must not refer to its object: otherwise neither is ever freed. The object need not be hashable.
-    """
+    """Values that belong to objects. Each lives as long as its object; objects are told apart by identity. A
+    value must not hold a reference to its object, since then neither would ever be freed. The object need not
+    be hashable."""
 
     def __init__(self) -> None:
         self._entries: dict[int, tuple[weakref.ref[Any], _Value]] = {}
@@ -101,5 +100,5 @@ class WeakCache(Generic[_Value]):
         return value
 
     def take_orphans(self) -> list[_Value]:
-        """Remove and return the values whose objects are gone since the last call."""
+        """Remove and return the values of objects that are gone since the last call."""
         return [self._orphans.pop() for _ in range(len(self._orphans))]

@@ -19,8 +19,8 @@ from humansim_ros.pictures import Pictured
 #: Name of an adjacent frame, as a keyword of :meth:`Renderer.render`.
 AdjacentName = Literal["next_frame", "previous_frame"]
 ADJACENT_NAMES: tuple[AdjacentName, ...] = ("next_frame", "previous_frame")
-#: Rendering work besides depth and triangle ids: colour, outlines, each body without occluders, all bodies
-#: without surfaces beside them.
+#: Extra rendering passes, in addition to depth and triangle ids: colour, outlines, each body without
+#: occluders, and all bodies without off-body surfaces.
 Pass = Literal["lit", "outlined", "alone", "uncovered"]
 
 
@@ -31,16 +31,16 @@ class Channel:
     Attributes:
         name: Name of the channel and of its field in :class:`View`.
         dtype: Element type of the array.
-        topic: ROS topic below the name of the camera; ``{body}`` stands for the name of a human or object.
+        topic: ROS topic under the name of the camera. ``{body}`` stands for the name of a human or object.
         encoding: ROS image encoding; empty if the sensor of the camera defines it.
         components: Shape of one pixel: () or (C,).
         empty: Value of pixels that show nothing.
         default: The channel is rendered unless the caller names other channels.
         passes: Rendering passes that the channel needs.
-        adjacent_frame: Frame that the channel compares with.
-        occlusion: The adjacent frame has to be rendered too, to find what is hidden in it.
+        adjacent_frame: The next or the previous frame, which the channel is compared with; None for no frame.
+        occlusion: The adjacent frame must be rendered too, to find the surfaces that are hidden in it.
         per_body: There is one image for each labelled body.
-        labels_bodies: The channel describes labelled bodies only. Labels of static bodies are cached.
+        labels_bodies: The channel describes labelled bodies only. Its images of static bodies are cached.
         rectified_topic: ROS topic of the channel without lens distortion, if there is one.
     """
 
@@ -111,7 +111,7 @@ def check_channels(channels: Collection[str]) -> None:
 
 
 def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS) -> set[str]:
-    """Return the channels that need the next or the previous frame."""
+    """Return the channels that are compared with the next or the previous frame."""
     compared = (name for name, channel in CHANNEL_TABLE.items() if channel.adjacent_frame == frame)
     return {name for name in compared if name in channels}
 
@@ -119,8 +119,9 @@ def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS
 class View(Pictured):
     """Channels of one camera at one stamp, on one pixel grid: arrays (H, W, ...).
 
-    A view has the channels that were requested. Any other raises :class:`~humansim_ros.errors.ChannelError`,
-    which says how to request it; ``channels`` lists those that the view has.
+    A view has the channels that were requested; ``channels`` lists them. Access to another channel raises
+    :class:`~humansim_ros.errors.ChannelError`, which says how to request it.
+
 
     Attributes:
         rgb: (H, W, 3) uint8 sRGB, anti-aliased; or the output of the camera's sensor.
@@ -128,23 +129,25 @@ class View(Pictured):
             sampled at pixel centers, never blended.
         instance: (H, W) uint16 label of the human or labelled object; 0 where none is.
         part: (H, W) uint8 label of the body part; 0 where no labelled body is.
-        body_part: As ``part``, without surfaces beside the bodies of humans (:attr:`Mesh.off_body`), such as
-            skirts, hats, bags and long hair.
+        body_part: Like ``part``, but without the off-body surfaces of humans (:attr:`Mesh.off_body`): skirts,
+            hats, bags, long hair.
+
         material: (H, W) uint8 label of skin, eyes, hair, a garment or a worn thing
             (:data:`humansim_ros.mesh.materials.MATERIALS`); 0 where no human is.
         face: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
-        normal: (H, W, 3) float32, outward unit normal of that triangle in the optical frame, 0 where no body
-            is.
+        normal: (H, W, 3) float32, outward unit normal of the triangle in ``face``, in the optical frame; 0
+            where no body is.
+
         uv: (H, W, 2) float32 texture coordinates of the body, v up, NaN where no body is.
         flow: (H, W, 2) float32, displacement in pixels of the visible point to the next frame, NaN where
             nothing is.
-        flow_back: As ``flow``, to the previous frame.
-        flow_hidden: (H, W) uint8, 1 where that point is not visible in the next frame.
-        flow_back_hidden: As ``flow_hidden``, in the previous frame.
+        flow_back: Like ``flow``, but to the previous frame.
+        flow_hidden: (H, W) uint8, 1 where the point that ``flow`` follows is not visible in the next frame.
+        flow_back_hidden: Like ``flow_hidden``, but in the previous frame.
         alpha: By instance, (H, W) uint8, coverage of each pixel by the body, 255 is full coverage.
         amodal: By instance, (H, W) bool, mask of the body as if nothing occluded it.
-        shadow: (H, W) uint8, share of the direct light that bodies block, 255 is all of it; 0 where nothing
-            is, and where no direct light would arrive without bodies.
+        shadow: (H, W) uint8, share of the direct light that bodies block, from 0 to 255. Also 0 where there
+            is no surface, and where no direct light would arrive without bodies.
     """
 
     rgb: NDArray[np.uint8]
@@ -178,7 +181,7 @@ class View(Pictured):
         return tuple(name for name in CHANNEL_TABLE if name in self.__dict__)
 
     def with_channels(self, **channels: Any) -> View:
-        """A copy with other arrays for some channels."""
+        """Return a copy with other arrays for some channels."""
         return View(**{**self.__dict__, **channels})
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -213,5 +216,5 @@ def missing_channels(what: str, needed: Collection[str], present: Collection[str
 
 
 def _images(value: Any) -> Collection[NDArray[Any]]:
-    """Images of a channel of a view."""
+    """Images of one channel of a view: one, or one for each body."""
     return value.values() if isinstance(value, dict) else (value,)

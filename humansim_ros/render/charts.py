@@ -1,7 +1,7 @@
-"""Layout of triangles in one image: charts, none of which overlaps another.
+"""Layout of triangles in one image (the light map), without overlaps.
 
 A chart is a set of connected triangles that face the same side of a cube. It is projected along the axis of
-that side. Its bounds run through centres of texels, with a free texel on each side.
+that side. The bounds of a chart run through centres of texels, with a free texel on each side.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from humansim_ros.types import Array, Float32Array, Indices
 MAX_SIDE, GUTTER = 2048, 1
 #: Factor by which texels grow until the charts have room.
 _GROWTH = 1.2
-#: Texels between the points at which charts are tested for overlaps, and how often charts are split.
+#: Texels between the points at which charts are tested for overlaps, and how many times charts are split.
 _STEP, _SPLITS = 2, 8
 
 
@@ -27,9 +27,9 @@ _STEP, _SPLITS = 2, 8
 class Charts:
     """Triangles in an image of ``size`` (width, height) texels.
 
-    ``corners``: (N, 3) vertices of the triangles; those on the border of two charts are there twice.
-    ``source``: (E,) the original of each vertex. ``coordinates``: (E, 2) texels; (0.5, 0.5) is the centre of
-    the first one. ``owner``: (N,) chart of each triangle. ``texel``: metres.
+    ``corners``: (N, 3) vertices of the triangles; a vertex on the border of two charts exists twice.
+    ``source``: (E,) index of the vertex that each one was copied from. ``coordinates``: (E, 2) texels; (0.5,
+    0.5) is the centre of the first one. ``owner``: (N,) chart of each triangle. ``texel``: metres.
     """
 
     size: tuple[int, int]
@@ -46,7 +46,7 @@ class Charts:
         Args:
             positions: (V, 3) metres.
             corners: (N, 3) vertices of the triangles.
-            texel: Side of a texel in metres; it becomes larger if the triangles need too much room.
+            texel: Side of a texel in metres; larger texels are used if the triangles need too much room.
         """
         points = positions[corners].astype(float)
         normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
@@ -58,7 +58,7 @@ class Charts:
         depth = np.take_along_axis(points.mean(axis=1), axis[:, None], axis=1)[:, 0]
         layout = _Layout.of(plane, owner, texel)
         for _ in range(_SPLITS):
-            # in halves by depth: windings of a spiral lie above each other
+            # split in halves by depth, since the windings of a spiral lie above each other
             middle = np.bincount(owner, depth) / np.bincount(owner)
             upper = _overlapping(layout.coordinates, owner)[owner] & (depth > middle[owner] + 1e-6)
             if not upper.any():
@@ -78,7 +78,7 @@ class Charts:
 
 
 def _connected(corners: Indices, side: Indices) -> Indices:
-    """(N,) component of each triangle: those that share an edge and face the same side."""
+    """(N,) component of each triangle. The triangles of a component share edges and face the same side."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -119,7 +119,7 @@ class _Layout:
 
 
 def _shelves(sizes: Indices) -> tuple[Indices, tuple[int, int]]:
-    """First corners (N, 2) of rectangles (N, 2) in rows, and the size of all of them."""
+    """Place rectangles (N, 2) in rows: their first corners (N, 2), and the size of the whole layout."""
     order = np.lexsort((-sizes[:, 0], -sizes[:, 1]))
     widths, heights = sizes[order].T
     width = max(int(np.sqrt(sizes.prod(axis=1).sum())), int(widths.max()))
@@ -135,7 +135,7 @@ def _shelves(sizes: Indices) -> tuple[Indices, tuple[int, int]]:
 
 
 def _overlapping(coordinates: Array, owner: Indices) -> NDArray[np.bool_]:
-    """(C,) whether a chart covers a point twice. ``coordinates``: (N, 3, 2) texels."""
+    """(C,) whether each chart covers some point twice. ``coordinates``: (N, 3, 2) texels."""
     first, end = (np.ceil(bound(coordinates / _STEP, axis=1)).astype(np.intp) for bound in (np.min, np.max))
     columns, rows = np.maximum(end - first, 0).T
     triangle = np.repeat(np.arange(len(owner)), columns * rows)

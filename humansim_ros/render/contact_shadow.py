@@ -1,4 +1,5 @@
-"""Contact shadows: a dark patch on the floor under each body. A visual cue, not a light simulation."""
+"""Contact shadows: a dark patch on the floor under each body. They are a visual cue, no simulation of
+light."""
 
 from __future__ import annotations
 
@@ -17,13 +18,13 @@ from humansim_ros.types import Array, Float32Array
 
 #: Cells along a side of a shadow.
 CELLS = 64
-#: Height of the shadow in metres: above a rug.
+#: Height at which the shadow is drawn, metres: above a rug.
 _HEIGHT = 0.01
 #: Metres around the body that the shadow covers.
 _MARGIN = 0.35
 #: Height in metres at which the shadow of a surface has faded to 1/e.
 _FADE = 0.22
-#: Height in metres above which a surface has no shadow. It would be 1 % there.
+#: A surface higher than this has no shadow, metres. The shadow would have a strength of 1 % there.
 REACH = 1.0
 _STRENGTH = 0.62
 
@@ -42,7 +43,7 @@ class ContactShadow:
 
     @property
     def corners(self) -> NDArray[np.float32]:
-        """(4, 3) corners of the part of the square that is not without shadow."""
+        """(4, 3) corners of the part of the square that is dark."""
         (left, top), (right, bottom) = self._dark
         return np.array([(x, y, _HEIGHT) for x in (left, right) for y in (top, bottom)], dtype=np.float32)
 
@@ -52,7 +53,7 @@ class ContactShadow:
         columns, rows = (np.flatnonzero(self.darkness.any(axis=axis)) for axis in (0, 1))
         low = np.array([each.min(initial=CELLS) for each in (columns, rows)])
         high = np.array([each.max(initial=0) for each in (columns, rows)])
-        # a cell is interpolated to the centers of its neighbours
+        # each cell is interpolated up to the centers of its neighbours
         cells = np.clip([low - 0.5, np.maximum(high, low) + 1.5], 0, CELLS)
         corners = np.array(self.corner) + cells * (self.side / CELLS)
         return corners[0], corners[1]
@@ -60,7 +61,7 @@ class ContactShadow:
 
 @dataclass(frozen=True, eq=False)
 class ShadowCaster:
-    """A body whose contact shadow is computed when it is needed.
+    """A body that casts a contact shadow. The shadow is computed when it is needed.
 
     ``points``: (3, V) points on its surface. ``areas``: (V,) surface area of each, square metres.
     """
@@ -83,7 +84,7 @@ class ShadowCaster:
 
     @cached_property
     def shadow(self) -> ContactShadow:
-        """The shadow on the floor z = 0: the surface from below, faded with height, blurred."""
+        """The shadow on the floor z = 0: the body seen from below, faded with height and blurred."""
         low, side = self._square
         cell = side / CELLS
         below = np.flatnonzero(self.points[2] < REACH)
@@ -115,7 +116,8 @@ class ContactShadowPass:
         self._texture = ctx.texture((CELLS, CELLS), 1, alignment=1)
 
     def draw(self, shadows: Sequence[ContactShadow], camera: Camera) -> None:
-        """Draw shadows into the target in use. Its alpha becomes the share of light that they leave."""
+        """Draw shadows into the target in use. Its alpha becomes the share of light that the shadows let
+        through."""
         if not shadows:
             return
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)

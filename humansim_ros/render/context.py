@@ -1,4 +1,4 @@
-"""OpenGL contexts through EGL: creation, use in the thread that made them, lost contexts, memory, release."""
+"""OpenGL contexts through EGL: create, check the thread, detect a lost context, free the memory."""
 
 from __future__ import annotations
 
@@ -30,15 +30,17 @@ _FORKED = (
 class OpenGLContext:
     """OpenGL 3.3 context through EGL, for the thread that makes it.
 
-    It is freed by :meth:`close`, or when nothing refers to it any more, by any thread.
+    :meth:`close` frees the context. Without a call, it is freed when the last reference to it is gone, in any
+    thread.
+
 
     Attributes:
         gl: The context of moderngl, to create objects with.
         device: Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``.
-        on_processor: Whether the device is Mesa's renderer for the CPU, whose memory is the processor's.
+        on_processor: Whether the device is Mesa's renderer for the CPU, so that images are in main memory.
 
     Args:
-        device: Number of the device in the order of EGL, GPUs first; the first one that works if None.
+        device: Number of the device in the order of EGL, GPUs first. If None, the first one that works.
 
     Raises:
         RenderError: There is no such device, or OpenGL is missing (the message names the packages to
@@ -50,8 +52,8 @@ class OpenGLContext:
         self.gl = _create(device)
         self._pid, self._thread = os.getpid(), threading.get_ident()
         self._free = weakref.finalize(self, _free, self.gl, self._pid)
-        self._free.atexit = False  # the process frees all
-        # A new context is current. EGL frees a context, in any thread, if it is current in none.
+        self._free.atexit = False  # the end of the process frees everything
+        # A new context is current. EGL frees a context in any thread, if the context is current in no thread.
         with self.gl:
             self.device = str(self.gl.info["GL_RENDERER"])
         self.on_processor = self.device.startswith("llvmpipe")
@@ -82,12 +84,13 @@ class OpenGLContext:
         """Make the context current for the duration of ``with``.
 
         Raises:
-            RenderError: See :meth:`check`; or the context has been lost, or OpenGL failed.
+            RenderError: :meth:`check` fails, the context has been lost, or OpenGL failed.
         """
         self.check()
         with self.gl:
             try:
-                # without a context OpenGL fails silently and reads arbitrary memory: test an allocation
+                # without a context, OpenGL fails silently and reads arbitrary memory, so an allocation is
+                # tested
                 self.gl.buffer(reserve=4).release()
             except moderngl.Error:
                 raise RenderError(
@@ -103,11 +106,9 @@ class OpenGLContext:
 
 
 class _Process:
-    """The process that has used OpenGL first.
-
-    A process forked from it waits for ever for the threads of the driver, which are not forked. Mesa's
-    renderer for the CPU has none if LP_NUM_THREADS is 0 when it starts.
-    """
+    """The first process that has used OpenGL. A forked process waits for ever for the threads of the driver,
+    since a fork does not copy them. Mesa's renderer for the CPU has no threads if LP_NUM_THREADS is 0 when it
+    starts."""
 
     def __init__(self) -> None:
         self._pid: int | None = None
@@ -121,19 +122,20 @@ class _Process:
             raise RenderError(_FORKED)
 
     def add(self, context: OpenGLContext) -> None:
-        """Take into account a context that works."""
+        """Remember a context that works."""
         self._without_threads &= context.on_processor
 
 
 _process = _Process()
 
 
-#: Searched for once in a process: each search starts a program of the system.
+#: Cached, since each search starts a program of the system.
 _find_library = cache(ctypes.util.find_library)
 
 
 def _create(device: int | None) -> moderngl.Context:
-    if device is not None and device < 0:  # glcontext reads memory before its list, and some drivers take it
+    # glcontext reads memory before its list, and some drivers accept the number
+    if device is not None and device < 0:
         raise RenderError(f"there is no OpenGL device {device}: the first is 0")
     settings: dict[str, Any] = {"backend": "egl"}
     settings |= {"libgl": _find_library("GL"), "libegl": _find_library("EGL")}
@@ -155,7 +157,8 @@ def _create(device: int | None) -> moderngl.Context:
 
 
 def _free(gl: moderngl.Context, pid: int) -> None:
-    """Free a context, unless in a forked process, where the driver could wait for threads for ever."""
+    """Free a context. In a forked process do nothing, since the driver could wait for its threads for
+    ever."""
     if os.getpid() == pid:
         gl.release()
 
@@ -165,10 +168,8 @@ _MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
 
 
 def keep_image_blocks() -> None:
-    """Allocate image-sized blocks on the heap, instead of mapping and unmapping their pages for every image.
-
-    Without glibc the function has no effect.
-    """
+    """Allocate memory for images on the heap, so that pages are not mapped and unmapped for each image.
+    Without glibc the function has no effect."""
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
         for parameter, value in _MALLOPT:

@@ -1,4 +1,4 @@
-"""Which level of detail shows a body as well as its whole mesh."""
+"""Levels of detail of bodies: choose those that look like the whole mesh."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from humansim_ros.mesh.simplification import Simplification
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.types import Array, FloatArray
 
-#: Pixels by which the surface of a level may be off.
+#: Largest error of the surface of a level, pixels.
 LARGEST_ERROR = 0.1
-#: Share of all vertices from which on levels do not pay.
+#: A level with more than this share of all vertices saves no time.
 LARGEST_SHARE = 0.25
-#: Metres by which points are moved to see how far they move in the image.
+#: Metres by which points are moved, to measure how far they move in the image.
 _STEP = 1e-3
 #: Corners of a box.
 _CORNERS = np.stack(np.meshgrid(*[(0, 1)] * 3), axis=-1).reshape(8, 3)
 
 
 def coarsest(levels: Sequence[Simplification | None], boxes: FloatArray, camera: Camera) -> tuple[int, ...]:
-    """Choose the coarsest level of each body whose error is below a tenth of a pixel.
+    """Choose the coarsest level of each body with an error below a tenth of a pixel.
 
     Args:
-        levels: Levels of each body; None for the whole mesh alone.
+        levels: Levels of each body; None if there is only the whole mesh.
         boxes: Lowest and highest corner of each body, (M, 2, 3) metres in ``map``.
         camera: Camera that sees them.
     """
@@ -37,7 +37,7 @@ def coarsest(levels: Sequence[Simplification | None], boxes: FloatArray, camera:
 
 
 def pays(levels: Sequence[Simplification | None], chosen: Sequence[int]) -> bool:
-    """Whether drawing the bodies with some levels is worth that labels need the whole meshes, too."""
+    """Whether levels of detail save time, although labels need the whole meshes too."""
     known = [(each.counts, number) for each, number in zip(levels, chosen, strict=True) if each is not None]
     return sum(counts[number] for counts, number in known) < LARGEST_SHARE * sum(
         counts[0] for counts, _ in known
@@ -45,9 +45,8 @@ def pays(levels: Sequence[Simplification | None], chosen: Sequence[int]) -> bool
 
 
 def pixels_per_metre(boxes: FloatArray, camera: Camera) -> Array:
-    """Most pixels that a metre within each box (M, 2, 3) has in any direction; inf near the camera and beyond
-    the lens.
-    """
+    """Largest number of pixels that a metre in any direction has within each box (M, 2, 3). It is infinite
+    near the camera and beyond the lens."""
     corners = np.where(_CORNERS == 0, boxes[:, None, 0], boxes[:, None, 1])
     moved = corners[..., None, :] + _STEP * np.concatenate([np.zeros((1, 3)), np.eye(3)])
     pixels, depth = camera.project(moved.reshape(-1, 3))

@@ -1,8 +1,8 @@
 """Anti-aliasing of outlines, from the exact crossings of contour edges with pixels [Persson 2011].
 
 The image has one sample per pixel. Where an outline crosses the line between two neighbouring pixel centers,
-a share of one pixel belongs to the surface of the other. The share follows from the position and the slope of
-the crossing, and that share of the other colour is blended in.
+a share of one pixel belongs to the surface of the other. The position and the slope of the crossing give the
+share. The colour of the other surface is blended in with this share.
 """
 
 from __future__ import annotations
@@ -17,19 +17,18 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.types import Array, Float32Array
 
-#: Largest difference of depth, in metres, between an outline and its surface half a pixel inside.
+#: An outline and its surface half a pixel inside differ in depth by at most this, metres.
 _RIM = 0.1
-#: The device rounds vertices to 1/256 of a pixel: an edge may pass a center on the other side than computed.
+#: The device rounds vertices to 1/256 of a pixel, so that an edge may pass a center on the other side than
+#: computed.
 _SNAP = 1 / 128
 
 
 @dataclass(frozen=True)
 class EdgeCrossings:
-    """Crossings of outlines between pixel centers: ``pixel`` gets ``share`` of the colour of ``neighbour``.
-
-    All arrays are (N,); pixels are flat indices into the image. ``depth``: of the outline, metres. ``edge``:
-    number of the edge.
-    """
+    """Places where outlines pass between two pixel centers: ``pixel`` gets ``share`` of the colour of
+    ``neighbour``. All arrays are (N,). Pixels are flat indices into the image. ``depth``: depth of the
+    outline, metres. ``edge``: number of the edge."""
 
     pixel: NDArray[np.intp]
     neighbour: NDArray[np.intp]
@@ -38,12 +37,12 @@ class EdgeCrossings:
     edge: NDArray[np.intp]
 
     def __add__(self, other: EdgeCrossings) -> EdgeCrossings:
-        """Crossings of both."""
+        """Return the crossings of both."""
         both = ([getattr(one, field.name) for one in (self, other)] for field in fields(self))
         return EdgeCrossings(*(np.concatenate(values) for values in both))
 
     def take(self, which: NDArray[Any]) -> EdgeCrossings:
-        """Crossings of a mask (N,) or of indices."""
+        """Return the crossings that a mask (N,) or indices select."""
         return EdgeCrossings(*(getattr(self, one.name)[which] for one in fields(self)))
 
 
@@ -55,7 +54,8 @@ class ImageEdges(NamedTuple):
 
     @classmethod
     def of(cls, camera: Camera, starts: NDArray[np.floating], ends: NDArray[np.floating]) -> ImageEdges:
-        """Project edges from ``starts`` to ``ends``, (N, 3) in ``map``, that the lens does not bend."""
+        """Project straight edges from ``starts`` to ``ends``, (N, 3) in ``map``. The lens must not bend
+        them."""
         (p, near), (q, far) = camera.project(starts), camera.project(ends)
         good = np.isfinite(p[:, 0]) & np.isfinite(q[:, 0])
         (px, py), (qx, qy) = p[good].T, q[good].T
@@ -63,7 +63,7 @@ class ImageEdges(NamedTuple):
 
 
 def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCrossings:
-    """Find the crossings of edges with columns and rows of pixel centers. ``size``: of the image, pixels."""
+    """Find where edges cross columns and rows of pixel centers. ``size``: width and height of the image."""
     (px, py, near), (qx, qy, far) = (
         [np.concatenate(values, dtype=float) for values in zip(*side, strict=True)]
         for side in zip(*edges, strict=True)
@@ -102,10 +102,10 @@ def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCr
     along = np.where(rows, 1, width)
     nearer = x * np.where(rows, width, 1) + centre.astype(np.intp) * along
     farther = nearer + side * along
-    slope = np.minimum(np.abs(slope), 1)  # steeper edges cross the lines of the other axis
+    slope = np.minimum(np.abs(slope), 1)  # a steeper edge crosses the lines of the other axis
     distance = np.abs(y - centre)
     both = np.flatnonzero(distance + slope / 2 > 0.5)
-    # at a center, either neighbour may be on the other side of the edge
+    # where an edge passes through a center, either neighbour may be on the other side
     tie = np.flatnonzero((distance < _SNAP) & (centre - side >= 0) & (centre - side < limit))
     return EdgeCrossings(
         np.concatenate([nearer, farther[both], nearer[tie]]),
@@ -123,11 +123,9 @@ def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCr
 
 
 def share_beyond(distance: Array, slope: Array) -> Array:
-    """Share of a pixel, at most half, beyond an edge that crosses at a distance from its center.
-
-    ``distance``: (N,) pixels. ``slope``: (N,) 0 to 1, change of the distance per pixel across.
-    """
-    # within the pixel the edge rises by the slope, and may leave the pixel
+    """Share of a pixel (at most half) beyond an edge. ``distance``: (N,) pixels from the center of the pixel
+    to the crossing. ``slope``: (N,) change of the distance per pixel across, 0 to 1."""
+    # the edge rises by the slope within the pixel, so that it may leave the pixel
     corner = np.maximum(0.5 + slope / 2 - distance, 0)
     return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
 
@@ -143,10 +141,10 @@ def blend(
         z_neighbour: Depth (N,) of their neighbours.
         outline: The N crossings.
     """
-    # the surface in front is the outlined one, not an occluder; and another surface is behind it
+    # the nearer surface must be the outlined one, not an occluder, and another surface must be behind it
     front, behind = np.minimum(z, z_neighbour), np.maximum(z, z_neighbour)
     visible = np.flatnonzero((np.abs(front - outline.depth) < _RIM) & (behind > outline.depth))
-    # of several crossings in a pixel the largest share counts: on a slanted edge it is the right one of two
+    # the largest share in a pixel counts: a slanted edge crosses two lines, and the larger share is right
     order = visible[np.argsort(outline.share[visible], kind="stable")]
     pixel, neighbour = outline.pixel[order], outline.neighbour[order]
     share = outline.share[order, None].astype(np.float32)
@@ -157,10 +155,8 @@ def blend(
 
 
 def mix(image: NDArray[np.uint8], crossings: EdgeCrossings) -> None:
-    """Mix colours across edges, in an image (H, W, C) in place.
-
-    A pixel may lie between two edges of a narrow surface: opposite neighbours both count.
-    """
+    """Blend colours across edges in an image (H, W, C), in place. A pixel may lie between two edges of a
+    narrow surface. Then both opposite neighbours are blended in."""
     height, width = image.shape[:2]
     mark = np.zeros(height * width, bool)
     mark[crossings.pixel] = True
@@ -170,7 +166,7 @@ def mix(image: NDArray[np.uint8], crossings: EdgeCrossings) -> None:
     which = (crossings.neighbour - crossings.pixel)[:, None] == steps
     order = np.argsort(crossings.share)
     shares = np.zeros((4, len(pixels)), np.float32)
-    # of several, the last and largest remains
+    # the last assignment remains: that of the largest share
     shares[which.argmax(axis=1)[order], place[order]] = crossings.share[order]
     # a slanted edge crosses lines of both axes: the axis of the larger share is the right one
     across = shares[:2].max(axis=0) >= shares[2:].max(axis=0)

@@ -1,15 +1,13 @@
 """The default renderer: OpenGL 3.3 through EGL, without a display, on a GPU if there is one.
 
-The static scene is rendered once per camera and cached. Each frame renders only the rectangle that bodies
-may touch, in one pass with one sample at each pixel center: colour, depth, and the triangle id, from which
-all labels follow. Outlines of bodies are anti-aliased afterwards (edge_antialiasing.py). Triangles that
-cannot be visible are not sent to the device. With optical flow, a frame is rendered once and used up to
-three times.
+The static scene is rendered once per camera and cached. Each frame renders only the rectangle that bodies may
+touch. One pass with one sample at each pixel center draws colour, depth, and the triangle id, which gives all
+labels. Outlines of bodies are anti-aliased afterwards (edge_antialiasing.py). Triangles that cannot be
+visible are not sent to the device. With optical flow, a frame is rendered once and used up to three times.
 
-The pixels that each triangle covers are counted also where another triangle hides it. OpenGL decides which
-pixel centres a triangle covers, as in the face image, so that both counts of a triangle that nothing hides
-are equal. All triangles are drawn together: each draw finds up to four more triangles at each pixel, so that
-the number of draws follows from the number of surfaces behind a pixel.
+:class:`CoveragePass` counts the pixels of each triangle, also where another triangle hides it. OpenGL decides
+which pixel centers a triangle covers, as for the channel ``face``, so that both counts of a triangle that
+nothing hides are equal.
 """
 
 from __future__ import annotations
@@ -63,12 +61,13 @@ if TYPE_CHECKING:
 
 
 class GLRenderer(Renderer):
-    """Renders bodies in a static scene with OpenGL, in a context of its own, in the thread that makes it.
+    """Renders bodies in a static scene with OpenGL. It has its own context and belongs to the thread that
+    makes it.
 
     Args:
         static_meshes: Meshes of the static scene, in ``map``, metres.
-        lighting: Light; the default light if None.
-        device: Number of the GPU in the order of EGL; the first one that works if None.
+        lighting: Light. If None, the default light.
+        device: Number of the GPU in the order of EGL. If None, the first one that works.
         static_bodies: Bodies that never move. They are rendered with the static scene, once per camera.
 
     Raises:
@@ -95,7 +94,7 @@ class GLRenderer(Renderer):
         shadows = ["STATIC_SHADOWS", "MOVING_SHADOWS"] if light.shadow == "soft" else []
         skin = ["SKIN_AND_CLOTH"] if light.materials and light.mode == "lit" else []
         with self._context.current():
-            # rows of an image run down, rows of OpenGL run up: images are mirrored
+            # rows of an image run down and rows of OpenGL run up, so images are mirrored
             self._ctx.front_face = "cw"
             self._lit = lit_program(self._ctx, light, (*shadows, *skin))
             self._ids = link(self._ctx, "triangle_ids.vert", "triangle_ids.frag")
@@ -124,11 +123,9 @@ class GLRenderer(Renderer):
         self._context.check()
 
     def prepare(self, requests: Sequence[RenderRequest]) -> None:
-        """Draw several requests before the first image is read, where the device is not the processor.
-
-        Each has a target of its own: in one large image, places on the device would round positions
-        differently. Images are read while others are drawn, and wait for :meth:`render` in the cache.
-        """
+        """Draw several requests before the first image is read. On a processor this does nothing. Each
+        request has its own target: in one large image, the device would round positions differently. Images
+        are read while others are drawn. They wait in the cache for :meth:`render`."""
         with self._context.current():
             count = self._targets.together([request.camera.size for request in requests])
             if count < 2:
@@ -159,7 +156,8 @@ class GLRenderer(Renderer):
     def _drawings(
         self, bodies: Sequence[Body], request: RenderRequest
     ) -> list[tuple[Collection[str], tuple[int, ...]]]:
-        """Channels that are drawn together, and the level of each body; none if all are whole."""
+        """Groups of channels that are drawn together, each with the level of detail of each body (empty: all
+        whole)."""
         coloured = {name for name in request.channels if "lit" in CHANNEL_TABLE[name].passes}
         levels = self._levels(bodies, request.camera) if coloured else ()
         if not any(levels):
@@ -168,7 +166,7 @@ class GLRenderer(Renderer):
         return [*([(exact, ())] if exact else []), (coloured, levels)]
 
     def _view(self, bodies: Sequence[Body], request: RenderRequest, levels: tuple[int, ...]) -> View:
-        """Channels of bodies at some levels."""
+        """Channels of bodies at some levels of detail."""
         passes = Passes.of(request.channels)
         frame = self._frame(bodies, request.camera, passes, request, levels)
         adjacent: AdjacentFrames = {}
@@ -178,13 +176,14 @@ class GLRenderer(Renderer):
                 continue
             other, rendered = replace(other, bodies=self._moving(other.bodies)), None
             if any(CHANNEL_TABLE[channel].occlusion for channel in channels):
-                # with the passes of this frame: it will be requested next
+                # keep the passes of this frame, since it will be requested next
                 rendered = self._frame(other.bodies, other.camera, passes, request)
             adjacent = {**adjacent, name: (other, rendered)}
         return frame.view(bodies, request.channels, adjacent)
 
     def _levels(self, bodies: Sequence[Body], camera: Camera) -> tuple[int, ...]:
-        """Level of detail of each body for colours; none to draw all whole, as with shadows of the sun."""
+        """Level of detail of each body for colours. Empty if all are drawn whole, as with shadows of the
+        sun."""
         if self._static.sun_shadows is not None or all(body.levels is None for body in bodies):
             return ()
         posed = [self._bodies.pose(body).posed for body in bodies]
@@ -194,7 +193,8 @@ class GLRenderer(Renderer):
     def coverage(self, body: Body, camera: Camera) -> Indices:
         """Count the pixels that each triangle of a body covers, also where another surface hides it.
 
-        The same pixel centres count as in ``face``: the counts of a triangle that nothing hides are equal.
+        It counts the same pixel centers as ``face``, so that both counts of a triangle that nothing hides are
+        equal.
 
         Returns:
             (N,) pixels within the image of each triangle of the mesh.
@@ -228,7 +228,8 @@ class GLRenderer(Renderer):
         request: RenderRequest,
         levels: tuple[int, ...] = (),
     ) -> RenderedFrame:
-        """Cached rendering of a frame; renders on a miss. ``levels``: of each body; none if all are whole."""
+        """Rendered frame from the cache, or a new one. ``levels``: level of each body; empty if all are
+        whole."""
         return self._start_frame(bodies, camera, passes, request, levels)()
 
     def _start_frame(
@@ -240,7 +241,8 @@ class GLRenderer(Renderer):
         levels: tuple[int, ...],
         number: int = 0,
     ) -> Callable[[], RenderedFrame]:
-        """Draw a frame into a target with a number unless it is cached; the result waits for its images."""
+        """Start to draw a frame into target ``number``, unless it is cached. The result waits for the
+        images."""
         moving, backdrop = request.moving_camera, request.backdrop
         view = camera_key(camera), moving, id(backdrop), levels
         cached = self._frames.get(bodies, view)
@@ -270,7 +272,8 @@ class GLRenderer(Renderer):
         target: RenderTarget,
         uncovered: bool = False,
     ) -> Callable[[], RenderedFrame]:
-        """Draw a frame, ``uncovered`` without surfaces beside bodies; the result waits for its images."""
+        """Start to draw a frame. The result waits for the images. ``uncovered``: without off-body
+        surfaces."""
         posed = [self._bodies.pose(body) for body in bodies]
         if levels:
             posed = [body.level(number) for body, number in zip(posed, levels, strict=True)]
@@ -324,7 +327,7 @@ class GLRenderer(Renderer):
     def _static_labels(
         self, camera: Camera, passes: Passes, moving_camera: bool, layer: StaticLayer
     ) -> StaticLabels:
-        """Cached labels of the static bodies in a layer; renders on a miss."""
+        """Labels of the static bodies in a layer, from the cache or new."""
         passes = Passes(lit=False, outlined=True, alone=passes.alone)
         if layer.labels is None or not layer.labels.passes.covers(passes):
             target = self._targets.of(camera.size)
@@ -336,7 +339,8 @@ class GLRenderer(Renderer):
     def _uncovered(
         self, frame: RenderedFrame, bodies: Sequence[Body], camera: Camera, moving_camera: bool
     ) -> NDArray[np.uint8] | None:
-        """(H, W) part labels without surfaces beside bodies; None if no pixel of a frame shows one."""
+        """(H, W) part labels without off-body surfaces. None if no pixel of the frame shows such a
+        surface."""
         moving, static = (
             any(body.mesh.off_body is not None for body in each) for each in (bodies, self._static_bodies)
         )
@@ -344,7 +348,7 @@ class GLRenderer(Renderer):
             return None
         target, layer = self._targets.of(camera.size), frame.layer
         parts = np.zeros(camera.size[::-1], np.uint8)
-        if static:  # the layer shows what is beside them
+        if static:  # the layer shows off-body surfaces of static bodies too
             self._static.draw_unlabelled(target, camera, moving_camera)
             layer, bodies = StaticLayer(target, None), [*bodies, *self._static_bodies]
         elif frame.static_labels is not None:
@@ -379,7 +383,7 @@ class GLRenderer(Renderer):
         behind: Float32Array,
         uncovered: bool = False,
     ) -> tuple[TriangleIds, dict[int, NDArray[np.bool_]]]:
-        """Draw the triangles that may be visible of some bodies, each with its own id.
+        """Draw those triangles of some bodies that may be visible, each with its own id.
 
         Args:
             bodies: The bodies of the frame.
@@ -388,12 +392,12 @@ class GLRenderer(Renderer):
             target: Target that is in use.
             rectangle: Pixels that the bodies may touch.
             lit: Draw colours too.
-            behind: (H, W) depth of what hides them, metres.
-            uncovered: Leave out surfaces beside the bodies.
+            behind: (H, W) depth of the static scene, which may hide bodies, metres.
+            uncovered: Leave out off-body surfaces.
 
         Returns:
-            The triangles that were drawn; and of each body that others do not hide, by its number, (N,)
-            whether each triangle shows its front.
+            The triangles that were drawn. And by number of each body that is not hidden, (N,) whether each
+            triangle shows its front.
         """
         ids, facing = TriangleIds(), dict[int, NDArray[np.bool_]]()
         if not numbers:
@@ -402,7 +406,7 @@ class GLRenderer(Renderer):
         use_camera(self._ctx, program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         straight = straight_angle(camera, rectangle)
-        # the nearest first: what they hide is not shaded
+        # the nearest body first, so that hidden pixels are not shaded
         order = sorted(numbers, key=lambda number: projected[number].closest)
         hidden = HiddenBodies(
             *([projected[number] for number in order], behind),
@@ -415,7 +419,7 @@ class GLRenderer(Renderer):
             front = facing[number] = body.posed.facing(camera.center)
             set_uniform(program, "first_id", ids.count)
             set_uniform(program, "has_skin_mask", float(body.has_skin_mask))
-            # from outside a closed surface its back faces never show; a near camera may be inside
+            # a closed surface never shows its back faces to a camera outside; a near camera may be inside
             visible = np.flatnonzero(front) if body.closed and not points.near else np.arange(len(front))
             if uncovered and body.body.kind == "human" and body.body.mesh.off_body is not None:
                 visible = visible[~body.body.mesh.triangles_off_body[visible]]
@@ -438,7 +442,7 @@ class GLRenderer(Renderer):
 def _contact_shadows(
     bodies: Sequence[PosedBody], camera: Camera, static: Float32Array
 ) -> list[ContactShadow]:
-    """Contact shadows of bodies, except those that leave no trace. ``static``: (H, W) depth, metres."""
+    """Contact shadows that may be visible. ``static``: (H, W) depth of the static scene, metres."""
 
     def shown(corners: Float32Array) -> bool:
         return not ProjectedPoints(corners.T, camera).is_hidden(static)
@@ -448,14 +452,16 @@ def _contact_shadows(
     return [shadow for shadow in shadows if shown(shadow.corners)]
 
 
-#: Beyond all ids of triangles; single precision is exact up to here.
+#: A number above all triangle ids. Single precision is exact up to this number.
 _NONE = float(1 << 24)
-#: Texture unit of the triangles that were found; materials use others.
+#: Texture unit of the triangles that were found. No material uses this unit.
 _UNIT = 8
 
 
 class CoveragePass:
-    """Counts covered pixels on the device."""
+    """Counts covered pixels on the device, also those of hidden triangles. All triangles are drawn together.
+    Each draw finds up to four more triangles at each pixel, so that the number of draws depends on the number
+    of surfaces behind a pixel."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
@@ -471,7 +477,7 @@ class CoveragePass:
             rectangle: Pixels that it may touch.
 
         Returns:
-            (N,) pixels of each triangle of the mesh of the body.
+            (N,) number of pixels of each triangle of the body's mesh.
         """
         pixels = np.zeros(len(mesh.triangles) + 1, np.intp)
         if not rectangle.empty and len(mesh.triangles):
@@ -485,7 +491,7 @@ class CoveragePass:
     def _layers(
         self, body: PosedBody, pieces: TriangleBuffers, count: int, camera: Camera, rectangle: Rectangle
     ) -> Iterator[tuple[Indices, Indices]]:
-        """Lowest and highest ids (M,) at pixels, of one draw after the other until all are found."""
+        """Draw again until all triangles are found. Yields the lowest and highest new ids (M,) at pixels."""
         use_camera(self._ctx, self._program, camera)
         set_uniform(self._program, "none", _NONE)
         set_uniform(self._program, "found", _UNIT)
@@ -520,7 +526,7 @@ class CoveragePass:
                 before, after = after, before
 
 
-#: Largest number of frames, their memory, and the number that is cached even if it needs more.
+#: Most frames in the cache, most memory, and the number of frames that stay even if they need more memory.
 _MAX_FRAMES, _MAX_BYTES, _MIN_FRAMES = 48, 256 << 20, 3
 
 _Entry = tuple[RenderedFrame, tuple["weakref.ref[Body]", ...]]
@@ -535,14 +541,14 @@ class FrameCache:
         )
 
     def get(self, bodies: Sequence[Body], view: tuple[object, ...]) -> RenderedFrame | None:
-        """Return the frame of bodies. ``view``: key of camera and static scene."""
+        """Return a cached frame of bodies. ``view``: key of the camera and the static scene."""
         entry = self._frames.get(_key(bodies, view))
         if entry is None or any(ref() is not body for ref, body in zip(entry[1], bodies, strict=True)):
             return None
         return entry[0]
 
     def put(self, bodies: Sequence[Body], view: tuple[object, ...], frame: RenderedFrame) -> RenderedFrame:
-        """Cache a frame, see :meth:`get`."""
+        """Put a frame into the cache. The arguments are those of :meth:`get`."""
         key, frames = _key(bodies, view), self._frames
         frames.put(key, (frame, tuple(weakref.ref(body, lambda _: frames.discard(key)) for body in bodies)))
         return frame
@@ -564,8 +570,8 @@ def make_renderer(
     Args:
         name: Name of the renderer.
         static_meshes: Meshes of the static scene, in ``map``, metres.
-        lighting: Light; the default light if None.
-        device: Number of the GPU in the order of EGL; the first one that works if None.
+        lighting: Light. If None, the default light.
+        device: Number of the GPU in the order of EGL. If None, the first one that works.
         static_bodies: Bodies that never move. They are rendered with the static scene, once per camera.
 
     Raises:

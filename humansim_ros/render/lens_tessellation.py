@@ -1,8 +1,8 @@
-"""Tessellation for lenses: OpenGL draws straight edges, a lens bends them.
+"""Tessellation for lenses: OpenGL draws straight edges, but a lens bends them.
 
-Edges are divided into pieces so short that the middle of each is within a fraction of a pixel of its correct
-projection. The number of pieces depends on the two ends alone, so that triangles with a common edge stay
-connected.
+Edges are divided into short pieces, so that the middle of each piece is within a fraction of a pixel of its
+correct projection. The number of pieces depends only on the two ends, so that triangles with a common edge
+stay connected.
 """
 
 from __future__ import annotations
@@ -19,28 +19,31 @@ from humansim_ros.camera.lens import Lens
 from humansim_ros.render.subdivision import TriangleEdges, divide_edges, divide_triangles
 from humansim_ros.types import Array, Indices
 
-#: Error of an edge in pixels from which it is tessellated, and the error that tessellation leaves. The second
-#: is smaller, because a lens bends all edges of a surface to one side, which shifts its image as a whole.
+#: An edge is tessellated if its error is larger than ``VISIBLE``, pixels. Then the error is at most
+#: ``TOLERANCE``. This is smaller, since a lens bends all edges of a surface to one side, which shifts its
+#: whole image.
 VISIBLE, TOLERANCE = 0.03, 0.01
-#: Edges that are longer, in pixels, or along which depth grows by a larger factor, are divided before their
-#: error is estimated.
+#: An edge is first divided if it is longer than this, pixels, or if depth grows by a larger factor along it.
+#: Only then its error can be estimated.
 _MAX_LENGTH, _MAX_RATIO = 48.0, 2.0
-#: Factor of the number of pieces of an edge: edges within a divided triangle are longer than on its sides.
+#: Factor of the number of pieces of an edge, since edges inside a divided triangle are longer than on its
+#: sides.
 _SAFETY = 1.2
-#: Tangent of the angle to the axis beyond which the tolerance grows with it: depth changes so fast there that
-#: edges would become shorter than pixels.
+#: Beyond this tangent of the angle to the axis, the tolerance grows with the tangent. Depth changes so fast
+#: there that edges would become shorter than pixels.
 _WIDE_TANGENT = 4.0
-#: Largest length of edges over their distance: of those that cross the border of the field of view, and of
-#: those beyond it.
+#: Largest ratio of length to distance for edges that cross the border of the field of view, and for edges
+#: beyond it.
 _RIM, _BEYOND = 0.01, 0.1
 #: Points along each side of the image at which the lens is sampled.
 _GRID = 65
 #: Largest number of pieces of an edge.
 _MAX_PIECES = 32
-#: Rounds in which long edges are divided, pieces in each round, and number of triangles that limits both.
+#: Most rounds in which long edges are divided, most pieces in each round, and the number of triangles that
+#: limits both.
 _ROUNDS, _MAX_CUT, _MAX_TRIANGLES = 8, 16, 4_000_000
-#: Near plane in metres, also for wide lenses, and the tangent of the angle to the axis from which a lens is
-#: wide: points beside the camera have a small depth at any distance.
+#: Near plane for usual lenses and for wide lenses, metres. A lens is wide if it sees beyond this tangent of
+#: the angle to the axis: points at the side of the camera have a small depth at any distance.
 NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0
 
 
@@ -71,7 +74,7 @@ class LensView:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest x and y, (2,) each, of the image in the normalised image plane."""
+        """Lowest and highest x and y (2,) of the image in the normalised image plane."""
         return self._field.low, self._field.high
 
     @property
@@ -81,9 +84,8 @@ class LensView:
         return NEAR if widest < _WIDE_LENS else _WIDE_NEAR
 
     def straight_angle(self, low: tuple[int, int], high: tuple[int, int]) -> float:
-        """Return the largest angle (radians) of edges without visible bend between pixels ``low`` and
-        ``high``. The angle of an edge is its length over its distance.
-        """
+        """Return the angle (radians) within which edges between pixels ``low`` and ``high`` look straight.
+        The angle of an edge is its length divided by its distance."""
         bends = self._field.bends
         cells = np.maximum(np.array(self.camera.size) - 1, 1) / (_GRID - 1)
         x0, y0 = np.clip(np.floor(low / cells), 0, _GRID - 1).astype(int)
@@ -92,17 +94,16 @@ class LensView:
         return float(np.sqrt(8 * VISIBLE / max(bend, 1e-9)))
 
     def _sides_beyond(self, points: Array) -> NDArray[np.uint8]:
-        """(V,) bit mask of the sides of the image that points (V, 3), optical frame, are beyond."""
+        """(V,) bit mask: beyond which sides of the image the points (V, 3) in the optical frame lie."""
         x, y, z = points.T
         (left, top), (right, bottom) = self.bounds
         beyond = [z < self.near, x < left * z, x > right * z, y < top * z, y > bottom * z]
         return np.packbits(beyond, axis=0)[0]
 
     def image_of(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the lowest and highest pixel, (2,) each, of a rectangle of the normalised image plane.
-
-        They are inf and -inf if it is outside the image. ``low``, ``high``: (2,) corners of the rectangle.
-        """
+        """Return the lowest and highest pixel, (2,) each, of a rectangle of the normalised image plane. They
+        are inf and -inf if the rectangle is outside the image. ``low``, ``high``: (2,) corners of the
+        rectangle."""
         nothing = np.full(2, np.inf), np.full(2, -np.inf)
         low, high = np.maximum(low, self._field.low), np.minimum(high, self._field.high)
         if not (low < high).all():
@@ -116,10 +117,8 @@ class LensView:
         return pixels.min(axis=0) - 1, pixels.max(axis=0) + 1
 
     def bent(self, starts: Array, ends: Array, tolerance: float) -> NDArray[np.bool_]:
-        """(E,) whether edges bend by more than a tolerance in pixels, or are so long that they may.
-
-        ``starts``, ``ends``: (E, 3) metres in ``map``.
-        """
+        """(E,) whether edges bend by more than a tolerance in pixels, or are so long that they may bend so
+        much. ``starts``, ``ends``: (E, 3) metres in ``map``."""
         a, b = self._projected(starts), self._projected(ends)
         return (self._cuts(a, b) > 1) | (self._pieces(a, b, tolerance) > 1)
 
@@ -128,7 +127,8 @@ class LensView:
         return _Projected(points, self.camera.project_optical(points)[0], self._sides_beyond(points))
 
     def _cuts(self, a: _Projected, b: _Projected) -> Indices:
-        """(E,) pieces of edges that are too long to estimate their error, 1 of the others."""
+        """(E,) number of pieces for edges that are too long to estimate their error. It is 1 for other
+        edges."""
         seen = np.isfinite(a.pixels[:, 0]).astype(np.intp) + np.isfinite(b.pixels[:, 0])
         with np.errstate(invalid="ignore", divide="ignore"):
             za, zb = a.points[:, 2], b.points[:, 2]
@@ -142,7 +142,8 @@ class LensView:
         return np.ceil(np.clip(ratio, 1, _MAX_CUT)).astype(np.intp)
 
     def _pieces(self, a: _Projected, b: _Projected, tolerance: float) -> Indices:
-        """(E,) pieces of edges that are not too long, so that no error exceeds ``tolerance`` pixels."""
+        """(E,) number of pieces for edges that are not too long, so that no error exceeds ``tolerance``
+        pixels."""
         pieces = np.ones(len(a.points), np.intp)
         tested = np.flatnonzero(np.isfinite(a.pixels[:, 0]) & np.isfinite(b.pixels[:, 0]))
         a, b = a.take(tested), b.take(tested)
@@ -158,7 +159,7 @@ class LensView:
         return pieces
 
     def _between(self, a: _Projected, b: _Projected) -> _Projected:
-        """Points in the middle; which sides they are beyond is not computed."""
+        """Points in the middle of edges. Their bits ``beyond`` are not computed."""
         points = (a.points + b.points) / 2
         return _Projected(points, self.camera.project_optical(points)[0], a.beyond)
 
@@ -169,14 +170,15 @@ class LensView:
         tolerance: float = TOLERANCE,
         checked: bool = False,
     ) -> TessellatedMesh:
-        """Tessellate triangles; those outside the image are left out.
+        """Tessellate triangles. Triangles outside the image are left out.
 
         Args:
             attributes: (V, 3 + k) vertex attributes; the first three are the position in ``map``.
             triangles: (N, 3) vertices.
-            tolerance: Largest error of an edge in pixels. Up to three of a hundred edges within triangles
-                exceed it.
-            checked: Divide these once more. It takes several times as long.
+            tolerance: Largest error of an edge in pixels. Up to three of a hundred edges inside triangles
+                have a larger error.
+
+            checked: Divide those edges once more. This takes several times as long.
         """
         corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
         vertices = self._projected(attributes[:, :3])
@@ -211,8 +213,9 @@ class LensView:
     def divide_edges(
         self, starts: NDArray[np.floating], ends: NDArray[np.floating], tolerance: float = TOLERANCE
     ) -> tuple[NDArray[np.floating], NDArray[np.floating], Indices]:
-        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that are straight in the image; those outside the
-        image are left out.
+        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that look straight. Edges outside the image are
+        left out.
+
 
         Returns:
             Starts and ends of the pieces, and (P,) the edge of each.
@@ -237,9 +240,8 @@ class LensView:
 
 
 class _Projected(NamedTuple):
-    """``points`` (V, 3), optical frame; their ``pixels`` (V, 2); ``beyond``: (V,) the sides of the image that
-    they are beyond.
-    """
+    """Points that a lens has projected. ``points``: (V, 3) in the optical frame. ``pixels``: (V, 2).
+    ``beyond``: (V,) bit mask of the sides of the image that each point is beyond."""
 
     points: Array
     pixels: Array
@@ -262,7 +264,7 @@ class _Projected(NamedTuple):
 
 
 def _error(a: _Projected, middle: _Projected, b: _Projected) -> Array:
-    """(E,) pixels between the middles of edges and the middles of the straight lines that OpenGL draws."""
+    """(E,) pixels between the projected middle of each edge and the middle of the line that OpenGL draws."""
     za, zb = a.points[:, 2:], b.points[:, 2:]
     with np.errstate(invalid="ignore", divide="ignore"):
         return _length(middle.pixels - (a.pixels * za + b.pixels * zb) / (za + zb))
@@ -275,10 +277,9 @@ def near_plane(camera: Camera) -> float:
 
 @dataclass(frozen=True)
 class _Field:
-    """Field of view of a lens: bounds in the normalised image plane, and whether the image is partly dark.
-
-    ``bends``: on a grid over the image, bend of a line in pixels per square of its angle (radians).
-    """
+    """Field of view of a lens: its bounds in the normalised image plane. ``dark``: some pixels are beyond the
+    field of view. ``bends``: for a grid over the image, the bend of a line in pixels, divided by the square
+    of its angle (radians)."""
 
     low: Array
     high: Array
@@ -316,5 +317,5 @@ def _border(x: Array, y: Array) -> Array:
 
 
 def _length(vectors: Array) -> Array:
-    """(N,) of (N, k)."""
+    """Lengths (N,) of vectors (N, k)."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))

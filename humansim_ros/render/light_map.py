@@ -1,7 +1,7 @@
-"""Ambient occlusion of the static scene: a light map, made once for all cameras.
+"""Ambient occlusion of the static scene: a light map that is computed once for all cameras.
 
 Ambient occlusion is the visible share of sky and ground at a point. Depth maps of the scene are rendered from
-many directions, side by side in one texture. Each texel of the light map looks itself up in all of them, for
+many directions, side by side in one texture. Each texel of the light map is looked up in all depth maps, for
 both sides of its surface. Like the sun, ambient light passes through the back faces of surfaces.
 """
 
@@ -18,19 +18,19 @@ from humansim_ros.types import Array
 
 #: Depth maps along a side of the common texture, and texels along a side of each.
 _SIDE, _TEXELS = 12, 208
-#: Metres that the depth maps cover around the scene, and the least share of its size.
+#: The depth maps extend this far around the scene, metres, but at least by this share of its size.
 _MARGIN, _MARGIN_SHARE = 0.1, 0.02
-#: Texture unit; 0 has the texture of the surface, 1 to 4 have shadow maps. Units from the second on are free
-#: while the map is baked.
+#: Texture unit of the light map (0: texture of the surface, 1 to 4: shadow maps); and the first of the units
+#: that are free while the map is computed.
 UNIT, _BAKING = 5, 12
 
 
 class LightMap:
-    """Visible share of sky and of ground on the fronts, and on the backs, of a static scene.
+    """Visible share of sky and ground, on the front and the back of each surface of a static scene.
 
     Args:
         ctx: OpenGL context.
-        static: The scene. It gets charts.
+        static: The scene. Its charts are computed.
     """
 
     def __init__(self, ctx: moderngl.Context, static: StaticScene) -> None:
@@ -46,7 +46,7 @@ class LightMap:
         maps.compare_func = ""
         self._draw_maps(static, maps)
         points, normals = self._surface(static, charts.size)
-        # texels around a chart repeat its border: each texel has all its neighbours
+        # texels around a chart repeat its border, so that each texel has all its neighbours
         wide = self._spread(points, points), self._spread(normals, points)
         light = self._light(*wide, maps)
         inputs = {"sky": light[0], "ground": light[1], "points": points}
@@ -60,7 +60,8 @@ class LightMap:
         self._texture.use(UNIT)
 
     def _map_axes(self, direction: Array) -> Array:
-        """(3, 3) axes of a direction's map, so that the scene is within -1 and 1 along each."""
+        """(3, 3) axes of the depth map of a direction, scaled so that the scene is within -1 and 1 on
+        each."""
         u = np.array([-direction[1], direction[0], 0.0])
         u /= np.linalg.norm(u)
         axes = np.stack([u, np.cross(direction, u), -direction])
@@ -73,7 +74,7 @@ class LightMap:
         framebuffer.clear(depth=1.0)
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         whole = static.whole
-        self._ctx.cull_face = "front"  # images are mirrored, and with them the winding of front faces
+        self._ctx.cull_face = "front"  # images are mirrored, so front faces have the other winding
         for number, axes in enumerate(self._axes):
             row, column = divmod(number, _SIDE)
             framebuffer.viewport = column * _TEXELS, row * _TEXELS, _TEXELS, _TEXELS
@@ -85,9 +86,8 @@ class LightMap:
         framebuffer.release()
 
     def _surface(self, static: StaticScene, size: tuple[int, int]) -> list[moderngl.Texture]:
-        """Images of the points and normals of the texels; the points have a fourth component, 0 where no
-        surface is.
-        """
+        """Images of the points and of the normals of the texels. The fourth component of a point is 0 where
+        there is no surface."""
         images = [self._ctx.texture(size, 4, dtype="f4") for _ in range(2)]
         program = self._ctx.program(
             vertex_shader=shader(["chart.vert"]), fragment_shader=shader(["chart.frag"])
@@ -96,7 +96,7 @@ class LightMap:
         framebuffer.use()
         framebuffer.clear()
         self._ctx.enable_only(moderngl.NOTHING)
-        # first the texels that triangles touch beside their centres
+        # first the texels that triangles touch without covering their centres
         static.whole.draw_all(program, moderngl.POINTS)
         self._ctx.wireframe = True
         static.whole.draw_all(program)
@@ -108,11 +108,9 @@ class LightMap:
     def _light(
         self, points: moderngl.Texture, normals: moderngl.Texture, maps: moderngl.Texture
     ) -> list[moderngl.Texture]:
-        """Images of the light of sky and of ground: visible and total on the front, the same on the back.
-
-        Each texel tests one ninth of the directions, its neighbours test the others. The texels of each ninth
-        are side by side: ninth (column, row) of texels (3 x + column, 3 y + row).
-        """
+        """Images of the light of sky and ground: visible and total on the front, then the same on the back.
+        Each texel tests one ninth of the directions, and its neighbours test the other eight. The texels of
+        one ninth are side by side: ninth (column, row) has the texels (3 x + column, 3 y + row)."""
         width, height = (-(-side // 3) for side in points.size)
         switches = [f"COUNT {_SIDE * _SIDE // 9}", f"TEXELS {_TEXELS}"]
         program = self._program("ambient_light.frag", switches)
@@ -136,13 +134,13 @@ class LightMap:
     def _spread(
         self, image: moderngl.Texture, known: moderngl.Texture, dtype: str = "f4"
     ) -> moderngl.Texture:
-        """The image, whose unknown texels get the mean of their known neighbours."""
+        """Return the image with the unknown texels set to the mean of their known neighbours."""
         return self._image(image.size, "spread.frag", {"image": image, "known": known}, dtype)
 
     def _image(
         self, size: tuple[int, int], file: str, inputs: Mapping[str, moderngl.Texture], dtype: str = "f4"
     ) -> moderngl.Texture:
-        """Image of a fragment shader with input images."""
+        """Draw a fragment shader with input images. Returns its output image."""
         image = self._ctx.texture(size, 4, dtype=dtype)
         framebuffer = self._ctx.framebuffer([image])
         self._draw(framebuffer, self._program(file), inputs)
@@ -160,7 +158,7 @@ class LightMap:
         program: moderngl.Program,
         inputs: Mapping[str, moderngl.Texture],
     ) -> None:
-        """Fill the viewport of a framebuffer."""
+        """Fill the viewport of a framebuffer with a fragment shader."""
         framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
         for unit, (name, image) in enumerate(inputs.items(), _BAKING):
@@ -170,7 +168,7 @@ class LightMap:
 
 
 def directions(count: int) -> Array:
-    """(N, 3) unit vectors evenly over the sphere, on a spiral from top to bottom; none is vertical."""
+    """(N, 3) unit vectors spread evenly over the sphere, on a spiral from top to bottom. None is vertical."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (1 + 5**0.5) * np.arange(count)
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)

@@ -20,20 +20,21 @@ class Lighting:
 
     Attributes:
         sun: Direction to the sun, (3,); any length.
-        sun_color: Direct light of a surface that faces the sun.
-        sky_color: Ambient light of a surface that faces up.
-        ground_color: Ambient light of a surface that faces down.
+        sun_color: Direct light that arrives on a surface that faces the sun.
+        sky_color: Ambient light that arrives on a surface that faces up.
+        ground_color: Ambient light that arrives on a surface that faces down.
         background: Colour where nothing is, sRGB, 0 to 255.
         mode: ``shadeless`` renders colours without light.
         strength: Factor of all light.
         shadows: ``contact``: a dark patch on the floor z = 0 under each body. ``soft``: shadows of the sun on
             all surfaces.
         sun_size_deg: Angular size of the sun: the larger it is, the softer the shadows.
-        tone_mapping: ``filmic``: bright colours fade to white.
-        exposure: In stops; one stop doubles the brightness.
-        materials: Humans have the reflectance of skin and cloth; all is matt otherwise.
+        tone_mapping: With ``filmic``, bright colours fade to white.
+        exposure: Number of stops. One stop doubles the brightness.
+        materials: Humans have the reflectance of skin and cloth. If False, everything is matt.
         ambient_occlusion: Surfaces nearby block ambient light.
-        shadow_catcher: The ground z = 0 shows shadows where nothing is, as if the backdrop showed the ground.
+        shadow_catcher: Shadows fall on the ground z = 0 even where the scene has no floor, so that they
+            darken the backdrop.
 
     Example:
         >>> Lighting(exposure=1.0).brightness((0.5, 0.25, 1.0))
@@ -57,7 +58,7 @@ class Lighting:
 
     @property
     def shadow(self) -> Literal["contact", "soft", "none"]:
-        """Kind of the rendered shadows: none in shadeless mode."""
+        """Kind of the rendered shadows. It is ``none`` in shadeless mode."""
         return "none" if self.mode == "shadeless" else self.shadows
 
     @property
@@ -75,7 +76,7 @@ class Lighting:
         return np.asarray((sky + sun * np.asarray(visibility)[..., None]) / np.maximum(sky + sun, 1e-9))
 
     def brightness(self, color: LinearColor) -> LinearColor:
-        """Linear light of a colour, with strength and exposure."""
+        """Linear light of a colour, multiplied by strength and exposure."""
         factor = self.strength * 2.0**self.exposure
         return (color[0] * factor, color[1] * factor, color[2] * factor)
 

@@ -1,6 +1,6 @@
-"""Meshes posed in a frame, and their vertices, triangles and materials on the device.
+"""Meshes posed in a frame, with their vertices, triangles and materials on the device.
 
-Quantities that all cameras share are computed once per frame.
+Quantities that are the same for all cameras are computed once per frame.
 """
 
 from __future__ import annotations
@@ -22,20 +22,18 @@ from humansim_ros.types import Array, Float32Array, Indices
 
 _WHITE = b"\xff\xff\xff"
 _PLAIN = np.full((1, 1, 3), 255, np.uint8)
-#: Layers that all devices have.
+#: Number of texture layers that every device supports.
 _MAX_LAYERS = 256
-#: Vertex attributes of the shaders and their numbers of components, in the order of the columns of
-#: :meth:`ExpandedMesh.attributes`, and after them, of static meshes, the layer of the texture and the place
-#: in the light map.
+#: Vertex attributes of the shaders, with their numbers of components. The first ones are the columns of
+#: :meth:`ExpandedMesh.attributes`. Static meshes have two more: the layer of the texture, and the place in
+#: the light map.
 _LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3), ("layer", 1), ("light_uv", 2))
 
 
 class ExpandedMesh:
-    """Vertices of a mesh as they are rendered: once per texture coordinate on texture seams.
-
-    ``source``: (E,) vertex of the mesh for each. ``corners``: (N, 3) of the triangles. ``uv_colors``: (E, 5)
-    float32, texture coordinates and colour.
-    """
+    """Vertices of a mesh as they are rendered. A vertex on a texture seam is there once per texture
+    coordinate. ``source``: (E,) index of each vertex in the mesh. ``corners``: (N, 3) vertices of the
+    triangles. ``uv_colors``: (E, 5) float32, texture coordinates and colour."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.source, uv, corners = split_seams(mesh)
@@ -46,7 +44,7 @@ class ExpandedMesh:
         self.corners = np.ascontiguousarray(corners, dtype=np.int32)
 
     def attributes(self, posed: PosedMesh) -> Float32Array:
-        """(E, 11) vertex attributes of a pose: position, normal, uv and colour."""
+        """(E, 11) vertex attributes in a pose: position, normal, texture coordinates and colour."""
         both = np.concatenate([posed.vertices, posed.normals], axis=1).take(self.source, axis=0)
         return np.concatenate([both, self.uv_colors], axis=1)
 
@@ -57,7 +55,8 @@ class MaterialBuffers:
     Args:
         ctx: OpenGL context.
         mesh: The mesh.
-        images: Images of static meshes, the layers of one texture; the image of the mesh alone if None.
+        images: Images of several static meshes, which become the layers of one texture. If None, the image of
+            ``mesh`` alone.
     """
 
     def __init__(
@@ -83,16 +82,15 @@ class MaterialBuffers:
 
     @classmethod
     def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[tuple[MaterialBuffers, int]]:
-        """Materials of static meshes, and the layer of the texture of each. Meshes without a material share
-        one if their images have the same size: each draw call takes long.
-        """
+        """Materials of static meshes, each with the layer of its texture. Meshes without a material share one
+        texture if their images have the same size, since each draw call takes long."""
         images: dict[Any, list[NDArray[np.uint8]]] = {}
         places: dict[int, tuple[Any, int]] = {}
         made: dict[Any, MaterialBuffers] = {}
         found: list[tuple[Any, int]] = []
         for number, mesh in enumerate(meshes):
             image = _PLAIN if mesh.texture is None else mesh.texture
-            # a material says how its texture repeats, so that it has a texture of its own
+            # a material defines how its texture repeats, so it has its own texture
             place = places.get(id(image)) if mesh.material is None else ((number,), 0)
             if place is None:
                 key: tuple[int, ...] = image.shape[:2]
@@ -105,13 +103,14 @@ class MaterialBuffers:
         for (key, _), mesh in zip(found, meshes, strict=True):
             if key not in made:
                 made[key] = cls(ctx, mesh, images[key])
-                # the mean of several samples in each pixel, of one mip level each, is as smooth as of two
+                # each pixel has several samples of one mip level, so their mean is as smooth as that of two
+                # levels
                 made[key].texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
         return [(made[key], layer) for key, layer in found]
 
     @staticmethod
     def matter(program: moderngl.Program) -> bool:
-        """Whether a program draws different materials differently."""
+        """Whether a program distinguishes materials."""
         return any(name in program for name in ("surface", "has_material", "opacity"))
 
     @property
@@ -144,9 +143,9 @@ class MaterialBuffers:
 
 
 class TriangleBuffers:
-    """Triangles (N, 3) of vertices on the device; ``with`` releases them. Attributes are (V, 11); of static
-    meshes (V, 12), with the layer of the texture, or (V, 14), with a place in the light map.
-    """
+    """Triangles (N, 3) of vertices on the device. ``with`` releases them. Attributes are (V, 11). Those of
+    static meshes are (V, 12) with the layer of the texture, or (V, 14) with a place in the light map as
+    well."""
 
     def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
         self._ctx = ctx
@@ -177,16 +176,16 @@ class TriangleBuffers:
         mode: int = moderngl.TRIANGLES,
         first_id: int | None = None,
     ) -> None:
-        """Draw runs of triangles that follow each other, each run with its material.
+        """Draw runs of consecutive triangles, each run with its material.
 
         Args:
             program: Program that draws.
             materials: Material of each run.
             counts: Number of triangles of each run.
-            selected: The runs to draw; all if None.
-            eye: (3,) point from which the triangles are sorted, farthest first; not sorted if None.
+            selected: The runs to draw. If None, all.
+            eye: (3,) point that the triangles are sorted by, farthest first. If None, they are not sorted.
             mode: What is drawn of each triangle.
-            first_id: Id of the first triangle; as the program has it if None.
+            first_id: Id of the first triangle. If None, the id that the program has already.
         """
         if self._empty:
             return
@@ -218,7 +217,8 @@ class TriangleBuffers:
     def _farthest_first(
         self, runs: Sequence[tuple[MaterialBuffers, int, int]], eye: Array
     ) -> tuple[moderngl.Buffer, list[tuple[MaterialBuffers, int, int]]]:
-        """Indices of the triangles of some runs, sorted by distance, and the new runs."""
+        """Sort the triangles of some runs by distance, farthest first. Returns their indices and the new
+        runs."""
         corners = np.frombuffer(self._index.read(), np.int32).reshape(-1, 3)
         positions = np.frombuffer(self._vertices.read(), np.float32).reshape(-1, self._floats)[:, :3]
         selected = np.concatenate([np.arange(first, first + count) for _, first, count in runs])
@@ -238,7 +238,7 @@ class TriangleBuffers:
 def _joined(
     runs: Sequence[tuple[MaterialBuffers, int, int]], materials_matter: bool
 ) -> list[tuple[MaterialBuffers, int, int]]:
-    """Runs of triangles; those that follow each other become one, because calls of OpenGL take long."""
+    """Join runs of consecutive triangles into one, since calls of OpenGL take long."""
     out: list[tuple[MaterialBuffers, int, int]] = []
     for material, first, count in runs:
         follows = bool(out) and out[-1][1] + out[-1][2] == first
@@ -255,7 +255,7 @@ def _texture(
     skin: NDArray[np.uint8] | None = None,
     plain: bytes = _WHITE,
 ) -> moderngl.Texture:
-    """Texture of an image, or of one colour if there is no image; alpha is 0 on skin."""
+    """Create the texture of an image, or of one colour if there is no image. Its alpha is 0 on skin."""
     if image is None:
         return ctx.texture((1, 1), 3, plain, alignment=1)
     # the texture coordinate v points up, the image's first row is on top
@@ -270,9 +270,9 @@ def _texture(
 
 
 def _texture_array(ctx: moderngl.Context, images: Sequence[NDArray[np.uint8]]) -> moderngl.TextureArray:
-    """Texture whose layers are images (H, W, 3) of one size."""
+    """Create a texture with images (H, W, 3) of one size as its layers."""
     height, width = images[0].shape[:2]
-    # with alpha, which Mesa would have to add
+    # alpha is added here, since Mesa would have to add it
     layers = np.asarray(
         np.stack([cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA) for image in images]), np.uint8
     )
@@ -287,17 +287,15 @@ _FORMATS = {3: (0x8051, 0x1907), 4: (0x8058, 0x1908)}
 
 
 def _add_mipmaps(texture: moderngl.Texture | moderngl.TextureArray, layers: NDArray[np.uint8]) -> None:
-    """Add the smaller levels of a new texture: llvmpipe takes 0.5 s for those of a room, OpenCV 0.01 s.
-
-    ``layers``: (L, H, W, C) of the first level.
-    """
+    """Add the smaller levels of a new texture. OpenCV computes those of a room in 0.01 s, llvmpipe in 0.5 s.
+    ``layers``: (L, H, W, C) of the first level."""
     array = isinstance(texture, moderngl.TextureArray)
     upload = _tex_image("glTexImage3D" if array else "glTexImage2D")
     if upload is None or texture.components not in _FORMATS:
         texture.build_mipmaps()
         return
     internal, layout = _FORMATS[texture.components]
-    texture.use(0)  # rows are not padded: the upload of the first level has set it
+    texture.use(0)  # rows are not padded, as the upload of the first level has set
     level = 0
     while max(layers.shape[1:3]) > 1:
         level += 1
@@ -311,9 +309,8 @@ def _add_mipmaps(texture: moderngl.Texture | moderngl.TextureArray, layers: NDAr
 
 @cache
 def _tex_image(name: str) -> Callable[..., None] | None:
-    """glTexImage2D or glTexImage3D, which moderngl has for the first level only; None where EGL does not
-    tell it.
-    """
+    """Find glTexImage2D or glTexImage3D. moderngl calls them for the first level only. Returns None where EGL
+    does not give the function."""
     try:
         find = ctypes.CDLL("libEGL.so.1").eglGetProcAddress
     except (OSError, AttributeError):
@@ -324,17 +321,18 @@ def _tex_image(name: str) -> Callable[..., None] | None:
     return kind(address) if address else None
 
 
-#: Largest ratio of the length of an edge to its length at rest.
+#: Largest ratio of the length of an edge to its length in the rest pose.
 _STRETCH = 2.0
-#: Metres between surface samples, and the largest number of samples along an edge.
+#: Distance of surface samples, metres, and most samples along an edge.
 _SAMPLE, _MAX_PIECES = 0.04, 48
 
 
 class Topology:
-    """Triangles, edges and rest shape of a mesh of N triangles and V vertices. It does not refer to the mesh.
+    """Triangles, edges and rest shape of a mesh of N triangles and V vertices. Holds no reference to the
+    mesh.
 
     ``corners``: three of (N,), the vertices of the triangles. ``edges``: (E, 2) vertices. ``sides``: two of
-    (E,), the triangles on both sides of each edge; ``border``: (E,) true for edges of one triangle. An edge
+    (E,), the triangles on both sides of each edge. ``border``: (E,) true for edges of one triangle. An edge
     that more than two triangles share is listed once for each pair of neighbours.
     """
 
@@ -377,23 +375,24 @@ class Topology:
 
     @property
     def shading(self) -> Any:
-        """(V, N) sparse matrix that sums the area vectors of triangles to vertex normals."""
+        """(V, N) sparse matrix that sums area vectors of triangles up to vertex normals."""
         return self.vertex_triangles if self._shading is None else self._shading
 
     @cached_property
     def vertex_areas(self) -> Float32Array:
-        """(V,) surface area of each vertex at rest: a third of its triangles, square metres."""
+        """(V,) area that belongs to each vertex in the rest pose, square metres: a third of the triangles
+        around it."""
         area = np.linalg.norm(PosedMesh(self, self._rest_vertices.astype(np.float32)).areas, axis=0)
         return np.asarray(self.vertex_triangles @ area / 3, dtype=np.float32)
 
 
 class PosedMesh:
-    """A mesh with vertices (V, 3) float32. Derived arrays have the coordinates first: (3, V), (3, N)."""
+    """A mesh with vertices (V, 3) float32. In derived arrays, coordinates come first: (3, V), (3, N)."""
 
     def __init__(self, topology: Topology, vertices: Float32Array) -> None:
         self.topology = topology
         self.vertices = vertices
-        #: Simpler surfaces in this pose, by level.
+        #: simpler surfaces in this pose, by level of detail
         self.levels: dict[int, PosedMesh] = {}
         self.points: Float32Array = np.ascontiguousarray(vertices.T)
 
@@ -403,7 +402,7 @@ class PosedMesh:
 
     @cached_property
     def areas(self) -> Float32Array:
-        """(3, N) area vectors of the triangles: outward normal times area."""
+        """(3, N) area vectors of the triangles. Each is the outward normal with the area as its length."""
         a = self._first_corners
         b, c = (self.points.take(corner, axis=1) - a for corner in self.topology.corners[1:])
         areas = np.empty_like(a)
@@ -427,28 +426,29 @@ class PosedMesh:
 
     @cached_property
     def box(self) -> Float32Array:
-        """(2, 3) lowest and highest corner of a box around it."""
+        """(2, 3) lowest and highest corner of the bounding box."""
         return np.stack([self.points.min(axis=1), self.points.max(axis=1)])
 
     def level(self, number: int, topology: Topology, kept: Indices) -> PosedMesh:
-        """A simpler surface with some vertices (v,) of this one."""
+        """A simpler surface that uses the vertices ``kept`` (v,) of this one."""
         if number not in self.levels:
             self.levels[number] = PosedMesh(topology, self.vertices.take(kept, axis=0))
         return self.levels[number]
 
     @cached_property
     def human_caster(self) -> ShadowCaster:
-        """What casts a contact shadow: the vertices."""
+        """The vertices of a human, as caster of a contact shadow."""
         return ShadowCaster(self.points, self.topology.vertex_areas)
 
     @cached_property
     def object_caster(self) -> ShadowCaster:
-        """What casts a contact shadow: samples, because an object may have few vertices and may be scaled."""
+        """Samples of the surface of an object, as caster of a contact shadow. The object may have few
+        vertices and may be scaled."""
         return ShadowCaster(*self.samples)
 
     @property
     def samples(self) -> tuple[Float32Array, Float32Array]:
-        """Points (3, M) evenly over the surface, and the area (M,) of each."""
+        """Points (3, M) spread evenly over the surface, and the area (M,) of each."""
         corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
         area = np.linalg.norm(self.areas, axis=0)
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max(axis=0)
@@ -467,14 +467,12 @@ class PosedMesh:
 
     def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(N,) whether each triangle shows its front to a point."""
-        # without BLAS: the rounding of its threads depends on the machine
+        # einsum does not use BLAS, which rounds differently with another number of threads
         return np.asarray(np.einsum("i,ij->j", eye.astype(np.float32), self.areas) > self._planes)
 
     def contour(self, facing: NDArray[np.bool_]) -> tuple[Indices, Indices]:
-        """Start and end vertices (C,) of the contour edges, on which all outlines lie.
-
-        A contour edge separates a front face from a back face, or is a border of the surface.
-        """
+        """Start and end vertices (C,) of the contour edges. All outlines lie on these edges. A contour edge
+        separates a front face from a back face, or lies on the border of the surface."""
         first, second = self.topology.sides
         chosen = np.flatnonzero((facing.take(first) != facing.take(second)) | self.topology.border)
         starts, ends = self.topology.edges.take(chosen, axis=0).T

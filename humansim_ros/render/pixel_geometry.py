@@ -1,7 +1,7 @@
-"""Surface points at pixel centers: normals, texture coordinates, optical flow; and the backdrops behind them.
+"""Surface points at pixel centers: normals, texture coordinates, optical flow; and backdrops.
 
-A renderer determines the triangle that each pixel center shows. The point of that triangle on the ray of the
-pixel then follows exactly from its barycentric coordinates: no renderer interpolates or rounds it.
+A renderer determines the triangle at each pixel center. The point of the triangle on the ray of the pixel
+then follows exactly, with its barycentric coordinates. Nothing is interpolated or rounded by the renderer.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from humansim_ros.render.caches import LruCache
 from humansim_ros.render.renderer import AdjacentFrame, Body
 from humansim_ros.types import Array, Float32Array, Indices, LinearColor
 
-#: Metres, and share of the distance, that a surface may lie before a point that still counts as visible: the
-#: depth difference between two pixels of a slanted surface.
+#: A point counts as visible if the nearest surface is before it by at most this: metres, and share of the
+#: distance. Neighbouring pixels of a slanted surface have such differences of depth.
 _SLACK, _SLANT = 0.01, 0.01
-#: Memory of cached pixel rays: 15 lenses at 1920 x 1080.
+#: Largest memory of cached pixel rays: enough for 15 lenses at 1920 x 1080.
 _MAX_RAY_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
 class VisiblePixels:
-    """Pixels that show bodies: ``pixels`` (M,) flat indices; ``owner`` (M,) index of the body; ``triangle``
-    (M,) triangle of its mesh.
-    """
+    """Pixels that show bodies. ``pixels``: (M,) flat indices. ``owner``: (M,) index of the body.
+    ``triangle``: (M,) triangle of the body's mesh."""
 
     pixels: Indices
     owner: Indices
@@ -41,16 +40,17 @@ class VisiblePixels:
 
 
 class PixelGeometry:
-    """Surface points of bodies at the pixels of a camera. It does not refer to the bodies."""
+    """Surface points of bodies at the pixels of a camera. It holds no reference to the bodies, so that they
+    can be freed."""
 
     def __init__(self, camera: Camera, bodies: Sequence[Body], visible: VisiblePixels) -> None:
         self.camera = camera
         self.visible = visible
-        # vertices of all bodies are numbered one after the other, and so are triangles
+        # vertices and triangles of all bodies are numbered consecutively
         offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
         first = np.cumsum([0, *(len(body.mesh.triangles) for body in bodies)])
         numbers = first[visible.owner] + visible.triangle
-        # each triangle is computed once, whatever number of pixels show it
+        # each triangle is computed once, even if many pixels show it
         distinct, self._which = _distinct(numbers, int(first[-1]))
         self._owner = np.searchsorted(first, distinct, side="right") - 1
         self._triangle = distinct - first[self._owner]
@@ -62,7 +62,7 @@ class PixelGeometry:
         self._positions = self._posed(bodies, camera)
 
     def _posed(self, bodies: Sequence[Body], camera: Camera) -> Array:
-        """(3, 3, T) corners of the visible triangles, x, y and z of each, in the optical frame."""
+        """(3, 3, T) corners of the visible triangles in the optical frame. The first axis is x, y, z."""
         points = np.concatenate([np.zeros((0, 3)), *(camera.to_optical(body.vertices) for body in bodies)])
         x_y_z = np.ascontiguousarray(points.T)
         return np.stack([x_y_z.take(corner, axis=1) for corner in self._corners])
@@ -81,14 +81,15 @@ class PixelGeometry:
         """(3, M) barycentric coordinates of the points."""
         a, b, c = self._positions
         x, y = (component.take(self.visible.pixels) for component in pixel_rays(self.camera))
-        # the ray d meets the plane of a b c where d . (b x c), d . (c x a), d . (a x b) are as the weights
+        # the ray d meets the plane of a, b, c; the weights are proportional to d . (b x c), d . (c x a), d .
+        # (a x b)
         weights = np.empty((3, len(x)))
         for weight, plane in zip(weights, (cross(b, c), cross(c, a), cross(a, b)), strict=True):
             along_x, along_y, along_z = plane.take(self._which, axis=1)
             weight[:] = along_x * x + along_y * y + along_z
         total = weights.sum(axis=0)
         weights /= np.where(np.abs(total) > 1e-30, total, 1.0)
-        # rounding may put the center of a pixel at the border of a triangle slightly outside it
+        # because of rounding, a pixel center at the border of a triangle may be slightly outside it
         return np.clip(weights, -0.01, 1.01, out=weights)
 
     def normals(self) -> Float32Array:
@@ -99,7 +100,7 @@ class PixelGeometry:
         return normals.T.astype(np.float32).take(self._which, axis=0)
 
     def texture_coordinates(self) -> Float32Array:
-        """(M, 2) texture coordinates, v up; NaN for bodies without."""
+        """(M, 2) texture coordinates, v up. NaN for bodies without texture coordinates."""
         corners = np.full((3, 2, len(self._owner)), np.nan)
         for index, (uv, triangles) in enumerate(self._uv):
             if uv is not None and triangles is not None:
@@ -112,8 +113,8 @@ class PixelGeometry:
         return other.camera.project_optical(self._interpolated(self._posed(other.bodies, other.camera)).T)
 
     def _interpolated(self, values: Array) -> Array:
-        """(k, M) values at the points, of values (3, k, T) at the corners of the triangles."""
-        # component by component of all points: several times faster than point by point
+        """Interpolate values (3, k, T) at the corners of triangles. Returns (k, M) values at the points."""
+        # one component of all points after the other: several times faster than point by point
         points = np.zeros((values.shape[1], len(self._which)))
         for weight, corner in zip(self.weights, values, strict=True):
             points += weight * corner.take(self._which, axis=1)
@@ -122,10 +123,9 @@ class PixelGeometry:
 
 @dataclass(frozen=True)
 class Flow:
-    """``flow``: (H, W, 2) float32 pixels from each pixel center to the same point in the other frame, NaN
-    where nothing is or the point is not before the lens. ``hidden``: (H, W) uint8, 1 where that point is
-    occluded there or outside the image.
-    """
+    """Optical flow of an image. ``flow``: (H, W, 2) float32 pixels from each pixel center to the same point
+    in the other frame. NaN where nothing is, or if the point is not before the lens. ``hidden``: (H, W)
+    uint8, 1 where the point is occluded in the other frame or outside its image."""
 
     flow: Float32Array
     hidden: NDArray[np.uint8]
@@ -146,7 +146,7 @@ def optical_flow(
         geometry: Surface points of bodies in the frame.
         depth: (H, W) depth of the frame.
         other: The other frame.
-        other_depth: (H, W) depth of the other frame; None if ``hidden`` is not needed.
+        other_depth: (H, W) depth of the other frame; may be None if ``hidden`` is not needed.
         touched: Part of the other image that may show bodies.
     """
     static_camera = np.array_equal(camera.R, other.camera.R) and np.array_equal(camera.t, other.camera.t)
@@ -185,7 +185,7 @@ def _static_flow(camera: Camera, depth: Float32Array, other: Camera) -> tuple[Fl
 
 
 def _hidden(targets: Array, distance: NDArray[np.floating], other_depth: Float32Array) -> NDArray[np.bool_]:
-    """(M,) whether points at pixels (M, 2) are occluded or outside the image."""
+    """(M,) whether points with pixels (M, 2) and depths are occluded or outside the image."""
     height, width = other_depth.shape
     column, row = np.rint(np.nan_to_num(targets.T, nan=-1.0)).clip(-1, max(width, height)).astype(np.intp)
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
@@ -194,7 +194,7 @@ def _hidden(targets: Array, distance: NDArray[np.floating], other_depth: Float32
 
 
 def ray_grid(camera: Camera) -> Array:
-    """(H, W, 3) ray directions with z = 1 of all pixel centers, optical frame; NaN beyond the lens."""
+    """(H, W, 3) ray directions through all pixel centers, with z = 1, optical frame. NaN beyond the lens."""
     width, height = camera.size
     rays: Array = np.ones((height, width, 3))
     rays[..., 0], rays[..., 1] = pixel_rays(camera).reshape(2, height, width)
@@ -227,10 +227,8 @@ def _pixel_grid(size: tuple[int, int]) -> Array:
 
 
 def _distinct(numbers: NDArray[Any], count: int) -> tuple[Indices, Indices]:
-    """Distinct values of numbers below ``count``, and the index of each number among them.
-
-    The same as np.unique, without sorting.
-    """
+    """Like np.unique without sorting: the distinct values below ``count``, and for each number its index
+    among them."""
     present = np.zeros(count, bool)
     present[numbers] = True
     distinct = np.flatnonzero(present)
@@ -239,7 +237,7 @@ def _distinct(numbers: NDArray[Any], count: int) -> tuple[Indices, Indices]:
     return distinct, index[numbers]
 
 
-#: Columns that a panorama repeats at each side, to interpolate across the seam.
+#: The panorama repeats this many columns at each side, to interpolate across the seam.
 _WRAP = 2
 
 
@@ -250,7 +248,7 @@ class ImageBackdrop:
     image: NDArray[np.uint8]
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 sRGB of the image size of the camera."""
+        """(H, W, 3) uint8 sRGB, in the image size of the camera."""
         (width, height), (h, w) = camera.size, self.image.shape[:2]
         scale = max(width / w, height / h)
         # the visible part, at the center of the photograph
@@ -265,7 +263,7 @@ class ImageBackdrop:
 class Panorama:
     """An equirectangular panorama at infinite distance.
 
-    ``image``: (H, W, 3) uint8 sRGB; its center is in direction +x of ``map``, its first row is straight up.
+    ``image``: (H, W, 3) uint8 sRGB. Its center is in direction +x of ``map``, the first row straight up.
     ``yaw``: rotation of the panorama to the left, radians.
     """
 
@@ -274,11 +272,11 @@ class Panorama:
 
     @cached_property
     def _wrapped(self) -> NDArray[np.uint8]:
-        """The image with the columns of each side repeated at the other."""
+        """The image with columns of each side repeated at the other side."""
         return np.pad(self.image, ((0, 0), (_WRAP, _WRAP), (0, 0)), mode="wrap")
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 sRGB of the image size of the camera."""
+        """(H, W, 3) uint8 sRGB, in the image size of the camera."""
         height, width = self.image.shape[:2]
         with np.errstate(invalid="ignore"):  # beyond the field of view of the lens
             x, y, z = np.moveaxis(ray_grid(camera) @ camera.R, -1, 0)
@@ -295,11 +293,11 @@ def ambient(radiance: NDArray[np.float32]) -> tuple[LinearColor, LinearColor]:
     """Compute the ambient light of a panorama (H, W, 3) of linear light.
 
     Returns:
-        Colours that light level surfaces from above and from below.
+        Colour of the light from above, and of the light from below, on level surfaces.
     """
     rows = len(radiance)
     up = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)
-    # per row: share of the sphere, and cosine to the vertical
+    # share of the sphere of each row, and cosine of its angle to the vertical
     weight = np.cos(up) * np.abs(np.sin(up))
     means = radiance.mean(axis=1, dtype=float)
     sky, ground = (

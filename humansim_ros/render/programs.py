@@ -1,4 +1,4 @@
-"""Programs of the shaders in shaders/, and their uniforms for cameras and light."""
+"""Shader programs, made from the files in shaders/, with uniforms for cameras and light."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from humansim_ros.types import Array
 
 #: Far plane, metres.
 _FAR = 200.0
-#: GL_CLIP_DISTANCE0: clips points beyond the field of view of the lens.
+#: GL_CLIP_DISTANCE0. It clips points beyond the field of view of the lens.
 _CLIP_DISTANCE = 0x3000
 #: Texture units of the maps of a material.
 MAP_UNITS = {"metal_rough": 9, "normal_map": 10, "emissive_map": 11, "alpha_map": 12}
@@ -24,21 +24,21 @@ _SHADERS = Path(__file__).parent / "shaders"
 
 
 def shader(files: Sequence[str], switches: Sequence[str] = ()) -> str:
-    """Join files into one shader. ``switches``: names that are defined before them."""
+    """Join files into the text of one shader. ``switches``: names that are defined before the files."""
     head = "#version 330\n"
     texts = [(_SHADERS / file).read_text().removeprefix(head) for file in files]
     return "".join([head, *(f"#define {name}\n" for name in switches), *texts])
 
 
 def unit_square(cells: int) -> bytes:
-    """Corners of the triangles of a unit square, divided into cells."""
+    """Corners of the triangles of a unit square that is divided into cells."""
     low = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)
     corners = low + np.array([(0, 0), (1, 0), (0, 1), (0, 1), (1, 0), (1, 1)])
     return bytes((corners / cells).astype("f4").tobytes())
 
 
 def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[str] = ()) -> moderngl.Program:
-    """Create a program of two files and the files that they include.
+    """Create a program of a vertex and a fragment shader, with the files that they include.
 
     Args:
         ctx: OpenGL context.
@@ -64,8 +64,8 @@ def lit_program(
     Args:
         ctx: OpenGL context.
         lighting: Light.
-        switches: Switches besides those that ``lighting`` implies.
-        sun: Light the surfaces with the sun.
+        switches: More switches, in addition to those that ``lighting`` implies.
+        sun: Whether the sun lights the surfaces.
     """
     implied = (("SHADELESS", lighting.mode == "shadeless"), ("FILMIC", lighting.tone_mapping == "filmic"))
     program = link(ctx, "lit.vert", "lit.frag", (*(name for name, used in implied if used), *switches))
@@ -75,7 +75,7 @@ def lit_program(
     set_uniform(program, "ground_color", lighting.brightness(lighting.ground_color))
     set_uniform(program, "brightness", lighting.brightness((1.0, 1.0, 1.0))[0])
     set_uniform(program, "min_alpha", np.radians(lighting.sun_size_deg) / 4)
-    # also for meshes without maps: samplers of different kinds cannot share a unit
+    # set for meshes without maps too, since samplers of different kinds cannot share a unit
     for name, unit in MAP_UNITS.items():
         set_uniform(program, name, unit)
     return program
@@ -98,10 +98,10 @@ def use_camera(
     """Set the uniforms of a program for a camera.
 
     Args:
-        ctx: OpenGL context, of which clipping at the edge of a lens is switched.
+        ctx: OpenGL context. Clipping at the edge of the lens is switched on or off in it.
         program: Program with ``lens.glsl``.
         camera: The camera.
-        offset: Pixels (x, y) that its image is shifted by.
+        offset: Pixels (x, y) by which the image is shifted.
     """
     set_uniform(program, "optical_z", (*camera.R[2], camera.t[2]))
     set_uniform(program, "eye", tuple(camera.center.tolist()))
@@ -124,7 +124,7 @@ def use_camera(
 
 
 def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
-    """Set a uniform, unless the compiler has removed it as unused."""
+    """Set a uniform. A uniform that the compiler has removed as unused is ignored."""
     uniform = program.get(name, None)  # `in` would iterate over all uniforms
     if uniform is None:
         return
@@ -135,5 +135,5 @@ def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
 
 
 def columns(matrix: Array) -> bytes:
-    """Bytes of a matrix in the order of shaders, column by column."""
+    """Bytes of a matrix column by column, as shaders expect."""
     return bytes(matrix.T.astype("f4").tobytes())

@@ -1,9 +1,9 @@
 """A second renderer, for comparison: pyrender 0.1.45.
 
-It renders two passes. Colour is lit at the vertices with the light of the default renderer, and rendered at
-twice the size and averaged, so that sixteen samples make a pixel. Labels and depth are a segmentation with
-one sample at the pixel center; amodal masks repeat it with each body alone. pyrender cannot move vertices: a
-body in a new pose is a new mesh. Nothing is cached per camera.
+Colour and labels are two passes. Colour is lit at the vertices with the light of the default renderer. It is
+rendered at twice the size and averaged, so that a pixel has sixteen samples. Labels and depth have one sample
+at the pixel center. Amodal masks need a pass for each body alone. pyrender cannot move vertices, so a body in
+a new pose is a new mesh. Nothing is cached per camera.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from humansim_ros.types import Array, Float32Array, Image
 
 _FAR = 200.0
 _TRIANGLES = 4
-#: Supersampling factor of colour, and the largest image side with supersampling. With the four samples of a
-#: pixel alone the middle of small things is up to 0.08 pixels off, with supersampling 0.03.
+#: Supersampling factor of colour, and the largest image side with supersampling. Without it, a pixel has four
+#: samples, and the middle of small things is up to 0.08 pixels off; with supersampling 0.03.
 _SUPERSAMPLING, _MAX_SUPERSAMPLED_SIDE = 2, 2048
 
 
 class PyrenderRenderer(Renderer):
-    """Renders bodies in a static scene with pyrender, in an OpenGL context of its own.
+    """Renders bodies in a static scene with pyrender, in its own OpenGL context.
 
-    Cameras may have skew but no distortion. Use it in the thread that makes it.
+    Cameras may have skew but no distortion. A renderer belongs to the thread that makes it.
 
     Args:
         static_meshes: Meshes of the static scene, in ``map``, metres.
-        lighting: Light; the default light if None. There are no soft shadows and no tone mapping.
-        device: Number of the GPU in the order of EGL; the first one that works if None.
-        static_bodies: Bodies that never move; they cast no contact shadow.
+        lighting: Light. If None, the default light. There are no soft shadows and no tone mapping.
+        device: Number of the GPU in the order of EGL. If None, the first one that works.
+        static_bodies: Bodies that never move. They cast no contact shadow.
 
     Raises:
         RenderError: OpenGL, the device or pyrender is missing. The message says what to install.
@@ -75,7 +75,7 @@ class PyrenderRenderer(Renderer):
             )
         self._library, self._gl_error = import_pyrender()
         self._context = OpenGLContext(device)
-        # their own __del__ would delete objects of whichever context is current
+        # without this, __del__ would delete objects of the context that is current at that time
         quiet = type("QuietRenderer", (self._library.Renderer,), {"__del__": lambda self: None})
         self._colour_pass, self._id_pass = (quiet(1, 1) for _ in range(2))
         self._shapes: WeakCache[_Shape] = WeakCache()
@@ -124,7 +124,7 @@ class PyrenderRenderer(Renderer):
         return View(**view)
 
     def _posed(self, body: Body) -> _PosedShape:
-        """Cached shape of a body in its pose."""
+        """Shape of a body in its pose, from the cache or new."""
         shape = self._shapes.get(body.mesh)
         if shape is None or not np.array_equal(shape.parts, body.parts):
             shape = self._shapes.put(body.mesh, _Shape(self._library, body))
@@ -140,7 +140,7 @@ class PyrenderRenderer(Renderer):
         camera: Camera,
         backdrop: Backdrop | None,
     ) -> Image:
-        """(H, W, 3) sRGB. ``shadows``: bodies that cast contact shadows."""
+        """Render (H, W, 3) sRGB. ``shadows``: bodies that cast contact shadows."""
         light = self._lighting
         surfaces = [shape.coloured(light, shape.sides(camera)) for shape in shapes]
         nodes = surfaces
@@ -156,7 +156,7 @@ class PyrenderRenderer(Renderer):
     def _supersampled(
         self, nodes: Sequence[_Node], camera: Camera, flags: Sequence[str], background: Array
     ) -> Image:
-        """Image rendered at a multiple of the camera's size, and averaged."""
+        """Render at a multiple of the camera's size, and average."""
         factor = _SUPERSAMPLING if max(camera.size) <= _MAX_SUPERSAMPLED_SIDE else 1
         renderer = self._colour_pass
         renderer.viewport_width, renderer.viewport_height = (factor * side for side in camera.size)
@@ -178,7 +178,8 @@ class PyrenderRenderer(Renderer):
     def _segment(
         self, shapes: Sequence[_PosedShape], camera: Camera, by_part: bool = False
     ) -> tuple[NDArray[np.uint32], Float32Array, NDArray[Any]]:
-        """Surface id at each pixel center (H, W), 0 for none; depth (H, W); instance and part by id."""
+        """Render labels: (H, W) surface id at each pixel center, 0 for none; (H, W) depth; instance and part
+        of each id."""
         surfaces = [
             (shape.instance, *one) for shape in shapes for one in shape.labelled(shape.sides(camera), by_part)
         ]
@@ -199,7 +200,8 @@ class PyrenderRenderer(Renderer):
         background: Array | None,
         colours: dict[_Node, Array] | None = None,
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Image and depth of nodes. ``background``: RGBA, 0 to 1. ``colours``: of nodes in a segmentation."""
+        """Render nodes. Returns image and depth. ``background``: RGBA, 0 to 1. ``colours``: colour of each
+        node if labels are rendered."""
         names = self._library.RenderFlags
         scene = _Scene(nodes, _Eye(camera), camera.world_from_optical, background)
         try:
@@ -211,10 +213,8 @@ class PyrenderRenderer(Renderer):
 
 
 class _Shape:
-    """Triangles of a body, whole and by part, and its material. It does not refer to the mesh.
-
-    ``posed``: its poses, by instance.
-    """
+    """Triangles of a body, whole and by part, and its material. Holds no reference to the mesh. ``posed``:
+    the shape in its poses, by instance."""
 
     def __init__(self, library: Any, body: Body) -> None:
         self.parts = body.parts
@@ -226,16 +226,15 @@ class _Shape:
         self.whole = _compact(triangles)
         texture = body.mesh.texture
         if texture is not None:
-            # (rows of three bytes per pixel would need padding)
+            # rows of three bytes per pixel would need padding
             texture = library.Texture(source=texture, source_channels="RGBA")
         self.material = library.MetallicRoughnessMaterial(baseColorTexture=texture)
 
 
 class _PosedShape:
-    """A body in its pose, as meshes of pyrender that are created on demand. It does not refer to the body.
-
-    Sides: 1 renders front faces only, 2 both (pyrender renders counter-clockwise triangles only).
-    """
+    """A body in its pose, as meshes of pyrender that are created when needed. Holds no reference to the body.
+    ``sides``: 1 renders front faces only. 2 renders both sides, since pyrender renders counter-clockwise
+    triangles only."""
 
     def __init__(self, library: Any, shape: _Shape, body: Body) -> None:
         self.body, self.instance = weakref.ref(body), body.instance
@@ -246,12 +245,12 @@ class _PosedShape:
         self._nodes: dict[Any, _Node] = {}
 
     def sides(self, camera: Camera) -> int:
-        """Number of sides that may be visible: a closed surface shows its inside only to a camera in it."""
+        """Number of sides that may be visible: 1 for a closed surface, unless the camera is in it; else 2."""
         inside = ((camera.center > self._low) & (camera.center < self._high)).all()
         return 2 if inside or not self._closed else 1
 
     def coloured(self, lighting: Lighting, sides: int) -> _Node:
-        """Return the whole surface, lit."""
+        """Return the whole surface with light."""
         if ("rgb", sides) not in self._nodes:
             expanded = self._shape.expanded
             normals = self._posed.normals.take(expanded.source, axis=0)
@@ -269,7 +268,7 @@ class _PosedShape:
         return self._nodes["rgb", sides]
 
     def labelled(self, sides: int, by_part: bool) -> Iterator[tuple[int, _Node]]:
-        """Yield part labels and their surfaces, or 1 and the whole surface."""
+        """Yield the surface of each part with its label; or the whole surface with 1."""
         shape = self._shape
         for part, source, corners in shape.by_part if by_part else [(1, *shape.whole)]:
             key = (part, sides, by_part)
@@ -306,7 +305,7 @@ class _Node:
 
 
 class _Eye:
-    """Camera in the interface of pyrender, with our projection."""
+    """A camera as pyrender expects it, but with our projection."""
 
     znear, zfar = NEAR, _FAR
 
@@ -320,7 +319,8 @@ class _Eye:
 
 
 class _Scene:
-    """Scene in the interface of pyrender's renderer. pyrender's own has sets, without a fixed draw order."""
+    """A scene as pyrender's renderer expects it. pyrender's own scene has sets, so that its draw order
+    varies."""
 
     lights = light_nodes = frozenset[Any]()
 
@@ -343,8 +343,8 @@ def import_pyrender() -> tuple[Any, type[Exception]]:
         RenderError: pyrender or a library that it needs is missing, or PyOpenGL does not use EGL.
     """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-    # pyrender imports its viewer, and the viewer imports pyglet, which fails without the X11 libraries of a
-    # desktop. Rendering needs no window: an empty module takes the place of the viewer during the import.
+    # The viewer of pyrender imports pyglet, which fails without the X11 libraries of a desktop. Rendering
+    # needs no window, so an empty module replaces the viewer during the import.
     viewer = ModuleType("pyrender.viewer")
     vars(viewer)["Viewer"] = None
     sys.modules.setdefault(viewer.__name__, viewer)
@@ -352,7 +352,8 @@ def import_pyrender() -> tuple[Any, type[Exception]]:
         import OpenGL.error
         import OpenGL.platform
         import pyrender
-    except Exception as reason:  # not only ImportError: each library reports a missing one in its own way
+    # not only ImportError, since each library reports a missing library in its own way
+    except Exception as reason:
         raise RenderError(
             f"pyrender cannot be imported ({str(reason).partition(chr(10))[0] or type(reason).__name__}). "
             "Install it: pip install pyrender==0.1.45, and on Debian or Ubuntu: "
@@ -370,10 +371,8 @@ def import_pyrender() -> tuple[Any, type[Exception]]:
 
 
 def _mend_pyopengl() -> None:
-    """Register the type of ctypes.byref in PyOpenGL 3.1.0, which pyrender requires.
-
-    PyOpenGL knows the type by a name that has changed in Python 3.12.
-    """
+    """Register the type of ctypes.byref in PyOpenGL 3.1.0, since pyrender needs it. PyOpenGL knows the type
+    by its old name, which Python 3.12 has changed."""
     from OpenGL.arrays import arraydatatype
     from OpenGL.arrays.ctypesparameters import CtypesParameterHandler
 
@@ -383,7 +382,7 @@ def _mend_pyopengl() -> None:
 
 
 def _light(lighting: Lighting, normals: Float32Array) -> Float32Array:
-    """(V, 3) factors of the vertex colours: the formula of shaders/lit.frag."""
+    """(V, 3) factors of the vertex colours, with the formula of shaders/lit.frag."""
     if lighting.mode == "shadeless":
         return np.ones_like(normals)
     colours = lighting.ground_color, lighting.sky_color, lighting.sun_color
@@ -394,16 +393,17 @@ def _light(lighting: Lighting, normals: Float32Array) -> Float32Array:
 
 
 def _compact(triangles: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Vertices that triangles use, and the triangles as indices into them."""
+    """Return the vertices that triangles use, and the triangles as indices into these vertices."""
     source, corners = np.unique(triangles, return_inverse=True)
     return source.astype(np.intp), corners.reshape(-1, 3).astype(np.intp)
 
 
 def _sided(corners: NDArray[Any], sides: int, offset: int) -> NDArray[Any]:
-    """Triangles; for two sides also flipped, with vertex indices raised by ``offset``."""
+    """Return the triangles. For two sides, add the flipped triangles with vertex indices raised by
+    ``offset``."""
     return corners if sides == 1 else np.concatenate([corners, corners[:, ::-1] + offset])
 
 
 def _colour_of(number: int) -> Array:
-    """A number as the colour that pyrender renders and reads."""
+    """Encode a number as a colour that pyrender renders and reads back."""
     return np.array([number & 255, number >> 8 & 255, number >> 16 & 255])

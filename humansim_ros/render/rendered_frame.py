@@ -1,4 +1,4 @@
-"""Rendered images of the static scene and of frames, and the channels that follow from them."""
+"""Rendered images of the static scene and of frames, and the channels computed from these images."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ from humansim_ros.render.sun_shadows import ShadowInputs
 from humansim_ros.render.target import Rectangle, RenderTarget
 from humansim_ros.types import Float32Array, Indices
 
-#: Adjacent frames with their rendered images, which channels of occlusion need.
+#: Adjacent frames with their rendered images. Channels of occlusion need the images.
 AdjacentFrames = Mapping[AdjacentName, tuple[AdjacentFrame, "RenderedFrame | None"]]
 
 
 class Passes(NamedTuple):
-    """What is rendered besides depth and triangle ids: colour, outlines, each body without occluders, and all
-    bodies without surfaces beside them.
-    """
+    """What is rendered in addition to depth and triangle ids. The passes are colour, outlines, each body
+    without occluders, and all bodies without off-body surfaces."""
 
     lit: bool = False
     outlined: bool = False
@@ -40,17 +39,17 @@ class Passes(NamedTuple):
 
     @classmethod
     def of(cls, channels: Collection[str]) -> Passes:
-        """Passes that channels need."""
+        """Return the passes that channels need."""
         needed = {name for channel in channels for name in CHANNEL_TABLE[channel].passes}
         return cls(*(name in needed for name in cls._fields))
 
     def covers(self, other: Passes) -> bool:
-        """Whether these passes include others."""
+        """Whether these passes include all of ``other``."""
         return all(has or not needs for has, needs in zip(self, other, strict=True))
 
 
 class _Drawn(NamedTuple):
-    """Drawn triangles (M,) of a body with a number in the frame; ``mesh``: of a human, else None."""
+    """Drawn triangles (M,) of one body of the frame. ``mesh``: mesh of a human; None for an object."""
 
     number: int
     instance: int
@@ -59,39 +58,39 @@ class _Drawn(NamedTuple):
     triangles: Indices
 
     def materials(self) -> NDArray[np.uint8]:
-        """(M,) label of what each triangle is made of; 0 of objects."""
+        """(M,) label of the material of each triangle. 0 for objects."""
         if self.mesh is None or not self.instance:
             return np.zeros(len(self.triangles), np.uint8)
         return self.mesh.triangle_materials[self.triangles]
 
     def off_body(self) -> NDArray[np.bool_]:
-        """(M,) whether each triangle is part of a surface beside the body of a human."""
+        """(M,) whether each triangle belongs to an off-body surface of a human."""
         if self.mesh is None or self.mesh.off_body is None:
             return np.zeros(len(self.triangles), bool)
         return self.mesh.triangles_off_body[self.triangles]
 
 
-#: Types of the tables of ids that are no channels.
+#: Types of those tables of ids that are not channels.
 _OTHER_TABLES: dict[str, type[np.generic]] = {"owner": np.intp, "triangle": np.intp, "off_body": np.bool_}
 
 
 class TriangleIds:
-    """Triangles of the bodies of one image: id 0 is no body, id n is the n-th triangle that was drawn."""
+    """Triangles of the bodies of one image. Id 0 is no body; id n is the n-th triangle that was drawn."""
 
     def __init__(self) -> None:
         self.count = 1
         self._bodies: list[_Drawn] = []
 
     def add(self, number: int, body: Body, triangles: Indices) -> None:
-        """Append drawn triangles (M,) of a body with a number in the frame."""
+        """Append the drawn triangles (M,) of a body. ``number``: its number in the frame."""
         self.count += len(triangles)
         mesh = body.mesh if body.kind == "human" else None
         self._bodies.append(_Drawn(number, body.instance, body.parts, mesh, triangles))
 
     def table(self, name: str) -> NDArray[Any]:
-        """Value of each id in a channel; or its ``owner``, index of the body, its ``triangle``, or whether
-        that is ``off_body``.
-        """
+        """Table of the values of a channel by id. Other names: ``owner``, the index of the body;
+        ``triangle``, the index in the mesh; ``off_body``, whether the triangle belongs to an off-body
+        surface."""
         make: dict[str, Callable[[_Drawn], NDArray[Any]]] = {
             "instance": lambda drawn: np.full(len(drawn.triangles), drawn.instance, np.uint16),
             "part": lambda drawn: drawn.parts[drawn.triangles],
@@ -108,10 +107,8 @@ class TriangleIds:
 
 
 class StaticLayer:
-    """Image of the static scene from one camera, as in a target that is free afterwards.
-
-    ``rgba``: (H, W, 4); None if it has depths alone.
-    """
+    """Image of the static scene from one camera. It is a copy, so that the target is free afterwards.
+    ``rgba``: (H, W, 4). If None, the layer has depths only."""
 
     def __init__(
         self,
@@ -121,18 +118,18 @@ class StaticLayer:
         shadow_inputs: ShadowInputs | None = None,
     ) -> None:
         self.rgba, self.shadow_inputs = rgba, shadow_inputs
-        self._backdrop = backdrop  # referenced: caches know it by its id
-        #: of the static bodies, once a frame needed them
+        self._backdrop = backdrop  # a reference is kept, since caches use the id of the backdrop as its key
+        #: labels of the static bodies, once a frame has needed them
         self.labels: StaticLabels | None = None
         depth = target.read("depth", lit=True)
         self.depth_buffer = target.read_depth_buffer()
-        #: both images on the device, where frames start from them
+        #: both images on the device, as the start of frames
         self.kept: moderngl.Framebuffer | None = None
         #: (H, W) metres, +inf where nothing is
         self.depth = np.where(depth > 0, depth, np.float32(np.inf))
 
     def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
-        """New arrays of the channels as they are without bodies."""
+        """Return new arrays of the channels of an image without bodies."""
         make: dict[str, Callable[[], NDArray[Any]]] = {"depth": self.depth.copy}
         if self.rgba is not None:
             rgba = self.rgba
@@ -142,26 +139,27 @@ class StaticLayer:
 
     def release(self) -> None:
         """Free the memory on the device."""
-        self.labels = None  # it refers to this layer
+        self.labels = None  # the labels refer to this layer
         if self.kept is not None:
             for image in (*self.kept.color_attachments, self.kept.depth_attachment, self.kept):
                 image.release()
-            self.kept = None  # frames that were started may draw once more
+            self.kept = None  # frames that were started before may draw once more
         if self.shadow_inputs is not None:
             self.shadow_inputs.release()
 
 
 @dataclass(eq=False)
 class RenderedFrame:
-    """Rendered images of bodies before one camera, within the rectangle that the bodies may touch; colours
-    within ``coloured``, which has their shadows, too.
+    """Images of the bodies that one camera sees. They cover ``rectangle``, the part of the image that bodies
+    may touch.
 
-    It does not refer to the bodies. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w)
-    metres, 0 where no body is. ``rgba``: (h, w, 4), alpha is the share of direct light that bodies leave.
-    ``outline``: crossings of outlines with pixels. ``alone``: by instance, (H, W) mask of the body without
-    occluders. Each is None if its pass was not requested. ``static_labels``: labels of the static bodies.
-    ``body_part``: (H, W) part labels of all bodies without surfaces beside them; None if no pixel shows such
-    a surface, or the pass was not requested.
+    It holds no reference to the bodies. ``rgba`` and ``outline``, ``alone``, ``body_part`` are None if their
+    pass was not requested. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w) metres, 0
+    where no body is. ``rgba``: (h, w, 4), within ``coloured``, which includes shadows; alpha is the share of
+    direct light that bodies let through. ``outline``: crossings of outlines with pixels. ``alone``: by
+    instance, (H, W) mask of the body without occluders. ``static_labels``: labels of the static bodies.
+    ``body_part``: (H, W) part labels without off-body surfaces such as skirts, hats and long hair; None if no
+    pixel shows such a surface.
     """
 
     passes: Passes
@@ -182,16 +180,16 @@ class RenderedFrame:
 
     @cached_property
     def whole_depth(self) -> Float32Array:
-        """(H, W) metres of bodies and static scene, +inf where nothing is; read-only."""
+        """(H, W) metres of bodies and static scene, read-only. It is +inf where nothing is."""
         whole: Float32Array = self.layer.images(("depth",))["depth"]
         np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
         whole.setflags(write=False)
         return whole
 
     def _depth_at(self, pixels: Indices) -> Float32Array:
-        """Depth (N,) of pixels of the whole image, without a copy of the whole image."""
+        """Depth (N,) of pixels of the whole image. It makes no copy of the whole image."""
         depth = self.layer.depth.take(pixels)
-        row = pixels // self.camera.size[0]  # (divmod takes several times as long)
+        row = pixels // self.camera.size[0]  # divmod takes several times as long
         column = pixels - row * self.camera.size[0] - self.rectangle.x0
         row -= self.rectangle.y0
         height, width = self.rectangle.shape
@@ -203,7 +201,7 @@ class RenderedFrame:
 
     @property
     def nbytes(self) -> int:
-        """Approximate memory."""
+        """Approximate memory in bytes."""
         pixels, own = self.camera.size[0] * self.camera.size[1], self.triangle_ids.size
         masks = 0 if self.alone is None else pixels * len(self.alone)
         depth = 4 * pixels if "whole_depth" in vars(self) else 0
@@ -212,7 +210,7 @@ class RenderedFrame:
         return 8 * own + colours + masks + depth + uncovered + (0 if self._geometry is None else 64 * own)
 
     def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
-        """Surface points that the pixels show. ``bodies``: those that were rendered."""
+        """Surface points that the pixels show. ``bodies``: the bodies that were rendered."""
         if self._geometry is None:
             pixels = np.flatnonzero(self.triangle_ids > 0)
             ids = self.triangle_ids.ravel().take(pixels)
@@ -260,7 +258,7 @@ class StaticLabels:
         self._images: dict[str, Any] = {}
 
     def images(self, channels: Collection[str]) -> dict[str, Any]:
-        """New arrays of those channels that describe labelled bodies."""
+        """Return new arrays of those of the channels that describe labelled bodies."""
         names = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
         for name in names - self._images.keys():
             self._images[name] = getattr(self._frame.view(self._bodies, (name,), {}), name)
@@ -291,7 +289,7 @@ def _fill_body_part(frame: RenderedFrame, name: str, images: dict[str, Any], bod
 
 def _fill_rgb(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
     if frame.rgba is not None and frame.rgba.size:
-        # (many times faster than an assignment of three channels out of four)
+        # many times faster than an assignment of three channels out of four
         images[name][frame.coloured.slices] = cv2.cvtColor(frame.rgba, cv2.COLOR_RGBA2RGB)
 
 
@@ -347,7 +345,8 @@ def _fill_amodal(frame: RenderedFrame, name: str, images: dict[str, Any], _: Seq
         images[name] = moving | images.get(name, {})
 
 
-#: Functions that write the bodies into the image of a channel, except optical flow; labels before alpha.
+#: Functions that draw the bodies into the image of each channel, except optical flow. Labels come before
+#: alpha.
 _FILL: dict[str, _Fill] = {
     "depth": _fill_depth,
     "instance": _fill_from_ids,

@@ -1,4 +1,4 @@
-"""The interface of renderers: bodies, requests, the base class, and renderers by name."""
+"""The interface of renderers: bodies, requests, and the base class."""
 
 from __future__ import annotations
 
@@ -25,17 +25,20 @@ Kind = Literal["human", "object"]
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A surface in one frame. Create a new Body for a new frame: renderers cache results of a Body.
+    """A surface in one frame. Create a new Body for each frame, since renderers cache the results of a Body.
 
     Attributes:
-        mesh: Topology and appearance; its own vertices are not used. The mesh must not change.
-        vertices: (V, 3) float32 in ``map``, metres. The body has a read-only copy, or the array itself if
-            nobody can write to it.
-        parts: (N,) uint8 part label of each triangle, 0 without a part; read-only like ``vertices``.
-        instance: Label, 1 to 65535, different for each body; or 0 for a body without labels, which has
-            colour, depth and shadow only and needs a mesh of its own.
+        mesh: Topology and appearance. The vertices of the mesh are not used. The mesh must not change.
+        vertices: (V, 3) float32 in ``map``, metres. If the array can be written to, the body keeps a
+            read-only copy.
+
+        parts: (N,) uint8 part label of each triangle, 0 for no part. Read-only like ``vertices``.
+        instance: Label, 1 to 65535, different for each body. A body with 0 has no labels, only colour, depth
+            and shadow; no other body may use its mesh.
+
         kind: Human or object.
-        levels: Simpler versions of the mesh; colours may show them where nobody sees the difference.
+        levels: Simpler versions of the mesh (levels of detail). Colours may show them where the difference is
+            not visible.
     """
 
     mesh: Mesh
@@ -52,7 +55,7 @@ class Body:
 
 @dataclass(frozen=True)
 class AdjacentFrame:
-    """The next or the previous frame of a camera: the same bodies in the same order."""
+    """The next or the previous frame of a camera. It has the same bodies in the same order."""
 
     bodies: Sequence[Body]
     camera: Camera
@@ -143,21 +146,21 @@ class Renderer(ABC):
             bodies: Bodies in the frame.
             camera: Camera with its pose in the frame.
             channels: Names of the channels to render, see :data:`~humansim_ros.render.ALL_CHANNELS`.
-            moving_camera: The static scene is redrawn, not cached.
+            moving_camera: The static scene is drawn again for each frame, and is not cached.
             next_frame: Next frame, for the channels ``flow`` and ``flow_hidden``.
             previous_frame: Previous frame, for the channels ``flow_back`` and ``flow_back_hidden``.
-            backdrop: Image behind the scene; the background colour of the light if None.
+            backdrop: Image behind the scene. If None, the background colour of the light.
 
         Raises:
-            RenderError: A channel is unknown, not supported or lacks its adjacent frame, a body is not
-                valid, or OpenGL failed.
+            RenderError: A channel is unknown or not supported, a channel lacks its adjacent frame, a body is
+                not valid, or OpenGL failed.
         """
         request = RenderRequest(bodies, camera, channels, moving_camera, next_frame, previous_frame, backdrop)
         request.check(self)
         return self.render_request(request)
 
     def prepare(self, requests: Sequence[RenderRequest]) -> None:
-        """Say which views :meth:`render` will be asked for next: a renderer may draw them together.
+        """Announce the next requests of :meth:`render`, so that a renderer may draw them together.
 
         Raises:
             RenderError: A request is not valid, or OpenGL failed.
@@ -169,10 +172,8 @@ class Renderer(ABC):
         """Render a checked request."""
 
     def check_usable(self) -> None:
-        """Raise RenderError if it has been closed, or belongs to another thread or process.
-
-        A renderer without OpenGL may be usable anywhere.
-        """
+        """Raise RenderError if the renderer has been closed, or belongs to another thread or process. A
+        renderer without OpenGL may be usable anywhere."""
         return
 
     @abstractmethod
@@ -203,7 +204,7 @@ def check_bodies(bodies: Sequence[Body]) -> None:
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array if neither it nor an array that it is a view of is writable, else a copy."""
+    """Return the array if it is read-only, and also the array that it is a view of. Else return a copy."""
     base: Any = array
     while isinstance(base, np.ndarray):
         if base.flags.writeable:

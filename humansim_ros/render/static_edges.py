@@ -23,13 +23,14 @@ from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.render.pixel_geometry import pixel_rays
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Cosine of the angle between two triangles from which the colour may change at their edge.
+#: An edge is sharp if the cosine of the angle between its triangles is below this: the colour may change
+#: there.
 _SHARP = 0.99
-#: Difference of 1 / z, per metre, above which one surface is before another.
+#: A surface is before another one if their 1 / z (z in metres) differ by more than this.
 _APART = 1e-6
-#: Share of the depth of the surfaces behind at which a narrow surface may be at most.
+#: A narrow surface is nearer than this share of the depth of the surfaces behind it.
 _BEFORE = 0.999
-#: Share of a pixel from which a narrow surface counts.
+#: A narrow surface counts if it covers more than this share of a pixel.
 _VISIBLE = 1 / 64
 
 
@@ -39,7 +40,7 @@ class StaticEdges:
     Args:
         positions: (V, 3) metres in ``map``.
         corners: (N, 3) vertices of the triangles.
-        owner: (N,) mesh of each triangle; the colour changes from one to another.
+        owner: (N,) mesh of each triangle; the colour changes from one mesh to the next.
     """
 
     def __init__(self, positions: Float32Array, corners: NDArray[Any], owner: Indices) -> None:
@@ -53,7 +54,7 @@ class StaticEdges:
 
     @cached_property
     def _sharp(self) -> NDArray[np.bool_]:
-        """(E,) whether the colour changes at an edge from all directions."""
+        """(E,) whether the colour changes at an edge, seen from any direction."""
         first, second = self._topology.sides
         areas = self._posed.areas / np.maximum(np.linalg.norm(self._posed.areas, axis=0), 1e-12)
         flat = np.einsum("ij,ij->j", areas[:, first], areas[:, second]) > _SHARP
@@ -61,7 +62,8 @@ class StaticEdges:
 
     @cached_property
     def _forward(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(E,) whether the triangles on both sides run along their edge from its start to its end."""
+        """(E,) for the two triangles at each edge: whether the triangle runs along the edge from its start to
+        its end."""
         corners = np.stack(self._topology.corners, axis=1)
         start, end = self._topology.edges.T[..., None]
         one, other = (
@@ -72,7 +74,8 @@ class StaticEdges:
 
     @cached_property
     def _facets(self) -> Indices:
-        """(N + 1,) facet of each triangle: those that edges connect which are not sharp; then -1."""
+        """(N + 1,) facet of each triangle; the last value is -1. The triangles of a facet are connected by
+        edges that are not sharp."""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 
@@ -82,8 +85,11 @@ class StaticEdges:
         return np.append(connected_components(graph, directed=False)[1], -1)
 
     def smooth(self, image: NDArray[np.uint8], camera: Camera, shown: Indices, depth: Float32Array) -> None:
-        """Anti-alias an image in place: where edges pass between pixels, where surfaces intersect, and where
-        a surface is so narrow that it passes between pixels.
+        """Anti-alias an image in place.
+
+        Colours are mixed where edges pass between pixels, where surfaces intersect, and where a surface is so
+        narrow that it passes between pixels.
+
 
         Args:
             image: (H, W, C) colours.
@@ -107,7 +113,8 @@ class StaticEdges:
         _add(image.reshape(len(shown), -1), narrow, colours)
 
     def _passing(self, camera: Camera, facets: Indices) -> _Passing:
-        """Crossings of edges of those facets that some pixel shows. ``facets``: (H * W,), -1 for none."""
+        """Find where edges of visible facets pass between two neighbouring pixels. ``facets``: (H * W,) facet
+        that each pixel shows, -1 for none."""
         seen = np.zeros(len(self._owner) + 1, bool)
         seen[facets] = True
         seen[-1] = False
@@ -128,9 +135,8 @@ class StaticEdges:
         return _Passing(crossings, chosen[kept][good][crossings.edge], (q - p)[good][crossings.edge])
 
     def _narrow(self, camera: Camera, facets: Indices, passing: _Passing) -> _Narrow:
-        """Shares of narrow surfaces in pixels, one for each crossing of their edges: positive if the surface
-        is beyond the edge, negative if it ends there.
-        """
+        """Shares of pixels that narrow surfaces cover, one for each crossing of their edges. A share is
+        positive if the surface begins at the edge, and negative if it ends there."""
         facing, sides = self._posed.facing(camera.center), self._topology.sides
         pixel, share, facet = [], [], []
         outline = facing[sides[0][passing.edge]] != facing[sides[1][passing.edge]]
@@ -146,7 +152,7 @@ class StaticEdges:
         return _Narrow.of(np.concatenate(pixel), np.concatenate(share), np.concatenate(facet), facets)
 
     def _intersections(self, camera: Camera, shown: Indices, edges: EdgeCrossings) -> EdgeCrossings:
-        """Crossings between neighbours whose surfaces intersect there, where no edge passes."""
+        """Crossings between neighbouring pixels with surfaces that intersect, where no edge passes."""
         width, height = camera.size
         image, rays = self._facets[shown].reshape(height, width), pixel_rays(camera)
         known = np.zeros((2, height * width), bool)
@@ -159,7 +165,7 @@ class StaticEdges:
             differ[: low.shape[0], : low.shape[1]] = (low != high) & (low >= 0) & (high >= 0)
             pixel = np.flatnonzero(differ.ravel() & ~known[axis])
             a, b = shown[pixel], shown[pixel + step]
-            # differences of 1 / z, which are linear in an image without a lens
+            # differences of 1 / z, which is linear in an image without distortion
             planes = self._inverse_depths(camera, a) - self._inverse_depths(camera, b)
             last = (pixel >= (height - 1) * width) if axis == 0 else (pixel % width == width - 1)
             beside = np.where(last, pixel, pixel + (width if axis == 0 else 1))
@@ -178,7 +184,7 @@ class StaticEdges:
         return EdgeCrossings(pixel, neighbour, share, depth, np.full(len(pixel), -1)).take(share > 0)
 
     def _inverse_depths(self, camera: Camera, triangles: Indices) -> Array:
-        """(3, N) vectors whose product with a ray of :func:`pixel_rays` is 1 / z of triangles (N,)."""
+        """(3, N) vector of each triangle. Its product with a ray of :func:`pixel_rays` is 1 / z."""
         normals = self._posed.areas[:, triangles].astype(float)
         corner = self._posed.points[:, self._topology.corners[0][triangles]]
         distance = np.einsum("ij,ij->j", normals, corner - camera.center[:, None])
@@ -187,7 +193,8 @@ class StaticEdges:
 
 
 class _Passing(NamedTuple):
-    """Crossings of edges with pixels. ``edge``: (N,) edge of the topology; ``run``: (N, 2) along it."""
+    """Places where edges pass between pixels. ``edge``: (N,) number of the edge. ``run``: (N, 2) direction
+    along it."""
 
     crossings: EdgeCrossings
     edge: Indices
@@ -198,13 +205,13 @@ class _Passing(NamedTuple):
 
     @property
     def _step(self) -> tuple[NDArray[np.bool_], Array]:
-        """(N,) whether the neighbour is in the same row, and 1 or -1 for after and before."""
+        """(N,) whether the neighbour is in the same row; and 1 if it comes after the pixel, -1 if before."""
         step = self.crossings.neighbour - self.crossings.pixel
         return np.abs(step) == 1, np.sign(step).astype(float)
 
     @property
     def across(self) -> NDArray[np.bool_]:
-        """(N,) whether the edge runs rather across the line to the neighbour than along it."""
+        """(N,) whether the edge runs more across than along the line to the neighbour."""
         x, y = np.abs(self.run.T)
         return self._step[0] == (y >= x)
 
@@ -217,7 +224,8 @@ class _Passing(NamedTuple):
 
 
 class _Narrow(NamedTuple):
-    """Shares (N,) of surfaces in pixels (N,), and pixels ``source`` (N,) that show the same facets."""
+    """Narrow surfaces. ``share``: (N,) share that each covers of ``pixel`` (N,). ``source``: (N,) a pixel
+    that shows the same facet."""
 
     pixel: Indices
     share: Array
@@ -225,10 +233,8 @@ class _Narrow(NamedTuple):
 
     @classmethod
     def of(cls, pixel: Indices, share: Array, facet: Indices, facets: Indices) -> _Narrow:
-        """Find the nearest pixels, in the order of rows, that show facets (N,); leave out others.
-
-        ``facets``: (H * W,) that each pixel shows, or -1.
-        """
+        """For each of the facets (N,), find the nearest pixel that shows it, in the order of rows. Facets
+        that no pixel shows are left out. ``facets``: (H * W,) that each pixel shows, or -1."""
         wanted = np.zeros(max(int(facet.max(initial=-1)), int(facets.max(initial=-1))) + 2, bool)
         wanted[facet] = True
         shows = np.flatnonzero(wanted[facets])
@@ -244,7 +250,7 @@ class _Narrow(NamedTuple):
 
 
 def _add(image: NDArray[np.uint8], narrow: _Narrow, colours: NDArray[np.uint8]) -> None:
-    """Mix narrow surfaces of colours (N, C) into the pixels of an image (H * W, C) in place."""
+    """Mix narrow surfaces with colours (N, C) into the pixels of an image (H * W, C), in place."""
     pixels, which = np.unique(narrow.pixel, return_inverse=True)
     covered = np.bincount(which, narrow.share, len(pixels))
     sums = np.stack([np.bincount(which, narrow.share * one, len(pixels)) for one in colours.T], axis=1)
@@ -255,7 +261,8 @@ def _add(image: NDArray[np.uint8], narrow: _Narrow, colours: NDArray[np.uint8]) 
 
 
 def _before_camera(camera: Camera, starts: Array, ends: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Parts of edges (E, 3) before the near plane, in the optical frame, and which edges have such a part."""
+    """Parts of edges (E, 3) beyond the near plane of the camera, in the optical frame; and which edges have
+    such a part."""
     near = near_plane(camera)
     a, b = camera.to_optical(starts), camera.to_optical(ends)
     kept = np.maximum(a[:, 2], b[:, 2]) > near

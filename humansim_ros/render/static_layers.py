@@ -1,7 +1,7 @@
 """Cached images of the static scene, one per camera and backdrop.
 
 The colours of a still camera are the mean of images that are shifted by fractions of a pixel. The device adds
-them up, one after the other in each of its tiles, whose textures stay in the cache of the processor.
+these images up, tile by tile, so that the textures of a tile stay in the cache of the processor.
 """
 
 from __future__ import annotations
@@ -32,27 +32,25 @@ from humansim_ros.render.sun_shadows import ShadowInputs, SunShadows
 from humansim_ros.render.target import RenderTarget, RenderTargets
 from humansim_ros.types import Image
 
-#: Shifted images of a still camera, which are averaged: a number of Fibonacci spreads them best. And of a
-#: moving camera if surfaces are transparent, or if the image is so small (pixels along its longer side) that
-#: much of a room is narrower than a pixel.
+#: Number of shifted images that are averaged for a still camera (a Fibonacci number spreads them best).
+#: Number for a moving camera with transparent surfaces or a small image. An image is small if its longer side
+#: has at most this many pixels: much of a room is then narrower than a pixel.
 _OFFSETS, _MOVING_OFFSETS, _SMALL = 13, 4, 128
 #: Largest error of an edge in the shifted images, pixels. They need half as many triangles as the depths,
-#: which are drawn once; the mean has 0.1 dB less.
+#: which are drawn once. The mean has 0.1 dB less.
 _SHIFTED = 0.02
-#: Mip levels by which the textures of the single image of a moving camera are finer than usual: a pixel has
-#: two samples of them.
+#: A moving camera has a single image with two samples of textures per pixel, so it uses textures that are
+#: finer by this many mip levels.
 _MOVING_MIP_BIAS = -1.5
 #: Largest number of cached images.
 _MAX_LAYERS = 32
-#: Blending of transparent surfaces; alpha stays.
+#: Blending of transparent surfaces. Alpha does not change.
 _BLENDING = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ZERO, moderngl.ONE)
 
 
 class _View(NamedTuple):
-    """The triangles of the scene for a camera, and a target of its size.
-
-    ``single``: one image shows colours and depths, and its edges are anti-aliased.
-    """
+    """The triangles of the scene for a camera, and a target of the size of its image. ``single``: one image
+    shows colours and depths, and its edges are anti-aliased."""
 
     camera: Camera
     moving_camera: bool
@@ -70,8 +68,8 @@ class StaticLayers:
         bodies: Labelled bodies that never move.
         lighting: Light.
         ids: Program that draws depth and triangle ids.
-        lit_bodies: Program that draws bodies; it looks up soft shadows.
-        targets: Targets to draw into. They are free after each call.
+        lit_bodies: Program that draws bodies, with soft shadows.
+        targets: Targets to draw into. They can be reused after each call.
     """
 
     def __init__(
@@ -102,17 +100,16 @@ class StaticLayers:
         self._without_sun = self._programs(switches, sun=False) if soft else self._lit
         for program in (*self._lit, *self._without_sun):
             set_uniform(program, "light_map", UNIT)
-        #: soft shadows, if the light has them
+        #: soft shadows; None if the light has none
         self.sun_shadows = SunShadows(ctx, self._scene, lighting, (lit_bodies, *self._lit)) if soft else None
-        #: whether bodies cast contact shadows: there is a floor for them
+        #: whether bodies cast contact shadows, which need a floor
         self.contact_shadows = lighting.shadow == "contact" and (
             self._scene.has_floor or lighting.shadow_catcher
         )
 
     def _programs(self, switches: Sequence[str], sun: bool = True) -> tuple[moderngl.Program, ...]:
-        """Programs for opaque surfaces, for their colours alone, for nothing but OpenGL's depth, and for
-        transparent ones if any.
-        """
+        """Create the programs of the static scene. They draw opaque surfaces, only the colours of opaque
+        surfaces, only OpenGL's depth, and transparent surfaces if there are any."""
         kinds = (
             () if self._scene.blends else ("SMOOTH_TEXTURES",),
             ("COLOUR",),
@@ -123,7 +120,7 @@ class StaticLayers:
 
     @cached_property
     def _light_map(self) -> LightMap | None:
-        """The light map: baked when colours are needed first."""
+        """The light map. It is computed when colours are needed for the first time."""
         return LightMap(self._ctx, self._scene) if self._occluded else None
 
     def layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None, lit: bool) -> StaticLayer:
@@ -131,9 +128,9 @@ class StaticLayers:
 
         Args:
             camera: The camera.
-            moving_camera: The camera moves: the image is not cached.
+            moving_camera: The camera moves, so that the image is not cached.
             backdrop: Image behind the scene.
-            lit: Render colours, not depths alone.
+            lit: Whether colours are rendered, not only depths.
         """
         if moving_camera:
             if self._moving is not None:
@@ -172,7 +169,7 @@ class StaticLayers:
             behind, behind_without_sun = (
                 self._ground(behind, camera, sun) for sun in (visibility, np.zeros_like(visibility))
             )
-        if self._light_map is not None:  # before the triangles: it gives them their places
+        if self._light_map is not None:  # before the triangles, since the light map gives them their places
             self._light_map.use()
         with ExitStack() as stack:
             shifted = self._scene.tessellated(camera, VISIBLE if moving_camera else _SHIFTED)
@@ -199,9 +196,8 @@ class StaticLayers:
     def _colour(
         self, programs: Sequence[moderngl.Program], view: _View, behind: Image | None
     ) -> NDArray[np.uint8]:
-        """(H, W, 4) colours before an image (H, W, 3), before the background colour if None; black beyond
-        the field of view of the lens.
-        """
+        """(H, W, 4) colours in front of the image ``behind`` (H, W, 3). Pixels beyond the field of view are
+        black. If ``behind`` is None, the background colour is behind."""
         rgba: NDArray[np.uint8]
         if view.single:
             rgba = self._image(programs, view, behind, (0.0, 0.0), _MOVING_MIP_BIAS).copy()
@@ -219,7 +215,7 @@ class StaticLayers:
     ) -> NDArray[np.uint8]:
         """(H, W, 4) mean of shifted images."""
         count = _MOVING_OFFSETS if view.moving_camera else _OFFSETS
-        # the samples of a pixel share its texels: finer ones than usual
+        # a pixel has several samples of its texture, so the texture may be finer than usual
         mip_bias = -0.75 * float(np.log2(count))
         if self._scene.blends:
             images = (self._image(programs, view, behind, shift, mip_bias) for shift in offsets(count))
@@ -241,7 +237,7 @@ class StaticLayers:
             seen = rgba[..., 3:]
             share = sunlight[0] / np.maximum(seen, count) + 1 - np.minimum(seen, count) / count
             mean[..., 3:] = np.rint(255 * share)
-        # some images are empty there; or surfaces coincide, and all are added
+        # some of the shifted images are empty there, or coinciding surfaces were added more than once
         row, column = np.nonzero(rgba[..., 3] != count)
         total = rgba[row, column]
         back = np.asarray(self._lighting.background) if behind is None else behind[row, column]
@@ -257,7 +253,7 @@ class StaticLayers:
         offset: tuple[float, float],
         mip_bias: float,
     ) -> NDArray[np.uint8]:
-        """(H, W, 4) colours of an image that is shifted by an offset (x, y) in pixels."""
+        """(H, W, 4) colours of one image, shifted by an offset (x, y) in pixels."""
         camera, target = view.camera, view.target
         for program in programs:
             use_camera(self._ctx, program, camera, offset)
@@ -275,7 +271,8 @@ class StaticLayers:
         return target.read("rgba", lit=True)
 
     def _ground(self, image: Image, camera: Camera, visibility: NDArray[np.floating]) -> Image:
-        """Image (H, W, 3) of sunny ground z = 0, darkened to a visible share (H, W) of the sun."""
+        """Image (H, W, 3), darkened as sunny ground z = 0 would be. ``visibility``: (H, W) visible share of
+        the sun."""
         down = (ray_grid(camera) @ camera.R)[..., 2] * camera.center[2] < 0
         share = np.where(down[..., None], np.sqrt(self._lighting.on_ground(visibility)), 1.0)
         return np.rint(image * share).astype(np.uint8)
@@ -294,25 +291,25 @@ class StaticLayers:
         triangles.draw(program)
 
     def _draw_depths(self, target: RenderTarget, triangles: StaticTriangles, camera: Camera) -> None:
-        """Draw depths; with glTF materials by the lit program, which applies alpha masks."""
+        """Draw depths. With glTF materials, the lit program draws them, since it applies alpha masks."""
         program = self._lit[0] if self._scene.switches else self._ids
         use_camera(self._ctx, program, camera)
         self._draw(target, triangles, program)
 
 
 def camera_key(camera: Camera) -> bytes:
-    """Return the same bytes for cameras with the same image."""
+    """Return a key that is equal for cameras with the same image."""
     numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
     return b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
 
 
 def _exact(scene: StaticScene, camera: Camera, moving_camera: bool) -> StaticTriangles:
-    """Triangles for depths and labels."""
+    """Triangles that are exact enough for depths and labels."""
     return scene.tessellated(camera, VISIBLE if moving_camera else TOLERANCE, checked=not moving_camera)
 
 
 def offsets(count: int) -> list[tuple[float, float]]:
-    """Offsets (x, y) within a pixel, evenly in rows, in columns and over the area: a lattice."""
+    """Offsets (x, y) within a pixel, spread evenly over rows, columns and area: the points of a lattice."""
     step = max((n for n in range(1, count + 1) if np.gcd(n, count) == 1), key=lambda n: _spread(n, count))
     x = (np.arange(count) + 0.5) / count - 0.5
     y = (np.arange(count) * step % count + 0.5) / count - 0.5
@@ -320,7 +317,7 @@ def offsets(count: int) -> list[tuple[float, float]]:
 
 
 def _spread(step: int, count: int) -> int:
-    """Least squared distance between points of the lattice of a step."""
+    """Smallest squared distance between two points of the lattice with a step."""
     x = np.arange(1, count)
     y = x * step % count
     return int((np.minimum(x, count - x) ** 2 + np.minimum(y, count - y) ** 2).min(initial=2 * count**2))

@@ -24,7 +24,7 @@ from humansim_ros.render.mesh_buffers import (
 from humansim_ros.render.static_edges import StaticEdges
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Metres from z = 0 within which level triangles are a floor.
+#: Level triangles are a floor if their height is within this of z = 0, metres.
 FLOOR_SLACK = 0.02
 #: Texels of the light map along the longest side of the scene.
 _LIGHT_TEXELS = 208
@@ -41,7 +41,7 @@ class StaticScene:
 
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
-        # small ones hide parts of large ones, which are not shaded then; and those of one material together
+        # small meshes first, since they hide parts of large ones; and meshes of one material together
         made = MaterialBuffers.of_meshes(ctx, meshes)
         number = {id(one): number for number, (one, _) in enumerate(made)}
         keys = [(_size_class(mesh), number[id(one)]) for mesh, (one, _) in zip(meshes, made, strict=True)]
@@ -62,7 +62,7 @@ class StaticScene:
         self._buffers = TriangleBuffers(ctx, self._attributes, self._corners)
 
     def chart(self) -> Charts:
-        """Lay out the triangles for a light map; from then on vertices have a place in it."""
+        """Compute the charts of the light map. From then on, each vertex has a place in the light map."""
         positions = self._attributes[:, :3]
         texel = max(float(np.ptp(positions, axis=0).max()), 1e-3) / _LIGHT_TEXELS
         charts = Charts.of(positions, self._corners, texel)
@@ -75,7 +75,7 @@ class StaticScene:
 
     @property
     def box(self) -> Float32Array | None:
-        """(3, 8) corners of the bounding box, None if there is no mesh."""
+        """(3, 8) corners of the bounding box. None if there is no mesh."""
         return bounding_box([self._attributes[:, :3].T]) if len(self._attributes) else None
 
     @cached_property
@@ -101,20 +101,22 @@ class StaticScene:
 
     @cached_property
     def edges(self) -> StaticEdges | None:
-        """Edges of the triangles, None if there are none."""
+        """Edges of the triangles. None if there are none."""
         if not len(self._corners):
             return None
         return StaticEdges(self._attributes[:, :3], self._corners, self._owner)
 
     @cached_property
     def _areas(self) -> tuple[Array, Array]:
-        """(N, 3) outward normals of the triangles, times twice their area, and a corner (N, 3) of each."""
+        """(N, 3) outward normals of the triangles, with twice the area as length; and (N, 3) a corner of
+        each."""
         a, b, c = (self._attributes[self._corners[:, i], :3].astype(float) for i in range(3))
         return np.cross(b - a, c - a), a
 
     @cached_property
     def _closed_boxes(self) -> Array:
-        """(M, 2, 3) lowest and highest corners of the bounding boxes of closed meshes, NaN for others."""
+        """(M, 2, 3) lowest and highest corner of the bounding box of each closed mesh. NaN for open
+        meshes."""
         points = self._attributes[self._corners, :3].astype(float)
         starts = np.cumsum([0, *self._counts])[:-1]
         boxes = np.stack(
@@ -127,7 +129,8 @@ class StaticScene:
         return boxes
 
     def _visible(self, eye: Array) -> Indices:
-        """Triangles, except the backs of closed meshes, which hide them from an ``eye`` (3,) outside."""
+        """Triangles that may be visible from ``eye`` (3,). The backs of closed meshes are left out if the eye
+        is outside."""
         low, high = self._closed_boxes.transpose(1, 0, 2)
         outside = ((eye < low - NEAR) | (eye > high + NEAR)).any(axis=1)  # false for NaN
         normals, corner = self._areas
@@ -135,7 +138,7 @@ class StaticScene:
         return np.flatnonzero(front | ~outside[self._owner])
 
     def facing(self, direction: Array) -> StaticTriangles:
-        """Return the triangles whose front faces a direction."""
+        """Return the triangles with their fronts towards a direction."""
         towards = np.flatnonzero(self._areas[0] @ direction > 0)
         buffers = TriangleBuffers(self._ctx, self._attributes, self._corners[towards])
         return StaticTriangles(buffers, self._materials, self._count(towards), towards)
@@ -162,10 +165,8 @@ class StaticScene:
 
 
 class StaticTriangles:
-    """Triangles of a static scene on the device; ``with`` releases them unless they are shared.
-
-    ``parents``: (N,) number of each triangle in the scene.
-    """
+    """Triangles of a static scene on the device. ``with`` releases them unless they are shared. ``parents``:
+    (N,) number of each triangle in the scene."""
 
     def __init__(
         self,
@@ -180,7 +181,7 @@ class StaticTriangles:
 
     @cached_property
     def _opaque(self) -> list[bool]:
-        """Whether the material of each mesh does not blend."""
+        """Whether the material of each mesh is opaque (does not blend)."""
         return [not one.blends for one in self._materials]
 
     def __enter__(self) -> StaticTriangles:
@@ -191,7 +192,7 @@ class StaticTriangles:
             self._buffers.release()
 
     def draw(self, program: moderngl.Program) -> None:
-        """Draw all triangles whose material does not blend."""
+        """Draw all triangles with an opaque material."""
         self._buffers.draw(program, self._materials, self._counts, self._opaque, first_id=1)
 
     def triangles(self, ids: NDArray[np.uint32]) -> Indices:
@@ -203,18 +204,18 @@ class StaticTriangles:
         self._buffers.draw(program, self._materials, self._counts, mode=mode)
 
     def draw_transparent(self, program: moderngl.Program, eye: Array) -> None:
-        """Draw the triangles whose material blends, sorted by distance from ``eye``, farthest first."""
+        """Draw the triangles with a blending material, sorted by distance from ``eye``, farthest first."""
         transparent = [one.blends for one in self._materials]
         self._buffers.draw(program, self._materials, self._counts, transparent, eye)
 
 
 def _size_class(mesh: Mesh) -> int:
-    """Logarithm of the size of a mesh, rounded down."""
+    """Class of the size of a mesh: its logarithm, rounded down."""
     return int(np.floor(np.log2(max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-3))))
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Shape, texture coordinates and colours of several meshes, which share no vertices."""
+    """Join the shape, texture coordinates and colours of several meshes that share no vertices."""
     from scipy.sparse import block_diag
 
     firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])

@@ -1,4 +1,5 @@
-"""Division of triangles: each edge into equal pieces, so that triangles with a common edge stay connected."""
+"""Division of triangles. Each edge is divided into equal pieces, so that triangles with a common edge stay
+connected."""
 
 from __future__ import annotations
 
@@ -10,16 +11,15 @@ from numpy.typing import NDArray
 
 from humansim_ros.types import Array, Indices
 
-#: Above all numbers of pieces.
+#: A number that is larger than any number of pieces.
 _MANY = 1 << 10
-#: Group and number of a point of a pattern.
+#: A point of a pattern: its group and its number in the group.
 _Point = tuple[int, int]
 
 
 class TriangleEdges(NamedTuple):
-    """Edges of triangles. ``ends``: (E, 2) vertices, the lower one first; ``sides``: (N, 3) edge of the sides
-    ab, bc and ca of each triangle.
-    """
+    """Edges of triangles. ``ends``: (E, 2) vertices, the lower one first. ``sides``: (N, 3) edges of the
+    sides ab, bc and ca of each triangle."""
 
     ends: Indices
     sides: Indices
@@ -41,16 +41,16 @@ def divide_triangles(
     Args:
         attributes: (V, k) attributes of vertices.
         corners: (N, 3) triangles.
-        edges: Their edges.
+        edges: Edges of the triangles.
         pieces: (E,) number of pieces of each edge.
 
     Returns:
-        Attributes with those of new vertices appended, (T, 3) triangles, and (T,) the triangle of each.
+        Attributes of old and new vertices, (T, 3) new triangles, and (T,) the original triangle of each.
     """
     edge, number = _numbered(pieces - 1)
     starts, ends = (attributes[column[edge]] for column in edges.ends.T)
     on_edges = _between(starts, ends, pieces[edge], number + 1)
-    # rotated so that bc has the fewest pieces: patterns are rows that are parallel to bc
+    # rotate so that bc has the fewest pieces: the rows of a pattern are parallel to bc
     order = (np.arange(3) + pieces[edges.sides].argmin(axis=1)[:, None] + 2) % 3
     corners, sides = (np.take_along_axis(one, order, axis=1) for one in (corners, edges.sides))
     distinct, kind = np.unique(pieces[sides] @ [_MANY * _MANY, _MANY, 1], return_inverse=True)
@@ -60,7 +60,7 @@ def divide_triangles(
     inner = np.zeros((len(inside), attributes.shape[1]), attributes.dtype)
     for weight, corner in zip(weights.astype(attributes.dtype).T, corners.T, strict=True):
         inner += weight[:, None] * attributes[corner[inside]]
-    # the points of each triangle: its corners, those within its sides, inner ones
+    # the points of each triangle: its corners, points on its sides, inner points
     first, step = np.zeros((2, len(corners), 7), np.intp)
     first[:, :3] = corners
     forward = edges.ends[sides, 0] == corners
@@ -79,10 +79,8 @@ def divide_triangles(
 
 
 def _entries(counts: list[int], kind: Indices) -> tuple[Indices, Indices]:
-    """Owners (P,) 0 to N - 1 of all entries of kinds (N,), and which of the entries of all kinds they are.
-
-    ``counts``: entries of each kind.
-    """
+    """Number the entries of N owners, kind by kind. ``counts``: entries of each owner. Returns the owner (P,)
+    of each entry, and the number of the entry."""
     number_of = np.array(counts, np.intp)
     owner, number = _numbered(number_of[kind])
     return owner, (np.cumsum(number_of) - number_of)[kind[owner]] + number
@@ -102,21 +100,21 @@ def divide_edges(
 
 
 def _numbered(counts: Indices) -> tuple[Indices, Indices]:
-    """Owner and number, from 0 on, of ``counts`` (E,) things of each owner, one owner after the other."""
+    """Owner and number (from 0) of each of the ``counts`` (E,) things of each owner, owner by owner."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]
 
 
 def _between(starts: NDArray[Any], ends: NDArray[Any], pieces: Indices, number: Indices) -> NDArray[Any]:
-    """Points (P, k) at the end of the first ``number`` (P,) of equal pieces: the same bits from both ends."""
+    """Points (P, k) after the first ``number`` (P,) of equal pieces. The bits are the same from both ends."""
     before, after = ((n / pieces).astype(starts.dtype)[:, None] for n in (number, pieces - number))
     return np.asarray(starts * after + ends * before)
 
 
 class _Pattern(NamedTuple):
-    """A divided triangle a b c. ``points``: (2, 3 T) group and number of the corners of its pieces; groups
-    are a, b, c, the points within ab, bc and ca, and inner points with barycentric ``weights`` (I, 3).
-    """
+    """A divided triangle a b c. ``points``: (2, 3 T) group and number of the corners of the new triangles.
+    The groups are a, b, c, the points within ab, bc and ca, and inner points with barycentric ``weights`` (I,
+    3)."""
 
     points: Indices
     weights: Array
@@ -124,10 +122,9 @@ class _Pattern(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def _pattern(ab: int, bc: int, ca: int) -> _Pattern:
-    """Pattern for sides in some numbers of pieces: strips between rows from ab to ca, which end at bc.
-
-    The pieces of all sides are equally long in a plane in which the sides are as long as their numbers.
-    """
+    """Pattern for the numbers of pieces of the three sides. Strips lie between rows that run from ab to ca
+    and end at bc. The triangle is drawn with sides as long as these numbers, so that all pieces of its sides
+    are equally long."""
     rows = max(ab, ca)
     x = (ab * ab - bc * bc + ca * ca) / (2 * ab)
     b, c = complex(ab), complex(x, np.sqrt(max(ca * ca - x * x, 0.25)))
@@ -162,7 +159,7 @@ def _pattern(ab: int, bc: int, ca: int) -> _Pattern:
 def _strip(
     above: list[_Point], below: list[_Point], places: dict[_Point, complex]
 ) -> list[tuple[_Point, _Point, _Point]]:
-    """Triangles between two rows of points, with the shorter diagonals."""
+    """Triangles between two rows of points. Of two diagonals the shorter one is used."""
     triangles, i, j = [], 0, 0
     while i + 1 < len(above) or j + 1 < len(below):
         lower = i + 1 == len(above)

@@ -1,7 +1,8 @@
 """Soft shadows of the sun, from shadow maps: depths of the scene from the direction of the sun.
 
 The map of the static scene is rendered once. The map of the bodies is rendered once per frame, for all
-cameras: it shades the bodies, and the cached images of the static scene (shaders/apply_shadows.frag).
+cameras: it puts shadows on the bodies and on the cached images of the static scene
+(shaders/apply_shadows.frag).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class ShadowInputs:
     Args:
         ctx: OpenGL context.
         camera: Camera of the images.
-        sunlit: (H, W, 4) colours, and the visible share of the sun.
+        sunlit: (H, W, 4) colours with sun; alpha is the visible share of the sun.
         shaded: (H, W, 3) colours without sun.
         depth: (H, W) metres, 0 where nothing is.
     """
@@ -104,17 +105,18 @@ class SunShadows:
             self._moving_map.use(program)
 
     def _reach(self) -> tuple[float | None, float]:
-        """Lowest height that shadows fall on, None if there is nothing; and their largest length."""
+        """Lowest height that shadows fall on (None if the scene is empty), and the largest length of a
+        shadow."""
         if self._box is None:
             return (0.0, _MAX_LENGTH) if self._lighting.shadow_catcher else (None, 0.0)
         lowest, size = float(self._box[2].min()), float(np.linalg.norm(np.ptp(self._box, axis=1)))
         return (min(lowest, 0.0), max(size, _MAX_LENGTH)) if self._lighting.shadow_catcher else (lowest, size)
 
     def update(self, bodies: Sequence[PosedBody]) -> list[Float32Array]:
-        """Render the shadow map of bodies unless it is theirs.
+        """Render the shadow map of bodies, unless it shows these bodies already.
 
         Returns:
-            Points (3, M) around the end of each body's shadow.
+            Points (3, M) around the end of the shadow of each body.
         """
         known = [reference() for reference in self._bodies]
         if len(bodies) == len(known) and all(a.body is b for a, b in zip(bodies, known, strict=True)):
@@ -135,7 +137,7 @@ class SunShadows:
         return self._ends
 
     def on_ground(self, camera: Camera) -> Float32Array:
-        """(H, W) share of the sun that the static scene leaves to the ground z = 0 at each pixel."""
+        """(H, W) share of the sun that reaches the ground z = 0 past the static scene."""
         rays, image = _ray_texture(self._ctx, camera), self._ctx.texture(camera.size, 1, dtype="f4")
         framebuffer = self._ctx.framebuffer([image])
         framebuffer.use()
@@ -165,9 +167,9 @@ def _ray_texture(ctx: moderngl.Context, camera: Camera) -> moderngl.Texture:
 
 #: Texels along a side of the maps of the static scene and of bodies.
 STATIC_SIDE, MOVING_SIDE = 2048, 1024
-#: Metres that a map covers around the occluders, for penumbras.
+#: Distance that a map covers around the occluders, metres, since penumbras are wider than occluders.
 _MARGIN = 0.1
-#: Sine of the sun's elevation below which shadows do not end on the floor.
+#: If the sine of the sun's elevation is below this, shadows do not end on the floor.
 _LOW = 0.05
 #: Texture units of the samplers; unit 0 has the texture of the surface.
 _UNITS = {"static": (1, 2), "moving": (3, 4)}
@@ -175,9 +177,8 @@ _UNITS = {"static": (1, 2), "moving": (3, 4)}
 
 @dataclass(frozen=True)
 class ShadowView:
-    """Volume of a shadow map. ``from_world``: (4, 4) from ``map`` to x and y from 0 to 1, z in metres away
-    from the sun. ``size``: (3,) metres. ``texel``: metres.
-    """
+    """Volume of a shadow map. ``from_world``: (4, 4) from ``map`` to x and y from 0 to 1, and z in metres
+    away from the sun. ``size``: (3,) metres. ``texel``: size of a texel, metres."""
 
     from_world: Array
     size: Array
@@ -185,7 +186,7 @@ class ShadowView:
 
     @classmethod
     def of(cls, points: NDArray[np.floating], direction: Array, side: int) -> ShadowView:
-        """View of points (3, N) with ``direction`` (3,) to the sun, in a map of ``side`` texels."""
+        """View of points (3, N) from the sun. ``direction``: (3,) to the sun. ``side``: texels of the map."""
         helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
         x = np.cross(helper, direction)
         x /= np.linalg.norm(x)
@@ -233,7 +234,7 @@ class ShadowMap:
         """Render the map.
 
         Args:
-            points: (3, N) points whose bounding box contains all that ``draw`` draws.
+            points: (3, N) points. Their bounding box contains all that ``draw`` draws.
             direction: (3,) unit vector to the sun.
             program: Program that ``draw`` uses.
             draw: Draws the occluders.
@@ -261,7 +262,9 @@ class ShadowMap:
 
 
 def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest: float) -> Float32Array:
-    """Return points around the end of a body's shadow. With the body they enclose all that it may shade.
+    """Return points around the end of a body's shadow. Together with the body, they enclose all that it may
+    shade.
+
 
     Args:
         points: (3, N) points of the body.
@@ -280,7 +283,7 @@ def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest
     ends = (points - direction[:, None] * length).astype(np.float32)
     blur = 0.03 + float(length.max()) * penumbra_slope(lighting)
     if z > _LOW and length.max() < longest:
-        # all ends are on one level: their convex hull, of some dozens of points, is enough
+        # all ends have the same height, so their convex hull (some dozens of points) is enough
         hull = cv2.convexHull(np.ascontiguousarray(ends[:2].T)).reshape(-1, 2).T
         ends = np.concatenate([hull, np.full((1, hull.shape[1]), ends[2].min(), np.float32)])
     low, high = ends.min(axis=1, keepdims=True), ends.max(axis=1, keepdims=True)

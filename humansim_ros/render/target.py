@@ -16,7 +16,7 @@ from humansim_ros.render.caches import LruCache
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.types import Float32Array, ImageSize
 
-#: Name -> location in the shaders, components to read, their type.
+#: By name: location in the shaders, number of components to read, and their type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "triangle_id": (1, 1, "u4"), "rgba": (2, 4, "f1")}
 
 
@@ -33,7 +33,7 @@ class Rectangle:
 
     @property
     def empty(self) -> bool:
-        """Whether it has no pixels."""
+        """Whether the rectangle has no pixels."""
         return self.x1 <= self.x0 or self.y1 <= self.y0
 
     @property
@@ -43,7 +43,7 @@ class Rectangle:
 
     @property
     def high(self) -> tuple[int, int]:
-        """(x, y) after the last pixel."""
+        """(x, y) after the last pixel of the rectangle."""
         return self.x1, self.y1
 
     @property
@@ -58,16 +58,16 @@ class Rectangle:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """Index of its pixels in an image (H, W)."""
+        """Index of the pixels of the rectangle in an image (H, W)."""
         return slice(self.y0, self.y1), slice(self.x0, self.x1)
 
 
 class RenderTarget:
     """Framebuffers of one image size: colour, depth in metres, triangle id, and OpenGL's depth buffer.
 
-    Depth and triangle id are 0 where nothing is drawn. A processor that renders (``on_processor``) reads and
-    writes images in its own memory. A GPU waits for each of them. Hence what frames start from stays on a GPU
-    (see :meth:`keep`), and the images of a frame are read with one wait.
+    Depth and triangle id are 0 where nothing is drawn. A CPU that renders (``on_processor``) reads and writes
+    images in its own memory. A GPU waits for each image. So images that frames start from stay on a GPU (see
+    :meth:`keep`), and the images of a frame are read with one wait.
     """
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int], on_processor: bool) -> None:
@@ -82,12 +82,12 @@ class RenderTarget:
             lit: ctx.framebuffer(self._textures[: 2 + lit], self._depth_buffer) for lit in (False, True)
         }
         self._colour = ctx.framebuffer(self._textures[2:], self._depth_buffer)
-        self._colour.depth_mask = False  # shadows change colours and hide nothing
-        #: pixels on their way to the processor, 4 bytes each
+        self._colour.depth_mask = False  # shadows change colours, but hide nothing
+        #: pixels on their way to main memory, 4 bytes each
         self._to_read = (
             None if on_processor else ctx.buffer(reserve=4 * len(_ATTACHMENTS) * size[0] * size[1])
         )
-        #: pixels of colours, and of depth and triangle ids
+        #: pixels of the colours; pixels of depth and triangle ids
         self._coloured = self._identified = Rectangle(0, 0, *size)
 
     def start(
@@ -102,10 +102,10 @@ class RenderTarget:
 
         Args:
             rectangle: Pixels to draw.
-            depth_buffer: (H, W) of the whole image behind; if None, nothing is behind.
-            rgba: (H, W, 4) of the whole image behind; if None, the colour is undefined.
-            bodies: Pixels whose depth and triangle ids will be read; all if None. Shadows have neither.
-            kept: Both images behind, from :meth:`keep`.
+            depth_buffer: (H, W) of the whole image behind. If None, nothing is behind.
+            rgba: (H, W, 4) of the whole image behind. If None, the colour is undefined.
+            bodies: Pixels to read depth and triangle ids from. If None, all. Shadows have neither.
+            kept: Result of :meth:`keep` for ``depth_buffer`` and ``rgba``.
         """
         self._limit_to(rectangle)
         self._identified = rectangle if bodies is None else bodies
@@ -115,14 +115,14 @@ class RenderTarget:
             cleared = self._framebuffers[False]
             cleared.use()
             cleared.clear(viewport=self._identified.xywh)
-            self._colour.use()  # its scissor limits the copy
+            self._colour.use()  # the scissor of the framebuffer in use limits the copy
             self._ctx.copy_framebuffer(self._colour, kept)
         self._colour.use()
 
     def _write_all(
         self, rectangle: Rectangle, depth_buffer: Float32Array | None, rgba: NDArray[np.uint8] | None
     ) -> None:
-        # writing: a clear costs Mesa more, and so does a copy, which with a scissor becomes a draw
+        # zeros are written, since a clear costs Mesa more, and a copy with a scissor becomes a draw
         zeros = bytes(4 * self._identified.shape[0] * self._identified.shape[1])
         for texture in self._textures[:2]:
             texture.write(zeros, viewport=self._identified.xywh, alignment=1)
@@ -134,7 +134,8 @@ class RenderTarget:
             self._write(self.colour, rgba[rectangle.slices].tobytes())
 
     def keep(self, depth_buffer: Float32Array, rgba: NDArray[np.uint8] | None) -> moderngl.Framebuffer | None:
-        """Keep images that frames start from on the device; None where writing them is as fast.
+        """Keep the images that frames start from on the device. Returns None where writing them takes no
+        longer.
 
         Args:
             depth_buffer: (H, W) of OpenGL.
@@ -155,19 +156,20 @@ class RenderTarget:
 
     @property
     def identified(self) -> Rectangle:
-        """Pixels whose depths and triangle ids are read."""
+        """Pixels from which depths and triangle ids are read."""
         return self._identified
 
     def clear(self, colour: Sequence[int]) -> None:
         """Clear the whole image to a colour (sRGB, 0 to 255) at infinite distance."""
         self._limit_to(Rectangle(0, 0, *self._depth_buffer.size))
-        self._framebuffers[False].use()  # or the scissor of the framebuffer in use would count
+        # without this, the scissor of the framebuffer in use would limit the clear
+        self._framebuffers[False].use()
         self._framebuffers[False].clear()
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
     def fill(self, image: NDArray[np.uint8]) -> None:
-        """Show an image (H, W, 3) where nothing is drawn."""
+        """Show an image (H, W, 3) behind everything that is drawn."""
         rgba, empty = self.read("rgba", lit=True).copy(), self.read_depth_buffer() == 1
         rgba[empty, :3] = image[empty]
         self._textures[2].write(rgba.tobytes())
@@ -184,7 +186,7 @@ class RenderTarget:
 
     @contextmanager
     def sum_of_images(self, sunlight: bool) -> Iterator[SumOfImages]:
-        """Add up images, for the duration of ``with``. ``sunlight``: of shares of the sun, too."""
+        """Add up images, for the duration of ``with``. ``sunlight``: also add up shares of the sun."""
         self.clear((0, 0, 0))
         sums = SumOfImages(self._ctx, self._depth_buffer, sunlight)
         try:
@@ -212,7 +214,8 @@ class RenderTarget:
         """Start to read several attachments, see :meth:`read`.
 
         Returns:
-            Waits for them. The target may be drawn into before, but not read.
+            A function that waits for the attachments. Until it is called, the target may be drawn into, but
+            not read.
         """
         if self._to_read is None:
             images = [self.read(name, lit) for name in names]
@@ -237,7 +240,7 @@ class RenderTarget:
         return wait
 
     def _read_of(self, name: str) -> Rectangle:
-        """Pixels of an attachment that are read."""
+        """Pixels that are read of an attachment."""
         return self._coloured if name == "rgba" else self._identified
 
     def release(self) -> None:
@@ -252,17 +255,15 @@ class RenderTarget:
 
 
 def _image(name: str, pixels: bytes | memoryview, area: Rectangle) -> NDArray[Any]:
-    """Image of the pixels of an attachment that were read."""
+    """Image of an attachment from the pixels that were read."""
     _, components, dtype = _ATTACHMENTS[name]
     image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
     return image.reshape(*area.shape, *(() if components == 1 else (components,)))
 
 
 class SumOfImages:
-    """The sum of images, on the device.
-
-    Drawing into one framebuffer lets llvmpipe draw all images in one tile before it goes on to the next.
-    """
+    """The sum of several images, on the device. Drawing into one framebuffer lets llvmpipe draw all images in
+    one tile before it goes on to the next."""
 
     def __init__(self, ctx: moderngl.Context, depth_buffer: moderngl.Texture, sunlight: bool) -> None:
         self._ctx = ctx
@@ -278,7 +279,7 @@ class SumOfImages:
         self._ctx.enable_only(moderngl.DEPTH_TEST)
 
     def add_visible(self) -> None:
-        """Draw colours at the depths that have been drawn, and add them."""
+        """Draw colours where they are visible at the depths drawn before, and add them to the sum."""
         self._write(depths=False)
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         self._ctx.depth_func = "=="
@@ -288,11 +289,12 @@ class SumOfImages:
         mask = (not depths,) * 4
         self._framebuffer.color_mask = cast(Any, mask if len(self._textures) == 1 else (mask,) * 2)
         self._framebuffer.depth_mask = depths
-        self._framebuffer.use()  # the masks count from here on
+        self._framebuffer.use()  # from here on the masks apply
         self._ctx.depth_func = "<"
 
     def read(self) -> list[Float32Array]:
-        """(H, W, 4) sums of colours from 0 to 1 and number of images; (H, W, 1) sums of shares of the sun."""
+        """(H, W, 4) sums of colours (0 to 1) and number of images; and (H, W, 1) sums of shares of the
+        sun."""
         sums = [np.empty((*one.size[::-1], one.components), np.float32) for one in self._textures]
         for number, one in enumerate(sums):
             self._framebuffer.read_into(one, components=one.shape[2], attachment=number, dtype="f4")
@@ -306,12 +308,12 @@ class SumOfImages:
             one.release()
 
 
-#: Targets that are cached; the largest number of images that are drawn together, and of their pixels.
+#: Most targets in the cache, most images that are drawn together, and most pixels of these images.
 _MAX_TARGETS, _TOGETHER, _TOGETHER_PIXELS = 64, 16, 1 << 25
 
 
 class RenderTargets(LruCache[tuple[ImageSize, int], RenderTarget]):
-    """Targets to draw into, of the most recently used image sizes."""
+    """Targets to draw into. The targets of the most recently used image sizes are kept."""
 
     def __init__(self, context: OpenGLContext) -> None:
         super().__init__(_MAX_TARGETS, release=lambda target: target.release())
@@ -322,17 +324,15 @@ class RenderTargets(LruCache[tuple[ImageSize, int], RenderTarget]):
 
         Args:
             size: Width and height, pixels.
-            number: 0, or another one for each image that is read after others are drawn.
+            number: 0, or its own number for each image that is read only after other images are drawn.
         """
         return self.get_or_make(
             (size, number), lambda: RenderTarget(self._context.gl, size, self._context.on_processor)
         )
 
     def together(self, sizes: Sequence[ImageSize]) -> int:
-        """How many images, of some sizes in turn, to draw before the first is read.
-
-        A processor that renders reads each at once: its memory is in the cache then.
-        """
+        """How many images to draw before the first is read. ``sizes``: sizes of the images, in turn. A CPU
+        that renders reads each image at once, while the image is in its cache."""
         if self._context.on_processor:
             return 1
         pixels = accumulate(width * height for width, height in sizes[:_TOGETHER])

@@ -1,7 +1,7 @@
-"""Reading and writing of calibration files; cameras have x_cam = R x_world + t in metres and ``map``.
+"""Read and write calibration files. Cameras have x_cam = R x_world + t in metres and ``map``.
 
 The content of a file decides its format, not its name. docs/cameras.md lists the formats and their
-conventions; their readers and writers are in ``camera/formats/``.
+conventions. The readers and writers of the formats are in ``camera/formats/``.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists
 from humansim_ros.types import Array, ImageSize
 
-#: Rotation of the world of a file to z up, by its up axis: the rotation with the smallest angle.
+#: By the up axis of a file: the smallest rotation that turns the world of the file to z up.
 Z_UP_FROM_FILE: Mapping[str, Array] = {
     "z": np.eye(3),
     "-z": np.diag([1.0, -1.0, -1.0]),
@@ -69,13 +69,13 @@ _SUFFIXES = (
     *(".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd", ".npz", ".csv", ".conf"),
     *(".xcp", ".mcal", ".sfm", ".out", ".cal", ".calib", ".calibration"),
 )
-#: Folder of WildTrack for images as they were taken; those of the data set are without distortion.
+#: Folder of WildTrack with the images as they were taken. The images of the data set have no distortion.
 _TAKEN, _UNDISTORTED = "intrinsic_original", "intrinsic_zero"
-#: Most files in the folders of a folder: more are frames, not cameras.
+#: A folder with more files than this in its folders holds frames, not cameras.
 _MOST_BELOW = 200
-#: Formats by the usual ends of their file names, where the suffix alone does not tell.
+#: Formats by the usual ends of their file names, where the suffix does not decide.
 _USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms", ".txt": "p"}
-#: Largest distance of principal points of equal images from their median, as a fraction.
+#: Images are taken to be of equal size if their principal points are at most this fraction from their median.
 _SAME_IMAGE = 0.25
 #: Smallest image side that is guessed, pixels.
 _SMALLEST_GUESS = 16
@@ -86,9 +86,9 @@ _SKEW_TOLERANCE = 1e-9
 class Calibration:
     """Content of a calibration file.
 
-    ``cameras``: cameras by name. ``format``: format of the file, None for a folder with files of several
-    formats. ``unit``: metres per unit of the file; ``up``: axis of the file that points up. ``sizes``: image
-    size of the cameras whose size is in the file. ``posed``: names of the cameras with extrinsics.
+    ``cameras``: cameras by name. ``format``: format of the file; None for a folder with files of several
+    formats. ``unit``: metres per unit of the file. ``up``: axis of the file that points up. ``sizes``: image
+    sizes that the file has, by camera. ``posed``: names of the cameras with extrinsics.
     """
 
     cameras: dict[str, Camera]
@@ -100,7 +100,7 @@ class Calibration:
 
 
 class _UnknownFormat(CameraError):
-    """A readable file without a known calibration format."""
+    """A file that can be read, but has no known calibration format."""
 
 
 def read_calibration(
@@ -116,21 +116,25 @@ def read_calibration(
 
     Args:
         path: File, folder with calibration files or a COLMAP model, or URL as for :func:`resolve_url`.
-        size: Width and height of the images in pixels; overrides the size in the file. Without ``size`` and
-            ``image``, a file without sizes gets a common size that fits its principal points, with a
-            HumansimWarning.
-        unit: Metres per unit of the file, if it is not the unit of the format.
-        up: Axis of the file that points up, such as ``z`` or ``-y``, if it is not the axis of the format.
-        image: PNG or JPEG file with the size of the images.
-        extrinsics: File with the extrinsics, where ``path`` has only intrinsics. Its cameras have the same
-            names, or the same number and order.
+        size: Width and height of the images in pixels, in place of the size in the file. If neither ``size``
+            nor ``image`` is given and the file has no sizes, a common size that fits its principal points is
+            assumed, with a HumansimWarning.
+
+        unit: Metres per unit of the file. If None, the unit of the format.
+        up: Axis of the file that points up, such as ``z`` or ``-y``. If None, the axis of the format.
+        image: PNG or JPEG file that has the size of the images.
+        extrinsics: File with the extrinsics, if ``path`` has only intrinsics. The cameras of both files have
+            the same names, or the same number and order.
+
 
     Returns:
-        Cameras by name, in the order of the file. Cameras without extrinsics are left out, with a
-        HumansimWarning, if others have some; without any extrinsics, all are at the origin and look along +z.
+        Cameras by name, in the order of the file. If only some cameras have extrinsics, the others are left
+        out, with a HumansimWarning. If no camera has extrinsics, all are at the origin and look along +z.
+
 
     Raises:
-        CameraError: The file cannot be read, or is not a calibration. It has the file, and the key or line.
+        CameraError: The file cannot be read, or is not a calibration. The error names the file, and the key
+            or line.
 
     Example:
         >>> import tempfile
@@ -156,16 +160,16 @@ def load_calibration(
     extrinsics: str | os.PathLike[str] | None = None,
     all_cameras: bool = False,
 ) -> Calibration:
-    """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
+    """Read a calibration file like :func:`read_calibration`, and keep its format, unit, axis and sizes.
 
     Args:
-        path: As of :func:`read_calibration`; so are the arguments up to ``extrinsics``.
+        path: The same as in :func:`read_calibration`, like all arguments up to ``extrinsics``.
         size: (width, height) of the images, pixels.
         unit: Metres per unit of the file.
         up: Up axis of the file.
         image: Image with the size.
         extrinsics: File of the extrinsics.
-        all_cameras: Keep cameras without extrinsics, for uses that do not need them.
+        all_cameras: Whether cameras without extrinsics are kept, for a caller that needs no extrinsics.
 
     Raises:
         CameraError: The file cannot be read, or is not a calibration.
@@ -220,7 +224,7 @@ def _parse(file: Path, size: ImageSize | None) -> CalibrationFile:
 
 
 def _half_without_poses(file: CalibrationFile) -> Path | None:
-    """File beside a JSON or npz file with only intrinsics or only extrinsics that has the others."""
+    """Find the other half of a JSON or npz file in its folder: extrinsics for intrinsics, or the opposite."""
     half = other_half(Path(file.path)) if file.syntax in ("json", "npz") else None
     if half is None:
         return None
@@ -232,7 +236,7 @@ def _half_without_poses(file: CalibrationFile) -> Path | None:
 
 
 def has_only_extrinsics(path: str | os.PathLike[str]) -> bool:
-    """Whether a file has rotations or translations of cameras, and no intrinsics. Raises CameraError."""
+    """Whether a file has rotations or translations of cameras, but no intrinsics. Raises CameraError."""
     file = _file_of(path)
     if not file.is_file():
         return False
@@ -243,14 +247,15 @@ def has_only_extrinsics(path: str | os.PathLike[str]) -> bool:
 
 
 def paired(inner: Sequence[str], outer: Sequence[str]) -> list[tuple[str, str]]:
-    """Files of intrinsics with those of extrinsics: by their names, else in their order."""
+    """Pair files of intrinsics with files of extrinsics: by their names, or else in their order."""
     named = {name_of_half(Path(file).stem): file for file in outer}
     found = [named.get(name_of_half(Path(file).stem), "") for file in inner]
     return list(zip(inner, found if {*found} == {*outer} else outer, strict=True))
 
 
 def _other_format(file: CalibrationFile) -> CalibrationFormat | None:
-    """Format of a file; None for an unknown one, and for one of OpenCV that has no intrinsics."""
+    """Find the format of a file. Returns None for an unknown format, and for an OpenCV file without
+    intrinsics."""
     format = _format_or_none(file)
     opencv = format is not None and format.name.startswith("opencv")
     return None if opencv and not find_parameters(plain(file)).having(INTRINSIC) else format
@@ -259,7 +264,8 @@ def _other_format(file: CalibrationFile) -> CalibrationFormat | None:
 def _read_pair(
     inner: CalibrationFile, outer: CalibrationFile
 ) -> tuple[CalibrationFormat, dict[str, RawCamera]]:
-    """Format and cameras of a file with intrinsics and one with extrinsics, given in any order."""
+    """Read a file with intrinsics and a file with extrinsics, in any order. Returns the format and the
+    cameras."""
     if not is_matrices(inner) and is_matrices(outer):
         inner, outer = outer, inner
     plain = [
@@ -299,7 +305,7 @@ def _read_pair(
 
 
 def _with_poses(file: CalibrationFile, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
-    """Cameras with extrinsics; all cameras if none has some."""
+    """Return the cameras with extrinsics. If no camera has extrinsics, return all."""
     path = file.path
     posed = {name: camera for name, camera in raw.items() if camera.R is not None}
     missing = [name for name in raw if name not in posed]
@@ -319,9 +325,9 @@ def _with_poses(file: CalibrationFile, raw: dict[str, RawCamera]) -> dict[str, R
 def _folder(
     folder: Path, size: ImageSize | None, unit: float | None, up: str | None, all_cameras: bool
 ) -> Calibration:
-    """Read all calibrations of a folder; arguments as for :func:`load_calibration`."""
+    """Read all calibrations of a folder. The arguments are those of :func:`load_calibration`."""
     read: dict[Path, Calibration] = {}
-    for pattern in ("*", "*/*"):  # EuRoC and WildTrack have the files in folders of a folder
+    for pattern in ("*", "*/*"):  # EuRoC and WildTrack have the files one folder deeper
         for file in [] if read else _files(folder, pattern):
             try:
                 read[file] = load_calibration(file, size=size, unit=unit, up=up, all_cameras=all_cameras)
@@ -350,7 +356,8 @@ def _folder(
 
 
 def _files(folder: Path, pattern: str) -> list[Path]:
-    """Calibration files in a folder, without those that another one is read with. Raises CameraError."""
+    """Find the calibration files in a folder, except those that are read together with another one. Raises
+    CameraError."""
     try:
         next(folder.iterdir(), None)
         files = sorted(f for f in folder.glob(pattern) if f.suffix.lower() in _SUFFIXES and f.is_file())
@@ -358,7 +365,7 @@ def _files(folder: Path, pattern: str) -> list[Path]:
         raise CameraError(f"cannot read the folder: {reason.strerror}", path=folder) from None
     if "/" in pattern and len(files) > _MOST_BELOW:
         return []
-    matrices = [f for f in files if f.name.lower().endswith(".pmat.cal")]  # MultiCamSelfCal
+    matrices = [f for f in files if f.name.lower().endswith(".pmat.cal")]  # files of MultiCamSelfCal
     halves = {other_half(f) for f in files if "intr" in f.name}
     taken = {f.parent for f in files if f.parent.name == _TAKEN and (f.parent.parent / _UNDISTORTED).is_dir()}
     return [f for f in matrices or files if f not in halves and f.parent not in taken]
@@ -367,7 +374,8 @@ def _files(folder: Path, pattern: str) -> list[Path]:
 def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
     """Join the cameras of several files (path -> cameras) to one rig.
 
-    Cameras of the same name get the names of their files, with a HumansimWarning.
+    ``read``: cameras of each path. Cameras with the same name get the names of their files, with a
+    HumansimWarning.
 
     Raises:
         CameraError: The names of the files are the same too.
@@ -377,7 +385,7 @@ def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Cam
 
 
 def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
-    """Unique name of each camera: (path, name in the file) -> name."""
+    """Find a unique name for each camera. The key is (path, name in the file)."""
     counts = Counter(name for in_file in read.values() for name in in_file)
     names: dict[tuple[str, str], str] = {}
     used: set[str] = set()
@@ -395,7 +403,7 @@ def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], st
 
 
 def _format_or_none(file: CalibrationFile) -> CalibrationFormat | None:
-    """First format that recognises a file."""
+    """Find the first format that recognises a file; None for no format."""
     own = [format for format in READ_FORMATS if format.syntax == file.syntax]
     others = [format for format in READ_FORMATS if file.syntax in format.also]
     return next((format for format in (*own, *others) if format.matches(file)), None)
@@ -426,7 +434,7 @@ def _detect_format(file: CalibrationFile) -> CalibrationFormat:
 def _sizes(
     path: str, raw: Mapping[str, RawCamera], format: CalibrationFormat, given: ImageSize | None
 ) -> dict[str, ImageSize]:
-    """Image sizes: the given size, else the size in the file, else one that fits the principal points."""
+    """Find image sizes: the given size, or the size in the file, or a size that fits the principal points."""
     sizes = {name: given or camera.size for name, camera in raw.items()}
     unknown = [name for name, size in sizes.items() if size is None]
     if unknown:
@@ -453,7 +461,7 @@ def _principal_point(raw: RawCamera) -> Array:
 
 
 def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, rotation: Array) -> Camera:
-    """Convert a camera to metres and ``map``; errors get the file, line and key."""
+    """Convert a camera to metres and ``map``. Errors name the file, line and key."""
     t = raw.t if raw.center is None else -_orthonormal(raw.rotation) @ raw.center
     rectified = None if raw.rectified is None else raw.rectified * [1, 1, 1, unit]
     rest = (raw.distortion, raw.model, raw.rectification, rectified)
@@ -482,7 +490,7 @@ def _mirrors(raw: RawCamera, part: str) -> bool:
 
 
 def _orthonormal(r: Array) -> Array:
-    """Rotation that Camera makes from a matrix; a matrix that Camera refuses is unchanged."""
+    """Return the rotation that Camera makes of a matrix, or the matrix unchanged if Camera refuses it."""
     error = np.abs(r @ r.T - np.eye(3)).max()
     return nearest_rotations(r) if 1e-12 < error < 1e-3 else r
 
@@ -491,11 +499,13 @@ def _orthonormal(r: Array) -> Array:
 
 
 def resolve_url(url: str, name: str | None = None) -> Path:
-    """Find the file of a ``camera_info_url`` as camera_info_manager of ROS does.
+    """Find the file of a ``camera_info_url`` in the same way as ROS's camera_info_manager.
 
-    A URL is ``file:///…`` or ``package://<package>/…``, with ``${NAME}`` for the ``name`` of the camera and
-    ``${ROS_HOME}`` for this variable or ~/.ros. An empty URL is file://${ROS_HOME}/camera_info/${NAME}.yaml.
-    Packages are searched in AMENT_PREFIX_PATH. A path is returned unchanged.
+    A URL is ``file:///…`` or ``package://<package>/…``. ``${NAME}`` stands for the ``name`` of the camera,
+    ``${ROS_HOME}`` for this environment variable or ~/.ros. An empty URL is
+    file://${ROS_HOME}/camera_info/${NAME}.yaml. Packages are searched in AMENT_PREFIX_PATH. A path that is no
+    URL is returned unchanged.
+
 
     Raises:
         CameraError: The URL is not valid, or its package is missing.
@@ -549,11 +559,11 @@ def _share_folder(package: str, url: str) -> Path:
 def write_calibration(
     path: str | os.PathLike[str], cameras: Mapping[str, Camera], format: str | None = None
 ) -> list[Path]:
-    """Write a calibration file; files are complete or absent.
+    """Write a calibration file. If writing fails, no partial file is left.
 
-    ``path``: file; a folder for COLMAP and, without a suffix, for formats of one camera per file. ``format``:
-    name of a format (docs/cameras.md); without it, the suffix of ``path`` decides. A HumansimWarning reports
-    values that the format does not store.
+    ``path`` is a file. It is a folder for COLMAP, and also, without a suffix, for formats with one camera per
+    file. ``format`` is the name of a format (docs/cameras.md). If None, the suffix of ``path`` decides. A
+    HumansimWarning reports values that the format cannot store.
 
     Returns:
         The files that were written.
@@ -581,7 +591,7 @@ def write_calibration(
             for file, text in texts.items():
                 content = text if isinstance(text, bytes) else text.encode()
                 stack.enter_context(atomic_path(file)).write_bytes(content)
-    except OSError as reason:  # of the folder
+    except OSError as reason:  # the folder cannot be created
         raise CameraError(f"cannot be written: {reason.strerror or reason}", path=target) from None
     except UnicodeEncodeError:
         raise CameraError("cannot be written: a name has an incomplete character", path=target) from None
@@ -610,7 +620,7 @@ def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
 
 
 def _with_supported_lens(path: Path, name: str, camera: Camera, format: CalibrationFormat) -> Camera:
-    """The same camera with a lens model of the format. Raises CameraError where there is none."""
+    """Return the same camera with a lens model that the format has. Raises CameraError if there is none."""
     if not format.holds_skew and abs(camera.K[0, 1]) > _SKEW_TOLERANCE * camera.K[0, 0]:
         raise _unsupported(path, name, format, "skew")
     counts = dict(format.lenses)
@@ -634,7 +644,7 @@ def _unsupported(path: Path, name: str, format: CalibrationFormat, value: str) -
 
 
 def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterator[str]:
-    """Messages about values that the format does not store."""
+    """Yield messages about values that the format cannot store."""
     if not format.holds_pose:
         posed = [name for name, camera in cameras.items() if has_pose(camera)]
         if posed:
@@ -649,7 +659,7 @@ def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterato
 
 
 def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str | bytes]:
-    """Content of each file by its path."""
+    """Content of each file, by path."""
     with located(path=target):
         if format.multiple or (len(cameras) == 1 and target.suffix and not target.is_dir()):
             texts = format.write(cameras)
@@ -658,7 +668,7 @@ def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationForma
                 return {file: texts[""]}
             if target.exists() and not target.is_dir():
                 raise CameraError(f"{format.title} needs a folder, and this is a file", path=target)
-            # an empty file only satisfies readers; it must not replace an existing file
+            # an empty file only satisfies readers, so it must not replace an existing file
             return {target / n: text for n, text in texts.items() if text or not (target / n).exists()}
         if target.suffix and not target.is_dir():
             message = f"{format.title} has one file per camera: give a folder for {len(cameras)} cameras"

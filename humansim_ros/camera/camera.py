@@ -1,7 +1,7 @@
 """The camera: the only place that projects world points to pixels.
 
-The extrinsics transform a world point to the optical frame. It is divided by its depth, distorted by the lens
-(``camera/lens.py``), and mapped to pixels by K.
+The extrinsics transform a world point to the optical frame. The point is divided by its depth, distorted by
+the lens (``camera/lens.py``), and mapped to pixels by K.
 
 Frames and pixels are as in OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z
 forward, x right, y down); a pixel is (x, y) = (column, row), and the centre of the top-left pixel is (0, 0).
@@ -24,9 +24,9 @@ from humansim_ros.geometry import nearest_rotations, transform
 from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array, ImageSize
 
-#: Largest error of orthonormality at which a rotation is corrected; matrices with larger errors are refused.
+#: A rotation is corrected up to this error of orthonormality. A matrix with a larger error is refused.
 _ROTATION_TOLERANCE = 1e-3
-#: Largest error that the rounding of numbers in files explains; a larger one causes a warning.
+#: The rounding of numbers in files explains errors up to this. A larger error causes a warning.
 _ROTATION_ROUNDING = 1e-5
 #: Largest image side in pixels.
 MAX_SIZE = 8192
@@ -43,12 +43,12 @@ class Camera(Pictured):
             corrected, with a HumansimWarning from 1e-5.
         t: Translation from the world to the optical frame, (3,) metres.
         distortion: Distortion coefficients of ``model``.
-        model: One of :data:`humansim_ros.camera.lens.MODELS`. Without it, the number of coefficients decides.
-        rectification: R of CameraInfo, (3, 3), if a file or a stereo rig defines it.
-        rectified: P of CameraInfo, (3, 4), if a file or a stereo rig defines it.
+        model: One of :data:`humansim_ros.camera.lens.MODELS`. If None, the number of coefficients decides.
+        rectification: R of CameraInfo, (3, 3). None unless a file or a stereo rig defines R.
+        rectified: P of CameraInfo, (3, 4). None unless a file or a stereo rig defines P.
 
     Raises:
-        CameraError: No camera has these values. Its key is the name of the wrong argument.
+        CameraError: No camera can have these values. The key of the error is the name of the wrong argument.
     """
 
     size: ImageSize
@@ -59,7 +59,8 @@ class Camera(Pictured):
     model: str | None = None
     rectification: Array | None = None
     rectified: Array | None = None
-    #: Distortion model and coefficients. Equal cameras share it: its derived values are computed once.
+    #: Distortion model and coefficients. Equal cameras share one lens, so that its derived values are
+    #: computed once.
     lens: Lens = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -69,7 +70,7 @@ class Camera(Pictured):
         if abs(k[2, 2]) <= 1e-12 * np.abs(k).max():
             raise CameraError("K is singular: its last element is zero", key="K")
         k = k / k[2, 2]
-        # relative to the principal point as well, to detect a focal length that rounding destroyed
+        # compared with the principal point too, to detect a focal length that rounding has destroyed
         if min(k[0, 0], k[1, 1]) <= 1e-6 * np.abs(k).max():
             raise CameraError("K is singular or has a focal length that is not positive", key="K")
         if not np.allclose([k[1, 0], k[2, 0], k[2, 1]], 0, atol=1e-9 * k[0, 0]):
@@ -134,12 +135,12 @@ class Camera(Pictured):
 
     @classmethod
     def from_projection_matrix(cls, P: ArrayLike, size: ImageSize) -> Camera:
-        """Create a camera from a projection matrix P = K [R | t], (3, 4), of any scale and sign.
+        """Create a camera from a projection matrix P = K [R | t], (3, 4). P may have any scale and sign.
 
         P is decomposed by RQ decomposition [thesis §9.8].
 
         Raises:
-            CameraError: P is singular, or no camera has its K or R.
+            CameraError: P is singular, or its K or R is not valid for a camera.
         """
         p = _matrix(P, (3, 4), "P")
         if abs(np.linalg.det(p[:, :3])) <= 1e-12 * np.abs(p[:, :3]).max() ** 3:
@@ -159,16 +160,14 @@ class Camera(Pictured):
 
     @property
     def rectification_matrix(self) -> Array:
-        """R of CameraInfo, (3, 3): optical frame to the frame of image_rect."""
+        """R of CameraInfo, (3, 3): rotation from the optical frame to the frame of image_rect."""
         return np.eye(3) if self.rectification is None else self.rectification
 
     @cached_property
     def rectified_projection(self) -> Array:
-        """P of CameraInfo, (3, 4): the frame of image_rect to its pixels.
-
-        By default [K | 0] of the ideal camera [thesis §9.8]: without skew, with a centred principal point. A
-        camera without distortion and skew keeps its K.
-        """
+        """P of CameraInfo, (3, 4): projection from the frame of image_rect to its pixels. By default, P is [K
+        | 0] of the ideal camera [thesis §9.8]: no skew, and a centred principal point. A camera without
+        distortion and skew keeps its K."""
         if self.rectified is not None:
             return self.rectified
         unchanged = not self.distorted and self.K[0, 1] == 0
@@ -227,9 +226,10 @@ class Camera(Pictured):
         return np.where(depth[..., None] > 0, image, np.nan), depth
 
     def project_jacobian(self, points: ArrayLike) -> Array:
-        """Derivatives (N, 2, 3) of the pixels of :meth:`project` by world points (N, 3), pixels per metre.
+        """Derivatives (N, 2, 3) of the pixels of :meth:`project` with respect to world points (N, 3), pixels
+        per metre.
 
-        They have a meaning only where :meth:`project` gives a pixel.
+        A derivative has a meaning only where :meth:`project` gives a pixel.
 
         Example:
             >>> camera = Camera.look_at((3, 0, 1), (0, 0, 1))
@@ -245,10 +245,8 @@ class Camera(Pictured):
             return np.asarray(self.K[:2, :2] @ self.lens.jacobian(plane) @ across @ self.R)
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions (..., 3) in the optical frame, with z = 1, of the rays of pixels (..., 2).
-
-        NaN for pixels that no ray through the lens reaches.
-        """
+        """Directions (..., 3) in the optical frame, with z = 1, of the rays of pixels (..., 2). It is NaN for
+        pixels that no ray reaches through the lens."""
         uv = np.asarray(pixels, dtype=float)
         homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
         directions = homogeneous @ np.linalg.inv(self.K).T
@@ -257,17 +255,18 @@ class Camera(Pictured):
         return np.concatenate([self.lens.undistort(directions[..., :2]), homogeneous[..., 2:]], axis=-1)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
-        """World points (N, 3) of pixels (N, 2) at depths (N,) along z; the inverse of :meth:`project`."""
+        """World points (N, 3) of pixels (N, 2) at depths (N,) along z. This is the inverse of
+        :meth:`project`."""
         rays = self.rays(pixels)
         return (rays * np.asarray(depth, dtype=float)[..., None] - self.t) @ self.R
 
     def opengl_clip(self, near: float, far: float) -> Array:
         """Matrix (4, 4) from the optical frame to OpenGL clip coordinates.
 
-        It has no lens: points of a distorted camera must be distorted first and keep their depth. OpenGL has
-        pixel centres at half-integers, so the principal point is moved by +0.5. The first image row is the
-        lowest row of the window, so that images are read back with the top row first. Depth is as in the
-        standard perspective matrix, -1 at ``near``.
+        The matrix has no lens. With a distorted camera, distort the points first, and keep their depth.
+        OpenGL has pixel centres at half-integers, so the principal point is moved by +0.5. The first image
+        row is the lowest row of the window, so that images are read back with the top row first. Depth is as
+        in the standard perspective matrix, -1 at ``near``.
         """
         width, height = self.size
         k = self.K
@@ -283,18 +282,18 @@ class Camera(Pictured):
 
 @lru_cache(maxsize=256)
 def _shared(lens: Lens) -> Lens:
-    """The first of equal lenses."""
+    """Return the first of all equal lenses."""
     return lens
 
 
 def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool = True) -> Array:
-    """Intrinsics (3, 3) of the ideal camera of a camera [thesis §9.8]: without skew.
+    """Intrinsics (3, 3) of the ideal camera of a real camera [thesis §9.8]. They have no skew.
 
     Args:
         K: Intrinsics of the camera, (3, 3).
         size: Width and height of the image in pixels.
-        square: Make pixels square: both focal lengths become their geometric mean.
-        center: Move the principal point to the image centre.
+        square: Whether pixels are made square. Both focal lengths become their geometric mean.
+        center: Whether the principal point is moved to the image centre.
     """
     fx, fy = float(K[0, 0]), float(K[1, 1])
     if square:
@@ -362,7 +361,7 @@ def pinhole_of_fov(size: ImageSize, fov: float) -> Array:
 def look_at_pose(
     position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
 ) -> tuple[Array, Array]:
-    """R (3, 3) and t (3,) of a camera that looks from one point at another, parameters as of look_at.
+    """R (3, 3) and t (3,) of a camera that looks from one point at another. See :meth:`Camera.look_at`.
 
     Raises:
         CameraError: ``position`` equals ``target``, or ``up`` is parallel to the view direction.
@@ -394,11 +393,8 @@ def _matrix(value: ArrayLike, shape: tuple[int, ...], key: str) -> Array:
 
 @dataclass(frozen=True)
 class Region:
-    """Part of a sensor that a driver publishes.
-
-    ``roi``: x, y, width and height in sensor pixels, None for the whole sensor. ``binning``: sensor pixels
-    along x and y per image pixel.
-    """
+    """Part of a sensor that a driver publishes. ``roi``: x, y, width and height in sensor pixels; None for
+    the whole sensor. ``binning``: number of sensor pixels along x and y that make one image pixel."""
 
     roi: tuple[int, int, int, int] | None = None
     binning: tuple[int, int] = (1, 1)
@@ -409,9 +405,9 @@ class Region:
         return self.roi is None and self.binning == (1, 1)
 
     def of(self, camera: Camera) -> Camera:
-        """Camera of the image from the camera of the whole sensor.
+        """Camera of the published image. ``camera``: camera of the whole sensor.
 
-        As in image_geometry, x = (x_sensor - roi.x_offset) / binning_x; the lens is unchanged.
+        As in image_geometry, x = (x_sensor - roi.x_offset) / binning_x. The lens is unchanged.
 
         Raises:
             CameraError: The region is not on the sensor.
@@ -436,7 +432,7 @@ class Region:
         )
 
     def _to_image(self, matrix: Array, x: int, y: int) -> Array:
-        """K or P for pixels of the image."""
+        """Convert K or P to pixels of the image."""
         out = matrix.copy()
         out[0] = (matrix[0] - x * matrix[2]) / self.binning[0]
         out[1] = (matrix[1] - y * matrix[2]) / self.binning[1]

@@ -1,6 +1,7 @@
-"""Plausibility checks of cameras and rigs: field of view, principal point, image size. They change nothing.
+"""Plausibility checks of cameras and rigs: field of view, principal point, image size. A check changes
+nothing.
 
-Image sizes come from image files, or are guessed from principal points where a calibration has none.
+Image sizes come from image files. Where a calibration has no size, it is guessed from principal points.
 """
 
 from __future__ import annotations
@@ -21,18 +22,19 @@ from humansim_ros.io.files import open_file, reading_errors, resolve_inside
 from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.types import Array, ImageSize
 
-#: Most focal lengths in the width of an image; a fisheye of 220 degrees has four.
+#: Largest plausible ratio of image width to focal length. A fisheye of 220 degrees has four.
 _MOST_IN_WIDTH = 20
 #: Largest plausible distance of a principal point from the image centre, as a fraction of the image side.
 _OFF_CENTER = 0.075
-#: Factor by which the centre of another image size must fit better, and largest difference of the shapes.
+#: Another image size fits better if its centre is nearer by this factor; the shapes may differ by this.
 _BETTER, _SAME_SHAPE = 6.0, 0.02
-#: Distance from the centre that no lens has, and largest difference of that fraction between both sides for
-#: an image that was scaled, not cropped.
+#: No lens has a principal point this far from the centre. The image was scaled, not cropped, if this fraction
+#: differs by less than the second number between both sides.
 _FAR_OFF, _SAME_SCALE = 0.2, 0.1
 #: Plausible focal lengths of the rectified image, as multiples of the focal lengths of the real image.
 _ZOOM = (0.4, 2.5)
-#: Largest plausible difference of the focal lengths, and largest skew, as fractions of a focal length.
+#: Largest plausible difference between the focal lengths, and largest plausible skew, as fractions of a focal
+#: length.
 _NOT_SQUARE, _SKEWED = 0.1, 0.02
 #: Plausible focal lengths as fractions of the image width.
 _FOCAL_LENGTHS = (0.1, 60)
@@ -40,16 +42,14 @@ _FOCAL_LENGTHS = (0.1, 60)
 _FAR, _NEAR, _LONG_BASELINE = 300.0, 0.05, 5.0
 #: Lowest plausible height of a camera, metres.
 _LOWEST = -0.05
-#: Cosine of the largest angle to the vertical of a camera that looks straight up.
+#: A camera looks straight up if the cosine of its angle to the vertical is above this.
 _STRAIGHT_UP = np.cos(np.radians(20))
 
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """Angles in radians between the rays of opposite edges and corners of the image, through the lens.
-
-    NaN where the lens model is not valid at the edge.
-    """
+    """Angles in radians between the rays of opposite edges and corners of the image, through the lens. An
+    angle is NaN where the lens model is not valid at the edge."""
 
     horizontal: float
     vertical: float
@@ -57,7 +57,7 @@ class FieldOfView:
 
 
 def field_of_view(camera: Camera) -> FieldOfView:
-    """Field of view of a camera: through its principal point, and between opposite corners."""
+    """Field of view of a camera, along both axes through its principal point and between opposite corners."""
     width, height = camera.size
     left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
     cx, cy = camera.K[:2, 2]
@@ -73,7 +73,8 @@ def has_pose(camera: Camera) -> bool:
 
 
 def baseline(camera: Camera) -> float:
-    """Baseline of a stereo camera from its rectified P: metres to the right of the first camera."""
+    """Baseline of a stereo camera from its rectified P: distance in metres to the right of the first
+    camera."""
     return float(-camera.rectified_projection[0, 3] / camera.rectified_projection[0, 0])
 
 
@@ -105,17 +106,16 @@ def check_rig(cameras: Mapping[str, Camera]) -> list[str]:
 
 
 def check_focal_length(camera: Camera) -> list[str]:
-    """Check whether K is in pixels, not in millimetres or fractions of the image. Returns messages."""
+    """Check whether K is in pixels. Returns a message if it seems to be in millimetres or fractions of the
+    image."""
     is_long = camera.K[0, 0] * _MOST_IN_WIDTH >= camera.size[0]
     return [] if is_long else [_not_in_pixels(camera)]
 
 
 def check_image_size(camera: Camera) -> list[str]:
-    """Check whether K belongs to an image of another size. Returns messages.
-
-    Principal points of real cameras may be far from the centre. The evidence is strong only if the image
-    centre of another size fits much better, and that image has the same shape.
-    """
+    """Check whether K belongs to an image of this size. Returns messages. Principal points of real cameras
+    may be far from the centre. The evidence is strong only if the centre of another image size fits much
+    better, and both images have the same shape."""
     (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
     share = _principal_share(camera)
     distance = float(np.abs(share - 0.5).max())
@@ -136,7 +136,7 @@ def check_image_size(camera: Camera) -> list[str]:
 
 
 def note_principal_points(cameras: Mapping[str, Camera]) -> list[str]:
-    """One note about all cameras of a file whose principal point is far from the image centre."""
+    """Return one note about all cameras of a file with a principal point far from the image centre."""
     distances = {
         name: float(np.abs(_principal_share(camera) - 0.5).max())
         for name, camera in cameras.items()
@@ -218,21 +218,18 @@ def _check_pose(camera: Camera) -> Iterator[str]:
         yield f"the camera is {distance} from the origin: is the unit of the file correct?"
 
 
-#: Image sizes of cameras: common ones (landscape), and of the cameras of some formats.
+#: Common image sizes (landscape), and the sizes of cameras of some formats.
 IMAGE_SIZES = read_table("image_sizes")
 COMMON: tuple[ImageSize, ...] = tuple((width, height) for width, height in IMAGE_SIZES["common"])
-#: Largest distance of the principal point of an image that was not cropped from its centre, as a fraction of
-#: the side.
+#: In an image that was not cropped, the principal point is at most this fraction of the side from the centre.
 _FAR_FROM_MIDDLE = 0.06
-#: Bytes at the start of an image file that contain its size.
+#: The size of an image is in its header, within this number of bytes.
 _HEADER_BYTES = 1 << 20
 
 
 def guess_image_size(principal_points: ArrayLike, preferred: Sequence[ImageSize] = ()) -> ImageSize:
-    """Guess the image size whose centre is at these principal points (N, 2).
-
-    It is one of ``preferred``, else a common size, if such a size fits within 6 %, else the best fit.
-    """
+    """Guess the image size with its centre at these principal points (N, 2). If a size of ``preferred`` fits
+    within 6 %, it is used; or else a common size that fits within 6 %; or else the best fit."""
     center = np.median(np.atleast_2d(np.asarray(principal_points, dtype=float)), axis=0)
     fitted = 2 * center + 1
     return (
@@ -251,7 +248,7 @@ def _nearest(fitted: Array, sizes: Iterable[ImageSize]) -> ImageSize | None:
 
 
 def size_of_named_image(folder: Path, name: str) -> ImageSize | None:
-    """Size of an image that a file in ``folder`` names; None if the image is missing."""
+    """Size of an image that a file in ``folder`` names. Returns None if the image is missing."""
     path = resolve_inside(folder, name)
     return _declared_size(path) if path is not None and path.is_file() else None
 
@@ -265,7 +262,7 @@ def image_size(path: str | os.PathLike[str]) -> ImageSize:
 
 
 def _declared_size(path: str | os.PathLike[str]) -> ImageSize | None:
-    """Size in the header of an image file; None for other files. Raises CameraError."""
+    """Read the size in the header of an image file. Returns None for other files. Raises CameraError."""
     file = open_file(path, CameraError, "image", MAX_IMAGE_BYTES)
     with file, reading_errors(path, CameraError, "image"):
         return declared_size(file.read(_HEADER_BYTES))

@@ -13,7 +13,7 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: Heights at which an upright line is tested.
+#: Number of heights at which an upright line is tested.
 _HEIGHTS = 7
 
 
@@ -42,14 +42,15 @@ class Coverage:
         low: float,
         high: float | None = None,
     ) -> Coverage:
-        """Count the cameras that see each position of a grid. Nothing occludes anything.
+        """Count the cameras that see each position of a grid. Occlusion is ignored.
 
         Args:
             cameras: Cameras by name.
             x: Positions along x in ``map``, (W,) metres, at least two in even steps.
             y: Positions along y in ``map``, (H,) metres, at least two in even steps.
             low: Height of the point that must be visible, metres.
-            high: With it, all of the upright line from ``low`` to ``high`` must be visible: a person.
+            high: If given, the whole upright line from ``low`` to ``high`` must be visible, as for a standing
+                person.
 
         Raises:
             CameraError: There are fewer than two positions along x or y.

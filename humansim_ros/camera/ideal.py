@@ -1,7 +1,7 @@
 """Ideal cameras of real cameras [thesis §9.8]: no distortion, no skew, a centred principal point.
 
-An ideal camera has R and t of the real one; only K differs. One remap in each direction converts images
-between the two without approximation.
+An ideal camera has the same R and t as the real camera. Only K differs. One remap in each direction converts
+images between the two without approximation.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from humansim_ros.camera.camera import Camera, ideal_matrix
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: Part of the real image that the ideal one shows: the part of the same focal lengths, all of it (with black
-#: borders), or only a part without black pixels.
+#: Part of the real image that the ideal image shows: ``focal`` keeps the focal lengths; ``all`` shows all of
+#: it, with black borders; ``no_black`` shows only a part without black pixels.
 Fit = Literal["focal", "all", "no_black"]
 
-#: Coordinate in maps for pixels without a counterpart: outside of any image, and in the range of cv2.remap.
+#: Coordinate in maps for pixels without a counterpart. It is outside any image, but in the range of
+#: cv2.remap.
 _OUTSIDE = 16384.0
-#: Pixels that are mapped at once, so that they fit into the processor cache.
+#: Number of pixels that are mapped at once, so that they fit into the processor cache.
 _BLOCK = 1 << 16
-#: Points along each side of an image for the fits.
+#: Points along each side of an image, to find the scale of a fit.
 _BORDER_POINTS = 400
 #: Smallest factor of the focal lengths.
 _SMALLEST_SCALE = 0.02
@@ -45,10 +46,9 @@ class Ideal:
 
     @cached_property
     def real_from_ideal(self) -> NDArray[np.float32]:
-        """Map (H, W, 2) for cv2.remap: x, y in the real image for each pixel of the ideal image.
-
-        Pixels beyond the real lens have 16384, which is outside of any image; coordinates are clipped to it.
-        """
+        """Map (H, W, 2) for cv2.remap: x, y in the real image for each pixel of the ideal image. Pixels
+        beyond the real lens have the coordinate 16384, which is outside any image. Larger coordinates are
+        clipped to it."""
         return _map(self.points_to_real, self.camera.size)
 
     @cached_property
@@ -57,11 +57,11 @@ class Ideal:
         return _map(self.points_to_ideal, self.real.size)
 
     def points_to_real(self, pixels: ArrayLike) -> Array:
-        """Convert pixels (N, 2) of the ideal image to pixels of the real image; NaN beyond the lens."""
+        """Convert pixels (N, 2) of the ideal image to pixels of the real image. NaN beyond the lens."""
         return self.real.project_optical(self.camera.rays(pixels) @ self._real_from_ideal_frame.T)[0]
 
     def points_to_ideal(self, pixels: ArrayLike) -> Array:
-        """Convert pixels (N, 2) of the real image to pixels of the ideal image; NaN beyond the lens."""
+        """Convert pixels (N, 2) of the real image to pixels of the ideal image. NaN beyond the lens."""
         return self.camera.project_optical(self.real.rays(pixels) @ self._real_from_ideal_frame)[0]
 
     @cached_property
@@ -72,9 +72,10 @@ class Ideal:
         return np.asarray(self.real.R @ self.camera.R.T, dtype=float)
 
     def to_ideal(self, image: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
-        """Convert a real image (H, W) or (H, W, C) to the ideal camera; black where the real image ends.
+        """Convert a real image (H, W) or (H, W, C) to the ideal camera. Pixels outside the real image are
+        black.
 
-        ``interpolation``: interpolation flag of OpenCV; cv2.INTER_NEAREST for labels.
+        ``interpolation``: interpolation flag of OpenCV. Use cv2.INTER_NEAREST for labels.
 
         Raises:
             CameraError: The image does not have the size of the camera.
@@ -82,35 +83,38 @@ class Ideal:
         return _remap(image, self.real_from_ideal, self.real.size, interpolation)
 
     def without_border(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Copy of an ideal image (H, W) with NaN where the real image has no pixel."""
+        """Copy of an ideal image (H, W). Pixels outside the real image are NaN."""
         return np.where(self._inside, image, np.float32(np.nan))
 
     @cached_property
     def _inside(self) -> NDArray[np.bool_]:
-        """Pixels (H, W) of the ideal image that are on a pixel of the real one."""
+        """Which pixels (H, W) of the ideal image lie on a pixel of the real image."""
         width, height = self.real.size
         x, y = np.moveaxis(self.real_from_ideal, -1, 0)
         return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
 
     def to_real(self, image: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
-        """Convert an ideal image to the real camera; as :meth:`to_ideal`."""
+        """Convert an ideal image to the real camera. The arguments are those of :meth:`to_ideal`."""
         return _remap(image, self.ideal_from_real, self.camera.size, interpolation)
 
 
 def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit = "focal") -> Ideal:
     """Replace a real camera by an ideal one without distortion and skew [thesis §9.8].
 
-    The image size stays. A stereo rectification of the camera is ignored.
+    The image size does not change. A stereo rectification of the camera is ignored.
 
     Args:
         camera: Real camera.
-        square: Make pixels square, with the same area.
-        center: Move the principal point to the image centre, ((w - 1) / 2, (h - 1) / 2) [thesis eq. 9.74].
-        fit: ``focal`` keeps the focal lengths; ``all`` scales them so that all pixels of the real image are
-            in the ideal one; ``no_black`` so that all pixels of the ideal image are in the real one.
+        square: Whether pixels are made square, with the same area.
+        center: Whether the principal point is moved to the image centre, ((w - 1) / 2, (h - 1) / 2) [thesis
+            eq. 9.74].
+        fit: ``focal`` keeps the focal lengths. ``all`` scales them so that all pixels of the real image are
+            in the ideal image. ``no_black`` scales them so that all pixels of the ideal image are in the real
+            image.
+
 
     Returns:
-        Ideal camera and the maps between both images.
+        The ideal camera, with maps between both images.
 
     Raises:
         CameraError: No focal length satisfies ``fit``.
@@ -130,10 +134,8 @@ def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit
 
 
 def rectify(camera: Camera) -> Ideal:
-    """Camera of ``image_rect`` of a camera, from R and P of its CameraInfo.
-
-    The baseline in the P of a stereo camera does not affect the image and is ignored.
-    """
+    """Camera of ``image_rect``, from R and P of a camera's CameraInfo. The baseline in the P of a stereo
+    camera does not affect the image and is ignored."""
     rotation, k = camera.rectification_matrix, camera.rectified_projection[:, :3]
     if not camera.distorted and np.array_equal(rotation, np.eye(3)) and np.array_equal(k, camera.K):
         return Ideal(camera, camera)
@@ -144,13 +146,13 @@ def rectify(camera: Camera) -> Ideal:
 
 
 def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
-    """Factor of the focal lengths of an ideal K for a fit: the border of the real image touches the
-    ideal image from inside (``all``) or from outside (``no_black``).
-    """
+    """Factor of the focal lengths of an ideal K for a fit. With this factor, the border of the real image
+    touches the ideal image from inside (``all``) or outside (``no_black``)."""
     last, center = np.array(camera.size) - 1.0, k[:2, 2]
     outline = _outline(camera, inner=fit == "all") * k.diagonal()[:2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # distance of each point from the image centre, as a fraction of the distance of the image edge
+        # distance of each point from the image centre, divided by that of the image edge in the same
+        # direction
         reach = np.where(outline > 0, outline / (last - center), -outline / center)
     reach = np.where(outline == 0, 0.0, reach).max(axis=1)
     axis = camera.K[:2, 2]
@@ -167,10 +169,8 @@ def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
 
 
 def _outline(camera: Camera, inner: bool) -> Array:
-    """Points (N, 2) on the normalised image plane along the borders of a camera's image and of its lens.
-
-    ``inner``: without points of the lens border that are outside the image.
-    """
+    """Points (N, 2) of the normalised image plane along the borders of a camera's image and lens. ``inner``:
+    leave out points of the lens border that are outside the image."""
     width, height = (n - 1.0 for n in camera.size)
     along = np.linspace(0, 1, _BORDER_POINTS)
     zero, one = np.zeros(_BORDER_POINTS), np.ones(_BORDER_POINTS)
@@ -178,7 +178,7 @@ def _outline(camera: Camera, inner: bool) -> Array:
     border = np.concatenate([np.column_stack(side) for side in sides]) * (width, height)
     rays = camera.rays(border)[:, :2]
     angles = np.linspace(0, 2 * np.pi, _BORDER_POINTS)
-    # slightly inside, so that rounding does not move it beyond the lens
+    # slightly inside, so that rounding does not move the point beyond the lens
     rim = camera.lens.valid_radius * (1 - 1e-9) * np.column_stack([np.cos(angles), np.sin(angles)])
     if inner:
         pixels = _pixels(camera.K, camera.lens.distort(rim))
@@ -188,7 +188,7 @@ def _outline(camera: Camera, inner: bool) -> Array:
 
 
 def _pixels(k: Array, plane: Array) -> Array:
-    """Pixels (N, 2) of points of the normalised image plane."""
+    """Pixels (N, 2) of points (N, 2) of the normalised image plane."""
     return np.asarray(plane @ k[:2, :2].T + k[:2, 2])
 
 
@@ -214,6 +214,6 @@ def _remap(
             f"the image is {width}x{height} pixels, but the camera has {size[0]}x{size[1]}",
             key="size",
         )
-    no_second_map: Any = None  # required by the type stubs of OpenCV
+    no_second_map: Any = None  # the type stubs of OpenCV require this argument
     remapped = cv2.remap(image, mapping, no_second_map, interpolation, borderMode=cv2.BORDER_CONSTANT)
     return np.asarray(remapped)

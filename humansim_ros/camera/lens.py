@@ -21,9 +21,9 @@ MODELS = {
     "rational_polynomial": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
-#: Largest angle to the optical axis; the depth along z of rays beyond it is almost zero.
+#: Largest angle to the optical axis, radians. Beyond it, the depth along z is almost zero.
 _MAX_ANGLE = np.radians(89.5)
-#: Angles and directions at which a lens is tested for folding.
+#: Number of angles and of directions at which a lens is tested for folding.
 _ANGLES, _DIRECTIONS = 1000, 24
 #: Newton steps of the inverse, and its tolerance on the normalised image plane.
 _STEPS, _TOLERANCE = 30, 1e-10
@@ -33,9 +33,9 @@ _STEPS, _TOLERANCE = 30, 1e-10
 class Lens:
     """Distortion model and its coefficients. ``model``: one of :data:`MODELS`.
 
-    ``plumb_bob`` is the radial and tangential model of [Brown 1971], ``rational_polynomial`` adds a
-    denominator, ``equidistant`` is the fisheye model of [Kannala 2006]. Beyond :attr:`valid_radius` a model
-    folds back over itself; rays beyond it are not visible.
+    ``plumb_bob`` is the radial and tangential model of [Brown 1971]. ``rational_polynomial`` adds a
+    denominator. ``equidistant`` is the fisheye model of [Kannala 2006]. Beyond :attr:`valid_radius` a model
+    folds back over itself, so rays beyond it are not visible.
     """
 
     model: str
@@ -45,10 +45,10 @@ class Lens:
     def of(cls, coefficients: ArrayLike, model: str | None = None) -> Lens:
         """Create a lens from coefficients with or without trailing zeros.
 
-        Without ``model``, up to 5 coefficients are plumb_bob and up to 8 are rational_polynomial.
+        If ``model`` is None, up to 5 coefficients are plumb_bob, and up to 8 are rational_polynomial.
 
         Raises:
-            CameraError: The model is unknown, it has fewer coefficients, or a number is not finite.
+            CameraError: The model is unknown, there are too many coefficients, or a number is not finite.
         """
         try:
             values = [float(d) for d in np.asarray(coefficients, dtype=float).ravel()]
@@ -74,11 +74,11 @@ class Lens:
 
     @property
     def ideal(self) -> bool:
-        """Whether the lens does not distort. A fisheye always does."""
+        """Whether the lens does not distort. A fisheye always distorts."""
         return self.model != "equidistant" and not any(self.coefficients)
 
     def distort(self, points: ArrayLike) -> Array:
-        """Distort points (..., 2) of the normalised image plane; NaN beyond :attr:`valid_radius`."""
+        """Distort points (..., 2) of the normalised image plane. NaN beyond :attr:`valid_radius`."""
         n = np.asarray(points, dtype=float)
         if self.ideal:
             return n
@@ -87,7 +87,7 @@ class Lens:
             return np.where(valid[..., None], self._distort(n), np.nan)
 
     def undistort(self, points: ArrayLike) -> Array:
-        """Invert :meth:`distort` for points (..., 2), to 1e-10; NaN for points that no valid ray reaches."""
+        """Invert :meth:`distort` for points (..., 2), to 1e-10. NaN for points that no valid ray reaches."""
         d = np.asarray(points, dtype=float)
         if self.ideal:
             return d
@@ -111,11 +111,9 @@ class Lens:
 
     @cached_property
     def valid_radius(self) -> float:
-        """Tangent of the angle to the optical axis up to which the distortion is one-to-one.
-
-        This is the smallest angle at which, in any direction, the Jacobian of the distortion is singular or a
-        denominator is zero; at most 89.5 degrees.
-        """
+        """Tangent of the largest angle to the optical axis for which the distortion is one-to-one. It is the
+        smallest angle at which, in some direction, the Jacobian of the distortion is singular or a
+        denominator is zero. It is at most 89.5 degrees."""
         if self.ideal:
             return float(np.tan(_MAX_ANGLE))
         low, high = 0.0, _MAX_ANGLE
@@ -138,7 +136,8 @@ class Lens:
         circle = np.column_stack([np.cos(directions), np.sin(directions)])
         n = np.tan(angles)[:, None, None] * circle
         with np.errstate(all="ignore"):
-            # exactly zero as the limit: a lens that maps the whole plane to a disc has tiny determinants
+            # the limit is exactly zero, since a lens that maps the whole plane to a disc has tiny
+            # determinants
             valid = np.linalg.det(self._jacobian(n)) > 0
             if self.model == "rational_polynomial":
                 valid &= self._radial(np.einsum("...i,...i->...", n, n))[2] > 0
@@ -154,7 +153,7 @@ class Lens:
         return numerator, 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
 
     def _radial(self, r2: Array) -> tuple[Array, Array, Array]:
-        """Factor of the radial part, its derivative by r squared, and its denominator."""
+        """Factor of the radial part, its derivative with respect to r squared, and its denominator."""
         k1, k2, _, _, k3, *more = self.coefficients
         k4, k5, k6 = more or (0.0, 0.0, 0.0)
         numerator, denominator = self._ratio(r2)
@@ -166,7 +165,8 @@ class Lens:
         )
 
     def _angle(self, r: Array) -> tuple[Array, Array]:
-        """Distorted angle of rays at a radius in the equidistant model, and its derivative by the radius."""
+        """Distorted angle of rays at a radius in the equidistant model, and its derivative with respect to
+        the radius."""
         k1, k2, k3, k4 = self.coefficients
         angle = np.arctan(r)
         a2 = angle * angle
@@ -222,7 +222,7 @@ class Lens:
         return np.asarray(d * np.where(length > 1e-12, factor, 1.0)[:, None], dtype=float)
 
     def _within(self, n: Array) -> Array:
-        """Points, moved to the valid radius if they are beyond it."""
+        """Points (..., 2). Those beyond the valid radius are moved to it."""
         length = np.sqrt(np.einsum("ij,ij->i", n, n))
         return np.asarray(n * np.minimum(1.0, self.valid_radius / np.maximum(length, 1e-12))[:, None])
 
@@ -235,13 +235,14 @@ def _solve(matrices: Array, vectors: Array) -> Array:
 
 
 def fit_lens(ideal: ArrayLike, distorted: ArrayLike) -> tuple[Lens, float]:
-    """Fit a lens to points of the normalised image plane and their distorted places, each (N, 2).
+    """Fit a lens to points (N, 2) of the normalised image plane. ``distorted``: the same points after
+    distortion.
 
     Returns:
-        A plumb_bob lens, or a rational_polynomial one where that is better, and its error: the root of the
-        mean square of the distances.
+        The lens, and the root mean square of its errors. It is plumb_bob, or rational_polynomial if that fits
+        better.
     """
-    import scipy  # slow to import
+    import scipy  # imported here, since the import is slow
 
     points, places = np.asarray(ideal, dtype=float), np.asarray(distorted, dtype=float)
 

@@ -1,15 +1,15 @@
 """Placement of a rig: the pose of the world of a calibration file in ``map``, and ways to find it.
 
 The world of most calibrations is the first camera or a board. A placement moves all cameras of a file
-together, so that ``map`` has its floor at z = 0. The functions ``place_by_…`` find it from the height and
-tilt of a camera, from floor points, from a board, or by levelling. They take cameras in the world of their
-file, in metres. Where the input does not determine the heading, the world of the file is turned by the
-smallest rotation; where it does not determine the position, the point at which the cameras look is above 0,
-0.
+together, so that ``map`` has its floor at z = 0. The functions ``place_by_…`` find the placement from the
+height and tilt of a camera, from floor points, from a board, or by levelling. Their cameras are in the world
+of the file, in metres. If the input does not determine the heading, the smallest rotation is used. If it does
+not determine the position, the point at which the cameras look is placed above (0, 0).
+
 
 A file of floor points (YAML or JSON) has a list ``points``. Each point has ``xyz`` (3 numbers, in the unit
-and axes of the calibration file) or ``pixels`` (x, y by name of camera; two or more), and ``map`` (x, y in
-metres) if its place in the room is known.
+and axes of the calibration file) or ``pixels`` (x, y by name of camera, for two or more cameras). It has
+``map`` (x, y in metres) if its place in the room is known.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from humansim_ros.io.schema_errors import validated
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.types import Array
 
-#: Largest condition number of the equations of optical axes that meet in a point.
+#: Optical axes meet in a point if the condition number of their equations is below this.
 _PARALLEL = 1e4
 
 
@@ -57,16 +57,17 @@ class RigPlacement:
     def rotation_deg(self) -> Array:
         """Angles (3,) of :meth:`from_degrees`, degrees."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a quarter turn about y has many triples of angles: one is right
+            # a quarter turn about y has several triples of angles, and each is correct
+            warnings.simplefilter("ignore")
             angles = scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_euler("xyz", degrees=True)
         return np.asarray(angles, dtype=float)
 
     def points(self, points: ArrayLike) -> Array:
-        """Points (..., 3) of the file in ``map``."""
+        """Convert points (..., 3) of the file to ``map``."""
         return np.asarray(points, dtype=float) @ self.rotation.T + self.position
 
     def camera(self, camera: Camera) -> Camera:
-        """Camera in ``map`` of a camera in the world of the file."""
+        """Convert a camera from the world of the file to ``map``."""
         r = camera.R @ self.rotation.T
         return replace(camera, R=r, t=camera.t - r @ self.position)
 
@@ -76,10 +77,8 @@ class RigPlacement:
 
 
 def common_point(cameras: Iterable[Camera]) -> Array | None:
-    """Point (3,) nearest to the optical axes of all cameras.
-
-    None if the axes are parallel, or if the point is behind most cameras.
-    """
+    """Point (3,) nearest to the optical axes of all cameras. Returns None if the axes are parallel, or if the
+    point is behind most cameras."""
     rig = list(cameras)
     axes = np.array([camera.R[2] for camera in rig])
     centers = np.array([camera.center for camera in rig])
@@ -94,25 +93,24 @@ def common_point(cameras: Iterable[Camera]) -> Array | None:
 
 BoardSide = Literal["floor", "z_up", "z_down", "standing"]
 _UP = np.array([0.0, 0.0, 1.0])
-#: Height of the point at which cameras look, and of cameras that look at no common point, metres.
+#: Assumed height of the point at which cameras look; and of cameras that do not look at a common point,
+#: metres.
 _TARGET_HEIGHT, _CAMERA_HEIGHT, _LOWEST_CAMERA = 1.0, 1.8, 0.3
-#: Distance to the target of cameras that look at no common point: least, most and usual, metres.
+#: Distance to the target for cameras that do not look at a common point: least, most and usual, metres.
 _NEAREST, _FARTHEST, _AHEAD = 1.0, 10.0, 3.0
-#: Smallest eigenvalue per camera at which the horizontal axes of cameras determine the vertical.
+#: The horizontal axes of cameras determine the vertical if the smallest eigenvalue per camera is above this.
 _DETERMINED = 0.01
-#: Smallest length of the mean up axis of cameras that stand upright.
+#: Cameras stand upright if the length of their mean up axis is above this.
 _UPRIGHT = 0.3
-#: Smallest width of floor points, as a share of their length.
+#: Smallest width of the area of floor points, as a share of its length.
 _NARROW = 0.02
 
 
 @dataclass(frozen=True)
 class FloorPoint:
-    """A point on the floor, in the world of the file or as pixels of cameras.
-
-    ``xyz``: (3,) metres. ``pixels``: pixel (2,) by name of camera, two or more. ``on_map``: x, y in ``map``,
-    metres, if it is known.
-    """
+    """A point on the floor, in the world of the file or as pixels of cameras. ``xyz``: (3,) metres.
+    ``pixels``: pixel (2,) by name of camera, for two or more cameras. ``on_map``: x, y in ``map``, metres;
+    None if unknown."""
 
     xyz: Array | None = None
     pixels: Mapping[str, Array] = field(default_factory=dict)
@@ -121,12 +119,12 @@ class FloorPoint:
 
 @dataclass(frozen=True)
 class FoundPlacement:
-    """A placement, and how well the input agrees.
+    """A placement, and how well it agrees with the input.
 
-    ``residuals``: root mean squares by name: ``reprojection_px``, ``plane_mm``, ``map_mm`` of floor points,
-    ``roll_deg`` of the cameras, ``axes_mm`` of the optical axes from their common point. ``scale``: distances
-    in ``map`` per distance of the file, where floor points tell both. ``points``: the floor points (N, 3) in
-    ``map``.
+    ``residuals``: root mean squares by name. ``reprojection_px``, ``plane_mm``, ``map_mm`` are those of floor
+    points, ``roll_deg`` those of the cameras, ``axes_mm`` those of the optical axes from their common point.
+    ``scale``: ratio of distances in ``map`` to distances in the file, if floor points give both. ``points``:
+    the floor points (N, 3) in ``map``.
     """
 
     placement: RigPlacement
@@ -138,17 +136,17 @@ class FoundPlacement:
 def place_by_tilt(
     cameras: Mapping[str, Camera], name: str, height: float, tilt: float, roll: float = 0.0
 ) -> FoundPlacement:
-    """Place a rig by one camera.
+    """Place a rig by the height and the tilt of one camera.
 
     Args:
         cameras: Cameras in the world of the file.
         name: Name of the camera.
-        height: Its height above the floor, metres.
-        tilt: Angle by which it looks down, radians; negative if it looks up.
-        roll: Angle by which it is turned clockwise about its optical axis, radians.
+        height: Height of this camera above the floor, metres.
+        tilt: Angle by which the camera looks down, radians. It is negative if the camera looks up.
+        roll: Angle by which the camera is turned clockwise about its optical axis, radians.
 
     Returns:
-        The placement; ``roll_deg`` is the roll of the other cameras.
+        The placement. Its residual ``roll_deg`` is the roll of the other cameras.
     """
     if not abs(tilt) <= np.pi / 2:
         raise CameraError("must be from -90 to 90 degrees", key="tilt")
@@ -161,7 +159,7 @@ def place_by_tilt(
 
 
 def place_by_floor(cameras: Mapping[str, Camera], points: Sequence[FloorPoint]) -> FoundPlacement:
-    """Place a rig by three or more points of the floor; some of them may be known in ``map``.
+    """Place a rig by three or more points of the floor. The place of some points in ``map`` may be known.
 
     Raises:
         CameraError: There are too few points, they lie on a line, or the rays of their pixels do not meet.
@@ -206,15 +204,15 @@ def place_by_board(
     Args:
         cameras: Cameras in the world of the file.
         board: Pose (4, 4) of the board in the world of the file.
-        side: ``floor``: it lies on the floor, with the side up that the cameras see; ``z_up``, ``z_down``:
-            it lies with its z axis up or down; ``standing``: its y axis points down, as boards are printed.
+        side: How the board stands or lies. ``floor``: it lies with the visible side up. ``z_up``, ``z_down``:
+            it lies with its z axis up or down. ``standing``: its y axis points down, as boards are printed.
         height: Height of the origin of the board above the floor, metres.
     """
     centers = np.array([camera.center for camera in cameras.values()])
     above = float(np.median((centers - board[:3, 3]) @ board[:3, 2]))
     ups = {"z_up": board[:3, 2], "z_down": -board[:3, 2], "standing": -board[:3, 1]}
     ups["floor"] = ups["z_up"] if above >= 0 else ups["z_down"]
-    # its x axis is the x axis of map
+    # the x axis of the board is the x axis of map
     up, along = ups[side], board[:3, 0]
     rotation = np.stack([along, np.cross(up, along), up])
     placement = RigPlacement(rotation, np.array([0, 0, height]) - rotation @ board[:3, 3])
@@ -222,12 +220,13 @@ def place_by_board(
 
 
 def place_by_level(cameras: Mapping[str, Camera], height: float | None = None) -> FoundPlacement:
-    """Place a rig whose cameras stand upright: the horizontal axes of their images are horizontal.
+    """Place a rig of upright cameras: the horizontal axes of their images are horizontal in ``map``.
 
     Args:
         cameras: Cameras in the world of the file.
-        height: Mean height of the cameras above the floor, metres. If None, the point at which they look is
-            assumed 1 m above the floor, or without such a point, the cameras at 1.8 m.
+        height: Mean height of the cameras above the floor, metres. If None, the point at which the cameras
+            look is assumed to be 1 m above the floor. If they do not look at a point, the cameras are assumed
+            to be at 1.8 m.
 
     Raises:
         CameraError: The cameras have no common up direction.
@@ -239,7 +238,7 @@ def place_by_level(cameras: Mapping[str, Camera], height: float | None = None) -
     right = np.array([camera.R[0] for camera in rig])
     values, vectors = np.linalg.eigh(right.T @ right)
     up = mean / np.linalg.norm(mean)
-    if values[1] > _DETERMINED * len(rig):  # else all cameras look in one direction
+    if values[1] > _DETERMINED * len(rig):  # otherwise all cameras look in one direction
         up = vectors[:, 0] * (1 if vectors[:, 0] @ mean >= 0 else -1)
     centers = np.array([camera.center for camera in rig])
     placement = _standing(up, centers.mean(0), _CAMERA_HEIGHT if height is None else height)
@@ -268,11 +267,12 @@ def turned(found: FoundPlacement, yaw: float, at: ArrayLike) -> FoundPlacement:
 def triangulate(
     cameras: Mapping[str, Camera], pixels: Mapping[str, ArrayLike], number: int = 1
 ) -> tuple[Array, float]:
-    """Point (3,) with the least squares of distances to its pixels, and their root mean square in pixels.
+    """Find the point (3,) with the least squares of its distances to pixels. Returns also their root mean
+    square, pixels.
 
     Args:
         cameras: Cameras by name.
-        pixels: Pixel (2,) of the point by name of camera; two or more.
+        pixels: Pixel (2,) of the point by name of camera, for two or more cameras.
         number: Number of the point, for errors.
 
     Raises:
@@ -308,7 +308,8 @@ def triangulate(
 
 
 def look_target(cameras: Mapping[str, Camera]) -> Array:
-    """Point (3,) at which cameras in ``map`` look: where their axes meet, else a point in front of them."""
+    """Point (3,) at which cameras in ``map`` look: where their axes meet, or else a point in front of
+    them."""
     point = common_point(cameras.values())
     if point is not None:
         return point
@@ -342,10 +343,9 @@ def _over_origin(placement: RigPlacement, cameras: Mapping[str, Camera]) -> RigP
 def _aligned(
     placement: RigPlacement, floor: Array, on_map: Array
 ) -> tuple[RigPlacement, float, float | None]:
-    """Turn and move a placement along the floor so that points (N, 3) are at x, y (N, 2) of ``map``.
-
-    Also the root mean square of their distances to these places, mm, and the scale of FoundPlacement.
-    """
+    """Turn and move a placement along the floor, so that points (N, 3) come to x, y (N, 2) of ``map``.
+    Returns also the root mean square of their distances to these places, mm, and the scale of
+    FoundPlacement."""
     level = placement.points(floor)[:, :2]
     here, there = level - level.mean(0), on_map - on_map.mean(0)
     yaw = float(np.arctan2((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum(), (here * there).sum()))
@@ -376,7 +376,7 @@ def _rms(values: ArrayLike) -> float:
 
 
 _Number = Annotated[float, Field(ge=-1e9, le=1e9)]
-#: Name before the colon that stands for a place in ``map``, not for a camera.
+#: This name before the colon stands for a place in ``map``, not for a camera.
 _MAP = "map"
 
 
@@ -405,10 +405,10 @@ class _File(Section):
 def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[FloorPoint]:
     """Read a file of floor points.
 
-    ``in_metres`` (3, 3): from the unit and axes of the calibration file to metres and z up.
+    ``in_metres``: matrix (3, 3) from the unit and axes of the calibration file to metres and z up.
 
     Raises:
-        CameraError: The file cannot be read; it has line and key.
+        CameraError: The file cannot be read. The error names line and key.
     """
     data, tree = read_yaml(path, CameraError, "floor points")
     if not isinstance(data, dict):
@@ -427,7 +427,7 @@ def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[Fl
 def parse_floor_point(text: str, in_metres: Array) -> FloorPoint:
     """Floor point of text such as ``left:312,400 right:280.5,410`` or ``0.1,0.2,3 map:0,1``.
 
-    ``in_metres`` (3, 3): as for :func:`read_floor_points`.
+    ``in_metres`` is the same as for :func:`read_floor_points`.
 
     Raises:
         CameraError: The text is not a floor point.

@@ -1,6 +1,6 @@
 """Camera rigs around a target point: ring, wall, dome, stereo pair.
 
-All cameras look at the target and see it. Azimuths are radians from +x towards +y in ``map``.
+All cameras look at the target. Azimuths are radians from +x towards +y in ``map``.
 """
 
 from __future__ import annotations
@@ -19,17 +19,15 @@ from humansim_ros.types import Array
 
 #: Most cameras of a rig.
 MAX_CAMERAS = 1000
-#: Angle between consecutive cameras of a dome, which distributes them evenly.
+#: Angle between consecutive cameras of a dome, radians. It spreads them evenly.
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 @dataclass(frozen=True)
 class Optics:
     """Image size and lens of all cameras of a rig, with square pixels and a centred principal point.
-
     ``size``: (width, height) pixels. ``fov``: horizontal field of view through the lens, radians.
-    ``distortion``, ``model``: as for :class:`Camera`.
-    """
+    ``distortion``, ``model``: see :class:`Camera`."""
 
     size: tuple[int, int] = (640, 480)
     fov: float = math.radians(60)
@@ -144,8 +142,9 @@ def stereo(
 ) -> dict[str, Camera]:
     """Place a stereo pair, ``left`` and ``right``, with parallel axes and the conventions of ROS.
 
-    Both have the same K, D and P, R is the identity, and P[0, 3] of the right camera is -fx baseline: it
-    projects points of the *left* optical frame to pixels of the right rectified image.
+    Both cameras have the same K and D, and R is the identity. P differs only in P[0, 3], which is -fx
+    baseline for the right camera. So P projects points of the *left* optical frame to pixels of the right
+    rectified image.
 
     Args:
         baseline: Distance of the cameras, metres.

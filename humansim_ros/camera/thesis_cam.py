@@ -1,8 +1,8 @@
 """Cameras of Blender in ``.cam`` files [thesis §8.3, §9.2, §9.3, §9.8].
 
 Such a camera has a centre, Euler angles, a focal length and the aspect ratio of its pixels. It has no skew,
-no distortion, and a centred principal point. Numbers in parentheses are equations of the thesis; equations
-that contradict each other are corrected so that the round trip camera -> P -> camera is exact.
+no distortion, and a centred principal point. Numbers in parentheses are equations of the thesis. Where
+equations contradict each other, they are corrected so that the round trip camera -> P -> camera is exact.
 
 The thesis indexes pixels by (u, v) = (row, column) from the image corner, as OpenGL does. In this package
 and in ROS, pixels are (x, y) = (column, row) from the centre of the first pixel.
@@ -61,9 +61,9 @@ def compose_euler(angles: ArrayLike) -> Array:
 def decompose_euler(rotation: ArrayLike) -> Array:
     """Euler angles (3,) about x, y, z, radians, of a rotation (3, 3) (9.9)-(9.16).
 
-    cos(beta) is positive in (9.10), so that angles are those that were composed. Where it is zero, alpha is 0
-    (9.15). beta and gamma are computed after undoing alpha: this is (9.16) at the poles, (9.10) and (9.13)
-    elsewhere, and exact in between.
+    cos(beta) is positive in (9.10), so that the angles are those that were composed. Where cos(beta) is zero,
+    alpha is 0 (9.15). beta and gamma are computed after alpha is undone. This equals (9.16) at the poles,
+    (9.10) and (9.13) elsewhere, and is exact in between.
     """
     (_, b, c), (_, e, f), (g, h, i) = np.asarray(rotation, dtype=float)
     alpha = np.arctan2(h, i) if np.hypot(h, i) > 1e-15 else 0.0
@@ -73,12 +73,12 @@ def decompose_euler(rotation: ArrayLike) -> Array:
 
 
 def camera_rotation(euler: ArrayLike) -> Array:
-    """Rotation (3, 3) from the world to the camera of Euler angles (3,), radians (9.19)."""
+    """Rotation (3, 3) from the world to the camera, from Euler angles (3,), radians (9.19)."""
     return np.asarray(BLENDER_TO_CAMERA @ compose_euler(euler).T, dtype=float)
 
 
 def calibration_matrix(focal: float, size: tuple[int, int], aspect: tuple[float, float]) -> Array:
-    """K (3, 3) of f, (width, height) and (k_u, k_v) in (row, column) order (9.24)-(9.26)."""
+    """K (3, 3) in (row, column) order from f, (width, height) and (k_u, k_v) (9.24)-(9.26)."""
     (width, height), (ku, kv) = size, aspect
     m = max(width * kv, height * ku)
     mu, mv = m / (2 * ku), m / (2 * kv)
@@ -86,7 +86,8 @@ def calibration_matrix(focal: float, size: tuple[int, int], aspect: tuple[float,
 
 
 def aspect_of(K: ArrayLike) -> float:
-    """Aspect k_u / k_v, pixel height over width, of a K (3, 3) in ROS order: fx / fy (9.72, corrected)."""
+    """Aspect k_u / k_v of K (3, 3) in ROS order: height of a pixel over its width, fx / fy (9.72,
+    corrected)."""
     k = np.asarray(K, dtype=float)
     return float(k[0, 0] / k[1, 1])
 
@@ -101,21 +102,20 @@ def focal_of(K: ArrayLike, size: tuple[int, int]) -> float:
 
 
 def image_shift(K: ArrayLike, size: tuple[int, int]) -> Array:
-    """Shift (2,) in pixels (x, y) that moves the principal point of K (3, 3), in ROS order, to the image
-    centre (9.74).
-    """
+    """Shift (2,), pixels (x, y), that moves the principal point to the image centre (9.74). ``K``: (3, 3) in
+    ROS order."""
     return np.asarray((np.array(size) - 1) / 2 - np.asarray(K, dtype=float)[:2, 2], dtype=float)
 
 
 def camera_of(cam: CamFile) -> Camera:
-    """Camera of a ``.cam`` file. Raises CameraError if no camera has its values."""
+    """Camera of a ``.cam`` file. Raises CameraError if no camera can have these values."""
     k = _PIXELS @ calibration_matrix(cam.focal, cam.size, cam.aspect) @ _OPTICAL.T
     r = _OPTICAL @ camera_rotation(np.radians(cam.euler_deg))
     return Camera(cam.size, k, r, -r @ np.array(cam.center))
 
 
 def cam_of(camera: Camera) -> CamFile:
-    """Values of a ``.cam`` file for a camera (9.68)-(9.73).
+    """Values of the ``.cam`` file of a camera (9.68)-(9.73).
 
     Raises:
         CameraError: The camera has distortion, skew, or a principal point that is not centred.
@@ -146,7 +146,7 @@ def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
     ``C``, ``f``, ``R`` and ``size`` are required.
 
     Raises:
-        CameraError: A line is wrong or a key is missing. It has the path, line and key.
+        CameraError: A line is wrong or a key is missing. The error names the path, line and key.
     """
     values: dict[str, tuple[str, int]] = {}
     for number, line in enumerate(text.splitlines(), 1):
@@ -205,7 +205,7 @@ def format_cam(cam: CamFile) -> str:
 
 
 def _three(values: Array) -> tuple[float, float, float]:
-    x, y, z = (round(float(value), 12) + 0.0 for value in values)  # 3, not 2.9999999999999996; 0, not -0
+    x, y, z = (round(float(value), 12) + 0.0 for value in values)  # 3, not 2.9999999999999996; and 0, not -0
     return x, y, z
 
 

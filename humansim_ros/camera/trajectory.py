@@ -22,11 +22,12 @@ End = Literal["clamp", "loop", "ping_pong"]
 #: Largest file: more than a million poses.
 _MAX_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
-#: Error of the length of a quaternion that rounding explains.
+#: Rounding explains errors of the length of a quaternion up to this.
 _ROUNDING = 1e-2
 #: Limits of the length of a quaternion.
 _SHORTEST, _LONGEST = 1e-2, 1e2
-#: Poses of an orbit: the line between two differs from the circle by less than 1e-5 of its radius.
+#: Number of poses of an orbit. The line between two poses differs from the circle by less than 1e-5 of its
+#: radius.
 _ORBIT_POSES = 720
 
 
@@ -76,11 +77,11 @@ class Trajectory:
     def read(cls, path: str | os.PathLike[str], end: End = "clamp") -> Trajectory:
         """Read a text file in the format of the TUM RGB-D benchmark [Sturm 2012].
 
-        Each line is ``timestamp tx ty tz qx qy qz qw``: seconds, metres, pose of the optical frame in
-        ``map``. ``#`` begins a comment.
+        Each line is ``timestamp tx ty tz qx qy qz qw``: seconds, metres, and the orientation of the optical
+        frame in ``map``. ``#`` begins a comment.
 
         Raises:
-            CameraError: The file cannot be read, or a line is wrong. It has the path and the line.
+            CameraError: The file cannot be read, or a line is wrong. The error names the path and the line.
         """
         text = read_text(path, CameraError, "trajectory", _MAX_BYTES)
         rows: list[list[float]] = []
@@ -159,10 +160,8 @@ class Trajectory:
         return float(self.times[-1] - self.times[0])
 
     def pose(self, seconds: float) -> tuple[Array, Array]:
-        """Extrinsics R (3, 3) and t (3,), world to optical frame, at a time in seconds after the first pose.
-
-        See :meth:`in_map`.
-        """
+        """Extrinsics R (3, 3) and t (3,), world to optical frame. ``seconds``: time after the first pose. See
+        :meth:`in_map`."""
         position, quaternion = self.in_map(seconds)
         rotation = quaternion_to_matrix(quaternion).T
         return rotation, -rotation @ position
@@ -172,8 +171,8 @@ class Trajectory:
 
         ``seconds``: times (...) after the first pose.
 
-        Positions are interpolated linearly, rotations by slerp. Before the first pose, ``clamp`` stays there;
-        ``loop`` and ``ping_pong`` continue backwards.
+        Positions are interpolated linearly, rotations by slerp. Before the first pose, ``clamp`` returns the
+        first pose. ``loop`` and ``ping_pong`` continue backwards.
         """
         time = self.times[0] + self._time_in_trajectory(seconds)
         if len(self.times) == 1:
@@ -187,7 +186,8 @@ class Trajectory:
         return position, slerp(self.rotations[after - 1], self.rotations[after], part)
 
     def difference_times(self, seconds: float, step: float) -> tuple[float, float]:
-        """Times one step before and after a time, for finite differences; not beyond the ends of a loop."""
+        """Times one step before and after a time, for finite differences. They do not pass the ends of a
+        loop."""
         before, after = seconds - step, seconds + step
         if self.end != "loop":
             return before, after

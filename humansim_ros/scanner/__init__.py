@@ -1,1 +1,1 @@
-"""Laser scanners: scan patterns, intersection of rays with moving surfaces, and what is measured of them."""
+"""Laser scanners: scan patterns, intersection of rays with moving surfaces, and the measurements."""

@@ -1,4 +1,5 @@
-"""Intersection of rays with moving triangles: the nearest surface of each ray when it is fired."""
+"""Intersection of rays with moving triangles. It finds the surface that each ray meets first when it is
+fired."""
 
 from __future__ import annotations
 
@@ -13,11 +14,11 @@ from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.scanner.ray_index import Angles, Bounds, RayIndex
 from humansim_ros.types import Array, Float32Array, FloatArray, Indices
 
-#: Barycentric coordinates below zero that count as inside: no ray passes between two triangles.
+#: Barycentric coordinates down to this count as inside, so that no ray passes between two triangles.
 _SEAM = 1e-9
-#: Distance in metres of a surface that is around the scanner.
+#: A surface is around the scanner if it is nearer than this, metres.
 _AROUND = 0.3
-#: Corners of a box: all choices of low and high.
+#: Corners of a box, as all choices of low and high along the axes.
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)], dtype=float)
 
 
@@ -29,7 +30,7 @@ class MovingTriangles:
         number: Number of the surface, for :class:`Hits`.
         triangles: (T, 3) indices of vertices.
         start: Vertices (V, 3) in ``map`` at the first moment, metres.
-        end: Vertices at the second moment; the same array if it stands still.
+        end: Vertices at the second moment. If the surface does not move, the same array as ``start``.
     """
 
     number: int
@@ -38,7 +39,7 @@ class MovingTriangles:
     end: FloatArray
 
     def at(self, share: float) -> FloatArray:
-        """Vertices (V, 3) between the two moments."""
+        """Vertices (V, 3) after a share of the time between the two moments."""
         if self.end is self.start:
             return self.start
         return self.start + np.float32(share) * (self.end - self.start)
@@ -46,7 +47,8 @@ class MovingTriangles:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses of a scanner in ``map`` at the firing of N rays: one for all if it stands still.
+    """Poses of a scanner in ``map`` when N rays are fired. If the scanner stands still, there is one pose for
+    all.
 
     Attributes:
         positions: (N, 3) or (1, 3) metres.
@@ -78,12 +80,12 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Nearest surfaces of N rays.
+    """The first surface that each of N rays meets.
 
     Attributes:
-        ranges: (N,) metres; infinite where there is no surface.
-        surfaces: (N,) numbers of the surfaces; -1 where there is none.
-        triangles: (N,) triangles.
+        ranges: (N,) metres. Infinite if the ray meets no surface.
+        surfaces: (N,) number of the surface. -1 if the ray meets no surface.
+        triangles: (N,) index of the triangle in the surface.
         weights: (N, 2) barycentric weights of the second and the third corner.
         cosines: (N,) cosine of the angle between the ray and the normal of the triangle.
     """
@@ -96,7 +98,7 @@ class Hits:
 
     @classmethod
     def none(cls, count: int) -> Hits:
-        """No surface for any ray."""
+        """Hits of rays that meet no surface."""
         return cls(
             np.full(count, np.inf),
             np.full(count, -1, np.int32),
@@ -106,7 +108,7 @@ class Hits:
         )
 
     def copy(self) -> Hits:
-        """Hits whose arrays may be changed."""
+        """A copy with arrays that may be changed."""
         return Hits(*(part.copy() for part in self._arrays()))
 
     def take(self, chosen: Any) -> Hits:
@@ -128,8 +130,8 @@ class Shot:
 
     Attributes:
         directions: (N, 3) unit vectors in the scanner's frame.
-        shares: (N,) time of each ray from the first moment, as a share of the time to the second; ascending.
-        poses: Pose of the scanner at each ray.
+        shares: (N,) time of each ray, as a share of the time from the first moment to the second; ascending.
+        poses: Pose of the scanner when each ray is fired.
         index: The rays by direction.
     """
 
@@ -139,10 +141,10 @@ class Shot:
     index: RayIndex
 
     def cast(self, surfaces: Sequence[MovingTriangles], hits: Hits) -> None:
-        """Find surfaces that are nearer than ``hits`` (N), which are replaced in place.
+        """Find surfaces that are nearer than ``hits`` (N). The hits are replaced in place.
 
         Raises:
-            SceneError: There are too many triangles around the scanner.
+            SceneError: There are too many triangles near the scanner.
         """
         if not surfaces or not len(self.shares):
             return
@@ -159,7 +161,7 @@ class Shot:
                     _keep_nearest(hits, *found)
 
     def _near(self, surfaces: Sequence[MovingTriangles]) -> Iterator[tuple[MovingTriangles, int, int]]:
-        """Surfaces whose boxes rays meet, with the first and the last of these rays."""
+        """Surfaces with boxes that rays meet, with the first and the last of these rays."""
         starts, ends = (
             np.concatenate([_box(getattr(surface, moment)) for surface in surfaces])
             for moment in ("start", "end")
@@ -176,16 +178,14 @@ class Shot:
             yield surfaces[number], int(first[number]), int(last[number])
 
     def _bounds(self, surface: MovingTriangles, first: int, last: int) -> Bounds:
-        """Bounds of all triangles from the firing of one ray to that of another."""
+        """Bounds of all triangles, from the time of the first ray to that of the last."""
         margin = self._margin(surface, first, last)
         return Bounds.of(surface.triangles, self._seen(surface, first, last), margin)
 
     def _by_distance(self, surface: MovingTriangles, first: int, last: int) -> tuple[Indices | None, Array]:
-        """Order of the triangles by distance, and distances that they exceed, from one ray to another.
-
-        None if the surface is not around the scanner: there each triangle meets many rays that nearer ones
-        hide.
-        """
+        """Order of the triangles by distance, and a lower bound of each distance. Both hold from the first to
+        the last ray. The order is None if the surface is not around the scanner. Around it, each triangle
+        meets many rays, and most are hidden by nearer triangles."""
         positions = self.poses.take(slice(first, last + 1)).positions
         if _distance(positions[0], surface.start) > _AROUND:
             return None, np.zeros(0)
@@ -200,7 +200,8 @@ class Shot:
         return order, near[order]
 
     def _seen(self, surface: MovingTriangles, first: int, last: int) -> tuple[Angles, ...]:
-        """Directions of the vertices at the firing of two rays; once if nothing moves."""
+        """Directions of the vertices when the first and the last ray are fired. One entry if nothing
+        moves."""
         still = surface.end is surface.start and self.poses.still
         return tuple(self._seen_by(surface, ray) for ray in ((first,) if still else (first, last)))
 
@@ -211,7 +212,8 @@ class Shot:
         return Angles.of((vertices - here.positions).astype(np.float32) @ turn)
 
     def _margin(self, surface: MovingTriangles, first: int, last: int) -> float:
-        """Radians by which directions differ from straight paths in the scanner's frame, because it moves."""
+        """Radians by which directions deviate from straight paths in the scanner's frame while the scanner
+        moves."""
         if self.poses.still or first == last:
             return 0.0
         here = self.poses.take(slice(first, last + 1))
@@ -233,7 +235,8 @@ class Shot:
     def _test(
         self, surface: MovingTriangles, vectors: Array, rays: Indices, triangles: Indices
     ) -> tuple[Indices, Hits] | None:
-        """Rays of some pairs that meet the triangle, and where [Moller 1997]."""
+        """Test pairs of ray and triangle [Moller 1997]. Returns the rays that meet their triangle, and their
+        hits."""
         corners = surface.triangles[triangles]
         start = [surface.start[corners[:, i]].astype(float) for i in range(3)]
         if surface.end is not surface.start:
@@ -267,7 +270,7 @@ class Shot:
 
 
 def _keep_nearest(hits: Hits, rays: Indices, found: Hits) -> None:
-    """Put hits that are nearer in the place of earlier ones; of equal ones the first remains."""
+    """Replace hits by nearer ones. If two are equal, the earlier one remains."""
     order = np.lexsort((found.ranges, rays))
     first = np.ones(len(order), dtype=bool)
     first[1:] = rays[order][1:] != rays[order][:-1]
@@ -277,20 +280,20 @@ def _keep_nearest(hits: Hits, rays: Indices, found: Hits) -> None:
 
 
 def _box(vertices: FloatArray) -> Float32Array:
-    """Corners (8, 3) of the box of some vertices, along the axes."""
+    """Corners (8, 3) of the bounding box of vertices."""
     low, high = _limits(vertices)
     return np.asarray(low + _CORNERS * (high - low), np.float32)
 
 
 def _limits(vertices: FloatArray) -> tuple[Array, Array]:
     """Lowest and highest coordinates (3,) of vertices (V, 3)."""
-    # axis by axis: three times as fast as along the first axis
+    # axis by axis, which is three times as fast as along the first axis
     low = np.array([axis.min() for axis in vertices.T], dtype=float)
     return low, np.array([axis.max() for axis in vertices.T], dtype=float)
 
 
 def _distance(point: Array, vertices: FloatArray) -> float:
-    """Distance of a point from the box of some vertices."""
+    """Distance of a point from the bounding box of vertices."""
     low, high = _limits(vertices)
     return float(np.linalg.norm(np.maximum(0, np.maximum(low - point, point - high))))
 

@@ -1,7 +1,7 @@
 """Scanners by name: pattern, limits and noise as their manufacturers state them.
 
-``config/scanners.json`` has a row for each scanner; its keys are fields of :class:`ScannerModel`. ``kind`` of
-a pattern names a function below, and its other keys are the arguments.
+``config/scanners.json`` has a row for each scanner. The keys of a row are fields of :class:`ScannerModel`.
+``kind`` of a pattern names a function below. The other keys of the pattern are arguments of this function.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 from humansim_ros.io.assets import read_table
 from humansim_ros.scanner.pattern import Pattern, oscillating, raster, rosette, spinning
 
-#: Fields of the points, as drivers name and order them; ``scan`` is a sensor_msgs/LaserScan.
+#: Fields of the points, with the names and the order of the driver. ``scan`` is a sensor_msgs/LaserScan.
 Layout = Literal["velodyne", "ouster", "livox", "autoware", "xyzi", "scan"]
-#: What the stamp of a message means.
+#: Whether the stamp of a message is the start or the end of the sweep.
 StampOf = Literal["start", "end"]
 
 
@@ -28,14 +28,14 @@ class ScannerModel:
 
     Attributes:
         title: Name of the product.
-        source: Where the figures come from, then the file of its driver that numbers its rings.
+        source: Where the figures come from, then the file of the driver that numbers the rings.
         rate: Sweeps per second.
-        pattern: Makes the pattern at a rate in sweeps per second.
+        pattern: Function that makes the scan pattern for a rate in sweeps per second.
         range: Least and greatest distance, metres.
         noise: Standard deviation of distances, metres.
         divergence_mrad: Opening angle of a beam.
-        layout: Fields of its driver's points.
-        stamp: What its driver's stamp means.
+        layout: Fields of the points that the driver publishes.
+        stamp: What the stamp of the driver means.
     """
 
     title: str
@@ -52,13 +52,13 @@ class ScannerModel:
 def _firing(
     rate: float, elevations: Sequence[float], firing: float, channel: float, top_first: bool = False
 ) -> Pattern:
-    """Lasers that fire one after the other, in the same time at any rate; see :func:`spinning`."""
+    """Lasers that fire one after the other, with the same interval at any rate. See :func:`spinning`."""
     columns = int(1 / rate / firing + 1e-6)
     return spinning(rate, elevations, columns, firing=firing, channel=channel, top_first=top_first)
 
 
 def _even(rate: float, elevations: tuple[float, float], count: int, columns: int) -> Pattern:
-    """Lasers at even elevations from the highest on, which fire together; ring 0 is the highest."""
+    """Lasers that fire together, at even elevations from the highest on. Ring 0 is the highest."""
     return spinning(rate, np.linspace(*elevations, count).tolist(), columns, top_first=True)
 
 
@@ -74,7 +74,7 @@ def _rows(
     columns: int,
     azimuths: Sequence[tuple[float, float]],
 ) -> Pattern:
-    """Rows at even elevations; see :func:`raster`."""
+    """Rows at even elevations. See :func:`raster`."""
     return raster(rate, np.linspace(*elevations, count).tolist(), columns, *azimuths)
 
 

@@ -1,6 +1,6 @@
 """Scan patterns: the direction, the firing time and the ring of each ray of a sweep, in the scanner's frame.
 
-The frame of a scanner is x forward, y left, z up (REP-103). Azimuth is counted from x to y, elevation from
+The frame of a scanner is x forward, y left, z up (REP-103). Azimuth is measured from x to y, elevation from
 the x-y plane to z.
 """
 
@@ -17,9 +17,9 @@ from humansim_ros.scanner.ray_index import RayIndex
 from humansim_ros.types import Array
 
 _SECOND = 1_000_000_000
-#: Rays by which a beam is sampled.
+#: Number of rays that sample a beam.
 SUBRAYS = 7
-#: Parts of a sweep whose rays by direction are cached.
+#: Number of parts of a sweep for which a :class:`RayIndex` is cached.
 _MAX_INDICES = 32
 
 
@@ -32,8 +32,8 @@ class Rays:
         times: (N,) int64 nanoseconds from the start of the sweep, ascending.
         rings: (N,) uint16 number of the laser, of the row or of the line, as the driver of the model counts
             them. In patterns without a driver, 0 is the lowest laser.
-        grid: (rings, columns) if the rays form such a table, column after column; None otherwise.
-        azimuths: First azimuth and step in radians if all rays are in one plane; None otherwise.
+        grid: (rings, columns) if the rays form such a table, column after column. Else None.
+        azimuths: First azimuth and step in radians if all rays are in one plane. Else None.
     """
 
     directions: Array
@@ -46,7 +46,7 @@ class Rays:
         return len(self.times)
 
     def from_top(self) -> Rays:
-        """The same rays, with the highest laser of a table as ring 0."""
+        """The same rays. If they form a table, ring 0 is the highest laser."""
         heights, rings = self.directions[:, 2], self.rings
         if self.grid is None or heights[rings.argmin()] >= heights[rings.argmax()]:
             return self
@@ -57,7 +57,8 @@ class Rays:
         return {}
 
     def index(self, chosen: slice) -> RayIndex:
-        """Some rays by direction, cached: the sweeps of a scanner are often cut at the same times."""
+        """Chosen rays by direction. They are cached, since the sweeps of a scanner are often cut at the same
+        times."""
         key = int(chosen.start), int(chosen.stop)
         if key not in self._indices:
             if len(self._indices) >= _MAX_INDICES:
@@ -66,10 +67,8 @@ class Rays:
         return self._indices[key]
 
     def spread(self, divergence: float) -> Rays:
-        """Rays of the beams: for each ray its middle, and :data:`SUBRAYS` - 1 rays around it.
-
-        ``divergence``: opening angle of a beam in radians; the outer rays are at 0.35 of it.
-        """
+        """Rays that sample the beams: for each beam its middle, and :data:`SUBRAYS` - 1 rays around it.
+        ``divergence``: opening angle of a beam in radians. The outer rays are at 0.35 of this angle."""
         around = np.arange(SUBRAYS - 1) * (2 * np.pi / (SUBRAYS - 1))
         middle = self.directions
         sideways = np.stack([-middle[:, 1], middle[:, 0], np.zeros(len(middle))], axis=-1)
@@ -91,8 +90,8 @@ class Pattern:
     Attributes:
         period: Nanoseconds from the start of a sweep to the start of the next.
         count: Number of rays of a sweep.
-        repeated: Rays of every sweep; None if no two sweeps are alike.
-        make: Makes the rays of a sweep by its number, if they are not repeated. It can be pickled.
+        repeated: Rays of every sweep. None if no two sweeps are alike.
+        make: Function that makes the rays of a sweep by number, if they are not repeated. It can be pickled.
     """
 
     period: float
@@ -101,7 +100,7 @@ class Pattern:
     make: Callable[[int], Rays] | None = None
 
     def rays(self, number: int) -> Rays:
-        """Rays of sweep ``number``, from 0."""
+        """Rays of sweep ``number``, counted from 0."""
         if self.repeated is not None:
             return self.repeated
         assert self.make is not None
@@ -127,17 +126,18 @@ def spinning(
     channel: float = 0.0,
     top_first: bool = False,
 ) -> Pattern:
-    """Pattern of a scanner whose lasers turn about z.
+    """Pattern of a scanner with lasers that turn about z.
 
     Args:
         rate: Turns per second.
         elevations: Degrees of each laser, in the order in which the lasers of a column fire.
-        columns: Columns of a sweep.
-        azimuth: Azimuth in degrees of the first column and of the end: the last column if they are less than
-            a turn apart, the first column of the next sweep otherwise.
-        firing: Seconds from column to column; evenly spread over the angle if 0.
-        channel: Seconds from laser to laser of a column. The scanner turns meanwhile.
-        top_first: Ring 0 is the highest laser, not the lowest.
+        columns: Number of columns of a sweep.
+        azimuth: First and last azimuth in degrees. If they are less than a turn apart, the last one is that
+            of the last column. Otherwise it is that of the first column of the next sweep.
+
+        firing: Seconds from column to column. If 0, columns are spread evenly over the angle.
+        channel: Seconds from laser to laser in a column. The scanner turns in this time.
+        top_first: Whether ring 0 is the highest laser. If False, it is the lowest.
     """
     first, last = np.radians(azimuth)
     turn = abs(last - first) >= 2 * np.pi - 1e-9
@@ -169,8 +169,8 @@ def raster(rate: float, elevations: Sequence[float], columns: int, *azimuths: tu
         rate: Sweeps per second.
         elevations: Degrees of each row, in the order in which they are fired.
         columns: Rays of a row.
-        azimuths: Azimuth in degrees of the first and of the last column. Several pairs are lasers side by
-            side that fire together; rings are then their numbers.
+        azimuths: Azimuths in degrees of the first and of the last column. Each further pair is another laser
+            at its side that fires at the same time. The ring is then the number of the laser.
     """
     rows, lasers = len(elevations), len(azimuths)
     first, last = np.array(azimuths).T
@@ -185,18 +185,18 @@ def raster(rate: float, elevations: Sequence[float], columns: int, *azimuths: tu
 
 
 def _from_lowest(angles: Array) -> NDArray[np.uint16]:
-    """Ring of each laser or row: the lowest is 0."""
+    """Ring of each laser or row. The lowest is ring 0."""
     return np.argsort(np.argsort(angles, kind="stable"), kind="stable").astype(np.uint16)
 
 
 def rosette(rate: float, points: int, fov: float, turns: tuple[float, float]) -> Pattern:
-    """Pattern of two prisms that turn at different speeds [Liu 2021]; it does not repeat.
+    """Pattern of two prisms that turn at different speeds [Liu 2021]. No sweep repeats another.
 
     Args:
         rate: Sweeps per second.
         points: Rays per second.
         fov: Opening angle of the cone, degrees.
-        turns: Turns per second of both prisms; opposite signs for opposite directions.
+        turns: Turns per second of both prisms. Opposite signs mean opposite directions.
     """
     count = round(points / rate)
     return Pattern(_SECOND / rate, count, make=partial(_rosette_rays, count, points, fov, turns))
@@ -219,7 +219,7 @@ def oscillating(
     swings: float,
     lines: int,
 ) -> Pattern:
-    """Pattern of a scanner that turns about z while its beam swings up and down; it does not repeat.
+    """Pattern of a scanner that turns about z while its beam swings up and down. No sweep repeats another.
 
     Args:
         rate: Sweeps per second.

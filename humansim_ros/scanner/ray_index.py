@@ -1,10 +1,12 @@
 """Rays by direction, and the rays that may meet each triangle.
 
-Rays are in rows of like elevation, and by azimuth in each row. A triangle, or the space that it passes while
-it moves, has bounds in both angles; the rays within are a few runs of this order. No tree is built.
+Rays with similar elevations form a row, in which they are sorted by azimuth. A triangle, with the space
+through which it moves, has bounds in both angles. The rays within the bounds are a few runs of consecutive
+rays, so that no tree is needed.
 
-Along an arc between two directions the tangent of the elevation is A cos(azimuth - a), so that it exceeds its
-larger end by at most the factor 1 / cos(half of the azimuths between them).
+
+Along an arc between two directions the tangent of the elevation is A cos(azimuth - a), so on the arc it is at
+most 1 / cos(half of the difference of azimuths) times its larger end.
 """
 
 from __future__ import annotations
@@ -18,25 +20,24 @@ from numpy.typing import NDArray
 from humansim_ros.errors import SceneError
 from humansim_ros.types import Array, FloatArray, Indices
 
-#: Rows of rays, unless there are so many elevations; and columns of a turn.
+#: Number of rows of rays, but one row per elevation if there are at most ``_MOST_ROWS`` elevations; and
+#: columns of a turn.
 _ROWS, _MOST_ROWS, _COLUMNS = 128, 256, 2048
-#: Radians by which bounds are enlarged for rounding of single floats.
+#: Radians by which bounds are enlarged, since single precision rounds.
 _MARGIN = 1e-5
-#: Azimuths between the corners of a triangle from which all azimuths are tried.
+#: If the azimuths of a triangle span more than this, all azimuths are tried.
 _WIDE = 2.4
-#: Pairs of ray and triangle that are tested at once.
+#: Number of pairs of ray and triangle that are tested at once.
 _BATCH = 1 << 17
-#: Most pairs of the rays between two frames and the triangles of a surface.
+#: Most pairs of the rays between two frames with the triangles of one surface.
 _MAX_PAIRS = 30_000_000
 _TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
 class Angles:
-    """Azimuth in radians, and tangent of the elevation, of points (V,) seen from the origin of a scanner.
-
-    A point on the axis of the scanner has no azimuth: its tangent is infinite.
-    """
+    """Azimuth (radians) and tangent of the elevation of points (V,), seen from the origin of a scanner. A
+    point on the axis of the scanner has no azimuth. Its tangent is infinite."""
 
     azimuth: FloatArray
     tangent: FloatArray
@@ -52,7 +53,8 @@ class Angles:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounds of triangles (T,): first azimuth and azimuths from there, lowest and highest bounded tangent."""
+    """Bounds of triangles (T,): first azimuth, width in azimuth, and lowest and highest tangent of elevation
+    (see :func:`_bounded`)."""
 
     azimuth: FloatArray
     width: FloatArray
@@ -63,12 +65,12 @@ class Bounds:
     def of(
         cls, corners: NDArray[np.integer], moments: tuple[Angles, ...], margin: float | Array = 0.0
     ) -> Bounds:
-        """Bounds of all that lies between some points at several moments.
+        """Bounds of all that lies between points at several moments.
 
         Args:
             corners: (T, K) indices of the points of each triangle or other convex body.
             moments: The points at the moments between which they move in straight lines.
-            margin: Radians by which directions may deviate from that; (T,) or for all.
+            margin: Radians by which directions may deviate from straight lines: (T,), or one number for all.
         """
         first = moments[0].azimuth[corners[:, 0]]
         low = high = None
@@ -91,7 +93,7 @@ class Bounds:
             low = np.where(low < 0, low * bulge, low) - tolerance
             high = np.where(high > 0, high * bulge, high) + tolerance
             sideways = np.asarray(_MARGIN + margin, steep.dtype) * np.sqrt(1 + steep * steep)
-        # around the axis, or at the origin: any ray may meet it
+        # a triangle around the axis or at the origin may meet any ray
         wide = ~(width + 2 * sideways < _WIDE)
         return cls(
             np.where(wide, -np.pi, first + left - sideways),
@@ -106,7 +108,7 @@ class Bounds:
 
 
 def _bounded(tangent: FloatArray) -> FloatArray:
-    """Tangents of elevations as numbers from -1 to 1, in the same order."""
+    """Map tangents of elevations to numbers from -1 to 1. The order does not change."""
     return tangent / (1 + np.abs(tangent))
 
 
@@ -133,10 +135,10 @@ class RayIndex:
         np.maximum.at(self._high, row, height)
 
     def pairs(self, bounds: Bounds) -> Iterator[tuple[Indices, Indices]]:
-        """Batches of numbers of rays, and of the triangles within whose bounds they are.
+        """Batches of pairs: numbers of rays, and of the triangles with bounds around them.
 
         Raises:
-            SceneError: There are too many of both, so that it would take seconds.
+            SceneError: There are too many pairs, so that the test would take seconds.
         """
         triangle, start, count = self._runs(bounds)
         ends = np.cumsum(count)
@@ -153,7 +155,8 @@ class RayIndex:
             begin = end
 
     def _within(self, bounds: Bounds, place: Indices, triangle: Indices) -> tuple[Indices, Indices]:
-        """Pairs of ray and triangle whose ray is within the bounds: columns and rows are coarser."""
+        """Keep the pairs with the ray within the bounds of the triangle, since columns and rows are
+        coarser."""
         offset = self._azimuths[place] - bounds.azimuth[triangle]
         offset -= np.float32(_TURN) * np.floor(offset * np.float32(1 / _TURN))
         height = self._heights[place]
@@ -162,7 +165,7 @@ class RayIndex:
         return self._rays[place[inside]], triangle[inside]
 
     def _runs(self, bounds: Bounds) -> tuple[Indices, Indices, Indices]:
-        """Triangle, start and number of the rays of each run of rays within the bounds."""
+        """Triangle, start and length of each run of rays within bounds."""
         first = np.searchsorted(self._high, bounds.low, side="left")
         rows = np.searchsorted(self._low, bounds.high, side="right") - first
         triangle = np.flatnonzero(rows > 0)
@@ -183,7 +186,8 @@ class RayIndex:
 
 
 def _rows(height: Array) -> Indices:
-    """Row (N,) of each ray: one for each elevation, or for a range of them if there are many."""
+    """Row (N,) of each ray. Each elevation has its row; if there are many, a range of elevations has one
+    row."""
     _, row = np.unique(np.rint(height * 1e7).astype(np.int64), return_inverse=True)
     if row.size and row.max() >= _MOST_ROWS:
         low, high = height.min(), height.max()

@@ -19,7 +19,7 @@ def reflectivity(mesh: Mesh, triangles: NDArray[np.integer], weights: Array) -> 
     Args:
         mesh: Mesh with vertex colours or a texture.
         triangles: (N,) triangles.
-        weights: (N, 2) barycentric weights of their second and third corners.
+        weights: (N, 2) barycentric weights of the second and third corners of the triangles.
     """
     shares = np.column_stack([1 - weights.sum(axis=1), weights])
     if mesh.texture is not None and mesh.uv is not None and mesh.uv_triangles is not None:

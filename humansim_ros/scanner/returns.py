@@ -1,4 +1,4 @@
-"""What a scanner reports of the surfaces that its beams meet: returns, intensity, noise and drop-outs."""
+"""Turn the surfaces that beams meet into what a scanner reports: returns, intensity, noise and drop-outs."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from humansim_ros.types import Array, Indices
 
-#: Which returns of a beam are reported. ``single``: of the middle of the beam alone, which has no width.
+#: Which returns of a beam are reported. ``single``: the beam has no width, so that only its middle counts.
 ReturnMode = Literal["single", "strongest", "last", "dual"]
 #: Whether the intensity is the reflectivity, or the received power.
 IntensityMode = Literal["calibrated", "raw"]
 #: Kinds of returns, as Autoware numbers them (``autoware_point_types``, ``ReturnType``).
 SINGLE_STRONGEST, SINGLE_LAST = 1, 2
 STRONGEST_FIRST, STRONGEST_LAST, WEAK_FIRST, WEAK_LAST, ONLY = 3, 4, 5, 6, 7
-#: Metres between surfaces that give two returns.
+#: Two surfaces give two returns if they are farther apart than this, metres.
 SEPARATION = 0.4
 #: Distance in metres at which raw and calibrated intensity are the same.
 _REFERENCE = 1.0
@@ -33,9 +33,9 @@ class Measuring:
         divergence: Opening angle of a beam, radians.
         noise: Standard deviation of distances, metres.
         dropout: Share of returns that are lost at random.
-        range_10: Distance in metres up to which a surface that reflects a tenth of the light is seen at a
-            right angle; None if all surfaces are seen. Darker surfaces, and others at grazing angles, are
-            lost before.
+        range_10: Largest distance in metres at which a surface that reflects 10 % of the light is seen, at a
+            right angle. Darker surfaces and surfaces at grazing angles are lost at shorter distances. If
+            None, all surfaces are seen.
         intensity: Whether the intensity is the reflectivity, or the received power.
     """
 
@@ -62,10 +62,11 @@ class Returns:
         kinds: (P,) uint8 kind of each return, such as :data:`SINGLE_STRONGEST`.
         ranges: (P,) true distance, metres.
         measured: (P,) measured distance, metres.
-        intensities: (P,) 0 to 1: share of the light that a white surface at a right angle reflects; raw
-            intensity is divided by the squared distance, and not bounded.
+        intensities: (P,) 0 to 1: reflected light as a share of that of a white surface at a right angle. Raw
+            intensity is divided by the squared distance, and has no upper bound.
+
         surfaces: (P,) numbers of the surfaces.
-        triangles: (P,) triangles.
+        triangles: (P,) indices of the triangles in their surfaces.
     """
 
     rays: Indices
@@ -77,17 +78,17 @@ class Returns:
     triangles: NDArray[np.int32]
 
     def take(self, chosen: Any) -> Returns:
-        """Some of the returns."""
+        """The chosen returns."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in self.__dataclass_fields__})
 
 
 def measure(echoes: Returns, subrays: int, measuring: Measuring, random: np.random.Generator) -> Returns:
-    """What is reported of the surfaces that the rays of all beams meet.
+    """Compute the returns that a scanner reports.
 
     Args:
         echoes: A return for each ray that meets a surface, with its true distance, and the share of the light
             that the surface reflects back as intensity.
-        subrays: Rays of a beam; with more than one, numbers of rays are divided by it.
+        subrays: Rays per beam. Numbers of rays are divided by it to get numbers of beams.
         measuring: How the scanner measures.
         random: Random numbers of the sweep.
     """
@@ -106,10 +107,8 @@ def measure(echoes: Returns, subrays: int, measuring: Measuring, random: np.rand
 
 
 def _merged(echoes: Returns, subrays: int) -> Returns:
-    """Returns of beams: surfaces at about the same distance give one return.
-
-    Its distance is the mean over the received power, its surface the one with most power.
-    """
+    """Merge the rays of each beam: surfaces at about the same distance give one return. The distance of a
+    return is the mean, weighted by received power. Its surface is the one with most power."""
     beam = echoes.rays // subrays
     order = np.lexsort((echoes.ranges, beam))
     echoes, beam = replace(echoes, rays=beam).take(order), beam[order]
@@ -130,9 +129,8 @@ def _merged(echoes: Returns, subrays: int) -> Returns:
 
 
 def _chosen(echoes: Returns, mode: ReturnMode) -> Returns:
-    """The returns that a mode reports; in ``dual`` the strongest and the last, or the two strongest if these
-    are the same, as Velodyne's manuals describe it.
-    """
+    """Choose the returns that a mode reports. ``dual``: the strongest and the last return. If these are the
+    same, the two strongest, as in Velodyne's manuals."""
     power = echoes.intensities / np.maximum(echoes.ranges, 1e-6) ** 2
     if not len(power):
         return echoes

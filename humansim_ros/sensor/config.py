@@ -1,4 +1,4 @@
-"""Settings of a sensor in a scene file; by default all effects are off (docs/sensors.md)."""
+"""Settings of a sensor in a scene file. By default all effects are off (docs/sensors.md)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Noise(Section):
 
 
 class Vignetting(Section):
-    """Loss of light towards the corners; several factors are multiplied."""
+    """Vignetting: loss of light towards the corners. Several factors are multiplied."""
 
     cos4: bool = Field(default=False, description="natural falloff: cos^4 of the angle to the optical axis")
     corner: float = Field(

@@ -1,8 +1,8 @@
-"""Depth sensors: from the exact depth of a second optics to the depth that a driver publishes.
+"""Depth sensors: from the exact depth that their own optics see to the depth that a driver publishes.
 
-The surface of a pixel is taken as a plane. The inverse depth of a plane n . X = 1 is linear in pixels,
-w(u, v) = n . K^-1 (u, v, 1). So the differences of neighbouring pixels give the angle to the surface, and its
-depth on the rays around, without an error on flat surfaces.
+The surface at a pixel is taken as a plane. The inverse depth of a plane n . X = 1 is linear in pixels, w(u,
+v) = n . K^-1 (u, v, 1). So the differences between neighbouring pixels give the angle of the surface, and its
+depth on rays nearby. On flat surfaces this has no error.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from humansim_ros.sensor.depth_config import MAX_DEPTH, DepthSensorConfig
 from humansim_ros.sensor.sensor import generator, luminance, normal_numbers, srgb_to_light
 from humansim_ros.types import Array, Float32Array, Image, Indices
 
-#: Millimetres of depth, (H, W); 0 where nothing is measured (REP-118).
+#: Depth in millimetres, (H, W). It is 0 where nothing is measured (REP-118).
 Millimetres = NDArray[np.uint16]
 
-#: Reflectivity (H, W) of surfaces, or one for all.
+#: Reflectivity (H, W) of surfaces, or one number for all.
 Reflectivity = Float32Array | np.float32
-#: Depth (H, W) in metres, and pixels (H, W) that measure it.
+#: Depth (H, W) in metres, and mask (H, W) of the pixels that have a measurement.
 Measurement = tuple[Float32Array, NDArray[np.bool_]]
 
-#: Standard deviation of the point spread of time of flight, pixels: surfaces at its edges are mixed.
+#: Standard deviation of the point spread of time of flight, pixels. At edges, surfaces are mixed by it.
 _SPREAD = 0.5
 #: Largest footprint of a depth pixel in the colour image, pixels.
 _WIDEST = 16
-#: Share of the inverse depth that rounding changes.
+#: Rounding changes the inverse depth by up to this share.
 _ROUNDING = np.float32(1e-3)
 
 
@@ -44,10 +44,10 @@ class Surfaces:
 
     Attributes:
         depth: (H, W) metres along the optical axis, inf where nothing is.
-        inverse: (H, W) its inverse, 0 where nothing is.
+        inverse: (H, W) 1 / depth, 0 where nothing is.
         slope_x: (H, W) change of the inverse per pixel to the right.
         slope_y: (H, W) change of the inverse per pixel downward.
-        rays: (3, H, W) x and y of the rays of the pixels, whose z is 1, and their length.
+        rays: (3, H, W) x and y of the rays of the pixels (z is 1), and the length of the rays.
         cosine: (H, W) cosine of the angle between ray and normal.
     """
 
@@ -60,11 +60,11 @@ class Surfaces:
 
     @classmethod
     def of(cls, depth: Float32Array, K: Array, rays: Float32Array) -> Surfaces:
-        """Find the planes of exact depth (H, W), without a difference across an edge."""
+        """Find the planes of exact depth (H, W). No difference is taken across an edge."""
         with np.errstate(divide="ignore"):
             inverse = np.float32(1) / depth
         slope_x, slope_y = _slope(inverse, 1), _slope(inverse, 0)
-        # the normal n of n . X = 1
+        # the normal n, from n . X = 1
         x, y = np.float32(K[0, 0]) * slope_x, np.float32(K[0, 1]) * slope_x + np.float32(K[1, 1]) * slope_y
         z = inverse - x * rays[0] - y * rays[1]
         length = np.sqrt(x * x + y * y + z * z) * rays[2]
@@ -78,7 +78,8 @@ class Surfaces:
 
 
 def _slope(inverse: Float32Array, axis: int) -> Float32Array:
-    """Change per pixel along an axis: to the neighbour that differs less, which is on the same surface."""
+    """Change per pixel along an axis. Of both neighbours, the one that differs less is used: it is on the
+    same surface."""
     step = np.diff(inverse, axis=axis)
     missing = np.full_like(np.take(inverse, [0], axis=axis), np.inf)
     before, after = np.concatenate([missing, step], axis), np.concatenate([step, missing], axis)
@@ -90,10 +91,11 @@ def _slope(inverse: Float32Array, axis: int) -> Float32Array:
 class DepthSensor:
     """Depth sensor of one camera.
 
-    ``name``: name of the camera, on which the random numbers depend, with the seed and the scene time.
+    ``name``: name of the camera. The random numbers depend on it, on the seed and on the scene time.
+
 
     Raises:
-        CameraError: No camera has its size and K, or its projector is too far away for its nearest depth.
+        CameraError: No camera has such a size and K, or its projector is too far away for its nearest depth.
     """
 
     config: DepthSensorConfig
@@ -109,7 +111,8 @@ class DepthSensor:
 
     @cached_property
     def optics(self) -> Camera:
-        """Size and K, with the pose of its optical frame in the optical frame of the camera as its world."""
+        """Size, K and pose of the depth sensor. The world of this camera is the optical frame of the colour
+        camera."""
         config = self.config
         if config.K is not None:
             k = np.array(config.K)
@@ -125,11 +128,9 @@ class DepthSensor:
         return Camera(own.size, own.K, own.R @ R, own.R @ t + own.t)
 
     def second_camera(self, camera: Camera) -> Camera | None:
-        """Projector, or right imager, of the camera of :meth:`camera_at`; None for time of flight.
-
-        Its rows are rows of the depth image. The image of a projector is wider, so that all that the
-        sensor sees in its range is in it.
-        """
+        """Projector, or right imager, for the camera of :meth:`camera_at`; None for time of flight. The rows
+        of this camera are rows of the depth image. The image of a projector is wider, so that it contains all
+        that the sensor sees in its range."""
         if self.config.baseline is None:
             return None
         k = camera.K.copy()
@@ -139,7 +140,7 @@ class DepthSensor:
 
     @property
     def needs_light(self) -> bool:
-        """Whether it depends on the reflectivity of surfaces."""
+        """Whether the sensor depends on the reflectivity of surfaces."""
         return self.config.dark is not None
 
     def measure(
@@ -153,9 +154,9 @@ class DepthSensor:
 
         Args:
             depth: Exact depth (H, W) of :meth:`camera_at`, metres; inf where nothing is.
-            stamp: Scene time, nanoseconds; the random errors depend on it.
+            stamp: Scene time, nanoseconds. The random errors depend on it.
             second: Exact depth of :meth:`second_camera`.
-            colours: (H, W, 3) sRGB of :meth:`camera_at`. Surfaces are white if None.
+            colours: (H, W, 3) sRGB of :meth:`camera_at`. If None, surfaces are white.
         """
         config = self.config
         surfaces = Surfaces.of(depth, self.optics.K, self._rays)
@@ -166,7 +167,7 @@ class DepthSensor:
             "active_stereo": self._active_stereo,
             "time_of_flight": self._time_of_flight,
         }[cast(str, config.model)]
-        with np.errstate(all="ignore"):  # of pixels that show nothing
+        with np.errstate(all="ignore"):  # pixels that show nothing cause warnings
             measured, seen = model(surfaces, reflectivity, random)
             seen = seen & (surfaces.cosine > np.cos(np.radians(config.grazing_deg)))
             if second is not None:
@@ -178,14 +179,14 @@ class DepthSensor:
     def _structured_light(
         self, surfaces: Surfaces, _: Reflectivity, random: np.random.Generator
     ) -> Measurement:
-        """Axial and lateral noise of [Nguyen 2012], and the steps of the disparity."""
+        """Axial and lateral noise of [Nguyen 2012], and rounding to steps of the disparity."""
         angle = np.minimum(surfaces.angle, np.float32(np.radians(self.config.grazing_deg)))
         away = np.float32(np.pi / 2) - angle
         lateral = np.float32(self.config.noise) * (np.float32(0.8) + np.float32(0.035) * angle / away)
         depth = _moved(surfaces, lateral, random)
         axial = np.float32(self.config.noise) * axial_noise(depth, angle)
         step = self._disparity_error(depth)
-        # the noise that Nguyen measured contains the error of rounding
+        # the noise that Nguyen measured contains the rounding error
         variance = axial**2 - step**2 / 12
         depth += np.sqrt(np.maximum(variance, 0)) * normal_numbers(depth.shape, random)
         return self._rounded(depth), np.isfinite(depth)
@@ -193,7 +194,7 @@ class DepthSensor:
     def _active_stereo(
         self, surfaces: Surfaces, reflectivity: Reflectivity, random: np.random.Generator
     ) -> Measurement:
-        """Error of the disparity, dz = z^2 dd / (f B), and its steps."""
+        """Error of the disparity, dz = z^2 dd / (f B), and rounding to its steps."""
         noise = self.config.noise * cast(float, self.config.disparity_noise)
         disparity = np.float32(self._focal_baseline) * surfaces.inverse
         disparity += np.float32(noise) * normal_numbers(disparity.shape, random)
@@ -208,7 +209,7 @@ class DepthSensor:
         along = surfaces.rays[2]
         distance = np.where(surfaces.inverse > 0, surfaces.depth * along, np.float32(0))
         signal = np.where(distance > 0, reflectivity * surfaces.cosine / distance**2, np.float32(0))
-        # without ambiguity, all that is measured is within half a turn
+        # if the sensor has no ambiguity, everything that is measured is within half a turn
         turn = config.ambiguity or 4 * MAX_DEPTH
         phase = np.float32(2 * np.pi / turn) * distance
         mixed = cv2.GaussianBlur(np.dstack([signal * np.cos(phase), signal * np.sin(phase)]), (3, 3), _SPREAD)
@@ -220,23 +221,21 @@ class DepthSensor:
         return distance / along, (signal > 0) & (signal >= cast(float, config.dark))
 
     def _lit(self, surfaces: Surfaces, second: Float32Array) -> NDArray[np.bool_]:
-        """Pixels (H, W) whose surface is also seen from the second camera.
-
-        Its depth at the place of the point is the depth of the point, or of what is in front of it.
-        """
+        """Pixels (H, W) with a surface that the second camera sees, too. It sees the point if its depth there
+        is that of the point, and not that of something in front."""
         inverse = surfaces.inverse
         shift = np.float32(self._focal_baseline)
         columns = np.arange(inverse.shape[1], dtype=np.float32) + np.float32(self._margin)
         place = np.rint(columns - shift * inverse).astype(np.intp)
         inside = (place >= 0) & (place < second.shape[1])
         behind = np.float32(1) / np.take_along_axis(second, np.where(inside, place, 0), axis=1)
-        # the same plane in the second image; a surface that faces away from it has no width there
+        # the same plane in the second image; a surface that faces away has no width there
         width = 1 - shift * surfaces.slope_x
         slack = np.abs(surfaces.slope_x / width) / 2 + _ROUNDING * inverse
         return inside & (width > 0) & (behind <= inverse + slack)
 
     def _rounded(self, depth: Float32Array) -> Float32Array:
-        """Depth (H, W) of the nearest step of the disparity."""
+        """Depth (H, W), rounded to the nearest step of the disparity."""
         step = cast(float, self.config.disparity_step)
         if step == 0:
             return depth
@@ -244,7 +243,7 @@ class DepthSensor:
         return quantum / np.rint(quantum / depth)
 
     def _disparity_error(self, depth: Float32Array) -> Float32Array:
-        """Difference (H, W) in metres that a step of the disparity makes."""
+        """Difference of depth (H, W) in metres between two steps of the disparity."""
         return depth**2 * np.float32(cast(float, self.config.disparity_step) / self._focal_baseline)
 
     @property
@@ -253,7 +252,7 @@ class DepthSensor:
 
     @cached_property
     def _margin(self) -> int:
-        """Columns that the image of a projector has more at its left; a right imager has none."""
+        """Additional columns at the left of a projector's image. A right imager has none."""
         if self.config.model != "structured_light":
             return 0
         return int(np.ceil(self._focal_baseline / self.config.range[0]))
@@ -267,10 +266,8 @@ class DepthSensor:
 
 
 def infrared_reflectivity(colours: Image) -> Float32Array:
-    """Reflectivity (H, W) at the wavelength of depth sensors, of sRGB colours (H, W, 3).
-
-    It is the square root of the luminance: dyes of cloth and carpets absorb less in the near infrared.
-    """
+    """Reflectivity (H, W) at the wavelength of depth sensors, of sRGB colours (H, W, 3). It is the square
+    root of the luminance, since dyes of cloth and carpets absorb less in the near infrared."""
     return np.sqrt(luminance(srgb_to_light(colours)))
 
 
@@ -279,7 +276,7 @@ def axial_noise(depth: Float32Array, angle: Float32Array) -> Float32Array:
 
     Args:
         depth: Metres along the optical axis.
-        angle: Between ray and normal, radians.
+        angle: Angle between ray and normal, radians.
     """
     away = np.float32(np.pi / 2) - angle
     return np.asarray(
@@ -289,11 +286,9 @@ def axial_noise(depth: Float32Array, angle: Float32Array) -> Float32Array:
 
 
 def _moved(surfaces: Surfaces, lateral: Float32Array, random: np.random.Generator) -> Float32Array:
-    """Depth (H, W) of the surfaces that pixels see which are displaced at random.
-
-    The plane of the displaced pixel is met on the ray of the pixel itself: flat surfaces stay.
-    ``lateral``: (H, W) standard deviation of the displacement along x and along y, pixels.
-    """
+    """Depth (H, W) when each pixel sees the surface of a randomly displaced pixel. The plane of the displaced
+    pixel is intersected with the ray of the pixel itself, so that flat surfaces stay flat. ``lateral``: (H,
+    W) standard deviation of the displacement along x and along y, pixels."""
     height, width = surfaces.inverse.shape
     across, down = (lateral * normal_numbers(lateral.shape, random) for _ in range(2))
     columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
@@ -304,20 +299,19 @@ def _moved(surfaces: Surfaces, lateral: Float32Array, random: np.random.Generato
         part.reshape(-1).take(places) for part in (surfaces.inverse, surfaces.slope_x, surfaces.slope_y)
     )
     moved = inverse + slope_x * (columns - x) + slope_y * (rows - y)
-    # where the plane would be behind the sensor, the depth of the displaced pixel
+    # if the plane would be behind the sensor, the depth of the displaced pixel is used
     return np.asarray(1 / np.where(moved > 0, moved, inverse), dtype=np.float32)
 
 
 def metres(depth: Millimetres) -> Float32Array:
-    """Depth (H, W) in metres, as depth_image_proc converts 16UC1 to 32FC1; NaN where nothing is measured."""
+    """Convert depth to metres (H, W), as depth_image_proc converts 16UC1 to 32FC1. NaN where nothing is
+    measured."""
     return np.where(depth > 0, depth * np.float32(0.001), np.float32(np.nan))
 
 
 def points_of(depth: Float32Array, rays: Array) -> Float32Array:
-    """Points (H, W, 3) of depth (H, W) in metres, in the optical frame; NaN where the depth is not finite.
-
-    ``rays``: x and y (2, H W) of the rays of the pixels, whose z is 1.
-    """
+    """Points (H, W, 3) of depth (H, W) in metres, optical frame. NaN where the depth is not finite. ``rays``:
+    x and y (2, H W) of the rays of the pixels (z is 1)."""
     points = np.empty((*depth.shape, 3), np.float32)
     points[..., 2] = np.where(np.isfinite(depth), depth, np.float32(np.nan))
     points[..., 0], points[..., 1] = (ray.reshape(depth.shape) * points[..., 2] for ray in rays)
@@ -325,14 +319,17 @@ def points_of(depth: Float32Array, rays: Array) -> Float32Array:
 
 
 def aligned(depth: Millimetres, rays: Array, camera: Camera, other: Camera) -> Millimetres:
-    """Depth of a camera in the pixels of another camera, as drivers register it to the colour image.
+    """Convert the depth of one camera to the pixels of another, as drivers register depth to the colour
+    image.
 
-    Each depth pixel covers the pixels whose centres are in its footprint; the nearest one counts. Surfaces
-    that only the other camera sees have none.
+    Each depth pixel has a footprint in the other image and covers the pixels with centres in it. Where
+    several footprints overlap, the nearest surface counts. Surfaces that only the other camera sees have no
+    depth.
+
 
     Args:
         depth: (h, w) of ``camera``.
-        rays: x and y (2, h w) of its rays.
+        rays: x and y (2, h w) of the rays of ``camera``.
         camera: Camera of the depth, without distortion, in the same world as ``other``.
         other: Camera of the result, with any lens.
 
@@ -344,7 +341,7 @@ def aligned(depth: Millimetres, rays: Array, camera: Camera, other: Camera) -> M
     z = depth.reshape(-1)[seen] * np.float32(0.001)
     points = _in_frame_of(other, camera, np.stack([*rays.astype(np.float32)[:, seen] * z, z]))
     with np.errstate(all="ignore"):
-        # half of the footprint, which faces the other camera
+        # half of the footprint, which is parallel to the image plane of the other camera
         half = z / points[2] / 2
         spans = [
             _span(pixels, half * np.float32(other.K[axis, axis] / camera.K[axis, axis]), size)
@@ -381,7 +378,7 @@ def _pixels(camera: Camera, points: Float32Array) -> Float32Array:
 
 
 def _span(centre: Float32Array, half: Float32Array, size: int) -> tuple[Indices, Indices]:
-    """First pixel (N,) and number (N,) of the pixels along one axis that footprints cover.
+    """First pixel (N,) and number of pixels (N,) along one axis that footprints cover.
 
     Args:
         centre: (N,) middles of the footprints, pixels; NaN for none.
@@ -389,7 +386,7 @@ def _span(centre: Float32Array, half: Float32Array, size: int) -> tuple[Indices,
         size: Number of pixels of the image.
     """
     half = np.minimum(half, np.float32(_WIDEST / 2))
-    # fmin makes NaN the end of the image, too
+    # fmin turns NaN into the end of the image, too
     first, last = (
         np.fmax(np.fmin(np.ceil(end), size), 0).astype(np.intp) for end in (centre - half, centre + half)
     )

@@ -13,7 +13,7 @@ Model = Literal["structured_light", "active_stereo", "time_of_flight"]
 Preset = Literal[
     "kinect_v1", "kinect_v2", "azure_kinect_nfov", "azure_kinect_wfov", "realsense_d435", "realsense_d455"
 ]
-#: Largest depth of 16UC1 in millimetres, metres.
+#: Largest depth of 16UC1 images (65535 mm), metres.
 MAX_DEPTH = 65.535
 _Offset = Annotated[float, Field(ge=-10, le=10)]
 _Angle = Annotated[float, Field(ge=-360, le=360)]
@@ -21,14 +21,14 @@ _Row = tuple[float, float, float]
 _Distance = Annotated[float, Field(ge=0.01, le=MAX_DEPTH)]
 
 _TABLE = read_table("depth_sensors")
-#: Keys of each model with their defaults. No other model has them.
+#: Keys of each model with their defaults. Other models do not have these keys.
 MODEL_KEYS: dict[str, dict[str, float | None]] = _TABLE["models"]
-#: Keys of sensors by name; docs/depth_cameras.md names their sources.
+#: Keys of each preset (sensors by name). docs/depth_cameras.md names the sources.
 PRESETS: dict[str, dict[str, Any]] = _TABLE["presets"]
 
 
 class DepthSensorConfig(ShortSection):
-    """Depth sensor of a camera: optics of its own beside the colour optics, and its errors."""
+    """Depth sensor of a camera. It has its own optics, next to the colour optics, and its own errors."""
 
     short_key: ClassVar[str] = "preset"
 
@@ -96,7 +96,7 @@ class DepthSensorConfig(ShortSection):
     @model_validator(mode="before")
     @classmethod
     def _text_alone(cls, value: Any) -> Any:
-        """Settings of the preset and of the model, changed by the keys that are given."""
+        """Settings of the preset and of the model, with the given keys in place of theirs."""
         given = {"preset": value} if isinstance(value, str) else value
         if not isinstance(given, dict):
             return given

@@ -9,7 +9,7 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.sensor.config import ChromaticAberration, Vignetting
 from humansim_ros.types import Array, Float32Array
 
-#: Distance of the pixels whose rays are computed; the inverse of a distortion is slow.
+#: The rays are computed for every fourth pixel, since the inverse of a distortion is slow.
 _STEP = 4
 
 
@@ -33,10 +33,8 @@ def transmission(camera: Camera, vignetting: Vignetting) -> Float32Array:
 
 
 def _cos4_falloff(camera: Camera) -> Float32Array:
-    """cos^4 (H, W) of the angle between each pixel's ray and the optical axis, 0 for pixels without a ray.
-
-    Interpolated linearly between every fourth pixel, with an error below 16 / f^2.
-    """
+    """cos^4 (H, W) of the angle between each pixel's ray and the optical axis. 0 for pixels without a ray. It
+    is interpolated linearly between every fourth pixel, with an error below 16 / f^2."""
     width, height = camera.size
     columns, rows = (np.arange(0, n - 1 + _STEP, _STEP) for n in (width, height))
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
@@ -67,25 +65,26 @@ def aberrate(light: Float32Array, camera: Camera, aberration: ChromaticAberratio
     return out
 
 
-#: Shortest exposure, seconds: stamps are whole nanoseconds.
+#: Shortest exposure, seconds, since stamps are whole nanoseconds.
 _SHORTEST = 1e-9
 
 
 def sample_times(height: int, exposure: float, row_time: float, samples: int) -> Array:
     """Times at which the scene is rendered.
 
-    A global shutter uses the midpoints of equal parts of the exposure; a rolling shutter distributes the
-    times evenly from the start of the first row to the end of the last.
+    With a global shutter, they are the midpoints of equal parts of the exposure. With a rolling shutter, they
+    are spread evenly from the start of the first row to the end of the last row.
+
 
     Args:
         height: Number of image rows.
         exposure: Exposure time of a row, seconds.
-        row_time: Time between the exposures of a row and the next, seconds; 0 for a global shutter.
+        row_time: Time from the exposure of one row to that of the next, seconds. 0 for a global shutter.
         samples: Number of times.
 
     Returns:
-        Times (T,) in seconds from the midpoint of the exposure of the middle row; one 0.0 if there is neither
-        motion blur nor a rolling shutter.
+        Times (T,) in seconds from the midpoint of the exposure of the middle row. A single 0.0 if there is
+        neither motion blur nor a rolling shutter.
     """
     span = exposure + (height - 1) * row_time
     if span < _SHORTEST or samples == 1:
@@ -96,7 +95,7 @@ def sample_times(height: int, exposure: float, row_time: float, samples: int) ->
 
 
 def row_weights(height: int, exposure: float, row_time: float, samples: int) -> Array:
-    """Weights of the times of :func:`sample_times` in the light of each row.
+    """Weights of the images at :func:`sample_times` in the light of each row.
 
     With a rolling shutter, the midpoint of the exposure of row y is (y - (H - 1) / 2) row_time. Light is
     interpolated linearly between samples, so that the mean time of each row is exact for any number of
@@ -105,11 +104,11 @@ def row_weights(height: int, exposure: float, row_time: float, samples: int) -> 
     Args:
         height: Number of image rows.
         exposure: Exposure time of a row, seconds.
-        row_time: Time between the exposures of a row and the next, seconds.
+        row_time: Time from the exposure of one row to that of the next, seconds.
         samples: Number of times.
 
     Returns:
-        Weights (H, T); rows sum to 1.
+        Weights (H, T). The sum of each row is 1.
     """
     times = sample_times(height, exposure, row_time, samples)
     if len(times) == 1 or row_time == 0:

@@ -1,9 +1,9 @@
 """The sensor: from rendered images to the images that a driver publishes.
 
-The effects in the order of the light: it passes the lens (chromatic aberration, vignetting) while the shutter
-is open (motion blur, rolling shutter), passes the colour filters, and releases electrons (exposure, shot
-noise, dark current) until the pixel saturates. The electrons are read (read noise), amplified (gain, white
-balance), converted to numbers through the response curve, and compressed.
+The effects come in the order of the light. The light passes the lens (chromatic aberration, vignetting) while
+the shutter is open (motion blur, rolling shutter), passes the colour filters, and releases electrons
+(exposure, shot noise, dark current) until the pixel saturates. The electrons are read (read noise), amplified
+(gain, white balance), converted to numbers through the response curve, and compressed.
 """
 
 from __future__ import annotations
@@ -24,22 +24,19 @@ from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.sensor.optics import aberrate, corner_distance, row_weights, sample_times, transmission
 from humansim_ros.types import Array, Float32Array, Image
 
-#: Mean number of electrons from which a normal distribution replaces the Poisson distribution.
+#: From this mean number of electrons on, a normal distribution replaces the Poisson distribution.
 _NORMAL_FROM = 20.0
 
 
 def generator(seed: int, camera: str, stamp: int) -> np.random.Generator:
-    """Random generator of a frame. It depends on these values only, so that frames are reproducible."""
+    """Random generator of a frame. It depends only on the arguments, so that frames are reproducible."""
     digest = hashlib.sha256(f"{seed} {stamp} {camera}".encode()).digest()
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
 def add_noise(electrons: Float32Array, read_noise: float, random: np.random.Generator) -> Float32Array:
-    """Draw the electrons that are read where ``electrons`` (H, N) are expected.
-
-    Shot noise is Poisson distributed; read noise is normal with standard deviation ``read_noise``. Results
-    may be negative.
-    """
+    """Draw random numbers of electrons. ``electrons``: (H, N) expected numbers. Shot noise is Poisson
+    distributed; read noise is normal with standard deviation ``read_noise``. Results may be negative."""
     normal = normal_numbers(electrons.shape, random)
     out = np.sqrt(electrons + np.float32(read_noise**2))
     out *= normal
@@ -51,7 +48,7 @@ def add_noise(electrons: Float32Array, read_noise: float, random: np.random.Gene
 
 
 def normal_numbers(shape: tuple[int, ...], random: np.random.Generator) -> Float32Array:
-    """Standard normal numbers from a table of quantiles, in a fifth of the time of ``standard_normal``."""
+    """Standard normal numbers from a table of quantiles: five times as fast as ``standard_normal``."""
     count = int(np.prod(shape))
     uniform = np.frombuffer(random.bytes(2 * count), "<u2")
     return np.take(_quantiles(), uniform).reshape(shape)
@@ -59,8 +56,8 @@ def normal_numbers(shape: tuple[int, ...], random: np.random.Generator) -> Float
 
 @cache
 def _quantiles() -> Float32Array:
-    """65536 equally likely standard normal numbers, up to 4.3 standard deviations."""
-    from scipy.special import ndtri  # slow to import, and few cameras have noise
+    """65536 equally likely standard normal numbers. The largest is 4.3 standard deviations."""
+    from scipy.special import ndtri  # imported here, since the import is slow and few cameras have noise
 
     values = ndtri((np.arange(1 << 16) + 0.5) / (1 << 16))
     return np.asarray(values / values.std(), dtype=np.float32)
@@ -68,12 +65,12 @@ def _quantiles() -> Float32Array:
 
 #: Largest value of the analog-to-digital converter.
 LEVELS = 65535
-#: Weights of red, green and blue of linear sRGB in the luminance (IEC 61966-2-1, ITU-R BT.709).
+#: Weights of red, green and blue in the luminance of linear sRGB (IEC 61966-2-1, ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
 
 
 def response_table(response: str | float) -> Image:
-    """8-bit value (65536,) of each level of the converter."""
+    """8-bit value of each level (65536,) of the converter."""
     light = np.arange(LEVELS + 1) / LEVELS
     if response == "srgb":
         values = encode_srgb(light)
@@ -88,14 +85,14 @@ def luminance(light: Float32Array) -> Float32Array:
 
 
 def bayer_mosaic(image: NDArray[Any]) -> NDArray[Any]:
-    """Samples (H, W) of an image (H, W, 3) behind a Bayer filter: red, green / green, blue."""
+    """Samples (H, W) of an image (H, W, 3) behind a Bayer filter with the rows red, green and green, blue."""
     out = np.array(image[..., 1], order="C")
     out[0::2, 0::2] = image[0::2, 0::2, 0]
     out[1::2, 1::2] = image[1::2, 1::2, 2]
     return out
 
 
-#: Samples that are processed at a time, so that they fit into the processor cache.
+#: Number of samples that are processed at a time, so that they fit into the processor cache.
 _BLOCK = 1 << 16
 #: Settings that do not change the light.
 _NOT_LIGHT = {"encoding", "jpeg", "seed", "samples"}
@@ -107,8 +104,8 @@ class Sensor:
     Args:
         config: Settings of the sensor.
         camera: Camera that the images are rendered for.
-        name: Name of the camera. Cameras with different names have different noise: the random numbers of an
-            image depend on the seed, the name and the time of the frame only.
+        name: Name of the camera. Cameras with different names have different noise, since the random numbers
+            of an image depend only on the seed, the name and the time of the frame.
 
     Attributes:
         active: Whether the sensor changes images.
@@ -143,15 +140,13 @@ class Sensor:
             raise CameraError(message, key="sensor.chromatic_aberration")
 
     def times(self) -> Array:
-        """Times (T,) at which the scene must be rendered, seconds from the stamp of the frame.
-
-        The stamp is the midpoint of the exposure of the middle row. There is one time, 0.0, without motion
-        blur and rolling shutter.
-        """
+        """Times (T,) at which the scene must be rendered, seconds from the stamp of the frame. The stamp is
+        the midpoint of the exposure of the middle row. Without motion blur and rolling shutter, there is a
+        single time, 0.0."""
         return sample_times(*self._shutter)
 
     def weights(self) -> Array:
-        """Weights (H, T) of the images of :meth:`times` in each row."""
+        """Weights (H, T) of the images of :meth:`times` for each row."""
         return row_weights(*self._shutter)
 
     def expose(self, images: Iterable[Image], stamp: int, light: Float32Array | None = None) -> Image:
@@ -162,9 +157,10 @@ class Sensor:
 
         Args:
             images: Images (H, W, 3) sRGB rendered at :meth:`times`.
-            stamp: Time of the frame, nanoseconds; the noise depends on it. Scenes give the scene time, so
-                that the same frame has the same noise whenever it is played.
-            light: Factors of the light, (H, 1) or (H, W); none if None.
+            stamp: Time of the frame, nanoseconds. The noise depends on it. Scenes pass the scene time, so
+                that the same frame always has the same noise.
+
+            light: Factors of the light, (H, 1) or (H, W). If None, the light is not changed.
 
         Returns:
             Image in the encoding of the sensor: (H, W, 3), or (H, W) for mono8 and bayer_rggb8.
@@ -200,7 +196,7 @@ class Sensor:
             raise CameraError(f"the sensor needs {expected} images for a frame, not {count}")
 
     def _light(self, images: Iterator[Image]) -> Float32Array:
-        """Light (H, W, 3) behind the lens during the exposure; 1 is white."""
+        """Light (H, W, 3) behind the lens during the exposure. White is 1."""
         if self._weights.shape[1] == 1:
             (image,) = images
             light = srgb_to_light(image)
@@ -223,7 +219,8 @@ class Sensor:
     def _digitize(
         self, light: Float32Array, random: np.random.Generator, factors: Float32Array | None
     ) -> Image:
-        """Values (H, W, 3) or (H, W) of light (H, W, 3) in front of the colour filters, times factors."""
+        """Digital values (H, W, 3) or (H, W). ``light``: (H, W, 3) in front of the colour filters. It is
+        multiplied by ``factors``."""
         if factors is not None:
             light = light * factors[..., None]
         config, noise = self.config, self.config.noise
@@ -248,7 +245,7 @@ class Sensor:
         return out
 
     def _filtered(self, light: NDArray[Any]) -> NDArray[Any]:
-        """Light (H, W, 3), or an 8-bit image, behind the colour filters."""
+        """Light, or an 8-bit image, (H, W, 3) behind the colour filters."""
         if self.config.encoding == "mono8":
             return luminance(light)
         return bayer_mosaic(light) if self.config.encoding == "bayer_rggb8" else light
@@ -268,7 +265,7 @@ class Sensor:
 
     @cached_property
     def _transmission(self) -> Float32Array | None:
-        """Fraction (H, N) of the light that reaches each sample; None without vignetting."""
+        """Fraction (H, N) of the light that reaches each sample; None if there is no vignetting."""
         if self.config.vignetting is None:
             return None
         fraction = transmission(self.camera, self.config.vignetting)
@@ -276,7 +273,7 @@ class Sensor:
 
     @cached_property
     def _amplification(self) -> Float32Array:
-        """Levels (H, N) of the converter per electron, or per unit of light without noise."""
+        """Levels (H, N) of the converter per electron. If there is no noise, levels per unit of light."""
         config = self.config
         width, height = self.camera.size
         well = 1.0 if config.noise is None else config.noise.full_well
@@ -292,7 +289,7 @@ class Sensor:
 
 
 def srgb_to_light(image: Image) -> Float32Array:
-    """Linear light of an image of sRGB values; 1 is white."""
+    """Linear light of an image of sRGB values. White is 1."""
     return np.asarray(cv2.LUT(image, _srgb_table()), dtype=np.float32)
 
 
@@ -302,13 +299,13 @@ def _srgb_table() -> Float32Array:
 
 
 def _blocks(image: NDArray[Any]) -> Iterator[slice]:
-    """Slices of the rows of an image."""
+    """Slices that divide the rows of an image into blocks."""
     step = max(1, _BLOCK * len(image) // image.size)
     return (slice(top, top + step) for top in range(0, len(image), step))
 
 
 def _flat(image: NDArray[Any]) -> NDArray[Any]:
-    """Samples (H, N) of an image (H, W) or (H, W, 3); NumPy is faster on long rows."""
+    """Samples (H, N) of an image (H, W) or (H, W, 3), since NumPy is faster on long rows."""
     return image.reshape(len(image), -1)
 
 
@@ -317,7 +314,7 @@ def _swap_red_blue(image: Image) -> Image:
 
 
 def _compress(image: Image, quality: int) -> Image:
-    """Image (H, W) or (H, W, 3) BGR after JPEG compression by OpenCV."""
+    """Compress an image (H, W) or (H, W, 3) BGR as JPEG by OpenCV, and return it decompressed."""
     done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise CameraError(f"an image of shape {image.shape} cannot be compressed", key="jpeg")

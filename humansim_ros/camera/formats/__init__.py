@@ -1,11 +1,11 @@
 """Calibration formats, one module per family of formats.
 
 To add a format, give it a row of ``config/calibration_formats.json``, and in a module here functions that
-recognise, read and write it (:func:`calibration_format`); then add it to :data:`FORMATS` below.
-The rest of the package needs no change: ``camera/calibration.py`` converts units and axes, guesses
-missing image sizes, checks cameras, writes files, and reports errors with file, line and key for all formats;
-the command line takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers,
-names, lists of cameras and names of lens models.
+recognise, read and write it (:func:`calibration_format`). Then add it to :data:`FORMATS` below. The rest of
+the package needs no change. ``camera/calibration.py`` converts units and axes, guesses missing image sizes,
+checks cameras, writes files, and reports errors with file, line and key for all formats. The command line
+takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers, names, lists of
+cameras and names of lens models.
 """
 
 from humansim_ros.camera.formats.base import CalibrationFile, RawCamera, SourceLocation
@@ -23,7 +23,7 @@ from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.camera.formats.transforms import BLENDER, TRANSFORMS
 
-#: All formats, in the order in which they are tried: the first one that recognises a file reads it.
+#: All formats in the order in which they are tried. The first one that recognises a file reads it.
 FORMATS: tuple[CalibrationFormat, ...] = (
     *(BUNDLER, MVSNET, EGOEXO, DLT, METASHAPE, VICON, MOTIVE, THEIA, OPENMVG, MESHROOM),
     *(ZED, K4A, BLENDER),
@@ -34,7 +34,7 @@ FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
 )
 
-#: All formats that are read, in this order: some are not written.
+#: All formats that can be read, in the order in which they are tried. Some cannot be written.
 READ_FORMATS = (*LAYOUTS, *FORMATS)
 
 __all__ = ["FORMATS", "READ_FORMATS", "CalibrationFile", "CalibrationFormat", "RawCamera", "SourceLocation"]

@@ -1,7 +1,7 @@
 """Shared parts of the calibration formats: parsed files, lists of cameras, lens models, rotations, numbers.
 
-A format reads a :class:`CalibrationFile` into :class:`RawCamera` objects in the unit and axes of the file,
-and writes cameras that are already in that unit and those axes; ``camera/calibration.py`` does the rest.
+A format reads a :class:`CalibrationFile` into :class:`RawCamera` objects in the unit and axes of the file. It
+writes cameras that are already in this unit and these axes. ``camera/calibration.py`` does the conversion.
 """
 
 from __future__ import annotations
@@ -29,27 +29,28 @@ from humansim_ros.types import Array, ImageSize
 
 Key = str | int
 
-#: Largest magnitude of a number: cameras have smaller ones, and the cubes of larger ones overflow.
+#: Largest magnitude of a number. Cameras have smaller numbers, and the cubes of larger numbers overflow.
 LARGEST = 1e15
-#: Longest line in characters: a line of COLMAP may hold a hundred thousand points of an image.
+#: Longest line in characters. A line of COLMAP may hold a hundred thousand points of an image.
 _LONGEST_LINE = 4 << 20
 #: From the camera axes of OpenGL (x right, y up, z backward) to those of OpenCV, as a transform.
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-#: The same as a rotation.
+#: ``OPENGL`` as a rotation (3, 3).
 FLIP = OPENGL[:3, :3]
-#: Largest difference from 1 of the length of a quaternion that is a rotation.
+#: The length of a quaternion may differ from 1 by this.
 _LENGTH_SLACK = 1e-2
 #: Most cameras of a file.
 MAX_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
-#: Suffixes of images, for formats that name cameras by their images.
+#: Suffixes of images, for formats that name cameras after their images.
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 
 
 @dataclass(frozen=True)
 class SourceLocation:
-    """Key and line of a value in a file. ``path``: the file, where it is not the file that is being read."""
+    """Key and line of a value in a file. ``path``: the file, if it is another one than the file that is being
+    read."""
 
     key: str | None = None
     line: int | None = None
@@ -58,12 +59,9 @@ class SourceLocation:
 
 @dataclass(frozen=True)
 class RawCamera:
-    """A camera in the unit and the world axes of its file.
-
-    ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R x + t; or ``center`` (3,) in place of t. R is None if
-    the file has no extrinsics of the camera. ``locations``: location of each of these values in the file; ""
-    is the location of the camera.
-    """
+    """A camera in the unit and the world axes of its file. ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R
+    x + t. The camera may have ``center`` (3,) in place of t. R is None if the file has no extrinsics of the
+    camera. ``locations``: place in the file of each of these values, and of the camera under ""."""
 
     K: Array
     R: Array | None = None
@@ -78,7 +76,7 @@ class RawCamera:
 
     @property
     def rotation(self) -> Array:
-        """R; the identity without extrinsics."""
+        """R, or the identity if the camera has no extrinsics."""
         return np.eye(3) if self.R is None else self.R
 
     @property
@@ -91,10 +89,10 @@ class RawCamera:
 class CalibrationFile:
     """A calibration file that is being read: its text and, except for plain text, its parsed content.
 
-    Keys are paths into ``document``. Wrong values raise CameraError with file, key, and line where known.
-    ``tree``, ``key_lines``: nodes of YAML, and lines of the keys of TOML. ``given_size``: image size that the
-    caller knows. ``syntax``: as of ``CalibrationFormat``. ``renamed``: keys of ``document`` -> their
-    names in the file, where they differ.
+    Keys are paths into ``document``. A wrong value raises CameraError, which names the file, the key, and the
+    line if it is known. ``tree``: nodes of YAML. ``key_lines``: lines of the keys of TOML. ``given_size``:
+    image size that the caller knows. ``syntax``: see ``CalibrationFormat``. ``renamed``: name in the file by
+    key of ``document``, where both differ.
     """
 
     path: str
@@ -120,7 +118,7 @@ class CalibrationFile:
         return CameraError(message, path=self.path, line=line or location.line, key=location.key)
 
     def get(self, *keys: Key) -> Any:
-        """Value at a key path; None if it is absent."""
+        """Value at a key path; None if the key is absent."""
         value = self.document
         for key in keys:
             if isinstance(value, Mapping):
@@ -146,14 +144,14 @@ class CalibrationFile:
         return value
 
     def items(self, *keys: Key) -> list[Any]:
-        """Values of the list at a key path; none if it is absent."""
+        """Values of the list at a key path. Empty if the key is absent."""
         value = self.get(*keys)
         if not isinstance(value, list | None):
             raise self.error("needs a list", *keys)
         return value or []
 
     def numbers(self, shape: tuple[int, ...], *keys: Key) -> Array:
-        """Array of a shape from numbers in row order; the nesting of their lists does not matter."""
+        """Array of a shape from numbers in row order. The nesting of their lists is ignored."""
         values = self.some_numbers(*keys)
         if len(values) != np.prod(shape):
             size = " x ".join(map(str, shape))
@@ -168,7 +166,7 @@ class CalibrationFile:
             raise self.error(str(reason), *keys) from None
 
     def number(self, *keys: Key, otherwise: float | None = None) -> float:
-        """Number at a key path; ``otherwise``, if that is given and the key is absent."""
+        """Number at a key path. If the key is absent, ``otherwise`` is returned, if given."""
         if otherwise is not None and self.get(*keys) is None:
             return otherwise
         return float(self.numbers((), *keys))
@@ -182,7 +180,7 @@ class CalibrationFile:
         return np.array(self.row(words, location.line or 0, location.key))
 
     def unit_rotation(self, xyzw: Array, *keys: Key, line: int | None = None) -> Array:
-        """Rotation (3, 3) of a quaternion (4,) from a key path or a line, whose length is about 1."""
+        """Rotation (3, 3) of a quaternion (4,) from a key path or a line. Its length must be about 1."""
         length = float(np.linalg.norm(xyzw))
         if abs(length - 1) > _LENGTH_SLACK:
             message = f"the quaternion is not a rotation: its length is {length:g}, not 1"
@@ -190,21 +188,20 @@ class CalibrationFile:
         return quaternion_to_matrix(xyzw / length)
 
     def optional_numbers(self, *keys: Key) -> Array:
-        """All numbers (N,) of a value in row order; (0,) if it is absent or an empty list."""
+        """All numbers (N,) of a value in row order. Empty, (0,), if the key is absent or the list is
+        empty."""
         return np.zeros(0) if self.get(*keys) in (None, []) else self.some_numbers(*keys)
 
     def pose_matrix(self, *keys: Key, rows: int, tolerance: float = 1e-9) -> Array:
-        """Matrix (3, 4) or (4, 4) of R and t, whose fourth row is 0 0 0 1 to a tolerance."""
+        """Matrix (3, 4) or (4, 4) of R and t. A fourth row must be 0 0 0 1 to a tolerance."""
         matrix = self.numbers((rows, 4), *keys)
         if rows == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], atol=tolerance):
             raise self.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
         return matrix
 
     def locations(self, at: Sequence[Key], **parts: str | Sequence[Key]) -> dict[str, SourceLocation]:
-        """Locations of a camera and of its parts.
-
-        ``parts``: their keys or key paths below the key path of the camera.
-        """
+        """Locations of a camera and of its values. ``parts``: keys of the values, or key paths below that of
+        the camera."""
         paths = {part: (key,) if isinstance(key, str) else key for part, key in parts.items()}
         return {"": self.location(*at), **{part: self.location(*at, *keys) for part, keys in paths.items()}}
 
@@ -213,7 +210,7 @@ class CalibrationFile:
         return self.positive_integer(*width), self.positive_integer(*height)
 
     def pair_size(self, *keys: Key) -> ImageSize | None:
-        """Image size from a list of width and height; None if it is absent."""
+        """Image size from a list of width and height; None if the key is absent."""
         if self.get(*keys) is None:
             return None
         values = self.numbers((2,), *keys)
@@ -229,7 +226,7 @@ class CalibrationFile:
         return int(value)
 
     def row(self, words: Iterable[str], line: int, key: str | None = None) -> list[float]:
-        """Numbers of a line of plain text."""
+        """Convert the words of a line of plain text to numbers."""
         try:
             return [to_number(word) for word in words]
         except ValueError as reason:
@@ -241,7 +238,7 @@ class CalibrationFile:
         """Add a camera under a unique name.
 
         Args:
-            cameras: Cameras of the file by name, to which it is added.
+            cameras: Cameras of the file by name. The camera is added to them.
             name: Name of the camera.
             camera: Camera in the unit and axes of the file.
             keys: Key path of the camera, for errors.
@@ -259,11 +256,11 @@ class CalibrationFile:
 
     @cached_property
     def head(self) -> list[str]:
-        """First three of :meth:`lines`, by which formats recognise a file."""
+        """First three of :meth:`lines`. Formats recognise a file by them."""
         return [line for _, line in islice(self.lines(), 3)]
 
     def all_lines(self) -> Iterator[tuple[int, str]]:
-        """Number (from 1) and text of each line, without blanks at its ends."""
+        """Number (from 1) and text of each line. Blanks at both ends are removed."""
         start = 0
         for number in count(1):
             end = self.text.find("\n", start)
@@ -282,10 +279,11 @@ def is_number(word: str) -> bool:
 
 
 def to_number(value: Any) -> float:
-    """Convert a value, which may be text (YAML 1.1 reads 1e-5 as text), to a finite number.
+    """Convert a value to a finite number. It may be text, since YAML 1.1 reads 1e-5 as text.
+
 
     Raises:
-        ValueError: It is not one; the message has the reason.
+        ValueError: The value is not a finite number. The message has the reason.
     """
     if isinstance(value, str):
         word = value.strip()
@@ -314,7 +312,8 @@ def _short(value: Any) -> str:
 
 
 def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
-    """Items of nested lists, at most ``most``: YAML aliases can multiply the content of a small file."""
+    """Items of nested lists, at most ``most``, since YAML aliases can multiply the content of a small
+    file."""
     if not isinstance(value, (list, tuple)):
         return [value]
     flat: list[Any] = []
@@ -329,7 +328,7 @@ def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
 
 def number(value: float) -> str:
     """Shortest text that reads back as the same number."""
-    return repr(float(value) + 0.0)  # no -0.0
+    return repr(float(value) + 0.0)  # adding 0.0 turns -0.0 into 0.0
 
 
 def row(values: Iterable[float], between: str = " ") -> str:
@@ -338,19 +337,18 @@ def row(values: Iterable[float], between: str = " ") -> str:
 
 
 def nested(matrix: Array | Sequence[float]) -> list[Any]:
-    """Nested lists of a matrix for JSON, without -0.0."""
+    """Nested lists of a matrix for JSON. -0.0 becomes 0.0."""
     return (np.asarray(matrix, dtype=float) + 0.0).tolist()
 
 
 def json_file(content: Any) -> dict[str, str]:
-    """Texts by file name of a format whose only file is JSON."""
+    """Texts by file name, for a format that consists of one JSON file."""
     return {"": json.dumps(content, indent=1) + "\n"}
 
 
 def xml_file(content: Mapping[str, Any]) -> dict[str, str]:
-    """Texts by file name of a format whose only file is XML, as its readers see it: attributes, and lists of
-    elements by their tag.
-    """
+    """Texts by file name, for a format that consists of one XML file. ``content`` is what readers see:
+    attributes, and lists of elements by tag."""
 
     def element(tag: str, content: Mapping[str, Any]) -> Element:
         below = {k: v for k, v in content.items() if isinstance(v, list) and isinstance(v[0], dict)}
@@ -368,14 +366,14 @@ def xml_file(content: Mapping[str, Any]) -> dict[str, str]:
 
 
 def text_of(value: Any) -> str:
-    """Text of a number, of a list of numbers with blanks between them, or a text itself."""
+    """Convert to text: a number, or a list of numbers with blanks between them. A text is unchanged."""
     if isinstance(value, list):
         return " ".join(map(text_of, value))
     return number(value) if isinstance(value, float) else str(value)
 
 
 def without_suffix(name: str) -> str:
-    """Name of a camera from the name of its image."""
+    """Name of a camera, made from the name of its image."""
     for suffix in _IMAGE_SUFFIXES:
         if name.lower().endswith(suffix) and len(name) > len(suffix):
             return name[: -len(suffix)]
@@ -383,7 +381,8 @@ def without_suffix(name: str) -> str:
 
 
 def check_names(names: Iterable[str], words: bool = False) -> None:
-    """Raise CameraError unless names are printable, or, for columns between blanks, are words."""
+    """Raise CameraError unless all names are printable. ``words``: they must be single words, for columns
+    with blanks between."""
     for name in names:
         if words and (not name.isprintable() or name.split() != [name] or name[0] in "#;%/"):
             message = "this format needs a name without blanks that does not begin with # ; % or /"
@@ -393,7 +392,7 @@ def check_names(names: Iterable[str], words: bool = False) -> None:
 
 
 def image_names(cameras: Iterable[str]) -> dict[str, str]:
-    """Image names of cameras, for formats that name cameras by their images."""
+    """Image names of cameras, for formats that name cameras after their images."""
     names = list(cameras)
     check_names(names, words=True)
     return {name: f"{name}.png" for name in names}
@@ -401,7 +400,7 @@ def image_names(cameras: Iterable[str]) -> dict[str, str]:
 
 #: Most keys above the cameras of a file.
 _DEPTH = 3
-#: Keys of a camera that have its name, in order of precedence.
+#: Keys with the name of a camera, in order of precedence.
 _NAMES = ("name", "camera_name", "camera", "cam_name", "id", "camera_id", "cam_id", "serial", "serial_number")
 
 Keys = tuple[Key, ...]
@@ -409,13 +408,13 @@ Predicate = Callable[[Any], bool]
 
 
 def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array, focal: float) -> Lens:
-    """Lens that stands for a model that cameras do not have; a warning tells the error.
+    """Fit a lens to a lens model that cameras do not have. A warning states the error.
 
     Args:
         file: File that is being read.
         what: The lens, for the warning.
         ideal: Points (N, 2) of the normalised image plane, over the image.
-        distorted: Their distorted places (N, 2).
+        distorted: The same points (N, 2) after distortion.
         focal: Focal length, pixels.
     """
     lens, error = fit_lens(ideal, distorted)
@@ -426,16 +425,18 @@ def fitted_lens(file: CalibrationFile, what: str, ideal: Array, distorted: Array
 
 
 def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate) -> list[tuple[str, Keys]]:
-    """Find the cameras of a document: their names and key paths, in the order of the file.
+    """Find the cameras of a document. Returns their names and key paths, in the order of the file.
 
     Args:
         file: File that is being read.
         is_camera: Whether a value has all keys of a camera.
-        is_part: Whether a value has some of these keys. Where one item is a camera, these are cameras too.
+        is_part: Whether a value has some of these keys. Such a value is a camera if another item next to it
+            is one.
 
     Returns:
-        Cameras; empty if the document has none. Cameras of a list without names have their indices as names.
-        Names that several groups have, such as the streams of several devices, begin with its name.
+        Cameras; empty if the document has none. In a list without names, the indices are the names. If
+        several groups (such as devices with streams) have the same names, each name begins with that of its
+        group.
     """
     if is_camera(file.document):
         return [(_name(file.document, Path(file.path).stem), ())]
@@ -448,7 +449,7 @@ def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate
 def _search(
     value: Any, keys: Keys, depth: int, is_camera: Predicate, is_part: Predicate
 ) -> Iterator[tuple[str, Keys]]:
-    """Names and key paths of the cameras in a mapping or list, or at most ``depth`` keys below it."""
+    """Names and key paths of the cameras in a mapping or list, at most ``depth`` keys deep."""
     if not isinstance(value, (dict, list)):
         return
     named = isinstance(value, dict)
@@ -463,7 +464,7 @@ def _search(
 
 
 def _name(camera: Any, otherwise: str) -> str:
-    """Name of a camera that has no key in a mapping."""
+    """Name of a camera that is not under its own key in a mapping."""
     for key in _NAMES:
         value = camera.get(key)
         if isinstance(value, (str, int)) and not isinstance(value, bool) and str(value).strip():
@@ -475,7 +476,7 @@ def reader_of(
     find: Callable[[CalibrationFile], list[tuple[str, Keys]]],
     read_camera: Callable[[CalibrationFile, Keys], RawCamera],
 ) -> tuple[Callable[[CalibrationFile], bool], Callable[[CalibrationFile], dict[str, RawCamera]]]:
-    """``matches`` and ``read`` of a format.
+    """Make the functions ``matches`` and ``read`` of a format.
 
     Args:
         find: Names and key paths of the cameras of a file, as from :func:`find_cameras`.
@@ -492,13 +493,13 @@ def reader_of(
 
 
 def has_keys(*needed: set[str]) -> Predicate:
-    """Function that tells whether a value is a mapping with a key of each of these sets."""
+    """Make a function that tells whether a value is a mapping with at least one key of each of these sets."""
     return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)
 
 
-#: Numbers of coefficients of each model in files; more coefficients may follow if they are zero.
+#: Numbers of coefficients of each model in files. More coefficients may follow if they are zero.
 _FILE_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
-#: Names of each model, in lower case without other characters than letters and digits.
+#: Names of each model in lower case, with only letters and digits.
 _NAMES_OF_MODELS = {
     "plumb_bob": "plumbbob radtan radialtangential brownconrady brown",
     "rational_polynomial": "rationalpolynomial rational radialtangential8 radtan8 pinholeradtan8",
@@ -511,7 +512,7 @@ _KNOWN = ", ".join(MODELS)
 
 
 def model_of(name: str) -> str | None:
-    """Model in :data:`humansim_ros.camera.lens.MODELS` that has a name in files; None for another name."""
+    """Model in :data:`humansim_ros.camera.lens.MODELS` for a name in files; None for an unknown name."""
     return _ALIASES.get(re.sub("[^a-z0-9]", "", name.lower()))
 
 
@@ -533,7 +534,7 @@ def find_model(
 
     Returns:
         Name of the model in :data:`humansim_ros.camera.lens.MODELS`, or None for a lens without distortion.
-        Without a name, the number of coefficients decides where it can.
+        If the file has no name, the number of coefficients decides if it is unique.
 
     Raises:
         CameraError: The model is unknown, or its number of coefficients is wrong.
@@ -568,7 +569,8 @@ def check_count(
 
 
 def opencv_model(distortion: Array) -> str:
-    """Model with the number of coefficients (N,) that are used, where OpenCV does not name it."""
+    """Model of OpenCV by the number of coefficients (N,) that are used. OpenCV files do not name the
+    model."""
     return "plumb_bob" if len(np.trim_zeros(distortion, "b")) <= 5 else "rational_polynomial"
 
 
@@ -594,7 +596,7 @@ def _model_without_name(
 
 
 def rotation_of(file: CalibrationFile, *keys: Key) -> Array:
-    """Matrix (3, 3) of 9 numbers in row order, or of a rotation vector of 3 numbers, radians."""
+    """Matrix (3, 3) from 9 numbers in row order, or from a rotation vector of 3 numbers, radians."""
     values = file.some_numbers(*keys)
     if len(values) == 3:
         return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
@@ -615,21 +617,20 @@ _UNIT_KEYS = tuple(
     for table in ((), ("metadata",), ("info",), ("CameraParameters1",))
     for key in ("unit", "units", "WorldUnits", "world_units", "length_unit", "translation_unit")
 )
-#: Extent of a rig in units of the file from which these are millimetres: between a room of 30 m and 10 cm.
+#: If the extent of a rig exceeds this number of units, the unit is millimetres. It lies between a room of 30
+#: m and 10 cm.
 _MILLIMETRES = 50.0
 
 
 def metres_of(name: str) -> float | None:
-    """Metres of a unit: m, cm or mm, or a long name in any spelling; None for an unknown one."""
+    """Metres of a unit: m, cm or mm, or a long name in any spelling. Returns None for an unknown unit."""
     long = name.strip().lower().removesuffix("s").replace("meter", "metre")
     return _UNITS.get(_LONG_UNITS.get(long, name.strip()))
 
 
 def stated_unit(file: CalibrationFile) -> float | None:
-    """Metres per unit of a file that has a key of the unit, such as ``unit``; None without one.
-
-    Raises CameraError for an unknown unit.
-    """
+    """Metres per unit of a file with a key such as ``unit``; None if no key states it. Raises CameraError for
+    an unknown unit."""
     for keys in _UNIT_KEYS:
         value = file.get(*keys)
         if value is not None:
@@ -641,17 +642,15 @@ def stated_unit(file: CalibrationFile) -> float | None:
 
 
 def find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
-    """Metres per unit of a file: its key ``unit``, or metres or millimetres by the extent of the rig.
-
-    A HumansimWarning says what is assumed. Raises CameraError for an unknown unit.
-    """
+    """Metres per unit of a file. Its key ``unit`` decides, or else the extent of the rig: metres or
+    millimetres. If the unit is guessed, a HumansimWarning says so. Raises CameraError for an unknown unit."""
     stated = stated_unit(file)
     if stated is not None:
         return stated
     positions = np.array([camera.position for camera in cameras.values() if camera.R is not None])
     if not len(positions):
         return 1.0
-    # with the origin, which is the first camera or the board
+    # the origin counts too, since it is the first camera or the board
     extent = float(np.linalg.norm(np.ptp(np.vstack([positions, np.zeros(3)]), axis=0)))
     if extent == 0:
         return 1.0

@@ -1,7 +1,7 @@
 """Text models of COLMAP: cameras.txt (intrinsics) and images.txt (poses, world to camera).
 
-The centre of COLMAP's first pixel is (0.5, 0.5): its principal points are shifted by half a pixel when they
-are read and written. https://colmap.github.io/format.html, https://colmap.github.io/cameras.html
+The centre of COLMAP's first pixel is (0.5, 0.5), so principal points are shifted by half a pixel when they
+are read or written. https://colmap.github.io/format.html, https://colmap.github.io/cameras.html
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from humansim_ros.geometry import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.files import read_text
 
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
-#: Largest file of a rig; larger ones are models of large scenes.
+#: Largest file of a rig, bytes. Larger files are models of large scenes.
 MAX_BYTES = 64 << 20
-#: Parameters of COLMAP's camera models; the coefficients have their names in ``lens.MODELS``.
+#: Parameters of COLMAP's camera models. The coefficients have the names of ``lens.MODELS``.
 _MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
@@ -42,7 +42,7 @@ _MODELS = {
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
 }
-#: Names of all camera models, also of the ones that are not read.
+#: Names of all camera models, also of those that cannot be read.
 COLMAP_MODELS = (*_MODELS, "FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 _QUATERNION_SLACK = 1e-3
 
@@ -55,7 +55,7 @@ def _is_colmap(file: CalibrationFile) -> bool:
 
 
 def _read(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Read cameras.txt or images.txt, with the other one from the same folder."""
+    """Read cameras.txt or images.txt, together with the other file in the same folder."""
     path = Path(file.path)
     if path.name == IMAGES:
         text = read_text(path.parent / CAMERAS, CameraError, "COLMAP cameras", MAX_BYTES)
@@ -129,7 +129,8 @@ def camera_of_model(model: str, values: Sequence[float], location: SourceLocatio
 
 
 def _image_lines(file: CalibrationFile) -> Iterator[tuple[int, list[str]]]:
-    """Lines of images. After each follows a line with its points, three words each, or none."""
+    """Lines of images. After each one, the file has a line with points (three words each), which may be
+    empty."""
     image = False
     for line, text in file.all_lines():
         if text.startswith("#"):

@@ -1,11 +1,11 @@
-"""What R and t of a file mean, where its keys do not say it: the views of the cameras decide.
+"""Find what R and t of a file mean, if its keys do not say it. The views of the cameras decide.
 
-Each reading of the poses is a rig. Two things speak for a rig: its optical axes meet in a point in front of
+Each reading of the poses gives a rig. Two facts support a rig: its optical axes meet in a point in front of
 all cameras, and its cameras are level or upright about one vertical. The evidence of a reading is the
-logarithm of its likelihood: misses and rolls are normally distributed with unknown deviation, one degree of
-freedom for each measured number that the common point and the vertical do not use up. A reading is sure if
-its evidence exceeds that of each other reading by :data:`_MARGIN`; otherwise the warning has both readings.
-``benchmarks/conventions.py`` measures how many readings of random rigs are wrong and doubtful.
+logarithm of its likelihood. Misses and rolls are taken as normally distributed with unknown deviation. Each
+measured number that the common point and the vertical do not use up is one degree of freedom. A reading is
+sure if its evidence exceeds that of each other reading by :data:`_MARGIN`. Otherwise the warning names both
+readings. ``benchmarks/conventions.py`` measures how many readings of random rigs are wrong or doubtful.
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from humansim_ros.camera.formats.base import FLIP, CalibrationFile, RawCamera, S
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array
 
-#: Largest miss of a rig whose cameras look at a common place, as a fraction of their distance from it.
+#: The cameras of a rig look at a common place if they miss it by at most this fraction of their distance.
 _SURE = 0.35
-#: Smallest difference of evidence of a sure reading, in all and by the common point alone.
+#: A reading is sure if its evidence is larger by at least this: in total, and by the common point alone.
 _MARGIN, _CROSSING_MARGIN = 8.0, 2.0
-#: Misses (fractions of the distance) and rolls (radians) of a real rig, and most degrees of freedom.
+#: Usual misses (fractions of the distance) and rolls (radians) of a real rig, and most degrees of freedom
+#: that count.
 _MISS, _ROLL, _MOST_FREEDOM = 0.008, 0.05, 9
 #: Evidence against a camera that looks away from the common point, and against a rig that looks outwards.
 _AWAY, _OUTWARD = 3.0, 3.0
-#: Smallest mean square of the sine between two optical axes of which the common point is known.
+#: The common point is known if the mean square of the sine between two optical axes is above this.
 _PARALLEL = 3e-3
-#: Share of the vertical in the image of a camera that has an up direction, and roll of a camera without one.
+#: A camera has an up direction if at least this share of the vertical is in its image plane. Roll that is
+#: assumed for a camera without one.
 _STEEP, _STEEP_ROLL = 0.3, 0.1
 
 
@@ -38,9 +40,9 @@ _STEEP, _STEEP_ROLL = 0.3, 0.1
 class FilePose:
     """Rotation and translation as they are in a file.
 
-    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)) or ``placed`` (a
-    rotation beside a position: ``camera`` rather than ``center``) or ``shelf`` (as ``center``; a warning only
-    where the views decide otherwise). ``clear``: whether the keys say so.
+    ``kind``: ``world`` (x = R X + t), ``camera`` (X = R x + t), ``center`` (x = R (X - t)), ``placed`` (a
+    rotation with a position: ``camera`` is more likely than ``center``) or ``shelf`` (like ``center``, with a
+    warning only if the views contradict). ``clear``: whether the keys state the kind.
     """
 
     R: Array
@@ -51,10 +53,9 @@ class FilePose:
 
 
 class _Reading(NamedTuple):
-    """Convention of R and t; ``name`` is the value of the key ``convention`` that states it.
-
-    ``apply``: (R, t) -> (R from world to camera, camera centre). ``rare``: evidence against it.
-    """
+    """Convention of R and t. ``name``: value of the key ``convention`` that states it. ``apply``: function of
+    (R, t) that returns R from world to camera, and the camera centre. ``rare``: evidence against a convention
+    that is seldom used."""
 
     name: str
     text: str
@@ -73,7 +74,7 @@ _READINGS = (
 )
 _STATED = {reading.name: index for index, reading in enumerate(_READINGS)}
 _STATED |= {"w2c": 0, "opencv": 0, "c2w": 1, "matlab": 3}
-#: Readings that a kind of keys allows where they are not clear; the first one is taken without evidence.
+#: Conventions that are possible for each kind of unclear keys. Without evidence, the first one is taken.
 _ALLOWED = {
     "world": (0, 1, 2, 3),
     "camera": (1, 4, 0),
@@ -86,7 +87,7 @@ _ALLOWED = {
 def resolved(
     file: CalibrationFile, cameras: Mapping[str, RawCamera], poses: Mapping[str, FilePose]
 ) -> dict[str, RawCamera]:
-    """Cameras with R and t; the convention of unclear ones is found by the views."""
+    """Return cameras with R and t. The convention of unclear poses is found from the views."""
     if not poses:
         return {}
     reading, said = _reading(file, list(poses.values()))
@@ -143,7 +144,7 @@ def _how(*readings: int) -> str:
 
 
 class _Evidence(NamedTuple):
-    """Evidence of a reading: of its common point, and in all; and the miss of this point."""
+    """Evidence of a reading: by its common point, and in total; and how far the axes miss this point."""
 
     crossing: float
     total: float
@@ -151,18 +152,17 @@ class _Evidence(NamedTuple):
 
 
 def _evidence(poses: list[FilePose], reading: int) -> _Evidence:
-    """Evidence of a reading of poses.
-
-    The miss is a fraction of the distance of the common point, or of the spread of the cameras where that is
-    smaller. It is infinite for less than three cameras, and 1 for parallel axes.
-    """
+    """Evidence of a reading of poses. The miss is a fraction of the distance of the common point, or of the
+    spread of the cameras if the spread is smaller. The miss is infinite for fewer than three cameras, and 1
+    for parallel axes."""
     count = len(poses)
     if count < 3:
         return _Evidence(0.0, 0.0, np.inf)
     pairs = [_READINGS[reading].apply(pose.R, pose.t) for pose in poses]
     r, centers = np.array([r for r, _ in pairs]), np.array([center for _, center in pairs])
     miss, away = _crossing(r[:, 2], centers)
-    # where the camera axes of OpenGL are among the readings, a rig that looks outwards would be one of them
+    # if OpenGL's camera axes are possible, a rig that looks outwards would be one that looks inwards with
+    # them
     outward = np.inf if poses[0].kind in ("camera", "center", "placed") else _OUTWARD + _AWAY * (count - away)
     crossing = _log_likelihood(miss, _MISS, 2 * count - 3) - min(_AWAY * away, outward)
     roll = _log_likelihood(_roll(r), _ROLL, 2 * count - 4) / 2
@@ -175,7 +175,8 @@ def _log_likelihood(error: float, deviation: float, freedom: int) -> float:
 
 
 def _crossing(forward: Array, centers: Array) -> tuple[float, int]:
-    """Miss of the point that is nearest to all optical axes (N, 3), and number of cameras that look away."""
+    """Find the point nearest to all optical axes (N, 3). Returns the miss, and how many cameras look away
+    from the point."""
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     matrix = across.sum(axis=0)
     spread = float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -188,10 +189,9 @@ def _crossing(forward: Array, centers: Array) -> tuple[float, int]:
 
 
 def _roll(r: Array) -> float:
-    """Root mean square of the rolls of cameras (N, 3, 3) about one vertical, radians; upright or on the side.
-
-    Cameras that are upside down add their share. The roll of cameras that look along the vertical is unknown.
-    """
+    """Root mean square of the rolls of cameras (N, 3, 3) about one vertical, radians. A camera may be upright
+    or on its side. The share of cameras that are upside down is added. The roll of a camera that looks along
+    the vertical is unknown."""
     rolls = []
     for side in (0, 1):
         vertical = np.linalg.eigh(r[:, side].T @ r[:, side])[1][:, 0]

@@ -2,7 +2,7 @@
 
 - JSON of Human3.6M, Shelf and Campus (in the format of VoxelPose), and CMU Panoptic.
 - TOML of Anipose, which FreeMoCap, Caliscope and Pose2Sim write too: x_cam = R x + t. The file does not name
-  its unit: the unit of the calibration board, which is millimetres for most boards and metres in Pose2Sim.
+  its unit. It is the unit of the calibration board: millimetres for most boards, metres in Pose2Sim.
   https://anipose.readthedocs.io/en/latest/aniposelib-tutorial.html
 - JSON of 4DAssociation and related programs: K, RT (3x4) or R and T, distCoeff, imgSize; x = R X + t; metres,
   z up. The world of the Shelf data in this format is the floor. https://github.com/zhangyux15/4d_association
@@ -68,11 +68,11 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
 CAM = calibration_format("cam", _is_cam, _read, _write)
 
 
-# -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras has a pose per subject, 11 in all
+# -- Human3.6M: x = R X + t in millimetres, z up; 4 cameras, with a pose for each of 11 subjects
 
 #: Image sizes of the cameras by their serial numbers.
 _H36M_SIZES: dict[str, ImageSize] = {serial: (w, h) for serial, (w, h) in IMAGE_SIZES["human36m"].items()}
-#: Keys of the lens and focal lengths of Shelf and Campus; one of them is enough to recognise a file.
+#: Keys of the lens and focal lengths of Shelf and Campus. One of them is enough to recognise a file.
 _SHELF_INTRINSICS = {"k", "p", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
@@ -146,7 +146,7 @@ def _shelf_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
 
 
 def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
-    if file.get(*at, "f") is not None and file.get(*at, "fx") is None:  # VoxelPose's own arrays
+    if file.get(*at, "f") is not None and file.get(*at, "fx") is None:  # arrays as VoxelPose writes them
         fx, fy, cx, cy = (*file.numbers((2,), *at, "f"), *file.numbers((2,), *at, "c"))
     else:
         fx, fy, cx, cy = (file.number(*at, key) for key in ("fx", "fy", "cx", "cy"))
@@ -175,7 +175,7 @@ _is_shelf, _read_as_shelf = reader_of(_shelf_cameras, _shelf_camera)
 
 
 def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Cameras with the R and T of VoxelPose, unless the file or the views say that R and T are others."""
+    """Cameras with R and T as VoxelPose defines them, unless the file or the views contradict."""
     cameras = _read_as_shelf(file)
     poses = {
         name: FilePose(
@@ -219,7 +219,7 @@ def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _panoptic_values(own: Values, camera: Camera) -> Values:
-    """Kind of a camera, and its panel and node in the studio: the parts of its name."""
+    """Type of a camera, and its panel and node in the studio. Its name consists of them."""
     matched = _PANEL_AND_NODE.fullmatch(own["name"])
     panel, node = (int(matched[1]), int(matched[2])) if matched else (0, own["index"])
     return {"type": "hd" if camera.size == (1920, 1080) else "vga", "panel": panel, "node": node}
@@ -304,7 +304,7 @@ def _cameras_association(file: CalibrationFile) -> list[tuple[str, Keys]]:
     return find_cameras(file, _is_camera, has_keys({"K", "RT"}))
 
 
-#: Keys of a camera; other camera parameters belong to another format.
+#: Keys of a camera. If other camera parameters are there, the file has another format.
 _OWN = {"K", "RT", "R", "T", "t", "imgSize", "name", "id", *_LENS}
 
 
@@ -333,7 +333,7 @@ def _camera_association(file: CalibrationFile, at: Keys) -> RawCamera:
 
 
 def _pose(file: CalibrationFile, at: Keys) -> tuple[Array | None, Array, tuple[str, str]]:
-    """R and t, and their keys: from RT (3x4 or 4x4), or from R and T; R is None without any."""
+    """R and t with their keys: from RT (3x4 or 4x4), or from R and T. R is None if there is none."""
     if file.get(*at, "RT") is not None:
         rows = 4 if len(file.some_numbers(*at, "RT")) == 16 else 3
         matrix = file.pose_matrix(*at, "RT", rows=rows)

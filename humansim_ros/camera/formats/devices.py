@@ -81,7 +81,7 @@ def _zed_number(
     *keys: str,
     needed: bool = True,
 ) -> float:
-    """Number of the first of these keys in a section; 0 for an absent one that is not needed."""
+    """Number of the first of these keys in a section. An absent number that is not needed is 0."""
     start, section = sections.get(name, (None, {}))
     for key in keys:
         if key.lower() in section:
@@ -118,7 +118,7 @@ def _zed_camera(
 ) -> RawCamera:
     fx, fy, cx, cy = (_zed_number(file, sections, name, key) for key in ("fx", "fy", "cx", "cy"))
     keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    disto = f"{side}_DISTO"  # of all modes; the SDK takes this lens
+    disto = f"{side}_DISTO"  # the distortion of all modes; the SDK uses this lens
     if thin := [f"s{i}" for i in range(1, 5) if _zed_number(file, sections, disto, f"s{i}", needed=False)]:
         if "k1" not in sections[name][1]:
             start = sections[disto][0]
@@ -181,7 +181,7 @@ ZED = calibration_format("zed", _is_zed, _read_zed, _write_zed)
 _K4A: Keys = ("CalibrationInformation", "Cameras")
 _BROWN = "CALIBRATION_LensDistortionModelBrownConrady"
 _COLOR = "CALIBRATION_CameraPurposePhotoVideo"
-#: Size of a mode -> side of the scaled sensor, and the first pixel of the mode in it.
+#: By size of a mode: side of the scaled sensor, and the first pixel of the mode in the sensor.
 _DEPTH_MODES = {
     (640, 576): (1024, (192, 180)),
     (320, 288): (512, (96, 90)),
@@ -219,7 +219,8 @@ def _read_k4a(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _mode(size: ImageSize, sensor: ImageSize, color: bool) -> tuple[Array, Array] | None:
-    """Size of the scaled sensor (2,), and the first pixel of a mode in it (2,); None for an unknown mode."""
+    """Size (2,) of the scaled sensor, and first pixel (2,) of a mode in the sensor; None for an unknown
+    mode."""
     if size == sensor:
         return np.array(sensor, dtype=float), np.zeros(2)
     if not color:
@@ -278,14 +279,14 @@ K4A = calibration_format("k4a", _is_k4a, _read_k4a, values=_k4a_values)
 
 # -- RealSense and Open3D
 
-#: Names of rs2_distortion without case, and its numbers.
+#: Names of rs2_distortion in lower case, and its numbers.
 _MODELS = {
     **dict.fromkeys(("none", "0"), None),
     **dict.fromkeys(("modified brown conrady", "1", "inverse brown conrady", "2"), "plumb_bob"),
     **dict.fromkeys(("brown conrady", "4"), "plumb_bob"),
     **dict.fromkeys(("kannala brandt4", "5"), "equidistant"),
 }
-#: Models that are only nearly the models of OpenCV.
+#: Models that almost equal the models of OpenCV.
 _NEARLY = ("modified brown conrady", "1", "inverse brown conrady", "2")
 _WRITTEN = {"plumb_bob": "brown_conrady", "equidistant": "kannala_brandt4"}
 #: Keys of the lens of RealSense.
@@ -295,10 +296,10 @@ _FIELDS = ({"fx"}, {"fy"}, {"ppx", "cx"}, {"ppy", "cy"}, {"width"}, {"height"})
 
 def _realsense_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
     if '"ppx"' not in file.text and find_parameters(plain(file)).having(POSE):
-        return []  # cx, cy and extrinsics are of another program
+        return []  # cx, cy and extrinsics come from another program
     found = find_cameras(file, has_keys(*_FIELDS), has_keys({"fx", "ppx"}))
     own = (role_of(key) for _, at in found for key in file.mapping(*at).keys() - _OWN_LENS)
-    return [] if {"k1", "radial", "distortion"}.intersection(own) else found  # of another program
+    return [] if {"k1", "radial", "distortion"}.intersection(own) else found  # a file of another program
 
 
 def _realsense_camera(file: CalibrationFile, at: Keys) -> RawCamera:
@@ -387,7 +388,8 @@ _matches_realsense, _read_streams = reader_of(_realsense_cameras, _realsense_cam
 
 
 def _read_realsense(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Streams; with rs2_extrinsics from the depth to the colour stream, the depth camera is the world."""
+    """Read streams. If rs2_extrinsics from the depth to the colour stream are known, the depth camera is the
+    world."""
     cameras = _read_streams(file)
     at = next((key for key in _EXTRINSICS if isinstance(file.get(key), dict)), None)
     depth = [name for name in cameras if "depth" in name.lower()]

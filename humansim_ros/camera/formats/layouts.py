@@ -1,10 +1,11 @@
-"""Files of programs that ``camera/formats/matrices.py`` reads under other keys: rows of a table.
+"""Formats that differ from ``camera/formats/matrices.py`` only in their keys. Each one is a row of a table.
 
 A row of ``config/calibration_layouts.json`` has ``name`` and ``title`` of the format, ``syntax``, ``known``
-(patterns of keys that a file has; of path and text for plain text), ``renamed`` (pattern of a key -> its name
-here, with ' for a matrix in column order; "" leaves the key out; a pattern with = is of a key and its value),
-``unit`` (metres; without it, the program does not define one), ``up``, ``direction`` of R and t where their
-keys do not say it, ``arrange``: a function below, where the cameras of a file are no mappings of keys.
+(patterns of keys that a file has; for plain text, patterns of path and text), ``renamed`` (by pattern of a
+key: its name here, with ' for a matrix in column order, or "" to leave the key out; a pattern with = matches
+a key and its value), ``unit`` (metres; absent if the program defines no unit), ``up``, ``direction`` of R and
+t if their keys do not state it, and ``arrange``, a function below for files in which a camera is not a
+mapping of keys.
 
 Sources: devkits of KITTI, nuScenes, EuRoC, InterHand2.6M, RICH and MPI-INF-3DHP (Skeletool); on github.com
 rameau-fr/MC-Calib, ethz-asl/okvis, stella-cv/stella_vslam, facebookresearch/projectaria_tools, arpg/Calibu,
@@ -44,15 +45,15 @@ from humansim_ros.io.files import exists, read_text
 from humansim_ros.types import Array
 
 _MOST_BYTES = 8 << 20
-#: Cameras by name, or in a list, as mappings of keys.
+#: Cameras by name, or in a list. Each is a mapping of keys.
 _Cameras = dict[str, dict[str, Any]] | list[dict[str, Any]]
-#: Lenses whose names do not tell the names of their parameters.
+#: Names of the parameters of lenses that do not name them.
 _LENSES = {"KannalaBrandtK3": "fx_fy_cx_cy_kb4", "Linear": "fx_fy_cx_cy"}
 _FROM_DEPTH = re.compile(r'Extrinsic from "Depth"\s+To\s+"(.+?)"')
 _LEAST_POINTS = 50
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _FLYDRA = ("fc1", "fc2", "cc1", "cc2", "k1", "k2", "p1", "p2")
-#: Columns of the texts of Argus, by their number.
+#: Columns of the text files of Argus, by number of columns.
 _ARGUS = {
     12: "name fx width height cx cy aspect k1 k2 p1 p2 k3",
     10: "name fx cx cy aspect k1 k2 p1 p2 k3",
@@ -61,7 +62,8 @@ _ARGUS = {
 
 
 def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict[Any, Any]:
-    """Items with the numbers under ``params`` by their names, which the lens tells; ``key``: of the lens."""
+    """Items with the numbers of ``params`` under their own names. The lens decides the names. ``key``: key of
+    the lens."""
     if "params" not in items:
         return items
     model, numbers = str(items.get("model")), replace(file, document=items).some_numbers("params").tolist()
@@ -74,7 +76,7 @@ def _with_params(file: CalibrationFile, items: dict[Any, Any], key: str) -> dict
 
 
 def _transposed(value: Any) -> Any:
-    """Square matrix in column order; a matrix of OpenCV has its numbers under ``data``."""
+    """Transpose a square matrix in column order. A matrix of OpenCV has its numbers under ``data``."""
     if isinstance(value, Mapping):
         return {**value, "data": _transposed(value.get("data"))}
     numbers = np.array(value, dtype=object).ravel()
@@ -88,7 +90,7 @@ def _placed(rotation: Array, center: Array) -> dict[str, Any]:
 
 
 def _nuscenes(file: CalibrationFile) -> _Cameras:
-    """Cameras with the channel of their sensor, from the table ``sensor`` in the same folder."""
+    """Cameras named after the channels of their sensors, from the table ``sensor`` in the same folder."""
     path = Path(file.path).with_name("sensor.json")
     table = read_document(path, _MOST_BYTES).items() if exists(path) else []
     names = {str(one.get("token")): one.get("channel") for one in table if isinstance(one, Mapping)}
@@ -97,7 +99,7 @@ def _nuscenes(file: CalibrationFile) -> _Cameras:
 
 
 def _calibu(file: CalibrationFile) -> _Cameras:
-    """Cameras whose axes ``right``, ``down`` and ``forward`` are turned to those of OpenCV."""
+    """Cameras with their axes ``right``, ``down`` and ``forward`` turned to those of OpenCV."""
     file, cameras = plain(file), []
     for index, camera in enumerate(file.items("rig", "camera")):
         lens, pose = ("rig", "camera", index, "camera_model", 0), ("rig", "camera", index, "pose", 0, "T_wc")
@@ -111,7 +113,7 @@ def _calibu(file: CalibrationFile) -> _Cameras:
 def _through(
     file: CalibrationFile, name: str, p: Array, k: Array, lens: Sequence[float], size: Sequence[float] | Array
 ) -> dict[str, Any]:
-    """Camera of a matrix P (3, 4) of undistorted pixels, whose lens has a K (3, 3) of its own."""
+    """Camera of a matrix P (3, 4) of undistorted pixels. The lens has its own K (3, 3)."""
     camera = {"P": nested(p), "distortion": list(lens), **({"size": list(size)} if len(size) else {})}
     with located(CameraError, path=file.path, key=name):
         own, bending = Camera.from_projection_matrix(p, (1, 1)).K, Lens.of(lens)
@@ -159,13 +161,13 @@ def _selfcal(file: CalibrationFile) -> _Cameras:
 
 
 def _line(path: Path, number: int) -> str:
-    """Line of a text, from 1; empty if it is missing."""
+    """Line ``number`` of a text, counted from 1. Empty if the line is missing."""
     lines = read_text(path, CameraError, "calibration", _MOST_BYTES).splitlines() if exists(path) else []
     return lines[number - 1].strip() if 0 < number <= len(lines) else ""
 
 
 def _stephi(file: CalibrationFile) -> _Cameras:
-    """Camera of ``*.cal`` of MultiCamSelfCal: its centre, and the inverse of K R."""
+    """Camera of ``*.cal`` of MultiCamSelfCal: a centre, and the inverse of K R."""
     file = plain(file)
     kr = np.linalg.pinv(file.numbers((3, 3), "P"))
     center = kr @ [file.number(f"C{i}") for i in (1, 2, 3)]
@@ -173,7 +175,7 @@ def _stephi(file: CalibrationFile) -> _Cameras:
 
 
 def _captury(file: CalibrationFile) -> _Cameras:
-    """Cameras of Captury, whose lengths on the sensor are in mm; both axes have the scale of its width."""
+    """Cameras of Captury. Lengths on the sensor are in mm; the scale of the width holds for both axes."""
     if file.given_size is None:
         raise CameraError("the file has no image size: give the size", path=file.path, key="size")
     width, cameras = file.given_size[0], {}
@@ -195,7 +197,7 @@ def _captury(file: CalibrationFile) -> _Cameras:
 
 
 def _realsense(file: CalibrationFile) -> _Cameras:
-    """Modes of streams; the world is the depth camera."""
+    """Cameras of all modes of the streams. The world is the depth camera."""
     start = file.text.rfind("\n", 0, file.text.index('Intrinsic of "')) + 1
     document, cameras = plain(replace(file, text=file.text[start:])).document or {}, {}
     depth = {"Depth": {"Rotation Matrix": nested(np.eye(3)), "Translation Vector": [0.0] * 3}}
@@ -212,9 +214,9 @@ def _realsense(file: CalibrationFile) -> _Cameras:
 
 
 def _stereo(file: CalibrationFile) -> _Cameras:
-    """Cameras of stella_vslam or OpenVSLAM, and of ORB-SLAM2, whose rotations are to the rectified images."""
+    """Cameras of stella_vslam, OpenVSLAM and ORB-SLAM2. Their rotations lead to the rectified images."""
     items: dict[str, Any] = {}
-    for key, value in file.mapping().items():  # LEFT.K, or K below LEFT
+    for key, value in file.mapping().items():  # LEFT.K, or K under LEFT
         first, _, rest = str(key).partition(".")
         before = items.get(first)
         items[first] = {**(before if isinstance(before, dict) else {}), rest: value} if rest else value
@@ -239,7 +241,7 @@ def _stereo(file: CalibrationFile) -> _Cameras:
 
 
 def _orbslam3(file: CalibrationFile) -> _Cameras:
-    """Cameras of ORB-SLAM3; the second one of a rectified pair is the first one, moved by the baseline."""
+    """Cameras of ORB-SLAM3. The second camera of a rectified pair is the first one, moved by the baseline."""
     cameras: dict[str, dict[str, Any]] = {}
     for key, value in file.mapping().items():
         name, _, part = str(key).partition(".")
@@ -260,7 +262,7 @@ def _orbslam3(file: CalibrationFile) -> _Cameras:
 
 
 def _ncamera(file: CalibrationFile) -> _Cameras:
-    """Cameras of a rig; what this format calls fisheye is the lens FOV."""
+    """Cameras of a rig. The lens that this format calls fisheye is FOV."""
     cameras = []
     for index, _ in enumerate(file.items("cameras")):
         camera = dict(file.mapping("cameras", index, "camera"))
@@ -280,7 +282,8 @@ _OPENSFM = {
 
 
 def _opensfm(file: CalibrationFile) -> _Cameras:
-    """Shots of OpenSfM, or its cameras; lengths are fractions of the longer side, from the image centre."""
+    """Shots of OpenSfM, or its cameras. Lengths are fractions of the longer side, measured from the image
+    centre."""
     at: Keys = (0,) if isinstance(file.document, list) else ()
     if at and len(file.document) > 1:
         warn_about(file.path, f"the first of {len(file.document)} reconstructions is read")
@@ -308,7 +311,7 @@ def _opensfm(file: CalibrationFile) -> _Cameras:
 
 
 def _pymvg(file: CalibrationFile) -> _Cameras:
-    """Cameras of pymvg, whose poses Q and translation are of the rectified camera; R rectifies."""
+    """Cameras of pymvg. Pose (Q, translation) is that of the rectified camera, and R rectifies."""
     cameras = []
     for index, _ in enumerate(file.items("camera_system")):
         at: Keys = ("camera_system", index)
@@ -321,7 +324,7 @@ def _pymvg(file: CalibrationFile) -> _Cameras:
 
 
 def _matlab(file: CalibrationFile) -> _Cameras:
-    """Cameras of MATLAB: pixels count from 1; vectors are rows, except for K and PoseCamera2 (from 2022)."""
+    """Cameras of MATLAB. Pixels count from 1. Vectors are rows, except for K and PoseCamera2 (since 2022)."""
     pair = [key for key in ("CameraParameters1", "CameraParameters2") if file.get(key) is not None]
     cameras: dict[str, dict[str, Any]] = {}
     for name in pair or [Path(file.path).stem]:
@@ -421,5 +424,5 @@ def _format(row: Mapping[str, Any]) -> CalibrationFormat:
     return replace(format, find_unit=None) if "unit" in row else format
 
 
-#: Formats that are only read.
+#: Formats that can only be read.
 LAYOUTS = tuple(_format(row) for row in read_table("calibration_layouts"))

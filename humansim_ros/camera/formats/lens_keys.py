@@ -1,7 +1,8 @@
-"""Lenses of files that do not name them: four coefficients of OpenCV, and keys of a lens that are not read.
+"""Lenses that a file does not name: four coefficients of OpenCV; and a warning for keys of a lens that are
+not read.
 
-``cv2.calibrateCamera`` returns five coefficients or more. Four are those of ``cv2.fisheye`` (k1 to k4), or
-plumb_bob without k3 as other programs write it: k1, k2, p1, p2, where p1 and p2 are small.
+``cv2.calibrateCamera`` returns five coefficients or more. Four coefficients are either those of
+``cv2.fisheye`` (k1 to k4), or plumb_bob without k3, as other programs write it (k1, k2, and small p1, p2).
 """
 
 from __future__ import annotations
@@ -22,18 +23,19 @@ from humansim_ros.types import Array
 
 #: Largest p1 and p2 of plumb_bob, and smallest k3 and k4 of a fisheye, as fractions of k1 and k2.
 _TANGENTIAL, _RADIAL = 0.05, 0.1
-#: Tangent of the angle of view at the corner that is wide for a lens of plumb_bob.
+#: An angle of view is wide for plumb_bob if its tangent at the corner of the image is above this.
 _WIDE = 0.9
-#: Evidence of a fisheye that needs no warning.
+#: A lens with at least this evidence for a fisheye causes no warning.
 _CERTAIN = 3
 _MOST_VALUES = 20_000
-#: Words of keys that a lens has, for lists of numbers; keys of its single numbers; those of other lenses.
+#: Words of keys for lists of numbers of a lens; keys of its single numbers; keys of lenses that cameras do
+#: not have.
 _LISTS = re.compile(r"dist(?!ance)\w*|disto\w*|coeff?s?|coefficients|radial\w*|tangential\w*|poly\w*|lens")
 _NUMBERS = re.compile(
     r"(?:cam)?[kpd][0-9]|xi|alpha|beta|omega|kappa\w*|(?:radial|tangential)\w+|\w*distortion"
 )
 _NEVER = ("xi", "beta", "omega")
-#: Keys of the name of a lens, and names that a camera without distortion does not have.
+#: Pattern of keys that name a lens, and names that a camera without distortion does not have.
 _KIND = re.compile("type|model|lens|projection|camera")
 _NAMED = re.compile(
     r"fish[-_]?eye\d*|equi(?:distant)?|kannala.*|kb[48]|omni.*|mei|ds|e?ucm|fov|ocam.*|scaramuzza|atan|double.*"
@@ -43,22 +45,24 @@ _NAMED = re.compile(
 def model_of_four(
     file: CalibrationFile, keys: Keys, values: Array, k: Array, stated: bool | None = None
 ) -> str:
-    """Model of four coefficients of OpenCV: equidistant or plumb_bob; a warning where that is only likely.
+    """Model of four coefficients of OpenCV: equidistant or plumb_bob. Warns if this is not certain.
 
-    Evidence of a fisheye are the shape 4 x 1 that ``cv2.fisheye`` returns, a skew, ``DIM``, "fisheye" in the
-    name of the file or of a key, and k3 and k4 that are too large for p1 and p2 of a wide lens.
+    These facts are evidence for a fisheye: the shape 4 x 1 that ``cv2.fisheye`` returns, a skew, ``DIM``,
+    "fisheye" in the name of the file or of a key, and a third and fourth number too large for p1 and p2 of a
+    wide lens.
+
 
     Args:
         file: File that is being read.
         keys: Key path of the coefficients.
         values: Coefficients (4,).
         k: K (3, 3).
-        stated: Whether the file says that the camera is a fisheye; None if it does not say it.
+        stated: Whether the file says that the camera is a fisheye; None if the file does not say so.
     """
     if stated is not None or not values.any():
         return "equidistant" if stated else "plumb_bob"
-    stored = file.get(*keys[:-1], "rows") is not None  # a matrix of OpenCV
-    shape = tuple(str(file.get(*keys[:-1], key)) for key in ("rows", "cols"))  # texts in XML
+    stored = file.get(*keys[:-1], "rows") is not None  # as in a matrix of OpenCV
+    shape = tuple(str(file.get(*keys[:-1], key)) for key in ("rows", "cols"))  # XML has numbers as texts
     shape = shape if stored else tuple(map(str, shape_of(file.get(*keys)) or ()))
     own = file.get(*keys[: -2 if stored else -1])
     named = re.search("fish[-_]?eye", " ".join(map(str, (*keys, Path(file.path).stem))), re.IGNORECASE)
@@ -80,7 +84,7 @@ def model_of_four(
 
 
 def other_lens(file: CalibrationFile) -> str:
-    """Sentence that names a lens of a document that cameras do not have; empty without one."""
+    """Sentence that names a lens which cameras do not have, if a document has one; else empty."""
     named = (
         f" Its lens {shape[:40]!r} is not supported; known are {', '.join(MODELS)}."
         for keys, shape in islice(leaves_of(file), _MOST_VALUES)
@@ -91,10 +95,8 @@ def other_lens(file: CalibrationFile) -> str:
 
 
 def check_unread(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> None:
-    """Warn if a document has keys of a lens whose numbers no camera has, and a camera has no distortion.
-
-    A parameter of a lens that no camera can have, such as xi, is enough for a warning.
-    """
+    """Warn if a document has lens values that are not used, and a camera has no distortion. A parameter of a
+    lens that no camera can have, such as xi, is enough for a warning."""
     fisheyes = any(c.model == "equidistant" for c in cameras.values())
     straight = any(not any(c.distortion) and c.model != "equidistant" for c in cameras.values())
     read = {float(v) for c in cameras.values() for v in (0.0, *c.distortion, *c.K.ravel(), *(c.size or ()))}

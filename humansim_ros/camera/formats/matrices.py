@@ -1,16 +1,17 @@
-"""K, R, t and lens of cameras in JSON and npz (also YAML and TOML), under any usual spelling.
+"""K, R, t and lens of cameras in JSON and npz (also YAML and TOML), in any usual spelling.
 
 ``camera/formats/spellings.py`` finds the parameters. Intrinsics and extrinsics may be in one file or in two.
-Pixels are as in OpenCV. R and t are x = R X + t, as in OpenCV. Keys such as rvec, w2c, c2w and center say so
-or otherwise; for R and t, rotation and translation, extrinsics and pose the views of three or more cameras
-decide between the conventions that are in use, and a warning says which one is taken.
+Pixels are those of OpenCV. R and t mean x = R X + t, as in OpenCV, unless keys such as rvec, w2c, c2w and
+center say something else. The keys R and t, rotation and translation, extrinsics, and pose are unclear. For
+them the views of three or more cameras decide between the usual conventions, and a warning says which one is
+taken.
 
-NeuS stores in cameras_sphere.npz for each image ``world_mat_i``, which is P = K [R | t] in 4 x 4 numbers, and
-``scale_mat_i``, which moves a unit sphere to the object and which is not used here.
+NeuS stores two values for each image in cameras_sphere.npz: ``world_mat_i``, which is P = K [R | t] in 4 x 4
+numbers, and ``scale_mat_i``, which moves a unit sphere to the object and is not used here.
 https://github.com/Totoro97/NeuS
 
-``params`` beside a camera model of COLMAP are its parameters, in COLMAP's pixels; ``images`` may refer to
-``cameras`` by ``camera_id``.
+``params`` together with a camera model of COLMAP are the parameters of this model, in COLMAP's pixels.
+``images`` may refer to ``cameras`` by ``camera_id``.
 """
 
 from __future__ import annotations
@@ -58,30 +59,31 @@ from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.io.npz import npz_bytes
 from humansim_ros.types import Array, ImageSize
 
-#: Keys that do not say the direction of a transform.
+#: Keys that do not state the direction of a transform.
 _UNCLEAR = words(
     """r rot rotation rotationmatrix rotmatrix rmat rmatrix rotmat t translation translationvector trans tr
     extrinsic extrinsics extrinsicmatrix extrinsicsmatrix pose poses rt transform transformmatrix orientation
     quaternion quat q qvec rotationquaternion rotationvector"""
 )
 _CENTRED, _LARGEST_ALPHA = 0.5, 0.1
-#: Camera models whose coefficients are as OpenCV has them.
+#: Camera models with the coefficients of OpenCV.
 _UNNAMED = words(
     "pinhole perspective opencv simple_pinhole brown none full_opencv simple_radial radial pinhole_full"
 )
 
 
-#: Keys of a camera's place. Beside a ``rotation``, they are its pose, as in 3D Gaussian Splatting.
+#: Keys of the position of a camera. Together with ``rotation``, they are its pose, as in 3D Gaussian
+#: Splatting.
 _PLACES = words("position pos cameraposition camposition campos location cameralocation")
 
 
 def is_matrices(file: CalibrationFile) -> bool:
-    """Whether a document has K, a focal length or P of a camera under a known spelling."""
+    """Whether a document has K, a focal length or P of a camera, in a known spelling."""
     return bool(find_parameters(plain(file)).having(INTRINSIC))
 
 
 def _with_models(file: CalibrationFile) -> CalibrationFile:
-    """File whose images have the parameters of their cameras, where it lists both, as COLMAP's models do."""
+    """Copy the parameters of the cameras to their images, if the file lists both, as COLMAP's models do."""
     cameras, images = (
         dict(enumerate(section)) if isinstance(section, list) else section
         for section in (file.get("cameras"), file.get("images"))
@@ -113,7 +115,8 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
 
     Args:
         file: File with intrinsics, or with all parameters.
-        other: File with extrinsics; its cameras have the same names, or the same number and order.
+        other: File with extrinsics. The cameras of both files have the same names, or the same number and
+            order.
 
     Raises:
         CameraError: A value is wrong, or there are no intrinsics or no extrinsics where they are needed.
@@ -136,7 +139,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
         if pose is not None:
             poses[name] = pose
     if len(poses) == 2 and len({pose.locations["R"] for pose in poses.values()}) == 1:
-        left, right = poses  # one pose of both: of the right camera, from the left one
+        left, right = poses  # one pose for both: from the left camera to the right one
         poses[right] = replace(poses[right], kind="world", clear=True)
         poses[left] = replace(poses[right], R=np.eye(3), t=np.zeros(3))
     if any("rvec" in entries and entries["rvec"].key == "rxyz" for entries in found.cameras.values()):
@@ -147,7 +150,7 @@ def read_matrices(file: CalibrationFile, other: CalibrationFile | None = None) -
 
 
 def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Cameras of a document that has extrinsics, with any K."""
+    """Read the cameras of a document that has extrinsics. K need not be there."""
     file = plain(file)
     found = find_parameters(file)
     poses: dict[str, FilePose] = {}
@@ -160,7 +163,7 @@ def read_poses(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def missing_parts(found: Found) -> str:
-    """Sentence about what a file has and does not have of a camera."""
+    """Sentence that says which values of a camera a file has, and which are missing."""
     has, lacks = parts_found(found)
     named = [".".join(identity) for identity in found.cameras if identity]
     of = f" of {some_of(named, 4)}" if has and named else ""
@@ -175,7 +178,7 @@ def missing_parts(found: Found) -> str:
 
 
 def _leaf_cameras(found: Found, identities: list[Identity]) -> list[Identity]:
-    """Cameras that are not only parameters that others share."""
+    """Cameras, without groups of parameters that several cameras share."""
     shared = {one[:length] for one in identities for length in range(len(one))}
     return [one for one in identities if one not in shared]
 
@@ -194,13 +197,13 @@ _Pairs = dict[str, tuple[dict[str, Entry], dict[str, Entry]]]
 
 
 def _pairs(file: CalibrationFile, found: Found) -> _Pairs:
-    """Name of each camera -> its intrinsics and its extrinsics."""
+    """Intrinsics and extrinsics of each camera, by name."""
     inner, outer = found.having(INTRINSIC), found.having(POSE)
     every = _leaf_cameras(found, list(dict.fromkeys((*inner, *outer))))
     if len(every) > MAX_CAMERAS:
         raise file.error(f"there are more than {MAX_CAMERAS} cameras")
     whole = [one for one in every if INTRINSIC & found.entries_of(one).keys()]
-    if len(whole) < len(every):  # other names of the extrinsics
+    if len(whole) < len(every):  # the extrinsics have other names
         inner = _leaf_cameras(found, inner)
         outer = [one for one in _leaf_cameras(found, outer) if one not in whole or one in outer]
         only = [one for one in outer if one not in whole]
@@ -235,7 +238,7 @@ def _pairs(file: CalibrationFile, found: Found) -> _Pairs:
 
 
 def _short(pairs: _Pairs, identities: Mapping[str, Identity]) -> _Pairs:
-    """The same pairs without the first parts of the key paths that all cameras have."""
+    """The same pairs. The first parts of key paths that are the same for all cameras are removed."""
     common = 0
     paths = list(identities.values())
     while len(paths) > 1 and all(len(path) > common + 1 for path in paths):
@@ -260,7 +263,7 @@ def _scalar(entries: Mapping[str, Entry], role: str) -> float | None:
 
 
 def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamera:
-    """K, size and lens of a camera; with its pose, if they come from P."""
+    """K, size and lens of a camera. If they come from P, also its pose."""
     size = size_of(entries)
     locations = {
         part: entries[role].location
@@ -283,7 +286,7 @@ def _intrinsics(file: CalibrationFile, entries: Mapping[str, Entry]) -> RawCamer
         camera = RawCamera(_k(entries, size), locations=locations)
     distortion, model = _lens(file, entries, camera.K)
     if size is not None and "size" in entries and "K" in entries and _is_transposed(entries["K"].numbers()):
-        size = size[1], size[0]  # MATLAB's size is rows and columns
+        size = size[1], size[0]  # MATLAB's size is (rows, columns)
     return replace(camera, size=size, distortion=distortion, model=model)
 
 
@@ -318,7 +321,7 @@ def _k(entries: Mapping[str, Entry], size: ImageSize | None) -> Array:
             raise entry.error("needs a principal point (cx, cy) or an image size as well")
         cx, cy = values_[0], values_[1]
     k = pinhole(fx, fy, cx, cy)
-    alpha = _scalar(entries, "alpha") or 0.0  # of cv2.fisheye; a larger one is of another lens
+    alpha = _scalar(entries, "alpha") or 0.0  # alpha of cv2.fisheye; a larger alpha belongs to another lens
     k[0, 1] = _scalar(entries, "skew") or fx * alpha * (abs(alpha) < _LARGEST_ALPHA)
     return k
 
@@ -362,7 +365,7 @@ def _lens(
         bent = bent or (unnamed and "k4" in entries and not {"p1", "p2", "k5", "k6"} & entries.keys())
         equidistant = bent or model_of(word) == "equidistant"
         if equidistant and not {"k3", "k4"} & entries.keys():
-            k3, k4 = p1, p2  # the third and fourth number of a program with one list for all lenses
+            k3, k4 = p1, p2  # third and fourth number, from a program with one list for all lenses
         coefficients = np.array([k1, k2, k3, k4] if equidistant else [k1, k2, p1, p2, k3, k4, k5, k6])
         keys = next((entries[role].keys for role in ("k1", "k2", "k3") if role in entries), ())
     if bent:
@@ -388,7 +391,7 @@ def _lens(
 
 
 def _pose(entries: Mapping[str, Entry]) -> FilePose | None:
-    """Rotation and translation of a camera; None without any."""
+    """Rotation and translation of a camera, or None if both are missing."""
     for role, kind in (("pose", "world"), ("inverse", "camera")):
         if role in entries:
             return _pose_matrix(entries[role], kind)
@@ -426,7 +429,7 @@ def _pose_matrix(entry: Entry, kind: str) -> FilePose:
     rows = 4 if len(entry.numbers()) == 16 else 3
     values = entry.numbers(rows, 4)
     if rows == 4 and not values[:3, 3].any() and values[3, :3].any():
-        values = values.T  # in column order
+        values = values.T  # the values are in column order
     if rows == 4 and not np.allclose(values[3], [0, 0, 0, 1], atol=1e-6):
         raise entry.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers")
     at = entry.location
@@ -450,7 +453,7 @@ def _rotation(entry: Entry) -> Array:
 
 
 def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float:
-    """Metres per unit of a file: of its keys, such as ``translation_mm``, or as of :func:`find_unit`."""
+    """Metres per unit of a file: from its keys, such as ``translation_mm``, or from :func:`find_unit`."""
     return unit_of_keys(file) or find_unit(file, cameras)
 
 

@@ -10,8 +10,8 @@
 - Qualisys (.qca.txt): millimetres, z up. The rows of r11 … r33 are the axes of the camera in the world: x
   right, y up, z backward; x, y, z is its centre. Focal lengths and principal points are in 1/64 pixel of the
   sensor; a pixel of the video is a pixel of the sensor minus the corner of fov_video. Poses and K are as in
-  Pose2Sim's conversion. The distortion coefficients are as in OpenCV, without a unit; Pose2Sim divides them
-  by 64 as well, which leaves almost no distortion. https://github.com/perfanalytics/pose2sim
+  Pose2Sim's conversion. The distortion coefficients are those of OpenCV, without a unit. Pose2Sim divides
+  them by 64 as well, which leaves almost no distortion. https://github.com/perfanalytics/pose2sim
 - DLT: u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), v with L5 ... L8; a column for each camera.
   http://www.kwon3d.com/theory/dlt/dlt.html
 - Ego-Exo4D: metres, z up; the pose of the camera in the world, KANNALABRANDTK3 is cv2.fisheye.
@@ -101,7 +101,7 @@ def _vicon_camera(file: CalibrationFile, at: Keys, frame: Keys) -> RawCamera:
 def _vicon_lens(
     file: CalibrationFile, frame: Keys, k: Array, size: ImageSize
 ) -> tuple[str, tuple[float, ...]]:
-    """Lens that fits the radial correction of Vicon over the image."""
+    """Fit a lens to the radial correction of Vicon over the image."""
     center, radial = k[:2, 2], np.zeros(3)
     if file.get(*frame, "VICON_RADIAL2") is not None:
         kind, *words = str(file.get(*frame, "VICON_RADIAL2")).split() or [""]
@@ -187,16 +187,16 @@ MOTIVE = calibration_format("motive", _is_motive, _read_motive)
 # -- Theia3D
 
 _R = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
-#: Attributes of K, as Qualisys has them too.
+#: Attributes of K. Qualisys has the same.
 _K = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
-#: Both spellings are in use.
+#: Both spellings of each coefficient are in use.
 _THEIA_LENS = (
     *(("radialDistortion1",), ("radialDistortion2",)),
     *(("tangentalDistortion1", "tengentialDistortion1", "tangentialDistortion1"),),
     *(("tangentalDistortion2", "tengentialDistortion2", "tangentialDistortion2"),),
     ("radialDistortion3",),
 )
-#: Largest side of a sensor in pixels; Qualisys counts 64 units for each pixel.
+#: Largest side of a sensor in pixels. Qualisys counts 64 units per pixel.
 _LARGEST_SIDE = 12_000.0
 
 
@@ -219,7 +219,7 @@ def _is_theia(file: CalibrationFile) -> bool:
 
 
 def _read_k(file: CalibrationFile, inner: Keys) -> Array:
-    """K (3, 3) of an element ``intrinsic``, in its unit."""
+    """K (3, 3) of an element ``intrinsic``, in the unit of the element."""
     k = pinhole(*(file.number(*inner, key) for key in _K[:4]))
     k[0, 1] = file.number(*inner, "skew", otherwise=0.0)
     return k
@@ -241,7 +241,7 @@ def _read_theia(file: CalibrationFile) -> dict[str, RawCamera]:
         sides = []
         for low, high in (("sensorMinU", "sensorMaxU"), ("sensorMinV", "sensorMaxV")):
             side = file.number(*inner, high) - file.number(*inner, low)
-            sides.append(side + 1 if side % 2 else side)  # 1919 or 1920
+            sides.append(side + 1 if side % 2 else side)  # the side is 1919 or 1920
         where = file.locations(at, K=inner[-2:], R=outer[-2:], t=outer[-2:])
         size = _whole(file, np.array(sides), *inner, "sensorMaxU")
         name = str(file.get(*at, "serial") or len(cameras))
@@ -255,9 +255,9 @@ THEIA = calibration_format("theia", _is_theia, _read_theia)
 
 # -- Qualisys
 
-#: Parts of a pixel in which focal lengths and principal points are given.
+#: Focal lengths and principal points are in this fraction of a pixel.
 _SUBPIXELS = 64.0
-#: Coefficients in the order of ROS, with the spelling of the files.
+#: Coefficients in the order of ROS, as the files spell them.
 _QTM_LENS = (
     *("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2"),
     "radialDistortion3",
@@ -338,8 +338,8 @@ def _is_dlt(file: CalibrationFile) -> bool:
     rows = _dlt_rows(file)
     while rows and any(word[:1].isalpha() for word in rows[0]):
         if any(role_of(word) in SCALARS for word in rows[0]):
-            return False  # a table of fx, fy …
-        rows = rows[1:]  # a header
+            return False  # it is a table of fx, fy …
+        rows = rows[1:]  # without the header
     csv_ = Path(file.path).suffix.lower() == ".csv" or "," in (file.head or [""])[-1]
     alike = len({len(words) for words in rows}) == 1
     return csv_ and alike and len(rows) == _DLT and len(rows[0]) <= MAX_CAMERAS
@@ -356,7 +356,7 @@ def _read_dlt(file: CalibrationFile) -> dict[str, RawCamera]:
     for index, values in enumerate(table.T):
         p = np.append(values, 1.0).reshape(3, 4)
         size = file.given_size
-        # the image y axis points up where the matrix is a reflection
+        # where the matrix is a reflection, the y axis of the image points up
         if np.linalg.det(p[:, :3]) < 0:
             upward.append(str(index))
             if size is None:

@@ -1,9 +1,9 @@
-"""FileStorage of OpenCV (YAML, XML, JSON) with the key names of its samples and of other programs.
+"""FileStorage files of OpenCV (YAML, XML, JSON), with the keys of OpenCV's samples and of other programs.
 
 A file holds one camera (camera_matrix, distortion_coefficients, R, T), a stereo pair (M1, D1, M2, D2, R, T,
 R1, P1 …), or many cameras (K_left, dist_left, Rot_left, T_left, as in EasyMocap). Intrinsics and extrinsics
-are in one file, or in two whose names differ by intri and extri. x_cam = R x + T in the unit of the
-calibration board.
+are in one file, or in two with intri and extri in their names. x_cam = R x + T in the unit of the calibration
+board.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from humansim_ros.camera.formats.table import calibration_format
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: Names of the camera parameters, without regard to case and underscores, in order of precedence.
+#: Names of the camera parameters, in order of precedence. Case and underscores are ignored.
 _NAMES: dict[str, list[str]] = {part: names.split() for part, names in CAMERA_KEYS["opencv"].items()}
 _PARTS = ("K", "distortion", "R", "t", "rectification", "rectified")
 #: Parameters that all cameras may share.
@@ -59,7 +59,7 @@ _Table = dict[str, dict[str, Entry]]
 def _is_storage(file: CalibrationFile) -> bool:
     table = _table([file])
     if file.syntax == "json" and not _is_opencv_json(file, table):
-        return False  # plain lists, which the format of matrices reads with all their spellings
+        return False  # plain lists are read by the format of matrices, which knows all their spellings
     return bool(table["K"]) or (bool(table["R"]) and bool(table["t"]))
 
 
@@ -70,7 +70,7 @@ def _is_opencv_json(file: CalibrationFile, table: _Table) -> bool:
 
 
 def _table(files: Sequence[CalibrationFile]) -> _Table:
-    """Parameter -> suffix of a camera -> entry."""
+    """Entries by parameter, then by suffix of the camera name."""
     ranked: dict[str, dict[str, tuple[int, Entry]]] = {part: {} for part in _NAMES}
     for file in files:
         for key in file.document if isinstance(file.document, dict) else ():
@@ -118,7 +118,7 @@ def _camera(entries: Mapping[str, Entry], suffix: str, stereo: bool, table: _Tab
         rectification = rotation or rectification
         rotation, t = (None, None) if suffix == "1" else (table["R"][""], table["t"][""])
     elif rotation is not None and t is None and rectified is not None:
-        rotation, rectification = None, rotation  # as in CameraInfo
+        rotation, rectification = None, rotation  # R is the rectification, as in CameraInfo
     if rotation is None and t is not None:
         raise t.error("needs R as well")
     if rotation is not None and t is None:
@@ -139,7 +139,7 @@ def _camera(entries: Mapping[str, Entry], suffix: str, stereo: bool, table: _Tab
 
 
 def _model(entries: Mapping[str, Entry], distortion: Array, k: Array) -> str | None:
-    """Distortion model: OpenCV distinguishes models by their number of coefficients, except for fisheyes."""
+    """Distortion model. OpenCV decides by the number of coefficients, except for fisheyes."""
     lens, name, fisheye = (entries.get(part) for part in ("distortion", "model", "fisheye"))
     word = "" if name is None else name.word
     if word in ("", "pinhole", "perspective", "opencv"):
@@ -158,7 +158,7 @@ _Value = int | str | list[str] | Array
 
 
 def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
-    """Names and values of all entries; matrices are arrays (rows, cols)."""
+    """Names and values of all entries. Matrices are arrays (rows, cols)."""
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
         return {
@@ -194,7 +194,7 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
 
 
 def _is_single_camera_key(key: str) -> bool:
-    """Whether a key, such as dist_coeffs, would be read as a parameter of a single camera."""
+    """Whether a reader would take a key, such as dist_coeffs, for a parameter of a single camera."""
     matches = (pattern.fullmatch(key) for pattern in _PATTERNS.values())
     return any(matched and not (matched[2] or matched[3]) for matched in matches)
 

@@ -1,8 +1,9 @@
 """Projects of photogrammetry programs: Metashape, OpenMVG, Meshroom, Bundler.
 
 - Metashape (document, calibration XML): u = w/2 + cx + x f + x B1 + y B2, v = h/2 + cy + y f; the centre of
-  the first pixel is (0.5, 0.5); tangential coefficients are in the other order than in OpenCV; a camera has
-  its pose in the chunk, whose transform leads to the world (Metashape manual 1.5, appendices C and D).
+  the first pixel is (0.5, 0.5); tangential coefficients are in the other order than in OpenCV; the pose of a
+  camera is in its chunk, and the transform of the chunk leads to the world (Metashape manual 1.5, appendices
+  C and D).
 - OpenMVG: x = R (X - C). https://openmvg.readthedocs.io/en/latest/software/SfM/SfM_OutputFormat/
 - Meshroom (AliceVision): R in column order, x = R (X - C), focal length in mm, principal point from the image
   centre (from version 1.2.1). https://github.com/alicevision/AliceVision (sfmDataIO/jsonIO.cpp)
@@ -45,7 +46,7 @@ from humansim_ros.types import Array, ImageSize
 # -- Metashape
 
 _ROOTS = ("document", "chunk")
-#: Steps of the inversion of a lens.
+#: Steps for the inversion of a lens.
 _INVERSION_STEPS = 200
 
 
@@ -112,7 +113,7 @@ def _metashape_cameras(file: CalibrationFile, chunk: Keys) -> list[Keys]:
 
 
 def _sensor_lens(file: CalibrationFile, at: Keys) -> RawCamera:
-    """Lens of a sensor: the adjusted calibration, else the initial one, else focal length and pixel size."""
+    """Lens of a sensor: the adjusted calibration, or the initial one, or focal length and pixel size."""
     calibrations = file.items(*at, "calibration")
     order = sorted(range(len(calibrations)), key=lambda i: calibrations[i].get("class") != "adjusted")
     if order:
@@ -152,7 +153,7 @@ def _metashape_lens(file: CalibrationFile, at: Keys, sensor: Keys | None) -> Raw
     if file.get(*at, "f", 0) is None and file.get(*at, "fx", 0) is None:
         raise file.error("has no focal length f", *at)
     value = {name: file.number(*at, name, 0, "text", otherwise=0.0) for name in names}
-    if file.get(*at, "f", 0) is None:  # older versions: fx, fy and absolute cx, cy
+    if file.get(*at, "f", 0) is None:  # older versions have fx, fy and absolute cx, cy
         fx, fy = (file.number(*at, key, 0, "text") for key in ("fx", "fy"))
         k = pinhole(fx, fy, value["cx"] - 0.5, value["cy"] - 0.5)
         k[0, 1] = file.number(*at, "skew", 0, "text", otherwise=0.0)
@@ -178,7 +179,7 @@ def _metashape_lens(file: CalibrationFile, at: Keys, sensor: Keys | None) -> Raw
 def _fitted_frame(
     file: CalibrationFile, at: Keys, what: str, value: Mapping[str, float], k: Array, size: ImageSize
 ) -> Lens:
-    """Lens that fits a frame camera with coefficients that no lens model has, over the image."""
+    """Fit a lens, over the image, to a frame camera with coefficients that no lens model has."""
 
     def distort(points: Array) -> Array:
         r2 = (points**2).sum(axis=1, keepdims=True)
@@ -191,7 +192,7 @@ def _fitted_frame(
     pixels = np.column_stack([columns.ravel(), rows.ravel(), np.ones(columns.size)])
     places = (pixels @ np.linalg.inv(k).T)[:, :2]
     ideal = places.copy()
-    with np.errstate(all="ignore"):  # the model may fold within the image
+    with np.errstate(all="ignore"):  # the lens model may fold within the image
         for _ in range(_INVERSION_STEPS):
             ideal += places - distort(ideal)
         known = np.abs(distort(ideal) - places).max(axis=1) < 1e-9
@@ -201,7 +202,7 @@ def _fitted_frame(
 
 
 def _similarity(file: CalibrationFile, at: Keys) -> tuple[Array, Array, float] | None:
-    """Rotation, translation and scale of an element ``transform``; None without one."""
+    """Rotation, translation and scale of an element ``transform``; None if the element is missing."""
     if file.get(*at) is None:
         return None
     if file.get(*at, "rotation", 0) is None and file.get(*at, "text"):
@@ -219,7 +220,7 @@ def _similarity(file: CalibrationFile, at: Keys) -> tuple[Array, Array, float] |
 
 
 def _components(file: CalibrationFile, chunk: Keys) -> dict[str, tuple[Array, Array, float]]:
-    """Transforms to the world by the id of a component; "" is the chunk."""
+    """Transforms to the world by id of the component. "" is the chunk."""
     found = {}
     own = _similarity(file, (*chunk, "transform", 0))
     if own is not None:
@@ -235,7 +236,7 @@ def _components(file: CalibrationFile, chunk: Keys) -> dict[str, tuple[Array, Ar
 def _metashape_pose(
     file: CalibrationFile, at: Keys, components: Mapping[str, tuple[Array, Array, float]]
 ) -> tuple[Array, Array] | None:
-    """R from the world to the camera, and its centre; None for a camera that is not aligned."""
+    """R from the world to the camera, and its centre; None for a camera that was not aligned."""
     if file.get(*at, "transform", 0, "text") is None:
         return None
     pose = file.words(16, *at, "transform", 0, "text").reshape(4, 4)
@@ -245,11 +246,9 @@ def _metashape_pose(
 
 
 def _reference_pose(file: CalibrationFile, at: Keys) -> tuple[Array, Array] | None:
-    """Pose of an element ``reference`` in a local coordinate system; None without all six numbers.
-
-    Yaw is clockwise from north (y), pitch is 0 for a camera that looks down and 90 degrees for one that looks
-    at the horizon, roll is about the line of sight.
-    """
+    """Pose of an element ``reference`` in a local coordinate system; None if one of the six numbers is
+    missing. Yaw is clockwise from north (y). Pitch is 0 for a camera that looks down, 90 degrees for a camera
+    that looks at the horizon. Roll is about the line of sight."""
     if any(file.get(*at, key) is None for key in ("x", "y", "z", "yaw", "pitch", "roll")):
         return None
     center = np.array([file.number(*at, key) for key in "xyz"])
@@ -269,7 +268,7 @@ METASHAPE = calibration_format("metashape", _is_metashape, _read_metashape, valu
 
 # -- OpenMVG
 
-#: Key of the lens -> coefficients in the order of OpenMVG, and the model.
+#: By key of the lens: coefficients in the order of OpenMVG, and the model.
 _OPENMVG = {
     "disto_k1": (("k1",), "plumb_bob"),
     "disto_k3": (("k1", "k2", "k3"), "plumb_bob"),
@@ -312,7 +311,7 @@ def _of(item: Any, key: str) -> Any:
 
 
 def _posed(file: CalibrationFile, lens: RawCamera, pose: Keys | None, columns: bool = False) -> RawCamera:
-    """Camera with a lens and a pose x = R (X - C); without a pose if ``pose`` is None."""
+    """Camera with a lens and a pose x = R (X - C). If ``pose`` is None, the camera has no pose."""
     if pose is None:
         return lens
     r = file.numbers((3, 3), *pose, "rotation")
@@ -358,7 +357,7 @@ OPENMVG = calibration_format("openmvg", _is_openmvg, _read_openmvg, values=_open
 
 # -- Meshroom
 
-#: Lens types of AliceVision -> coefficients in its order, and the model.
+#: By lens type of AliceVision: coefficients in its order, and the model.
 _ALICE = {
     "none": ((), None),
     "pinhole": ((), None),
@@ -482,7 +481,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
             raise CameraError(message, path=file.path, line=rows[-1][0] if rows else first)
         focal, k1, k2 = values[0]
         if focal == 0:
-            continue  # not reconstructed
+            continue  # the camera was not reconstructed
         image = names[index] if index < len(names) else str(index)
         size = file.given_size or size_of_named_image(folder, image)
         if size is None:
@@ -501,7 +500,7 @@ def _read_bundler(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _list_of_images(file: CalibrationFile) -> list[str]:
-    """Images of list.txt in the folder of the file or above it; empty without one."""
+    """Images of list.txt in the folder of the file or one folder above. Empty if list.txt is missing."""
     for folder in (Path(file.path).parent, Path(file.path).parent.parent):
         path = folder / "list.txt"
         if path.is_file() and path.stat().st_size < 1 << 20:

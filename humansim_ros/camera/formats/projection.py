@@ -1,8 +1,8 @@
 """Plain text of numbers: projection matrices, KRTD, par.txt of the Middlebury multi-view data, MVSNet.
 
 - A projection matrix P (3x4), of any scale and sign, is three lines of four numbers or one line of twelve.
-  Its name is before it ("P0: ...") or on a line above; a comment "# left 640x480" also gives the image size.
-  The word CONTOUR, with which files of some data sets begin, is ignored.
+  The name of a matrix stands before it ("P0: ...") or on a line above. A comment "# left 640x480" also gives
+  the image size. Files of some data sets begin with the word CONTOUR, which is ignored.
 - KRTD of Kitware's tools: K (3x3), R (3x3), t (3) and the distortion coefficients of OpenCV without trailing
   zeros; a single 0 means no distortion.
 - par.txt: a count, then lines of an image name, K (9), R (9) and t (3); P = K [R | t].
@@ -37,7 +37,7 @@ from humansim_ros.errors import CameraError, located
 from humansim_ros.types import ImageSize
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
-#: Transforms beside the cameras of KITTI's calib.txt.
+#: Transforms that KITTI's calib.txt has in addition to cameras.
 _OTHER_SENSORS = re.compile(r"(?:Tr(?:_[a-z_]+)?|R0?_rect)[:\s]")
 _NAMED = re.compile(r"([A-Za-z_][^\s:=]*)\s*[:=]\s*(.*)")
 
@@ -48,8 +48,7 @@ def _is_projection(file: CalibrationFile) -> bool:
 
 def _rows(file: CalibrationFile) -> Iterator[tuple[int, str, list[str]]]:
     """Line, name and words of the rows of matrices. Only the first row of a matrix has a name, which may
-    contain a size ("# name 640x480").
-    """
+    contain a size ("# name 640x480")."""
     name = ""
     for line, text in file.all_lines():
         if text[:1] in ("#", ";", "%") or text.startswith("//"):
@@ -106,7 +105,7 @@ def _read_projection(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
-    """Name and size in a comment, which must be one word, or one word and a size."""
+    """Name and size in a comment. The comment must be one word, or one word and a size."""
     words = comment.rstrip(":").split()
     size = _SIZE.fullmatch(words[-1]) if words else None
     if size:
@@ -117,7 +116,7 @@ def _name_and_size(comment: str) -> tuple[str, ImageSize | None]:
 
 def _camera(file: CalibrationFile, values: list[float], line: int, size: ImageSize | None) -> RawCamera:
     with located(path=file.path, line=line, key="P"):
-        # the decomposition of P does not depend on the image size
+        # any size is good enough here, since the decomposition of P does not depend on it
         camera = Camera.from_projection_matrix(np.reshape(values, (3, 4)), (1, 1))
     locations = {"": SourceLocation("P", line)}
     return RawCamera(camera.K, camera.R, camera.t, size=size, locations=locations)
@@ -134,7 +133,7 @@ def _write_projection(cameras: Mapping[str, Camera]) -> dict[str, str]:
 PROJECTION = calibration_format("p", _is_projection, _read_projection, _write_projection)
 
 
-#: OpenCV has no more coefficients.
+#: most coefficients of OpenCV, and most lines
 _MAX_COEFFICIENTS, _MAX_LINES = 14, 21
 
 

@@ -33,7 +33,7 @@ from humansim_ros.geometry import invert_rigid, nearest_rotations, transform
 from humansim_ros.types import Array
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")
-#: Words that YAML does not read as text.
+#: Words that YAML does not read as text, such as yes.
 _WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 #: Key paths of the camera parameters in a file and in a message.
 _IN_FILE: dict[str, tuple[Key, ...]] = {
@@ -70,7 +70,7 @@ def _read_camera_info(file: CalibrationFile) -> dict[str, RawCamera]:
     size = file.size(("image_width",), ("image_height",))
     if (
         file.get("distortion_coefficients", "data") is None
-    ):  # a truncated file must not become an ideal camera
+    ):  # a truncated file must not become a camera without distortion
         raise file.error("is missing; a camera without distortion has zeros", "distortion_coefficients")
     name = str(file.get("camera_name") or "").strip()
     keys = _IN_FILE
@@ -81,7 +81,8 @@ def _read_camera_info(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _read_message(file: CalibrationFile) -> dict[str, RawCamera]:
-    """Read a message that ``ros2 topic echo`` printed; in ROS 1 the names of matrices are capital letters."""
+    """Read a message that ``ros2 topic echo`` has printed. In ROS 1, names of matrices are capital
+    letters."""
     spelling = {str(key).lower(): key for key in file.document}
     keys: dict[str, tuple[Key, ...]] = {part: (spelling.get(k, k),) for part, k in _IN_MESSAGE.items()}
     camera = _camera(file, file.size((spelling["width"],), (spelling["height"],)), keys)
@@ -110,7 +111,7 @@ def _camera(file: CalibrationFile, size: tuple[int, int], keys: Mapping[str, tup
 
 
 def _matrix(file: CalibrationFile, shape: tuple[int, ...], keys: tuple[Key, ...]) -> Array | None:
-    """Matrix that may be missing, or all zeros as from drivers that do not rectify."""
+    """Matrix. It may be missing or all zeros, since drivers that do not rectify write zeros."""
     if file.get(*keys) is None:
         return None
     matrix = file.numbers(shape, *keys)
@@ -141,7 +142,7 @@ def _matrix_lines(key: str, matrix: Array) -> list[str]:
 # -- INI files of the Videre software: a line with a key, then lines with its numbers
 
 _INI_SHAPES = {"camera matrix": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
-#: Sections that are not cameras. ROS ignores the second.
+#: Sections that are not cameras. ROS ignores the second one.
 _IMAGE, _EXTERNALS = "image", "externals"
 _MAX_NUMBERS = 50
 _HEADING = re.compile(r"\[(.*)\]")
@@ -170,7 +171,7 @@ _Section = dict[str, tuple[int, list[float]]]
 
 
 def _sections(file: CalibrationFile) -> dict[str, tuple[int, _Section]]:
-    """Sections by name: the line of the section, and its keys with their lines and numbers."""
+    """Sections by name. Each has its line, and its keys with their lines and numbers."""
     sections: dict[str, tuple[int, _Section]] = {}
     section: _Section = {}
     values: list[float] | None = None
@@ -260,7 +261,7 @@ CAMERA_INFO = calibration_format("camera_info", _is_camera_info, _read_camera_in
 INI = calibration_format("ini", _is_ini, _read_ini, _write_ini)
 
 
-#: Largest error of orthonormality that rounding explains.
+#: Rounding explains errors of orthonormality up to this.
 _ROUNDING = 1e-3
 _CAMERA = re.compile(r"cam[0-9]+")
 #: Extrinsics of the IMU: from the IMU to the camera, and the inverse.
@@ -282,7 +283,7 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     names = _names(file)
     pose: Array | None = None
     for name in names:
-        # with extrinsics of the IMU for the first camera, the chain starts there
+        # if the first camera has extrinsics of the IMU, the chain starts at the IMU
         imu = next((key for key in _IMU if file.get(name, key) is not None), None)
         if imu is not None and (pose is None or file.get(names[0], imu) is not None):
             pose, key = file.pose_matrix(name, imu, rows=4), imu
@@ -296,7 +297,7 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _rigid(matrix: Array) -> Array:
-    """The same transform with an exact rotation, where rounding explains its error."""
+    """The same transform with an exact rotation, if rounding explains its error."""
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
         return matrix

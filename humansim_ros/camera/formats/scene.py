@@ -20,9 +20,9 @@ from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
 _SIZE, _FOV = (640, 480), 60.0
-#: Keys of a scene file that have the names of camera parameters.
+#: Keys of a scene file that have the same names as the parameters of Camera.
 _PARTS = ("K", "R", "t", "size", "distortion", "rectification", "rectified")
-#: Keys that take a camera from another file, and keys that are not part of a calibration.
+#: Keys that take a camera from another file; and keys that are not part of a calibration.
 _OTHER_FILES, _IGNORED = ("calibration", "trajectory"), ("binning", "roi", "sensor")
 
 
@@ -70,7 +70,7 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
         t,
         size=size,
         distortion=tuple(distortion),
-        # without a name, Camera decides by the number of coefficients, as for scenes
+        # if None, Camera decides by the number of coefficients, as in scenes
         model=None
         if name_in_file is None
         else find_model(file, name_in_file, distortion, model_keys, distortion_keys),
@@ -83,7 +83,7 @@ def _camera(file: CalibrationFile, name: str) -> RawCamera:
 def _matrices(
     file: CalibrationFile, at: tuple[Key, ...], size: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
-    """K, R and t from any of the keys that define them."""
+    """K, R and t, from whichever keys define them."""
     try:
         if file.get(*at, "P") is not None:
             camera = Camera.from_projection_matrix(file.numbers((3, 4), *at, "P"), size)

@@ -1,9 +1,8 @@
 """Parameters of cameras in documents of any layout, found by the spelling of their keys.
 
-A document (JSON, npz, YAML, TOML) is a tree of keys. Each of its values whose key is a known spelling of a
-camera parameter is an :class:`Entry`. The rest of its key path names the camera, so that
-``cam0.intrinsics.K``, ``intrinsics.cam0.K``, ``K.cam0``, ``K_cam0`` and the first matrix of a list ``K`` all
-are K of a camera.
+A document (JSON, npz, YAML, TOML) is a tree of keys. If a key is a known spelling of a camera parameter, its
+value becomes an :class:`Entry`. The rest of the key path names the camera. So ``cam0.intrinsics.K``,
+``intrinsics.cam0.K``, ``K.cam0``, ``K_cam0`` and the first matrix of a list ``K`` all are K of a camera.
 """
 
 from __future__ import annotations
@@ -37,10 +36,11 @@ def words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-#: Spellings of each parameter, and keys of groups, in lower case without characters between words.
+#: Spellings of each parameter, and keys of groups. They are in lower case, without separators between words.
 CAMERA_KEYS = read_table("camera_keys")
 _ROLES = {word: role for role, lines in CAMERA_KEYS["parameters"].items() for word in " ".join(lines).split()}
-#: Numbers of one value of each parameter, largest first; a list of such values is one for each camera.
+#: Possible numbers of numbers in one value of each parameter, largest first. A list of such values has one
+#: for each camera.
 _COUNTS = {
     "K": (16, 9, 4),
     **dict.fromkeys(("R", "Rinverse"), (9, 3)),
@@ -66,9 +66,9 @@ TRANSLATION = frozenset({"t", "center", "pose", "inverse", "P"})
 POSE = ROTATION | TRANSLATION
 _MOVED = TRANSLATION - {"P"}
 SIZE = frozenset({"width", "size", "shape"})
-#: Keys that group parameters or cameras, and do not name a camera.
+#: Keys of groups of parameters or cameras. They do not name a camera.
 _GROUPS = words(" ".join(CAMERA_KEYS["groups"]))
-#: Ends of keys that group the parameters of one camera, such as color_intrinsics.
+#: Ends of keys of groups of the parameters of one camera, such as color_intrinsics.
 _SECTION = re.compile(
     r"(.+?)[_. -]?(?:intrinsics?|extrinsics?|calibration|calib|params|parameters|pose|intri|extri)",
     re.IGNORECASE,
@@ -76,8 +76,8 @@ _SECTION = re.compile(
 _NAMES_OF_LISTS = ("rvecs", "tvecs")
 _MAX_DEPTH, _MAX_ENTRIES = 10, 100_000
 _WORD = re.compile(r"[^a-z0-9]+")
-#: Frames in keys that tell the direction of a transform, from ``a`` to ``b``: ``rotation_world_to_camera``,
-#: ``cam_from_world``, ``world_T_cam``, ``R_cw``. Any words may be before and after them.
+#: Frames in keys that state the direction of a transform from ``a`` to ``b``: ``rotation_world_to_camera``,
+#: ``cam_from_world``, ``world_T_cam``, ``R_cw``. Any words may be before and after the frames.
 _FRAME = "(?P<{}>world|w|camera|cam|c)"
 _DIRECTION = tuple(
     re.compile(text.format(_FRAME.format("a"), _FRAME.format("b")))
@@ -86,9 +86,9 @@ _DIRECTION = tuple(
 _WHOLE = {""} | words(
     "h t mat matrix tf transform transformation transformationmatrix rt se3 pose extrinsics extrinsic"
 )
-#: Parameter with a direction -> parameter from the camera to the world.
+#: By parameter with a direction: the same parameter from the camera to the world.
 _OPPOSITES = {"R": "Rinverse", "t": "center", "pose": "inverse"}
-#: Ends of keys of single numbers that are a vector, a quaternion or a matrix together, and their parameters.
+#: Ends of keys of single numbers that together make a vector, a quaternion or a matrix; and their parameters.
 _ENDS = (
     ({"x", "y", "z"}, "R rvec t center P"),
     ({"w", "x", "y", "z"}, "R quaternion"),
@@ -100,32 +100,32 @@ _ENDS = (
     *((set(ends.split()), "t center") for ends in ("1 2 3", "0 1 2", "11 21 31")),
     *(({str(i + first) for i in range(n)}, "distortion") for n in (4, 5, 8) for first in (0, 1)),
 )
-#: Keys of these vectors and quaternions, by the parameter and the number of numbers.
+#: Keys of these vectors and quaternions, by parameter and number of components.
 _TURNED = {
     **dict.fromkeys((("R", 4), ("quaternion", 4)), "quaternion_xyzw"),
     ("R", 3): "rxyz",
     ("P", 3): "position",
 }
 _END = re.compile(r"(.+?)[_. -]?([wxyz]|[0-9]_?[0-9]?)")
-#: Keys that end with a unit: ``translation_mm``, ``T_left_cm``, ``position (m)``.
+#: Pattern of keys that end with a unit: ``translation_mm``, ``T_left_cm``, ``position (m)``.
 _UNIT = re.compile(r"(.+?)[_. (\[-]+(?:in[_ ])?([cm]?m|(?:milli|centi)?met(?:er|re)s?)[)\]]?", re.IGNORECASE)
 _PART = re.compile("t[xyz]", re.IGNORECASE)
-#: Words of keys that are no names of cameras: ``F_threshold`` is no focal length.
+#: Words that do not name a camera: ``F_threshold`` is no focal length of a camera ``threshold``.
 _NO_CAMERA = words(
     """threshold thresh thres min max mean num number noise std sigma var weight rate freq tol eps ratio prior
     init"""
 )
-#: Keys of angles, which are no rotation vectors.
+#: Keys of angles. They are no rotation vectors.
 _ANGLES = re.compile(r"euler|rpy|ypr|yaw|pitch|roll|degree", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-#: Names of the camera of an entry: parts of its key path.
+#: Name of the camera of an entry: parts of its key path.
 Identity = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A camera parameter in a file, at a key path. ``key``: its spelling in the file, without case."""
+    """A camera parameter in a file. ``key``: its spelling in the file, in lower case."""
 
     file: CalibrationFile
     keys: Keys
@@ -147,7 +147,7 @@ class Entry:
         return replace(self.file.location(*self.keys), path=self.file.path)
 
     def numbers(self, *shape: int) -> Array:
-        """Array of a shape; all numbers (N,) without one."""
+        """Array of a shape. If no shape is given, all numbers (N,)."""
         return self.file.numbers(shape, *self.keys) if shape else self.file.some_numbers(*self.keys)
 
     def error(self, message: str) -> CameraError:
@@ -157,22 +157,20 @@ class Entry:
 
 @dataclass
 class Found:
-    """Parameters of the cameras of one or two files.
-
-    ``cameras``: camera -> parameter -> entry, in the order of the files. ``names``: lists of names of
-    cameras. ``views``: whether rvecs and tvecs are poses of a board, as ``cv2.calibrateCamera`` gives them.
-    """
+    """Parameters of the cameras of one or two files. ``cameras``: entries by camera, then by parameter, in
+    the order of the files. ``names``: lists of names of cameras. ``views``: whether rvecs and tvecs are poses
+    of a board, as ``cv2.calibrateCamera`` returns them."""
 
     cameras: dict[Identity, dict[str, Entry]] = field(default_factory=dict)
     names: list[str] = field(default_factory=list)
     views: bool = False
 
     def having(self, roles: frozenset[str]) -> list[Identity]:
-        """Cameras with one of these parameters of their own."""
+        """Cameras that have one of these parameters themselves."""
         return [identity for identity, entries in self.cameras.items() if roles & entries.keys()]
 
     def entries_of(self, identity: Identity) -> dict[str, Entry]:
-        """Parameters of a camera, with the ones that it shares with others."""
+        """Parameters of a camera, including those that it shares with other cameras."""
         entries: dict[str, Entry] = {}
         for length in range(len(identity) + 1):
             entries |= self.cameras.get(identity[:length], {})
@@ -180,7 +178,7 @@ class Found:
 
 
 def size_of(entries: Mapping[str, Entry]) -> ImageSize | None:
-    """Image size of a camera with these parameters; None without one."""
+    """Image size of a camera with these parameters; None if none of them states it."""
     width, height = entries.get("width"), entries.get("height")
     if width is not None and height is not None:
         return width.file.positive_integer(*width.keys), height.file.positive_integer(*height.keys)
@@ -195,19 +193,19 @@ def size_of(entries: Mapping[str, Entry]) -> ImageSize | None:
 
 
 def role_of(key: Key) -> str | None:
-    """Camera parameter that a key spells; None if it spells none."""
+    """Camera parameter that a key spells; None for any other key."""
     return _ROLES.get(_word(split_unit(key)[0])) if isinstance(key, str) else None
 
 
 def split_unit(key: str) -> tuple[str, float | None]:
-    """Key of a translation without the unit at its end, and metres per unit; None without a unit."""
+    """Key of a translation without the unit at its end, and metres per unit (None if the key has no unit)."""
     match = _UNIT.fullmatch(key) if len(key) < 60 else None
     moved = match and (_PART.fullmatch(match[1]) or any(r in _MOVED for r, _ in _candidates(match[1])))
     return (match[1], metres_of(match[2].lower())) if match and moved else (key, None)
 
 
 def unit_of_keys(file: CalibrationFile) -> float | None:
-    """Metres per unit that keys such as ``translation_mm`` state; None without one. Raises CameraError."""
+    """Metres per unit that keys such as ``translation_mm`` state; None if no key does. Raises CameraError."""
     units = {key: unit for key in keys_of(_parsed(file)) if (unit := split_unit(key)[1])}
     if len({*units.values()}) > 1:
         raise CameraError(f"has several units: {', '.join(sorted(units))}; give one", path=file.path)
@@ -234,7 +232,7 @@ def find_parameters(*files: CalibrationFile) -> Found:
         if "params" in entries and colmap_model(found.entries_of(identity)) is None:
             del entries["params"]
     sure = any({"K", "fx", "P"} & entries.keys() for entries in found.cameras.values())
-    found.cameras = {  # a lone f beside a K is another number
+    found.cameras = {  # a camera with nothing but f is no camera if there is a K: f is another number there
         identity: entries
         for identity, entries in found.cameras.items()
         if entries and not (sure and entries.keys() == {"focal"})
@@ -243,13 +241,13 @@ def find_parameters(*files: CalibrationFile) -> Found:
 
 
 def colmap_model(entries: Mapping[str, Entry]) -> str | None:
-    """Camera model of COLMAP that a camera with these parameters has; None for another one or none."""
+    """COLMAP's camera model of a camera with these parameters; None for no model or another one."""
     model = str(entries["model"].value).strip().upper() if "model" in entries else ""
     return model if model in COLMAP_MODELS else None
 
 
 def _leave_out_views(found: Found) -> None:
-    """Remove ``rvecs`` and ``tvecs``, unless each camera with K has one of them."""
+    """Remove ``rvecs`` and ``tvecs``, unless there is one of them for each camera with K."""
     listed = {
         identity
         for identity, entries in found.cameras.items()
@@ -264,7 +262,7 @@ def _leave_out_views(found: Found) -> None:
                 del entries[role]
 
 
-#: Parts of vectors and quaternions that are written as a mapping.
+#: Keys of the components of vectors and quaternions that are written as mappings.
 _COMPONENTS = (
     ("x", "y", "z"),
     ("tx", "ty", "tz"),
@@ -278,11 +276,9 @@ _MAX_NORMALISED = 200_000
 def plain(
     file: CalibrationFile, rewrite: Callable[[dict[Any, Any]], dict[Any, Any]] = lambda items: items
 ) -> CalibrationFile:
-    """File with lists in place of mappings of x, y, z (and w), and of single numbers such as K11 to K33.
-
-    Numbers are in place of their texts. The key of a quaternion gets the end ``_xyzw``, which is its order.
-    Plain text becomes a document. ``rewrite`` changes the items of each mapping.
-    """
+    """Replace mappings of x, y, z (and w), and single numbers such as K11 to K33, by lists. Texts of numbers
+    become numbers. The key of a quaternion gets the end ``_xyzw``, which states its order. Plain text becomes
+    a document. ``rewrite``: changes the items of each mapping."""
     file = _parsed(file)
     names: dict[str, str] = {}
     budget = _MAX_NORMALISED
@@ -309,7 +305,7 @@ def plain(
             if value and all(isinstance(item, str) and _NUMBER.fullmatch(item.strip()) for item in value):
                 return [float(item) for item in value]
             if len(value) == 2 and isinstance(value[0], (int, float)) and isinstance(value[1], list):
-                return [value[0], *value[1]]  # a quaternion of real and imaginary part
+                return [value[0], *value[1]]  # a quaternion of a real and an imaginary part
             return [convert(item, depth + 1) for item in value]
         return value
 
@@ -317,13 +313,14 @@ def plain(
 
 
 def _parsed(file: CalibrationFile) -> CalibrationFile:
-    """File with a document, also of plain text that has keys and values."""
+    """The file with a document. Plain text with keys and values is parsed, too."""
     no_document = file.document is None and file.syntax == "text"
     return text_document(file, role_of) if no_document else file
 
 
 def _simple(key: Any, value: Any) -> Any:
-    """Numbers of a text such as "1 0 0.5", and text of an element of XML; other values unchanged."""
+    """Convert a text such as "1 0 0.5" to numbers, and an element of XML to its text. Other values are
+    unchanged."""
     if isinstance(value, list) and len(value) == 1 and isinstance(value[0], dict) and [*value[0]] == ["text"]:
         value = value[0]["text"]
     words = value.translate(BRACKETS).split() if isinstance(value, str) and len(value) < 2000 else []
@@ -332,7 +329,7 @@ def _simple(key: Any, value: Any) -> Any:
 
 
 def _joined(items: dict[Any, Any]) -> dict[Any, Any]:
-    """Items with a list in place of the single numbers of a vector, a quaternion or a matrix."""
+    """The items, with the single numbers of a vector, a quaternion or a matrix joined to a list."""
     parts: dict[str, dict[str, Any]] = {}
     for key, item in items.items():
         end = _END.fullmatch(key) if isinstance(key, str) and len(key) < 60 else None
@@ -350,17 +347,17 @@ def _joined(items: dict[Any, Any]) -> dict[Any, Any]:
 
 
 def keys_of(file: CalibrationFile) -> set[str]:
-    """Keys of the first thousands of values of a document."""
+    """Keys of a document, of its first thousands of values."""
     return {str(key) for keys, _ in islice(leaves_of(file), 2000) for key in keys}
 
 
 def leaves_of(file: CalibrationFile) -> Iterator[tuple[Keys, tuple[int, ...] | str]]:
-    """Key path, and shape or text, of the numbers, lists of numbers and texts of a document."""
+    """Numbers, lists of numbers and texts of a document: key path, and shape or text of each."""
     return _leaves(file.document, (), 0)
 
 
 def _vector(value: Any) -> list[float] | None:
-    """Numbers of a mapping of x, y, z (and w); None for others."""
+    """Numbers of a mapping of x, y, z (and w); None for other values."""
     if not isinstance(value, Mapping) or not 3 <= len(value) <= 4:
         return None
     by_key = {str(key).lower(): number for key, number in value.items()}
@@ -378,7 +375,7 @@ _Shape = tuple[int, ...] | str
 
 
 def _leaves(value: Any, keys: Keys, depth: int) -> Iterator[tuple[Keys, _Shape]]:
-    """Key path, and shape or text, of the numbers, lists of numbers and texts of a document."""
+    """Numbers, lists of numbers and texts below a key: key path, and shape or text of each."""
     if depth > _MAX_DEPTH:
         return
     shape = shape_of(value)
@@ -396,7 +393,7 @@ def _leaves(value: Any, keys: Keys, depth: int) -> Iterator[tuple[Keys, _Shape]]
 
 
 def shape_of(value: Any, depth: int = 5) -> _Shape | None:
-    """Shape of nested lists of numbers; a text itself; None for all other values."""
+    """Shape of nested lists of numbers. A text is returned unchanged. None for other values."""
     if isinstance(value, (bool, str)):
         return str(value)
     if isinstance(value, (int, float)):
@@ -410,7 +407,7 @@ def shape_of(value: Any, depth: int = 5) -> _Shape | None:
 
 
 def _add(found: Found, file: CalibrationFile, keys: Keys, shape: _Shape) -> None:
-    """Add a value of a document, if its key is known."""
+    """Add a value of a document if its key is known."""
     spelled = _spelled(keys, shape)
     if spelled is None:
         return
@@ -433,7 +430,7 @@ def _add(found: Found, file: CalibrationFile, keys: Keys, shape: _Shape) -> None
 
 
 def _spelled(keys: Keys, shape: _Shape) -> tuple[str, int, Identity] | None:
-    """Parameter of a value, place of its key in the path, and camera; None for an unknown value."""
+    """Parameter of a value, the place of its key in the path, and the camera; None for an unknown value."""
     last = len(keys) - 1
     if keys and keys[-1] == "data" and last:
         last -= 1
@@ -451,14 +448,12 @@ def _spelled(keys: Keys, shape: _Shape) -> tuple[str, int, Identity] | None:
 
 
 def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
-    """Parameters that a key may spell, the surest first, and the camera that it names.
-
-    ``K_left``, ``left_K`` and ``K1`` are K of a camera, ``R_world_to_camera`` has a direction.
-    """
+    """Parameters that a key may spell with the camera that it names, the most certain first. ``K_left``,
+    ``left_K`` and ``K1`` are K of a camera, ``R_world_to_camera`` has a direction."""
     word = _word(key)
     role, numbered = _ROLES.get(word), _numbered(key)
     if role in SCALARS and numbered is not None:
-        yield numbered  # K1 of 3 x 3 numbers is no k1; the sizes decide
+        yield numbered  # K1 with 3 x 3 numbers is K, not k1, so the sizes decide
     if role is not None:
         yield role, ()
     for directed in (pattern.fullmatch(word) for pattern in _DIRECTION):
@@ -477,7 +472,7 @@ def _candidates(key: str) -> Iterator[tuple[str, Identity]]:
 
 
 def _numbered(key: str) -> tuple[str, Identity] | None:
-    """Parameter and camera of a key that ends with a number: ``K1``."""
+    """Parameter and camera of a key that ends with a number, such as ``K1``."""
     match = re.fullmatch(r"([A-Za-z_]+?)_?([0-9]+)", key) if len(key) < 80 else None
     role = _ROLES.get(_word(match[1])) if match else None
     known = ("K", "R", "t", "rvec", "pose", "distortion", "P")
@@ -485,7 +480,7 @@ def _numbered(key: str) -> tuple[str, Identity] | None:
 
 
 def _split(key: str) -> tuple[str, Identity] | None:
-    """Parameter and camera of a key with words of both: ``K_left`` and ``left_K``."""
+    """Parameter and camera of a key with words of both, such as ``K_left`` and ``left_K``."""
     words = [word for word in re.split(r"[_. -]+", key) if word]
     if len(words) > 8 or len(key) > 80:
         return None
@@ -510,7 +505,7 @@ def _parts(keys: Keys) -> Identity:
 
 
 def _count(role: str, shape: _Shape) -> int | None:
-    """Number of cameras of a value: 0 for a single value, None if it is no value of this parameter."""
+    """Number of cameras that a value has: 0 for a single value. None if the shape does not fit."""
     if isinstance(shape, str):
         number = re.fullmatch(r"[+-]?[0-9.]+([eE][+-]?[0-9]+)?", shape) is not None
         return 0 if role in _TEXTS or (role in SCALARS and number) else None
@@ -525,7 +520,7 @@ def _count(role: str, shape: _Shape) -> int | None:
     if role == "params" and len(shape) == 2:
         return shape[0]
     if role == "K" and size == 4 and 4 not in shape:
-        return None  # 2 x 2 numbers
+        return None  # 2 x 2 numbers are ambiguous
     counts = _COUNTS[role]
     if size in counts and not (role == "R" and size == 3 and len(shape) > 2):
         return 0
@@ -534,7 +529,7 @@ def _count(role: str, shape: _Shape) -> int | None:
 
 
 def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[str]:
-    """Unknown keys of lists of at least ``least`` numbers in a document, with their sizes, for messages."""
+    """For messages: unknown keys in a document with lists of at least ``least`` numbers, and their sizes."""
     found: list[str] = []
     for count, (keys, shape) in enumerate(leaves_of(file)):
         if len(found) == most or count > 1000:
@@ -547,7 +542,7 @@ def numbers_found(file: CalibrationFile, most: int = 4, least: int = 1) -> list[
 
 
 def parts_found(found: Found) -> tuple[list[str], list[str]]:
-    """The four things that a camera needs: the ones that a file has, and the ones that it does not have."""
+    """The four things that a camera needs: which ones a file has, and which ones are missing."""
     roles = {role for entries in found.cameras.values() for role in entries}
     needed = (
         ("K or focal length", INTRINSIC),

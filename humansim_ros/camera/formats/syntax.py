@@ -1,4 +1,5 @@
-"""Safe parsing of YAML, JSON, TOML, XML and npz: no objects, limits of size and depth, unique keys."""
+"""Safe parsing of YAML, JSON, TOML, XML and npz: no objects are created, size and depth are limited, keys are
+unique."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-#: Most characters of a file; YAML is slow to parse. A file with hundreds of cameras is much smaller.
+#: Most characters of a file, since YAML is slow to parse. A file with hundreds of cameras is much smaller.
 _MAX = {"yaml": 1 << 19, "json": 8 << 20, "toml": 1 << 18, "xml": 4 << 20}
 _MAX_DEPTH = 20
 #: Header of OpenCV, which is not valid YAML 1.1.
@@ -34,19 +35,19 @@ _HEADER = re.compile(r"\A\s*%YAML:1\.[0-9]+[^\n]*")
 _END = re.compile(r"\n---\s*\Z")
 #: Row of a matrix in plain text, with or without a name.
 _NUMBERS = re.compile(r"([A-Za-z_][^\s:=]*\s*:\s+)?[+-]?[0-9.][^\s,]*([\s,]+[+-]?[0-9.][^\s,]*){2,}")
-#: Header of a table and assignment of a key in TOML, and characters in which they are searched.
+#: Header of a table and assignment of a key in TOML, and the characters that are searched for them.
 _TABLE = re.compile(r"^[ \t]*\[\[?[ \t]*([\w.\"'-]+)[ \t]*\]\]?[ \t]*(?:#.*)?$", re.MULTILINE)
 _ASSIGNMENT = re.compile(r"^[ \t]*([\w.\"'-]+)[ \t]*=[ \t]*\S", re.MULTILINE)
 TOML_HEAD = 1 << 14
-#: Section of a ZED camera, whose file resembles TOML.
+#: Section of a ZED camera. Such a file resembles TOML.
 ZED_SECTION = re.compile(r"^\s*\[(?:LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
-#: Most dots of a line of TOML: parsing dotted keys takes the square of their length.
+#: Most dots of a line of TOML, since the time to parse a dotted key grows with the square of its length.
 _MAX_DOTS = 128
-#: Assignment of an INI file that is none of TOML: bare words or several numbers.
+#: Assignment in an INI file that is not valid in TOML: bare words or several numbers.
 _INI = re.compile(
     r"^[ \t]*[\w.-]+[ \t]*[=:][ \t]*(?:(?!true|false|nan|inf)[A-Za-z]|[-+.\d][^\s,;]*[ ,;]+[-+.\d])", re.M
 )
-#: Lines of text that resembles YAML: of ``rs-enumerate-devices -c``, printed arrays, rows of numbers.
+#: Lines of text that resemble YAML: output of ``rs-enumerate-devices -c``, printed arrays, rows of numbers.
 _PLAIN = re.compile(
     r"^[ \t]*Intrinsic of \"|^[ \t]*\[+ *[-+.\d]\S* +[-+.\d][^,\n]*$"
     r"|^[-+]?\d[^\s,:]*([ \t]+[-+]?\.?\d[^\s,:]*)+$",
@@ -55,7 +56,7 @@ _PLAIN = re.compile(
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
 
 
-#: Largest archive, unpacked: twenty numbers of ten thousand cameras are smaller.
+#: Largest archive, unpacked, bytes. Twenty numbers for each of ten thousand cameras are smaller.
 _MAX_ARCHIVE = 16 << 20
 _MAX_NUMBERS = 400_000
 
@@ -64,14 +65,14 @@ def read_document(path: str | os.PathLike[str], most: int) -> CalibrationFile:
     """Read and parse a file of at most ``most`` bytes.
 
     Raises:
-        CameraError: The file is missing, too large, or not valid; with its line or key.
+        CameraError: The file is missing, too large, or not valid. The error names the line or key.
     """
     data = read_bytes(path, CameraError, "calibration", most)
     if data.startswith(b"PK"):
         return _read_npz(path)
     utf16 = data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[:4] == b"<\0?\0"
     try:
-        # Motive writes UTF-16
+        # Motive writes files in UTF-16
         text = data.decode("utf-16" if data[0] > 0x7F else "utf-16-le") if utf16 else ""
     except UnicodeDecodeError:
         text = ""
@@ -82,10 +83,9 @@ def read_document(path: str | os.PathLike[str], most: int) -> CalibrationFile:
 
 
 def other_half(path: Path) -> Path | None:
-    """File with the other half of a calibration, whose name has extr in place of intr; None without one.
-
-    It is in the same folder or, as in WildTrack, in a folder whose name begins with intr or extr as well.
-    """
+    """Find the file with the other half of a calibration: its name has extr in place of intr, or the
+    opposite. The file is in the same folder or, as in WildTrack, in a folder with a name that also begins
+    with intr or extr. Returns None if there is no such file."""
     for one, other in (("intr", "extr"), ("extr", "intr")):
         beside = path.parent.name.startswith(one)
         folders = sorted(path.parent.parent.glob(f"{other}*"), reverse=True) if beside else []
@@ -97,12 +97,12 @@ def other_half(path: Path) -> Path | None:
 
 
 def name_of_half(stem: str) -> str:
-    """Name of a camera from the name of a file of WildTrack, such as intr_CVLab1."""
+    """Name of a camera, from the name of a file of WildTrack such as intr_CVLab1."""
     return re.sub(r"^(?:in|ex)tr_(?=.)", "", stem)
 
 
 def _read_npz(path: str | os.PathLike[str]) -> CalibrationFile:
-    """Archive of arrays as a document of lists."""
+    """Read an archive of arrays as a document of lists."""
     arrays = read_npz(path, CameraError, "calibration", most=_MAX_ARCHIVE)
     document: dict[str, Any] = {}
     for name, array in arrays.items():
@@ -112,7 +112,7 @@ def _read_npz(path: str | os.PathLike[str]) -> CalibrationFile:
     return CalibrationFile(str(path), "", document, syntax="npz")
 
 
-#: Root elements of XML with attributes, and elements by which they are known.
+#: Root elements of XML with attributes, and the elements that identify them.
 _ROOTS = {
     "calibration": ("cameras/camera", "projection"),
     "document": ("chunk",),
@@ -129,7 +129,8 @@ class Matrix(dict[str, Any]):
 
 
 def detect_syntax(path: str, text: str) -> str:
-    """Detect whether a text is ``yaml``, ``json``, ``toml``, ``xml`` or plain ``text`` by its first lines."""
+    """Detect from its first lines whether a text is ``yaml``, ``json``, ``toml``, ``xml`` or plain
+    ``text``."""
     first = _first_lines(path, text)
     head = first[0].strip()[:1] if first else ""
     if head == "<":
@@ -149,13 +150,13 @@ def detect_syntax(path: str, text: str) -> str:
 
 
 def _first_lines(path: str, text: str) -> list[str]:
-    """First two lines without empty lines, comments and directives."""
+    """First two lines, after empty lines, comments and directives are left out."""
     lines = (line for _, line in CalibrationFile(path, text).all_lines() if line)
     return list(islice((line for line in lines if not line.startswith(("#", "---", "%", ";"))), 2))
 
 
 def parse(path: str, text: str, syntax: str) -> CalibrationFile:
-    """Parse a text. Raises CameraError with the line or the key."""
+    """Parse a text. Raises CameraError, which names the line or the key."""
     most = _MAX.get(syntax, len(text))
     if len(text) > most:
         message = f"the file is too large for a calibration in {syntax.upper()}: more than {most >> 10} kB"
@@ -165,7 +166,8 @@ def parse(path: str, text: str, syntax: str) -> CalibrationFile:
         document, tree = parse_yaml(text, CameraError, path, _Loader)
         return CalibrationFile(path, text, document, tree, syntax=syntax)
     if syntax == "json":
-        one = text.lstrip().split("\n", 1)[0] if path.endswith(".jsonl") else text  # a line for each moment
+        # .jsonl has one line for each moment
+        one = text.lstrip().split("\n", 1)[0] if path.endswith(".jsonl") else text
         return CalibrationFile(path, text, _parse_json(path, one), syntax=syntax)
     if syntax == "toml":
         try:
@@ -181,7 +183,7 @@ def parse(path: str, text: str, syntax: str) -> CalibrationFile:
 
 
 class _Loader(Loader):
-    """Loader of plain data and of matrices of OpenCV."""
+    """YAML loader for plain data and matrices of OpenCV."""
 
 
 def _matrix(loader: _Loader, node: yaml.Node) -> Matrix:
@@ -247,7 +249,7 @@ def _parse_xml(path: str, text: str) -> Any:
         raise CameraError(f"not valid XML: {reason.args[0]}", path=path, line=line) from None
     except DefusedXmlException:
         raise CameraError("a calibration file must not have document types or entities", path=path) from None
-    except (ValueError, LookupError) as reason:  # an unknown encoding
+    except (ValueError, LookupError) as reason:  # the encoding is unknown
         raise CameraError(f"not valid XML: {reason}", path=path) from None
     if root.tag in _ROOTS and any(root.find(place) is not None for place in _ROOTS[root.tag]):
         return {root.tag: _attributes(root, path)}
@@ -259,7 +261,7 @@ def _parse_xml(path: str, text: str) -> Any:
 
 
 def _attributes(element: Element, path: str, depth: int = 0) -> dict[str, Any]:
-    """Attributes of an element and lists of its children by their tags, for XML of attributes."""
+    """Attributes of an element, and lists of its children by tag."""
     if depth > _MAX_DEPTH:
         raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
     content: dict[str, Any] = {}
@@ -272,7 +274,7 @@ def _attributes(element: Element, path: str, depth: int = 0) -> dict[str, Any]:
 
 
 def _value(element: Element, path: str, depth: int = 0) -> Any:
-    """Value of an element in OpenCV's XML: elements are keys, elements named _ and words are list items."""
+    """Value of an element in OpenCV's XML. Elements are keys; elements named _ and words are list items."""
     if depth > _MAX_DEPTH:
         raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
     children = list(element)

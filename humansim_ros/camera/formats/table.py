@@ -1,14 +1,15 @@
 """Table of the calibration formats: their names, units and what they store, and the functions of each.
 
-``config/calibration_formats.json`` has a row for each format; its keys are fields of
-:class:`CalibrationFormat`, which tells their defaults. A module of the family of the format adds its
-functions with :func:`calibration_format`.
+``config/calibration_formats.json`` has a row for each format. The keys of a row are fields of
+:class:`CalibrationFormat`, which has their defaults. The module of the format's family adds the functions
+with :func:`calibration_format`.
 
-``written`` of a row is the content of a file in JSON, or of XML as attributes and lists of elements by their
-tag. ``$fx`` is the value of a camera of this name (:func:`_values`, and the values of the format), or its
-digits within a longer text. What is below the key ``$each`` is written for each camera in a list, below
-``$name`` for each camera under its name. A key whose value a camera does not have is left out. ``names`` is
-``words`` or ``printable``: the names that can be written.
+
+``written`` of a row is a template: the content of a JSON file, or of an XML file as attributes and lists of
+elements by tag. ``$fx`` is replaced by the value ``fx`` of a camera (:func:`_values`, and the values of the
+format); in a longer text, by its digits. The content of the key ``$each`` is written once for each camera, as
+a list; the content of ``$name`` once for each camera, under its name. A key is left out if the camera has no
+value for it. ``names`` is ``words`` or ``printable``: the names that can be written.
 """
 
 from __future__ import annotations
@@ -50,15 +51,16 @@ class CalibrationFormat:
         syntax: ``text``, ``yaml``, ``json``, ``toml``, ``xml`` or ``npz``.
         matches: Whether a file of this syntax has this format.
         read: Cameras of a file by name.
-        write: Content of each file by its name; a format of one file has the name "".
+        write: Content of each file by file name. If the format has one file, its name is "".
         multiple: Whether a file holds more than one camera.
         unit: Metres per unit of the file.
         up: Axis of its world that points up.
-        holds_size, holds_pose, holds_skew, holds_rectified: Parts of a camera that it can store.
-        lenses: Distortion models that it can store, and the number of their coefficients.
+        holds_size, holds_pose, holds_skew, holds_rectified: Whether the format can store these values of a
+            camera.
+        lenses: Distortion models that the format can store, with the number of their coefficients.
         sizes: Usual image sizes of a format that does not store the size.
-        find_unit: Finds the metres per unit of a file, where the format does not define them.
-        also: Other syntaxes from which it is read, after all of their own formats.
+        find_unit: Finds the metres per unit of a file, if the format does not define the unit.
+        also: Other syntaxes that the format is read from, after the formats of that syntax have been tried.
     """
 
     name: str
@@ -81,7 +83,7 @@ class CalibrationFormat:
     also: tuple[str, ...] = ()
 
 
-#: Values of a camera in a template, by their names.
+#: Values of a camera for a template, by name.
 Values = Mapping[str, Any]
 
 
@@ -93,16 +95,17 @@ def calibration_format(
     find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None,
     values: Callable[[Values, Camera], Values] = lambda own, camera: {},
 ) -> CalibrationFormat:
-    """Format of a row of the table.
+    """Create a format from a row of the table.
 
     Args:
-        name: Name of the format; ``matches``, ``read``, ``write`` and ``find_unit`` are as of
+        name: Name of the format. ``matches``, ``read``, ``write`` and ``find_unit``: see
             :class:`CalibrationFormat`.
+
         matches: Whether a file has this format.
         read: Cameras of a file.
-        write: Files of cameras. Without it, the row has a template.
+        write: Files of cameras. If None, the row has a template.
         find_unit: Metres per unit.
-        values: Values of a camera that only this template has, from its other values.
+        values: Computes values that only this template needs from the other values of a camera.
     """
     row: Any = {key: _tuples(value) for key, value in _ROWS[name].items()}
     template, names = row.pop("written", None), row.pop("names", "")
@@ -127,11 +130,12 @@ def _tuples(value: Any) -> Any:
 
 
 def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
-    """Values of a camera that templates may have.
+    """Values of a camera that templates may use.
 
-    Besides the intrinsics: ``K``, ``R``, ``Rt``, ``w2c``, ``c2w`` (camera to world) and ``gl`` (the same with
-    the camera axes of OpenGL: y up, z backward), with ``_flat`` in row order, with ``_columns`` in column
-    order, and numbers of R and gl by row and column (``R12``); ``t`` and ``center``, also as ``_column``.
+    Matrices are ``K``, ``R``, ``Rt``, ``w2c``, ``c2w`` (camera to world) and ``gl`` (like ``c2w`` with the
+    camera axes of OpenGL: y up, z backward). The end ``_flat`` gives row order, ``_columns`` column order.
+    Single numbers of R and gl have row and column in their names (``R12``). Vectors are ``t`` and ``center``,
+    also with the end ``_column``.
     """
     (width, height), k = camera.size, camera.K
     own = dict(zip(MODELS[str(camera.model)], camera.distortion, strict=True))
@@ -167,7 +171,8 @@ def _values(name: str, index: int, camera: Camera) -> dict[str, Any]:
 
 
 def _filled(template: Any, each: Sequence[Values], values: Values) -> Any:
-    """Template with ``values``, or the values of ``each`` camera; None if it has only missing values."""
+    """Fill a template with ``values``, or with those of ``each`` camera. Returns None if all values are
+    missing."""
     if isinstance(template, str):
         if "$" not in template:
             return template

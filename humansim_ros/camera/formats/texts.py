@@ -1,7 +1,7 @@
 """Plain text as documents: keys with values, with or without sections and blocks, and tables with a header.
 
 ``fx = 911``, ``fx: 911``, ``fx,911`` and ``fx 911`` are the same. Brackets and separators of matrices are
-left out, and rows of numbers belong to the key above them. Where a key such as ``name`` comes again, the next
+ignored. Rows of numbers belong to the key above them. When a key such as ``name`` comes again, the next
 camera begins. A table has the names of its columns in the first line, and a row for each camera.
 """
 
@@ -19,25 +19,23 @@ from humansim_ros.errors import CameraError
 _MOST_LINES, _MOST_CHARACTERS, _MOST_NUMBERS = 20_000, 1 << 21, 1000
 #: Longest heading, characters.
 _LONGEST = 200
-#: Heading of a section, also that of ``rs-enumerate-devices``, which is the whole line.
+#: Heading of a section. In the output of ``rs-enumerate-devices``, it is the whole line.
 _HEADING = re.compile(r"\[\s*([^\[\],;=]*[A-Za-z][^\[\],;=]*?)\s*\]|((?:In|Ex)trinsic (?:of|from)\s.*)")
 _ASSIGNMENT = re.compile(r"([A-Za-z][^=:,;\t]{0,59}?)\s*[=:]\s*(.*)|([A-Za-z][\w.]{0,59})(?:[\s,;]+(.*))?")
 _COMMENT = re.compile(r"(?:\s|^)(?:#|//|%).*")
-#: Separators of the numbers of a matrix, which become blanks.
+#: Separators of the numbers of a matrix. They are replaced by blanks.
 BRACKETS = str.maketrans("[](){},;", " " * 8)
-#: Least columns of a table, and how many of them are parameters of a camera.
+#: A table has at least this many columns, and at least this many of them are camera parameters.
 _COLUMNS, _KNOWN = 5, 4
 
 _Values = Iterator[tuple[Keys, Any, int]]
-#: Parameter of a camera that a key spells.
+#: Function from a key to the camera parameter that it spells.
 RoleOf = Callable[[str], str | None]
 
 
 def text_document(file: CalibrationFile, role_of: RoleOf) -> CalibrationFile:
-    """The file with its keys and values as a document; unchanged if there are none, or if one is duplicate.
-
-    Raises CameraError for a row of a table that has not the columns of its header.
-    """
+    """The file with its keys and values as a document. It is unchanged if there are no keys, or a key comes
+    twice. Raises CameraError if a row of a table has another number of columns than the header."""
     if len(file.text) > _MOST_CHARACTERS:
         return file
     document: dict[Any, Any] = {}
@@ -56,7 +54,7 @@ def text_document(file: CalibrationFile, role_of: RoleOf) -> CalibrationFile:
 
 
 def _table(file: CalibrationFile, role_of: RoleOf) -> _Values | None:
-    """Key path, value and line of each cell of a table with a header; None for another text."""
+    """Key path, value and line of each cell of a table with a header; None if the text is no table."""
     for head, below in pairwise(text.lstrip("#% ") for _, text in islice(file.all_lines(), 50) if text):
         for between in (",", ";", "\t", None):
             names = [name.strip(" \"'") for name in head.split(between)]
@@ -112,13 +110,13 @@ def _assignments(file: CalibrationFile, role_of: RoleOf) -> _Values:
 
 
 def _numbers(text: str) -> list[float]:
-    """Numbers of a text that has nothing else."""
+    """Numbers of a text that has only numbers."""
     words = text.translate(BRACKETS).split()
     return [float(word) for word in words] if all(map(is_number, words)) else []
 
 
 def _blocks(values: list[tuple[Keys, Any, int]]) -> _Values:
-    """The same values, with a number in front of the keys from the first key on that comes again."""
+    """The same values. From the first key that comes again, each block has a number in front of its keys."""
     keys = [keys for keys, _, _ in values]
     counts = {key: index for index, key in reversed(list(enumerate(keys)))}
     again = next((key for index, key in enumerate(keys) if counts[key] < index), None)

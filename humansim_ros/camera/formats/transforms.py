@@ -35,9 +35,9 @@ from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_about
 from humansim_ros.types import Array, ImageSize
 
-#: Size of the images of the synthetic scenes of NeRF, whose files have no size.
+#: Image size of the synthetic scenes of NeRF. Their files have no size.
 _NERF_SIZE = (800, 800)
-#: Folder of images in most files, which is not part of a camera's name.
+#: Folder of the images in most files. It is not part of a camera's name.
 _FOLDER = "images/"
 _COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
 #: Names of lens models in ``camera_model``.
@@ -68,7 +68,7 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
 
 
 def _names(file: CalibrationFile) -> list[str]:
-    """Names of the cameras: the names of their images."""
+    """Names of the cameras, which are those of their images."""
     names = []
     for index, _ in enumerate(file.need("frames")):
         image = file.get("frames", index, "file_path")
@@ -98,7 +98,7 @@ def _camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCam
 
 
 def _keys(file: CalibrationFile, index: int, key: str) -> tuple[Key, ...]:
-    """Key path of a value of a frame: its own key, or the key of all frames."""
+    """Key path of a value of a frame. The frame has the key itself, or the file has it for all frames."""
     own: tuple[Key, ...] = ("frames", index, key)
     return own if file.get(*own) is not None else (key,)
 
@@ -122,7 +122,7 @@ def _size(file: CalibrationFile, index: int) -> ImageSize | None:
 
 
 def _matrix(file: CalibrationFile, index: int, size: ImageSize | None) -> Array:
-    """K of a frame. The size is needed where the file has an angle, or no principal point."""
+    """K of a frame. The size is needed if the file has an angle, or no principal point."""
     width, height = size or (None, None)
     given = _focal_length(file, index, "x", width), _focal_length(file, index, "y", height)
     lengths = [length for length in given if length is not None]
@@ -183,7 +183,7 @@ def _blender_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
 
 
 def _blender_value(file: CalibrationFile, at: Keys, key: str, otherwise: float | None = None) -> float:
-    """Number of a camera, of the section ``render``, or of the file."""
+    """Number from a camera, or from the section ``render``, or from the file."""
     places: tuple[Keys, ...] = ((*at, key), (*at, "render", key), ("render", key), (key,))
     found = next((place for place in places if file.get(*place) is not None), None)
     if found is None and otherwise is not None:

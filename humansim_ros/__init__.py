@@ -34,7 +34,7 @@ def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
 
     Args:
         package: ``__name__`` of the package.
-        file: Its ``__file__``. The stub beside it (.pyi) imports the names from the modules that define them.
+        file: Its ``__file__``. The stub next to it (.pyi) imports the names from their modules.
 
     Returns:
         ``__getattr__``, ``__dir__`` and ``__all__`` of the package.

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: What hides the content of files in messages (a FileQuotes of io/quotes.py); None: messages quote files.
+#: Hides the content of files in messages (a FileQuotes of io/quotes.py). If None, messages quote files.
 HIDING: ContextVar[Any] = ContextVar("HIDING", default=None)
 
 
@@ -65,7 +65,7 @@ class HumansimError(Exception):
         return ": ".join(parts)
 
     def within(self, section: str) -> HumansimError:
-        """The same error seen from a file that has its key in ``section``, or names its file there."""
+        """The same error, with the key of the ``section`` that contains its key or names its file."""
         if self.path is not None:
             return type(self)(str(self), key=section)
         return type(self)(self.message, key=f"{section}.{self.key}" if self.key else section)
@@ -73,7 +73,7 @@ class HumansimError(Exception):
 
 @contextmanager
 def in_section(section: str) -> Iterator[None]:
-    """Put ``section`` before the keys of errors; an error in another file becomes an error of that key.
+    """Put ``section`` before the keys of errors. An error in another file becomes an error of this key.
 
     The code that has read the file adds path and line. ``__cause__`` is the error in the other file.
     """
@@ -90,10 +90,10 @@ def located(
     line: int | None = None,
     key: str | None = None,
 ) -> Iterator[None]:
-    """Give errors a place where they have none.
+    """Add file, line and key to errors that have none.
 
     Args:
-        error: Class of the errors; their own if None.
+        error: Class of the errors. If None, each keeps its class.
         path: File, for errors without one.
         line: Line, for errors without one.
         key: Key, for errors without one.
@@ -107,13 +107,13 @@ def located(
 
 
 def _hidden(text: str) -> str:
-    """A text for people without the content of files that it must not show."""
+    """Remove the content of files from a message, if it must not be shown."""
     quotes = HIDING.get()
     return text if quotes is None else str(quotes.hide(text))
 
 
 def near_names(word: str, known: Iterable[str], least: float = 0.65) -> list[str]:
-    """Names that resemble a word, the nearest first; case does not matter. ``least``: similarity, 0 to 1."""
+    """Names that resemble a word, the nearest first. Case is ignored. ``least``: least similarity, 0 to 1."""
     from difflib import get_close_matches  # only when something is wrong
 
     by_lower = {name.lower(): name for name in known}
@@ -127,7 +127,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def escaped(text: str) -> str:
-    r"""Text with its control characters escaped, such as U+202E, which turns a line around; lines stay.
+    r"""Escape control characters, such as U+202E, which turns a line around. Line breaks are kept.
 
     Example:
         >>> print(escaped("a" + chr(0x202E) + "b"))
@@ -139,7 +139,7 @@ def escaped(text: str) -> str:
 
 
 def printable(text: str, limit: int = 300) -> str:
-    """Text of somebody else for a line of a log: shortened, and control characters are escaped.
+    """Text from outside (a file, a message) made safe for a log: one line, control characters escaped.
 
     ``limit``: number of characters that are kept.
     """
@@ -148,7 +148,7 @@ def printable(text: str, limit: int = 300) -> str:
 
 
 def some_of(texts: Iterable[object], most: int = 5, between: str = ", ", rest: str = " and {} more") -> str:
-    """The first texts of a list for a message, and the number of the others.
+    """First texts of a list, and the number of the remaining texts, for a message.
 
     Args:
         texts: All texts.
@@ -209,7 +209,7 @@ class ExportError(HumansimError):
 
 
 class EvaluationError(HumansimError):
-    """A truth and an estimate cannot be read or compared."""
+    """Ground truth or an estimate cannot be read, or they cannot be compared."""
 
 
 class PhotographError(HumansimError):
@@ -226,7 +226,7 @@ def warn_about(path: str | os.PathLike[str], message: str) -> None:
 
 
 class HumansimWarning(UserWarning):
-    """Input is usable but doubtful; the message says what is assumed."""
+    """Input is usable but doubtful. The message says what is assumed."""
 
     def __init__(self, message: str) -> None:
         super().__init__(_hidden(message))

@@ -172,7 +172,7 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
 def unit_quaternions(quaternions: NDArray[Any]) -> Array:
     """Quaternions (..., 4) divided by their length, which is not zero.
 
-    Those whose length is 1 up to rounding stay the same to the last bit.
+    A quaternion with length 1 up to rounding keeps all its bits.
     """
     q = np.asarray(quaternions, dtype=float)
     length = np.linalg.norm(q, axis=-1, keepdims=True)
@@ -319,11 +319,11 @@ def rotate(matrices: NDArray[Any], vectors: NDArray[Any]) -> Array:
 def compose_poses(
     outer: tuple[NDArray[Any], NDArray[Any]], inner: tuple[NDArray[Any], NDArray[Any]]
 ) -> tuple[Array, Array]:
-    """Poses of things whose poses are given in the axes of others.
+    """Poses of things in the world. Their poses are given relative to other poses.
 
     Args:
-        outer: Positions (..., 3) and quaternions (..., 4) xyzw of the others.
-        inner: Positions (..., 3) and quaternions (..., 4) xyzw of the things in these axes.
+        outer: Positions (..., 3) and quaternions (..., 4) xyzw in the world of the other poses.
+        inner: Positions (..., 3) and quaternions (..., 4) xyzw of the things relative to ``outer``.
     """
     (positions, rotations), (offsets, turns) = outer, inner
     arms = rotate(quaternion_to_matrix(rotations), offsets)

@@ -1,4 +1,4 @@
-"""Pictures of objects in notebooks: the folder ``drawing`` makes them for the classes below it."""
+"""Pictures of objects in notebooks. The folder ``drawing`` makes them, for classes of lower folders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Pictured:
     """Base class of objects that notebooks show as a picture, at most 640 pixels wide."""
 
     def _repr_png_(self) -> bytes | None:
-        """PNG file for IPython; None, and a warning, if it cannot be drawn: IPython shows the text then."""
+        """PNG file for IPython. If it cannot be drawn, a warning and None, so that IPython shows the text."""
         try:
             png: bytes = drawing("notebooks").notebook_png(self)
         except Exception as reason:  # a cell with this object as its value must not fail
@@ -24,5 +24,5 @@ class Pictured:
 
 
 def drawing(module: str) -> Any:
-    """Load a module of the folder ``drawing`` on first use; it imports the folders that draw by this."""
+    """Load a module of ``drawing`` on first use, since ``drawing`` imports the folders that call this."""
     return import_module(f"humansim_ros.drawing.{module}")

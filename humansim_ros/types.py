@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Double precision: the core computes with it.
+#: Double precision, for computations of the core.
 Array = NDArray[np.float64]
-#: Single precision: vertices and what the renderer computes.
+#: Single precision, for vertices and for results of the renderer.
 Float32Array = NDArray[np.float32]
 #: Single or double precision.
 FloatArray = NDArray[np.floating]

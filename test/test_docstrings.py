@@ -9,6 +9,7 @@ import operator
 import re
 from collections.abc import Iterator
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 from conftest import ROOT
@@ -123,3 +124,65 @@ def test_replaced_names_are_gone() -> None:
         names = {n.name for n in ast.walk(tree(path)) if isinstance(n, (Function, ast.ClassDef))}
         found += [f"{path.relative_to(ROOT)}: {name}" for name in names & REPLACED]
     assert not found
+
+
+#: Words that readers stumble over, and what to write. Only patterns that a search can find.
+UNCLEAR = {
+    r"\bbeside\b": "next to, or in addition to",
+    r"\bNone if it\b": "None if the <noun>",
+    r"; (?:it|its|they|he|she|those|these|others|which|then)\b": "a second sentence, with the noun again",
+    r"\bof which\b": "two sentences",
+    r"\bwhose\b": "with, or two sentences",
+    r"\bit is waited\b": "wait, or the thing that waits",
+    r"\bdoes not refer to\b": "holds no reference to",
+    r"\b[A-Z]\w+ in which\b": "what is measured, then its unit",
+    r"\bwith the key\b(?!s? \w)": "which names the key",
+    r"\bas of\b": "the same as in",
+    r"\bis not there\b|\bif it is one\b|\bor is none\b": "is missing, or what it is not",
+}
+COMMENT = re.compile(r"(?:.*\s\s|\s*)#:? (.*)")
+#: Folders and modules that nobody has read for this yet. The set only gets shorter.
+UNREAD = set(
+    """apps bags body challenge cli drawing evaluate export humans io jobs keypoints mesh messages
+    motion photographs record ros scene testing truth view""".split()  # noqa: SIM905
+)
+
+
+def prose(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines and texts of the docstrings and comments of a module."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, (ast.Module, ast.ClassDef, *Function.__args__)) and (
+            text := ast.get_docstring(node)
+        ):
+            yield node.body[0].lineno, " ".join(text.split())
+    comments = [COMMENT.match(line) for line in path.read_text().splitlines()]
+    number = 0
+    while number < len(comments):
+        block = [match[1] for match in takewhile(bool, comments[number:]) if match]
+        if block:
+            yield number + 1, " ".join(block)
+        number += len(block) + 1
+
+
+def is_unread(path: Path) -> bool:
+    """Whether a module, or a folder above it, is in the list of those that nobody has read."""
+    place = path.relative_to(PACKAGE).with_suffix("")
+    return any(part.as_posix() in UNREAD for part in (place, *place.parents))
+
+
+def test_docstrings_and_comments_are_clear_at_the_first_reading() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {match[0]!r}, better: {better}"
+        for path in MODULES
+        if not is_unread(path)
+        for line, text in prose(path)
+        for pattern, better in UNCLEAR.items()
+        if (match := re.search(pattern, text))
+    ]
+    assert not found
+
+
+def test_each_unread_module_exists() -> None:
+    assert not [
+        name for name in UNREAD if not any((PACKAGE / f"{name}{end}").exists() for end in ("", ".py"))
+    ]

@@ -49,7 +49,7 @@ class RigPlacement:
 
     @classmethod
     def from_degrees(cls, rotation_deg: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> RigPlacement:
-        """RigPlacement from angles (3,) about the x axis of ``map``, then y, then z, in degrees."""
+        """Create a placement from angles (3,) about the x axis of ``map``, then y, then z, in degrees."""
         rotation = from_degrees(np.asarray(rotation_deg, dtype=float)).as_matrix()
         return cls(np.asarray(rotation), np.asarray(position, dtype=float))
 

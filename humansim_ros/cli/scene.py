@@ -57,12 +57,16 @@ class SceneOptions:
 
         from humansim_ros.errors import SceneError
         from humansim_ros.scene.config import LIVE, load_config, map_files
+        from humansim_ros.scene.draft import Draft
         from humansim_ros.scene.source import SceneSource, found_name
-        from humansim_ros.scene.variety import with_variety
+        from humansim_ros.scene.variety import add_variety
 
-        source = SceneSource.of_file(path)
-        with source.locating_errors():
-            scene = with_variety(load_config(path), source)
+        source, scene = SceneSource.of_file(path), load_config(path)
+        if scene.variety is not None:
+            with source.locating_errors():
+                draft = Draft.begin(scene, source)
+                add_variety(draft)
+            scene = draft.config
         config = map_files(scene.model_dump(exclude_none=True), lambda name: found_name(source.folder, name))
         config.setdefault("room", None)
         humans = config["humans"]

@@ -7,7 +7,6 @@ repeats without a jump, and any time can be asked.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -15,15 +14,14 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from humansim_ros.errors import HumansimWarning, SceneError, in_section, some_of
+from humansim_ros.errors import HumansimError, SceneError, in_section, some_of
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion.orca import Walkers
 from humansim_ros.motion.path_motion import FloorPath
-from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import CrowdConfig, HumanConfig, MotionConfig, SceneConfig, living_face
+from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.floor_plan import FloorPlan
 from humansim_ros.scene.names import variety_names
-from humansim_ros.scene.objects import load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.variety import Path, things_on_floor
@@ -59,22 +57,17 @@ _SEPARATIONS, _DETOUR = 4, 5.0
 _OPEN = 10.0
 
 
-def with_crowd(config: SceneConfig, source: SceneSource) -> tuple[SceneConfig, dict[str, FloorPath]]:
-    """Configuration with the people of its ``crowd`` section among its humans, and the path of each.
+def add_crowd(draft: Draft) -> None:
+    """Add the people of the section ``crowd``, each with its path.
 
     Raises SceneError with the key if there is no room for them or no floor at a goal. A HumansimWarning names
     the people who get nowhere.
     """
-    crowd = config.crowd
+    crowd, source = draft.config.crowd, draft.source
     if crowd is None or not crowd.count:
-        return config, {}
+        return
     names = variety_names(crowd.name, crowd.count)
-    if taken := [name for name in names if name in config.humans]:
-        raise SceneError(f"there is a human {taken[0]} already", key="crowd.name")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HumansimWarning)  # the scene reads the same files and warns
-        floor = _floor(config, crowd, source.loading())
-    plan = _Plan(crowd, floor)
+    plan = _Plan(crowd, _floor(draft, crowd))
     points = plan.run()
     humans = {
         name: _human(crowd, name, person.home, source)
@@ -95,9 +88,12 @@ def with_crowd(config: SceneConfig, source: SceneSource) -> tuple[SceneConfig, d
     for numbers, problem in ((plan.blocked, no_way), (plan.lost, jump)):
         if numbers:
             source.warn("crowd", f"{some_of(names[number] for number in sorted(numbers))}: {problem}")
-    each = zip(names, plan.people, np.moveaxis(points, 1, 0), strict=True)
-    paths = {name: FloorPath(line, STEP, person.facing) for name, person, line in each}
-    return config.model_copy(update={"humans": dict(config.humans) | humans}), paths
+    draft.config = draft.config.model_copy(update={"humans": draft.config.humans | humans})
+    for name, person, line in zip(names, plan.people, np.moveaxis(points, 1, 0), strict=True):
+        try:
+            draft.add_human(name, humans[name], FloorPath(line, STEP, person.facing))
+        except HumansimError as error:
+            raise type(error)(error.message, key="crowd.motions") from error.__cause__
 
 
 def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> HumanConfig:
@@ -118,14 +114,10 @@ def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> H
     )
 
 
-def _floor(config: SceneConfig, crowd: CrowdConfig, source: SceneSource) -> FloorPlan:
+def _floor(draft: Draft, crowd: CrowdConfig) -> FloorPlan:
     """The floor with what stands on it: things, and the paths of all other humans."""
-    area = _area(config, crowd)
-    tracks = load_tracks(config, source)
-    covered = [things_on_floor(config, source, tracks, area)]
-    for number, (name, human) in enumerate(config.humans.items(), 1):
-        track = tracks.get(("humans", name))
-        covered.append(Path.of_scene(Actor.load(name, number, human, source, track)).points)
+    area = _area(draft.config, crowd)
+    covered = [things_on_floor(draft, area), *(Path.of_scene(each).points for each in draft.actors.values())]
     return FloorPlan.of(area, np.concatenate(covered), crowd.radius)
 
 

@@ -50,7 +50,8 @@ class Environment:
     @classmethod
     def load(cls, config: SceneConfig, source: SceneSource) -> Environment:
         """Load the environment of a scene. Raises HumansimError with the key."""
-        world, meshes = config.world, mesh_files(config, source)
+        world, files = config.world, enumerate(config.world.meshes)
+        meshes = tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
         random = config.randomise is not None and config.randomise.light
         light = random_light(config.light, config.randomise) if random and config.randomise else config.light
         lighting = replace(_lighting(light), shadow_catcher=world.shadow_catcher)
@@ -76,12 +77,6 @@ class Environment:
         """Meshes of the room and of the mesh files."""
         room = () if self.room is None else _furnished(self.room.size, self.room.seed)
         return (*room, *self.mesh_files)
-
-
-def mesh_files(config: SceneConfig, source: SceneSource) -> tuple[Mesh, ...]:
-    """Meshes of ``world.meshes`` in ``map``. Raises HumansimError with the key."""
-    files = enumerate(config.world.meshes)
-    return tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
 
 
 @lru_cache(maxsize=2)

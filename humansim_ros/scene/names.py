@@ -11,11 +11,14 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from humansim_ros.errors import SceneError, located
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.scene.stereo import right_camera
+
+if TYPE_CHECKING:
+    from humansim_ros.scene.config import SceneConfig
 
 #: Node that plays the motions of a scene.
 PLAYER_NODE = "motion_player"
@@ -24,6 +27,8 @@ PLAYER_NODE = "motion_player"
 HRI_NAMES = ("bodies", "faces", "voices", "persons", "interactions", "candidate_matches")
 #: Value of ``time.mode``.
 LOCKSTEP = "lockstep"
+#: Sections that add random humans, in this order, with the prefix of their names.
+_RANDOM = (("variety", "person"), ("crowd", "walker"))
 #: Node that publishes the topics of the sections ``adapters`` and ``hri``.
 BRIDGE_NODE = "bridge"
 
@@ -108,9 +113,21 @@ def variety_names(prefix: str, count: int) -> list[str]:
     return [f"{prefix}_{number}" for number in range(1, count + 1)]
 
 
+def human_names(config: SceneConfig) -> list[str]:
+    """Names of all humans of a scene. Raises SceneError for a random human with the name of another one."""
+    names = dict.fromkeys(config.humans)
+    for key, _ in _RANDOM:
+        section = getattr(config, key)
+        for name in () if section is None else variety_names(section.name, section.count):
+            if name in names:
+                raise SceneError(f"there is a human {name} already", key=f"{key}.name")
+            names[name] = None
+    return list(names)
+
+
 def _random_names(content: Mapping[str, Any], path: Path) -> list[str]:
     names: list[str] = []
-    for key, prefix in (("variety", "person"), ("crowd", "walker")):
+    for key, prefix in _RANDOM:
         section = content.get(key) or {}
         try:
             count = min(int(section.get("count", 0)), 1000)

@@ -181,15 +181,12 @@ def robot_of_mount(mount: str | None, robot: Robot | None) -> Robot | None:
     return robot
 
 
-def robot_object(robot: Robot, source: SceneSource, instance: int) -> SceneObject:
-    """The robot as an object of its scene. Raises HumansimError with the key, relative to its section.
-
-    ``instance``: instance label; 0 for none.
-    """
+def robot_object(robot: Robot, source: SceneSource) -> SceneObject:
+    """The robot as an object without label. Raises HumansimError with the key, relative to its section."""
     config = robot.config
     color = {} if config.color is None else {"color": config.color}
     section = ObjectConfig(mesh=config.mesh, size=config.size, **color)
-    item = SceneObject.build(ROBOT, section, source, None, instance)
+    item = SceneObject.build(ROBOT, section, source, None, 0)
     start = replace(robot.body_at(0.0), size=item.initial_pose.size)
     return replace(item, initial_pose=start, pose_at=robot.body_at)
 

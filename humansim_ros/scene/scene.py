@@ -16,21 +16,19 @@ import scipy
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import HumansimError, SceneError, in_section
+from humansim_ros.errors import SceneError, in_section
 from humansim_ros.humans.human import Human
-from humansim_ros.humans.levels import levels_of
 from humansim_ros.humans.loading import forget_people_data
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_blocks
 from humansim_ros.io.quotes import hiding_quotes
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.pictures import Pictured
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.render.renderer import Body
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.camera import SceneCamera, build_cameras, random_cameras
+from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.config import (
     ObjectConfig,
     SceneConfig,
@@ -39,21 +37,22 @@ from humansim_ros.scene.config import (
     load_config,
     map_files,
 )
-from humansim_ros.scene.crowd import with_crowd
+from humansim_ros.scene.crowd import add_crowd
+from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.faces import with_faces
 from humansim_ros.scene.holding import held
 from humansim_ros.scene.names import check_node_names
-from humansim_ros.scene.objects import SceneObject, load_tracks
+from humansim_ros.scene.objects import SceneObject
 from humansim_ros.scene.randomise import RandomNumbers, random_looks, random_numbers
 from humansim_ros.scene.reaching import with_reaches
-from humansim_ros.scene.robot import Robot, robot_object
+from humansim_ros.scene.robot import Robot
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scanner import SceneScanner, build_scanners
 from humansim_ros.scene.seats import Seats, furniture_for
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.timing import CameraTiming
-from humansim_ros.scene.variety import with_variety
+from humansim_ros.scene.variety import add_variety
 from humansim_ros.truth import joint_surfaces
 from humansim_ros.types import Array
 
@@ -67,8 +66,6 @@ _DURATION, _STEP = 60.0, 0.2
 _FROM_HUMANS, _FROM_CAMERAS, _FROM_OBJECTS = 0.35, 0.4, 0.05
 #: Heights between which static meshes are obstacles.
 _LOW, _HIGH = 0.05, 1.8
-#: Humans from which on those who are small in an image are drawn with fewer triangles.
-_MANY = 8
 #: Positions tried for an object: _TRIES times _BATCH at once.
 _TRIES, _BATCH = 20, 20
 
@@ -315,56 +312,42 @@ class Scene(Pictured):
 
     @classmethod
     def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
-        named = frozenset(config.humans)
-        config, paths = with_crowd(with_variety(config, source), source)
-        tracks = load_tracks(config, source)
-        actors: dict[str, Actor] = {}
-        for number, (name, human) in enumerate(config.humans.items(), 1):
-            track = tracks.get(("humans", name))
-            try:
-                actor = Actor.load(name, number, human, source, track, paths.get(name))
-            except HumansimError as error:
-                if name not in paths:
-                    raise
-                raise type(error)(error.message, key="crowd.motions") from error.__cause__
-            # at once, while what its shape is made of is kept in memory
-            actors[name] = _with_levels(actor, source) if len(config.humans) >= _MANY else actor
-        objects: dict[str, SceneObject] = {}
-        _add_objects(objects, config.objects, source, tracks, actors)
-        environment = Environment.load(config, source)
-        seats = Seats(config, objects, environment.mesh_files)
-        furniture = dict(furniture_for(actors, seats, source))
-        _add_objects(objects, furniture, source, tracks, actors)
-        robot = Robot.of_scene(config, source)
-        if robot is not None:
-            with in_section(ROBOT):
-                label = _next_label(actors, objects) if robot.config.label else 0
-                objects[ROBOT] = robot_object(robot, source, label)
-        cameras = {
-            name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
-            for name, camera in build_cameras(config, source, robot).items()
-        }
-        scanners = build_scanners(config, source, robot)
+        # random people keep away from the humans and objects of the file
+        draft = Draft.begin(config, source)
+        add_variety(draft)
+        add_crowd(draft)
+        # whoever holds an object is known now; a chair is put where nothing is below somebody
+        actors, objects, environment = draft.actors, draft.objects, draft.environment
+        for name, item in config.objects.items():
+            if item.held_by is not None:
+                with in_section(f"objects.{name}.held_by"):
+                    objects[name] = held(objects[name], item.held_by, actors)
+        seats = Seats(draft.config, objects, environment.mesh_files)
+        draft.add_objects(dict(furniture_for(actors, seats, source)))
+        if draft.robot is not None and draft.robot_body is not None:
+            objects[ROBOT] = replace(draft.robot_body, instance=draft.next_label(draft.robot.config.label))
+        # the robot carries cameras and scanners; clutter keeps away from everything
+        cameras = draft.cameras
+        scanners = build_scanners(config, source, draft.robot)
         check_node_names(actors, cameras, scanners, bool(config.adapter_settings))
-        if config.randomise is not None:
-            cameras = random_cameras(cameras, config.randomise)
         if config.randomise is not None and config.randomise.clutter:
             static = [
                 *environment.meshes,
                 *(item.static_mesh() for item in objects.values() if not item.moves),
             ]
             obstacles = Obstacles.of_scene(actors.values(), cameras, objects, static)
-            _add_objects(objects, clutter(config, source, obstacles), source, tracks, actors)
+            draft.add_objects(clutter(config, source, obstacles))
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
         if config.renderer == "pyrender" and distorted:
             raise SceneError(
                 f"pyrender does not render distorted lenses, as of {distorted[0]}: use moderngl",
                 key="renderer",
             )
-        actors = with_reaches(actors, config.humans, objects)
-        actors = with_faces(actors, config.humans, cameras, source)
-        random = config.humans.keys() - named
-        return cls(source, config, actors, cameras, objects, environment, frozenset(random), scanners, robot)
+        humans = draft.config.humans
+        actors = with_reaches(actors, humans, objects)
+        actors = with_faces(actors, humans, cameras, source)
+        random = frozenset(humans.keys() - config.humans.keys())
+        return cls(source, draft.config, actors, cameras, objects, environment, random, scanners, draft.robot)
 
     def __repr__(self) -> str:
         parts: dict[str, Iterable[str]] = {
@@ -458,39 +441,6 @@ class Scene(Pictured):
     def moving_objects(self) -> dict[str, SceneObject]:
         """Objects with keyframes by name."""
         return {name: item for name, item in self.objects.items() if item.moves}
-
-
-def _add_objects(
-    objects: dict[str, SceneObject],
-    configs: Mapping[str, ObjectConfig],
-    source: SceneSource,
-    tracks: Mapping[tuple[str, str], KeyframeTrack],
-    actors: Mapping[str, Actor],
-) -> None:
-    """Add objects; their labels continue the labels of humans and objects."""
-    for name, config in configs.items():
-        with in_section(f"objects.{name}"):
-            if config.label and name in actors:
-                raise SceneError("a human has this name: a labelled object needs a name of its own")
-            label = _next_label(actors, objects) if config.label else 0
-            item = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)
-            if config.held_by is not None:
-                with in_section("held_by"):
-                    item = held(item, config.held_by, actors)
-            objects[name] = item
-
-
-def _with_levels(actor: Actor, source: SceneSource) -> Actor:
-    """A human with levels of detail, unless keyframes change its size."""
-    if actor.keyframes is not None:
-        return actor
-    human = actor.human
-    levels = source.once(lambda: levels_of(human), "levels", id(human.mesh.vertices), human.skinning)
-    return replace(actor, levels=levels)
-
-
-def _next_label(actors: Mapping[str, Actor], objects: Mapping[str, SceneObject]) -> int:
-    return len(actors) + sum(item.instance > 0 for item in objects.values()) + 1
 
 
 def scene_hash(scene: Scene) -> str:

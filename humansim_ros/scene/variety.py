@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -19,16 +19,12 @@ from humansim_ros.humans.makehuman.population import PeopleLimits, person_name
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.motion.activity import ACTIVITY, needs_table
-from humansim_ros.motion.keyframes import KeyframeTrack
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig, living_face
-from humansim_ros.scene.environment import mesh_files
+from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.names import variety_names
-from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
-from humansim_ros.scene.robot import Robot, robot_object
-from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.room import furniture_plan
 from humansim_ros.scene.seats import Seat, Sitting, find_sittings, footprint, seats_of
 from humansim_ros.scene.source import SceneSource
@@ -234,26 +230,19 @@ _TIMES = np.arange(0.0, 60.0, 0.5)
 _LONG, _MOST_LONG = 0.1, 3000
 
 
-def things_on_floor(
-    config: SceneConfig,
-    source: SceneSource,
-    tracks: Mapping[tuple[str, str], KeyframeTrack],
-    area: Array,
-) -> Array:
+def things_on_floor(draft: Draft, area: Array) -> Array:
     """Points (M, 2), about 5 cm apart, where something stands or, in the first minute, passes.
 
     Args:
-        config: The scene.
-        source: Finds mesh files.
-        tracks: Keyframes by section and name.
+        draft: The scene. What people hold does not count.
         area: Two corners (2, 2) of the area of people. A mesh around all of it is a room: only its walls
             count.
 
     Raises:
         HumansimError: With the key, if a mesh cannot be read.
     """
-    points = [np.zeros((0, 2)), *_furniture(config), *_objects(config, source, tracks, area)]
-    points += [_seen_from_above(_samples(mesh), area) for mesh in mesh_files(config, source)]
+    points = [np.zeros((0, 2)), *_furniture(draft.config), *_objects(draft, area)]
+    points += [_seen_from_above(_samples(mesh), area) for mesh in draft.environment.mesh_files]
     return _on_grid(np.concatenate(points))
 
 
@@ -268,23 +257,11 @@ def _furniture(config: SceneConfig) -> Iterator[Array]:
         yield np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def _objects(
-    config: SceneConfig,
-    source: SceneSource,
-    tracks: Mapping[tuple[str, str], KeyframeTrack],
-    area: Array,
-) -> Iterator[Array]:
-    items = []
-    for name, section in config.objects.items():
-        if section.held_by is not None:
-            continue  # where its holder is
-        with in_section(f"objects.{name}"):
-            items.append(SceneObject.build(name, section, source, tracks.get(("objects", name)), 0))
-    robot = Robot.of_scene(config, source)
-    if robot is not None:
-        with in_section(ROBOT):
-            items.append(robot_object(robot, source, 0))
-    for item in items:
+def _objects(draft: Draft, area: Array) -> Iterator[Array]:
+    """Points on the objects that nobody holds, and on the robot."""
+    sections = draft.config.objects
+    items = [item for name, item in draft.objects.items() if sections[name].held_by is None]
+    for item in items if draft.robot_body is None else [*items, draft.robot_body]:
         if not item.moves:
             yield _seen_from_above(_samples(item.static_mesh()), area)
             continue
@@ -332,8 +309,8 @@ _IN_PLACE = ("wave", "turn_in_place")
 Item = TypeVar("Item")
 
 
-def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
-    """Configuration with the random humans of its ``variety`` section among its humans.
+def add_variety(draft: Draft) -> None:
+    """Add the random humans of the section ``variety``.
 
     The path of each human is inside the room and away from furniture, objects and the paths of all others. A
     human whose motion finds no such place gets another of the motions. A HumansimWarning names those that
@@ -342,32 +319,30 @@ def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
     A human depends on the seed and its number only: more humans do not change the first ones. Raises
     SceneError with the key if there is no space for them.
     """
-    variety = config.variety
+    variety = draft.config.variety
     if variety is None:
-        return config
-    humans = dict(config.humans)
-    names = variety_names(variety.name, variety.count)
-    if not names:
-        return config.model_copy(update={"variety": None})
-    for name in names:
-        if name in humans:
-            raise SceneError(f"there is a human {name} already", key="variety.name")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HumansimWarning)  # the scene reads the same files and warns
-        crowd = _Crowd.of_scene(config, variety, source.loading())
-        humans |= {name: crowd.draw(name) for name in names}
-    if crowd.crossing:
-        source.warn(
+        return
+    humans, crossing = dict(draft.config.humans), []
+    if variety.count:
+        placing = _Placing.of_scene(draft, variety)
+        for name in variety_names(variety.name, variety.count):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", HumansimWarning)  # of motions that are only tried
+                humans[name] = placing.draw(name)
+            draft.add_human(name, humans[name])
+        crossing = placing.crossing
+    draft.config = draft.config.model_copy(update={"humans": humans, "variety": None})
+    if crossing:
+        draft.source.warn(
             "variety",
-            f"no free place for {some_of(crowd.crossing)}: they walk through other "
+            f"no free place for {some_of(crossing)}: they walk through other "
             "people, furniture or walls. Give fewer people (count), a larger area or room, or motions that "
             f"stay in place, such as {' and '.join(_IN_PLACE)} (motions)",
         )
-    return config.model_copy(update={"humans": humans, "variety": None})
 
 
 @dataclass
-class _Crowd:
+class _Placing:
     """Random humans that are drawn one after the other.
 
     Attributes:
@@ -391,17 +366,15 @@ class _Crowd:
     seats: list[Seat] = field(default_factory=list)
 
     @classmethod
-    def of_scene(cls, config: SceneConfig, variety: VarietyConfig, source: SceneSource) -> _Crowd:
-        """Nobody yet, beside the scene's own humans and things."""
-        tracks = load_tracks(config, source)
-        area, room = _area(variety, config), config.room
-        things = things_on_floor(config, source, tracks, np.array(area))
+    def of_scene(cls, draft: Draft, variety: VarietyConfig) -> _Placing:
+        """Nobody yet, besides the scene's own humans and things."""
+        area, room = _area(variety, draft.config), draft.config.room
+        things = things_on_floor(draft, np.array(area))
         floor = Floor(None if room is None else room.size, things, variety.spacing)
-        for number, (name, human) in enumerate(config.humans.items(), 1):
-            track = tracks.get(("humans", name))
-            floor.add(Path.of_scene(Actor.load(name, number, human, source, track)))
-        seats = seats_of(config) if variety.seats == "scene" else []
-        return cls(variety, area, floor, source, seats=seats)
+        for actor in draft.actors.values():
+            floor.add(Path.of_scene(actor))
+        seats = seats_of(draft.config) if variety.seats == "scene" else []
+        return cls(variety, area, floor, draft.source, seats=seats)
 
     def draw(self, name: str) -> HumanConfig:
         """The next human. Raises SceneError with the key."""

@@ -13,12 +13,13 @@ import pytest
 import trimesh
 
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError
-from humansim_ros.motion.path_motion import FloorPath
+from humansim_ros.motion.path_motion import FloorPath, PathMotion
 from humansim_ros.motion.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.actor import joint_poses_of
 from humansim_ros.scene.config import check_config
-from humansim_ros.scene.crowd import with_crowd
+from humansim_ros.scene.crowd import add_crowd
+from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.floor_plan import FloorPlan
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.room import furniture_plan
@@ -36,7 +37,10 @@ QUEUE: dict[str, Any] = {"position": [4.0, -3.5], "direction_deg": 180, "count":
 def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any) -> dict[str, FloorPath]:
     content = {"cameras": CAMERA, "room": room and {"size": list(room)}, "crowd": {"seed": 5, **crowd}}
     content["robot"] = robot
-    return with_crowd(check_config(content | {"objects": objects or {}}), SceneSource())[1]
+    draft = Draft.begin(check_config(content | {"objects": objects or {}}), SceneSource())
+    add_crowd(draft)
+    motions = {name: actor.motion for name, actor in draft.actors.items()}
+    return {name: motion.path for name, motion in motions.items() if isinstance(motion, PathMotion)}
 
 
 @cache

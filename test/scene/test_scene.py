@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from conftest import ROOT
+from everything import everything
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humansim_ros.errors import CameraError, HumansimError, MeshError, MotionError, SceneError
-from humansim_ros.scene import Scene
+from humansim_ros.scene import Actor, Scene, SceneObject
 from humansim_ros.scene.config import SceneConfig, load_config
 from humansim_ros.scene.source import SceneSource
 
@@ -489,3 +492,27 @@ def test_people_of_one_file_share_its_body_and_motion(tmp_path: Path) -> None:
     assert second.motion.motion is first.motion.motion
     assert third.human.outfit == "green" and third.human.skeleton is first.human.skeleton
     assert Scene.from_dict(data).actors["a"].human is not first.human  # a changed file is read again
+
+
+SCENES = [*sorted((ROOT / "config" / "scenes").glob("*.yaml")), None]
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem if path else "everything")
+def test_each_human_and_each_object_is_built_once(
+    path: Path | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in scenes with random people, who keep away from the humans and objects of the file."""
+    built: dict[str, Counter[str]] = {"Actor": Counter(), "SceneObject": Counter()}
+
+    def counting(build: Callable[..., Any]) -> Any:
+        def counted(kind: type, name: str, *args: Any, **keys: Any) -> Any:
+            built[kind.__name__][name] += 1
+            return build(name, *args, **keys)
+
+        return classmethod(counted)
+
+    monkeypatch.setattr(Actor, "build", counting(Actor.build))
+    monkeypatch.setattr(SceneObject, "build", counting(SceneObject.build))
+    scene = Scene.from_dict(everything(tmp_path)) if path is None else Scene.load(path)
+    del built["Actor"][""]  # motions that random people try
+    assert built == {"Actor": Counter(scene.actors.keys()), "SceneObject": Counter(scene.objects.keys())}

@@ -19,16 +19,19 @@ from humansim_ros.mesh import Mesh
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config import HumanConfig, load_config
+from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.room import furnished_room, furniture_plan
 from humansim_ros.scene.source import SceneSource
-from humansim_ros.scene.variety import with_variety
+from humansim_ros.scene.variety import add_variety
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
 
 
 def drawn(folder: Path, **variety: Any) -> dict[str, HumanConfig]:
     path = scene(folder, **variety)
-    return with_variety(load_config(path), SceneSource.of_file(path)).humans
+    draft = Draft.begin(load_config(path), SceneSource.of_file(path))
+    add_variety(draft)
+    return draft.config.humans
 
 
 def scene(folder: Path, humans: Any = None, **variety: Any) -> Path:

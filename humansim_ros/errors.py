@@ -126,6 +126,27 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
+def unknown(kind: str, name: object, known: Iterable[str], owner: str = "", most: int = 50) -> str:
+    """Message about a name that does not exist, with the name that resembles it and the names that exist.
+
+    Args:
+        kind: What should have the name, such as ``camera``.
+        name: The name.
+        known: Names that exist.
+        owner: What should have such a thing, such as ``the scene``.
+        most: Number of known names that the message shows.
+
+    Example:
+        >>> unknown("camera", "fornt", ["front", "rear"], "the scene")
+        "the scene has no camera 'fornt'; did you mean 'front'? There are front, rear"
+    """
+    names, word = list(known), str(name)
+    shown = f"{owner} has no {kind}" if owner else f"no {kind}"
+    near = did_you_mean(word, names)
+    listed = f"{' There' if near else '; there'} are {some_of(names, most)}" if names else "; there is none"
+    return f"{shown} {word[:255]!r}{near}{listed}"
+
+
 def escaped(text: str) -> str:
     r"""Escape control characters, such as U+202E, which turns a line around. Line breaks are kept.
 

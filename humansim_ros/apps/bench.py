@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.errors import HumansimError, RosError, unknown
 from humansim_ros.jobs.frame_job import cores
 from humansim_ros.messages.frames import Frames
 from humansim_ros.render.channels import CHANNEL_TABLE
@@ -120,7 +120,7 @@ def topics_of(scene: Scene, channels: Sequence[str]) -> list[str]:
     topics = []
     for channel in channels:
         if channel not in CHANNEL_TABLE:
-            raise HumansimError(f"no channel {channel!r}; the channels are {', '.join(CHANNEL_TABLE)}")
+            raise HumansimError(unknown("channel", channel, CHANNEL_TABLE))
         name, bodies = CHANNEL_TABLE[channel].topic, list(scene.labels)
         of_bodies = [name.format(body=body) for body in bodies] if CHANNEL_TABLE[channel].per_body else [name]
         topics += [f"/{camera}/{topic}" for camera in scene.cameras for topic in of_bodies]

@@ -15,7 +15,7 @@ from humansim_ros.bags import needs_libraries
 from humansim_ros.bags.chunks import BagMessage
 from humansim_ros.bags.metadata import SUFFIXES, Content, Storage, custom_in, read_metadata
 from humansim_ros.bags.topics import BagTopic
-from humansim_ros.errors import BagError, did_you_mean, warn_about
+from humansim_ros.errors import BagError, unknown, warn_about
 
 if TYPE_CHECKING:
     from humansim_ros.bags.mcap_file import McapInput
@@ -122,7 +122,7 @@ class BagReader:
         known = [topic.name for topic in self.topics]
         for name in topics or ():
             if name not in known:
-                raise BagError(f"the bag has no topic {name}{did_you_mean(name, known)}", path=self.path)
+                raise BagError(unknown("topic", name, known, "the bag", 8), path=self.path)
         wanted = {index for index, name in enumerate(known) if topics is None or name in topics}
         streams = [
             self._messages_of(each, indices, wanted, start, end)

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.io.assets import read_table
 from humansim_ros.types import Array
 
@@ -53,11 +53,8 @@ def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -
     out = np.zeros(len(numbers))
     for name, weight in weights.items():
         if name not in numbers:
-            hint = did_you_mean(name, numbers)
-            raise MotionError(
-                f"no action of the face {name[:40]!r}{hint}; the actions are the {len(numbers)} of ARKit, "
-                "such as jawOpen, eyeBlinkLeft or mouthSmileRight (docs/faces.md)"
-            )
+            message = unknown("action of the face", name, numbers, most=5)
+            raise MotionError(f"{message} (docs/faces.md)")
         if not 0 <= weight <= 1:  # refuses NaN too
             raise MotionError(f"the weight of {name} must be from 0 to 1, not {weight!r}")
         out[numbers[name]] = weight
@@ -86,8 +83,7 @@ def expression(name: str) -> Mapping[str, float]:
         0.4
     """
     if name not in EXPRESSIONS:
-        hint = did_you_mean(name, EXPRESSIONS)
-        raise MotionError(f"no expression {name[:40]!r}{hint}; they are {', '.join(EXPRESSIONS)}")
+        raise MotionError(unknown("expression", name, EXPRESSIONS))
     return both_sides({_UNITS[unit]: weight for unit, weight in EXPRESSIONS[name].items()})
 
 

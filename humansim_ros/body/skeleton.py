@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.joint_names import DETAIL_BONES
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import MeshError, unknown
 from humansim_ros.geometry import from_y_axis, invert_rigid, levels, quaternion_to_matrix, transform
 from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.mesh import LARGEST
@@ -56,7 +56,7 @@ class Skeleton:
         try:
             return self.names.index(name)
         except ValueError:
-            raise MeshError(f"no bone {name!r}; the bones are {', '.join(self.names)}") from None
+            raise MeshError(unknown("bone", name, self.names, most=80)) from None
 
     @cached_property
     def lengths(self) -> Array:

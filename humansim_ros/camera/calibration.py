@@ -48,7 +48,7 @@ from humansim_ros.camera.formats.spellings import (
 )
 from humansim_ros.camera.formats.syntax import name_of_half, other_half, read_document
 from humansim_ros.camera.formats.table import CalibrationFormat
-from humansim_ros.errors import CameraError, HumansimWarning, did_you_mean, located, some_of, warn_about
+from humansim_ros.errors import CameraError, HumansimWarning, located, some_of, unknown, warn_about
 from humansim_ros.geometry import nearest_rotations
 from humansim_ros.io.assets import resource_root
 from humansim_ros.io.files import atomic_path, exists
@@ -602,9 +602,7 @@ def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
     names = {format.name: format for format in FORMATS}
     if name is not None:
         if name not in names:
-            known = ", ".join(names) + did_you_mean(name, names)
-            message = f"unknown calibration format {name!r}; known are {known}"
-            raise CameraError(message, path=target)
+            raise CameraError(unknown("calibration format", name, names), path=target)
         return names[name]
     suffix = target.suffix.lower()
     for ending, usual in _USUAL_NAMES.items():

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field, model_validator
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import CameraError
+from humansim_ros.errors import CameraError, unknown
 from humansim_ros.geometry import angle_between, from_degrees
 from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import validated
@@ -280,7 +280,7 @@ def triangulate(
     """
     missing = [name for name in pixels if name not in cameras]
     if missing:
-        raise CameraError(f"floor point {number}: no camera {missing[0]!r}; there are {', '.join(cameras)}")
+        raise CameraError(f"floor point {number}: {unknown('camera', missing[0], cameras)}")
     if len(pixels) < 2:
         raise CameraError(f"floor point {number}: needs pixels of two cameras or more, or a point in space")
     seen = [cameras[name] for name in pixels]

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from humansim_ros.errors import ChallengeError, HumansimError, did_you_mean
+from humansim_ros.errors import ChallengeError, HumansimError, unknown
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section, Share
 from humansim_ros.io.schema_errors import validated
@@ -137,11 +137,7 @@ def load_suite(path: Path | None = None, only: Sequence[str] = (), quick: bool =
             )
     for name in only:
         if name not in config.axes:
-            raise ChallengeError(
-                f"no axis {name!r} in suite {config.name}, which has {', '.join(config.axes)}"
-                f"{did_you_mean(name, config.axes)}",
-                key="--only",
-            )
+            raise ChallengeError(unknown("axis", name, config.axes, f"the suite {config.name}"), key="--only")
     frames = config.quick.frames if quick else config.frames
     strengths = config.quick.strengths if quick else range(1, STRENGTHS + 1)
 

@@ -22,7 +22,7 @@ from humansim_ros.cli.options import (
     option,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
-from humansim_ros.errors import CameraError, HumansimError
+from humansim_ros.errors import CameraError, HumansimError, unknown
 from humansim_ros.io.files import write_file
 
 if TYPE_CHECKING:
@@ -78,8 +78,7 @@ class _Method:
         cameras = _posed(calibration, file)
         name = self.camera if self.camera is not None else next(iter(cameras))
         if name not in cameras:
-            known = ", ".join(list(cameras)[:8])
-            raise CameraError(f"no camera {name!r}; the names are {known}", path=file)
+            raise CameraError(unknown("camera", name, cameras), path=file)
         if self.tilt_deg is not None:
             if self.height is None:
                 raise HumansimError(

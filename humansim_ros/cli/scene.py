@@ -22,7 +22,7 @@ from humansim_ros.cli.options import (
     option,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
-from humansim_ros.errors import HumansimError, did_you_mean
+from humansim_ros.errors import HumansimError, unknown
 from humansim_ros.io.files import exists, expand_user
 
 if TYPE_CHECKING:
@@ -74,9 +74,7 @@ class SceneOptions:
             raise SceneError("the scene has no human to give a motion or body to", path=path, key="humans")
         for name in self.live:
             if name not in humans:
-                known = ", ".join(humans)
-                message = f"no human {name!r} for --live; the scene has {known}{did_you_mean(name, humans)}"
-                raise SceneError(message, path=path, key="humans")
+                raise SceneError(unknown("human", name, humans, "the scene"), path=path, key="--live")
             place = humans[name]["motion"]
             humans[name]["motion"] = {
                 "file": LIVE,

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from humansim_ros.body.joint_names import JOINT_NAMES, SETS
-from humansim_ros.errors import EvaluationError, did_you_mean, some_of
+from humansim_ros.errors import EvaluationError, some_of, unknown
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointSet
 
@@ -108,9 +108,7 @@ def _check_table(table: Mapping[str, str], truth: Sequence[str], estimate: Seque
     for old, new in table.items():
         for name, known, kind in ((old, estimate, "estimate"), (new, truth, "truth")):
             if name not in known:
-                raise EvaluationError(
-                    f"the {kind} has no joint {name!r}{did_you_mean(name, known)}", key="--names"
-                )
+                raise EvaluationError(unknown("joint", name, known, f"the {kind}"), key="--names")
 
 
 def limbs_of(names: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[LimbEnd, LimbEnd]]]:

@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from humansim_ros.errors import ExportError, did_you_mean
+from humansim_ros.errors import ExportError, unknown
 from humansim_ros.export.writer import FormatWriter
 from humansim_ros.io.assets import read_table
 from humansim_ros.render.channels import CHANNEL_TABLE
@@ -87,11 +87,7 @@ def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
     wanted = set(names)
     for name in names:
         if name not in EXPORT_FORMATS:
-            listed = ", ".join(EXPORT_FORMATS)
-            raise ExportError(
-                f"no export format {name!r}{did_you_mean(name, EXPORT_FORMATS)}; the formats are {listed}",
-                key="--format",
-            )
+            raise ExportError(unknown("export format", name, EXPORT_FORMATS), key="--format")
     if not wanted:
         raise ExportError("give a format, such as coco; humansim export --list shows all", key="--format")
     if any(EXPORT_FORMATS[name].images for name in wanted):

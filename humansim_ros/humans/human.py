@@ -19,7 +19,7 @@ from humansim_ros.body.rigging import triangle_parts, without_details
 from humansim_ros.body.shapes import Shapes, read_shapes, shape_arrays
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.body.skinning import SkinningFunction, make_skinner
-from humansim_ros.errors import MeshError, did_you_mean
+from humansim_ros.errors import MeshError, unknown
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import BEST, read_npz, write_npz
 from humansim_ros.mesh.materials import MATERIALS
@@ -78,8 +78,7 @@ class Human(Pictured):
         if outfit == self.outfit and (self.mesh.texture is not None or self.mesh.colors is not None):
             return self
         if outfit not in self.looks:
-            known = ", ".join(self.outfits) + did_you_mean(outfit, self.outfits)
-            raise MeshError(f"{self.name} has no outfit {outfit!r}; outfits are {known}")
+            raise MeshError(unknown("outfit", outfit, self.outfits, self.name))
         look = self.looks[outfit]
         if look.ndim == 1:
             mesh = replace(self.mesh, texture=decode_image(look), colors=None)

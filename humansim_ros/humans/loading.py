@@ -25,8 +25,8 @@ from humansim_ros.errors import (
     HumansimError,
     HumansimWarning,
     MeshError,
-    did_you_mean,
     located,
+    unknown,
     warn_about,
 )
 from humansim_ros.humans.description import (
@@ -370,9 +370,7 @@ def fit_mesh(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton]:
         joints = joints_of(skeleton)
         for name, place in options.joints.items():
             if name not in joints:
-                raise MeshError(
-                    f"no joint {name[:60]!r}{did_you_mean(name, joints)}", key=f"joints.{name[:60]}"
-                )
+                raise MeshError(unknown("joint", name, joints), key=f"joints.{name[:60]}")
             joints[name] = np.array(place)
         skeleton = skeleton_at(joints)
     return fitted, skeleton

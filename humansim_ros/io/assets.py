@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from humansim_ros.errors import HumansimError, ResourceError, did_you_mean
+from humansim_ros.errors import HumansimError, ResourceError, unknown
 from humansim_ros.io.files import exists, expand_user, missing_file
 
 _NAME = "humansim_ros"
@@ -124,8 +124,7 @@ def find_asset(
         return resource_path(f"assets/{kind}") / f"{name}{_SUFFIXES[kind]}"
     path = (folder or Path.cwd()) / expand_user(name)
     if not exists(path):
-        hint = f"the built-in {kind} are {', '.join(known)}"
         if Path(name).suffix:
-            raise error(missing_file(path, hint))
-        raise error(f"no {name!r}; {hint}{did_you_mean(name, known)}")
+            raise error(missing_file(path, f"the built-in {kind} are {', '.join(known)}"))
+        raise error(unknown(f"built-in {kind[:-1]} and no file", name, known))
     return path

@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from humansim_ros.errors import KeypointError, did_you_mean
+from humansim_ros.errors import KeypointError, unknown
 from humansim_ros.io.assets import read_table
 
 _Value = TypeVar("_Value")
@@ -125,7 +125,7 @@ class KeypointSet:
     def index(self, name: str) -> int:
         """Number of a keypoint. Raises KeypointError for an unknown name."""
         if name not in self.names:
-            raise KeypointError(f"{self.name} has no keypoint {name!r}{did_you_mean(name, self.names)}")
+            raise KeypointError(unknown("keypoint", name, self.names, self.name))
         return self.names.index(name)
 
 
@@ -143,9 +143,7 @@ def keypoint_set(name: str) -> KeypointSet:
         ('nose', 'left_eye', 'right_eye')
     """
     if name not in KEYPOINT_SETS:
-        known = ", ".join(KEYPOINT_SETS)
-        message = f"no keypoint set {name!r}; the sets are {known}{did_you_mean(name, KEYPOINT_SETS)}"
-        raise KeypointError(message)
+        raise KeypointError(unknown("keypoint set", name, KEYPOINT_SETS))
     return KEYPOINT_SETS[name]
 
 

@@ -20,8 +20,8 @@ from humansim_ros.errors import (
     KeypointError,
     RosError,
     SceneError,
-    did_you_mean,
     some_of,
+    unknown,
     within_bounds,
 )
 from humansim_ros.geometry import (
@@ -231,9 +231,7 @@ class AdapterScene:
     def camera(self, name: str, key: str) -> str:
         """Return the name of a camera. Raises SceneError of the key if there is none."""
         if name not in self.scene.scene_cameras:
-            known = self.scene.scene_cameras
-            near = did_you_mean(name, known)
-            raise self.error(f"no camera {name!r}; the scene has {', '.join(known)}{near}", key)
+            raise self.error(unknown("camera", name, self.scene.scene_cameras, "the scene"), key)
         return name
 
     def optical(self, camera: str) -> str:
@@ -244,8 +242,7 @@ class AdapterScene:
         """Find a frame of tf. Raises SceneError if the scene has no such frame."""
         frames = self._frames()
         if frame_id not in frames:
-            near = did_you_mean(frame_id, frames)
-            raise self.error(f"no frame {frame_id!r}; the scene has {', '.join(frames)}{near}", "frame")
+            raise self.error(unknown("frame", frame_id, frames, "the scene"), "frame")
         return frames[frame_id]
 
     def _frames(self) -> dict[str, Placed]:

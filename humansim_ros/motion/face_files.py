@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from humansim_ros.body.face_actions import ACTIONS
-from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.io.files import read_bytes
 from humansim_ros.io.motion_formats import motion_format
 from humansim_ros.motion.faces import WeightTrack, linear
@@ -87,8 +87,8 @@ def _columns(head: list[str], path: str | os.PathLike[str]) -> dict[str, int]:
         if name == "timecode" or name in _NUMBERS:
             columns[name] = number
         elif name and name != "blendshapecount" and not _OTHER.fullmatch(name):
-            hint = did_you_mean(title.strip(), ACTIONS)
-            raise MotionError(f"no action of the face {title.strip()[:40]!r}{hint}", path=path, line=1)
+            text = unknown("action of the face", title.strip(), ACTIONS, most=5)
+            raise MotionError(text, path=path, line=1)
     if "timecode" not in columns or len(columns) < 2:
         raise MotionError(
             "not a recording of Live Link Face: its first line has Timecode, BlendShapeCount and the names "

@@ -18,7 +18,7 @@ import numpy as np
 
 from humansim_ros.body.eyes import LOOKS, with_looks
 from humansim_ros.body.face_actions import ACTIONS, both_sides, expression, face_weights
-from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.geometry import AROUND, VELOCITY_STEP, angle_between, smooth_step, unit_vectors
 from humansim_ros.io.assets import read_table
 from humansim_ros.motion.face_keys import FaceKey
@@ -434,7 +434,7 @@ def check_face(poses: JointPoses) -> None:
             continue
         action = name.removeprefix(FACE_JOINT)
         if name not in FACE_JOINTS:
-            raise MotionError(f"no action of the face {action[:40]!r}{did_you_mean(action, ACTIONS)}")
+            raise MotionError(unknown("action of the face", action, ACTIONS, most=5))
         x, y, z, w = poses.rotations[0, number].tolist()
         weight = 2 * math.atan2(math.copysign(x, x * w), abs(w))
         if math.hypot(y, z) > 1e-6 or not -1e-6 <= weight <= 1 + 1e-6:

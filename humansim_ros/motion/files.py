@@ -8,7 +8,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from humansim_ros.errors import HumansimError, MotionError, did_you_mean, some_of, warn_about
+from humansim_ros.errors import HumansimError, MotionError, some_of, unknown, warn_about
 from humansim_ros.io.assets import built_in_names, find_asset, resource_path
 from humansim_ros.io.files import exists, open_file, size_text, temporary_folder
 from humansim_ros.io.motion_formats import MOTION_TITLES, motion_format, split_motion_name, unread_format
@@ -101,8 +101,7 @@ def _one_person(motion: Motion, root: str | None) -> Motion:
         tree_of[joint].append(joint)
     if root is not None:
         if root not in trees:
-            hint = f"{did_you_mean(root, trees)}; there are {some_of(trees)}"
-            raise MotionError(f"no root {root!r} in the file{hint}", path=motion.path)
+            raise MotionError(unknown("root", root, trees, "the file"), path=motion.path)
         return motion.only(trees[root])
     people = [name for name in trees if len(trees) > 1 and is_person(motion.only(trees[name]))]
     if len(people) < 2:
@@ -165,10 +164,7 @@ def _choose(path: Path, archive: zipfile.ZipFile, member: str | None) -> zipfile
         return motions[0]
     found = next((entry for entry in motions if entry.filename == member), None)
     if found is None:
-        raise MotionError(
-            f"no motion {member!r} in the archive{did_you_mean(member, names)}; there are {some_of(names)}",
-            path=path,
-        )
+        raise MotionError(unknown("motion", member, names, "the archive"), path=path)
     return found
 
 

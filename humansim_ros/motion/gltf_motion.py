@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from humansim_ros.errors import MotionError, located, warn_about
+from humansim_ros.errors import MotionError, located, unknown, warn_about
 from humansim_ros.geometry import rotate
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
@@ -106,8 +106,8 @@ def find_animation(gltf: Gltf, name: str | None, wanted: Callable[[Animation], b
         return next(filter(wanted, known), known[0])
     animation = next((a for a in known if a.name == name), None)
     if animation is None:
-        names = ", ".join(repr(a.name) for a in known)
-        raise MotionError(f"no animation {name!r}; there are {names}", path=gltf.path)
+        names = [str(each.name) for each in known]
+        raise MotionError(unknown("animation", name, names), path=gltf.path)
     return animation
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from humansim_ros.body.hands import FINGER_BONES, PER_HAND, HandAnatomy
 from humansim_ros.body.joint_names import FINGERS
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.geometry import (
     AROUND,
     VELOCITY_STEP,
@@ -58,8 +58,7 @@ def hand_angles(name: str, anatomy: HandAnatomy) -> Array:
         MotionError: No pose has this name.
     """
     if name not in HAND_POSES:
-        known = ", ".join(HAND_POSES) + did_you_mean(name, HAND_POSES)
-        raise MotionError(f"no hand pose {name!r}; the poses are {known}")
+        raise MotionError(unknown("hand pose", name, HAND_POSES))
     angles = np.radians(HAND_POSES[name])
     if name == "relaxed" and anatomy.is_relaxed:
         left, right = anatomy.rest.reshape(2, PER_HAND)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.errors import MotionError, did_you_mean
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.geometry import lengths_of, rotate, unit_vectors
 from humansim_ros.io.files import exists
 from humansim_ros.motion.detail_joints import detail_joints
@@ -532,7 +532,6 @@ def _candidates(
         return tables
     named = [t for t in tables if t.name == os.fspath(table)]
     if not named and not exists(Path(table)):
-        name = os.fspath(table)
-        known = ", ".join(t.name for t in tables) + did_you_mean(name, (t.name for t in tables))
-        raise MotionError(f"no joint table {name!r}: give a YAML file or one of {known}", path=path)
+        text = unknown("joint table and no YAML file", os.fspath(table), (t.name for t in tables))
+        raise MotionError(text, path=path)
     return named or [load_table(table)]

@@ -12,7 +12,7 @@ import yaml
 from pydantic import model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.files import read_bytes
 from humansim_ros.io.schema import Section
@@ -107,7 +107,7 @@ class JointTable(Section):
         bones = hanim_skeleton().names
         for bone in (*self.parallel, *self.difference):
             if bone not in bones:
-                raise ValueError(f"no bone {bone!r}; the bones are {', '.join(bones)}")
+                raise ValueError(unknown("bone", bone, bones, most=80))
         for role in REQUIRED_ROLES:
             if role not in self.joints:
                 raise ValueError(f"the role {role!r} is missing under 'joints'")

@@ -19,7 +19,7 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
-from humansim_ros.errors import MAX_COORDINATE, MotionError, did_you_mean, located
+from humansim_ros.errors import MAX_COORDINATE, MotionError, located, unknown
 from humansim_ros.geometry import AROUND, from_degrees, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.files import atomic_path, read_bytes
 from humansim_ros.motion.kinematics import JointPoses
@@ -251,8 +251,7 @@ class Keyframes:
     def track(self, name: str) -> KeyframeTrack:
         """Track of an object; MotionError, with the known names, if it has none."""
         if name not in self.tracks:
-            known = ", ".join(list(self.tracks)[:20]) + did_you_mean(name, self.tracks)
-            raise MotionError(f"no object {name[:40]!r}; the file moves {known}", path=self.path)
+            raise MotionError(unknown("object", name, self.tracks, "the file"), path=self.path)
         return self.tracks[name]
 
     def at(self, name: str, seconds: ArrayLike) -> KeyframePose:

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humansim_ros.errors import MotionError, printable, some_of
+from humansim_ros.errors import MotionError, printable, some_of, unknown
 from humansim_ros.geometry import (
     VELOCITY_STEP,
     central_difference,
@@ -124,9 +124,7 @@ class Motion(Pictured):
         try:
             return self.joint_names.index(name)
         except ValueError:
-            raise MotionError(
-                f"no joint {name!r}; the joints are {', '.join(self.joint_names)}", path=self.path
-            ) from None
+            raise MotionError(unknown("joint", name, self.joint_names), path=self.path) from None
 
     def only(self, joints: Sequence[int]) -> Motion:
         """The motion of some joints, in increasing order. A joint without its parent becomes a root."""

@@ -22,7 +22,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from humansim_ros.body.joint_names import DETAIL_BONES
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, unknown
 from humansim_ros.geometry import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.io.assets import resource_path
 from humansim_ros.io.schema import Section
@@ -123,7 +123,7 @@ class JointRange(Section):
     @model_validator(mode="after")
     def _check_geometry(self) -> JointRange:
         if not self.sides:
-            raise ValueError(f"no bone {self.bone!r}; the bones are {', '.join(_bones())}")
+            raise ValueError(unknown("bone", self.bone, _bones(), most=80))
         allowed = {"up", "down", "front", "back"}
         allowed |= {"out", "in"} if any(self.sides.values()) else {"left", "right"}
         used = {direction for row in self.rows for direction in (row.start, row.towards)}

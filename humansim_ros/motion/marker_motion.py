@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.errors import MotionError, some_of, warn_about
+from humansim_ros.errors import MotionError, some_of, unknown, warn_about
 from humansim_ros.geometry import (
     are_rotations,
     nearest_axis,
@@ -102,7 +102,7 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
         people = people_of(found)
     complete = {name: marks for name, marks in people.items() if not marks.missing}
     if person is not None and person not in people:
-        raise MotionError(f"no person {person!r}; there are {some_of(people)}", path=path)
+        raise MotionError(unknown("person", person, people), path=path)
     chosen = people[person] if person is not None else None
     if chosen is None and len(complete) > 1:
         raise MotionError(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.joint_names import SMPL, SMPL_MODELS
-from humansim_ros.errors import HumansimError, MotionError, some_of, warn_about
+from humansim_ros.errors import HumansimError, MotionError, some_of, unknown, warn_about
 from humansim_ros.io.assets import read_table
 from humansim_ros.io.marker_files import MarkerFile
 from humansim_ros.io.npz import read_npz
@@ -121,7 +121,7 @@ def read_smpl_motion(path: str | os.PathLike[str], person: str | None = None) ->
     except (ValueError, IndexError, KeyError, TypeError, AttributeError):
         raise MotionError("the arrays of its people do not fit together", path=path) from None
     if person is not None and person not in people:
-        raise MotionError(f"no person {person!r} in the file; there are {some_of(people)}", path=path)
+        raise MotionError(unknown("person", person, people, "the file"), path=path)
     if person is None:
         by_size = sorted(people, key=lambda name: -max(map(np.size, people[name].values())))
         person = by_size[0] if by_size else None

@@ -22,8 +22,8 @@ from humansim_ros.errors import (
     MAX_COORDINATE,
     HumansimError,
     PhotographError,
-    did_you_mean,
     located,
+    unknown,
     warn_about,
 )
 from humansim_ros.io.files import atomic_path, exists, missing_file, read_bytes, read_json, resolve_relative
@@ -119,8 +119,8 @@ class _PointsReader:
         points = np.zeros((len(self._keypoints), 3))
         for name, value in frame.items():
             if name not in self._keypoints.names:
-                hint = did_you_mean(name, self._keypoints.names)
-                raise self._error(f"{self._keypoints.name} has no point {name[:40]!r}{hint}", key)
+                text = unknown("point", name, self._keypoints.names, self._keypoints.name)
+                raise self._error(text, key)
             numbers = self._numbers(value, f"{key}.{name}")
             if len(numbers) not in (2, 3):
                 raise self._error("needs x, y, and the confidence if it is known", f"{key}.{name}")
@@ -150,7 +150,7 @@ class _PointsReader:
         by_name = {Path(str(row.get("file_name"))).name: row.get("id") for row in listed}
         missing = [image.name for image in images if image.name not in by_name]
         if missing:
-            raise self._error(f"no image {missing[0]!r}{did_you_mean(missing[0], by_name)}", "images")
+            raise self._error(unknown("image", missing[0], by_name), "images")
         return [by_name[image.name] for image in images]
 
     def coco(self, rows: Any, numbers: Sequence[Any] | None) -> list[Array]:
@@ -431,8 +431,8 @@ class _Reader:
             camera = name if view.camera is None else view.camera
             if camera not in known:
                 raise self._error(
-                    f"{path} has no camera {camera!r}; it has {', '.join(known)}{did_you_mean(camera, known)}"
-                    ". A view has the name of its camera, or names it with the key camera",
+                    unknown("camera", camera, known, str(path))
+                    + ". A view has the name of its camera, or names it with the key camera",
                     "views",
                     name,
                 )

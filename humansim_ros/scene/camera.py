@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera.camera import Camera, Region, look_at_pose, pinhole_of_fov
 from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.placement import RigPlacement, common_point
-from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
+from humansim_ros.errors import CameraError, SceneError, in_section, unknown
 from humansim_ros.geometry import ObjectPose, Velocity, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.camera_config import CameraConfig, RigConfig
@@ -369,8 +369,7 @@ def _calibrated(config: CameraConfig, source: SceneSource) -> Camera:
     if config.camera is None and len(cameras) > 1:
         raise CameraError(f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): name one", key="camera")
     if config.camera is not None and config.camera not in cameras:
-        known = ", ".join(cameras) + did_you_mean(config.camera, cameras)
-        raise CameraError(f"no camera {config.camera!r} in {file}; there are {known}", key="camera")
+        raise CameraError(unknown("camera", config.camera, cameras, file), key="camera")
     return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
 
 
@@ -527,8 +526,7 @@ def _rig_timings(rig: RigConfig, names: Sequence[str], rate: float) -> dict[str,
 
 def _check_rig_name(name: str, names: Sequence[str]) -> None:
     if name not in names:
-        known = ", ".join(names) + did_you_mean(name, names)
-        raise SceneError(f"no camera {name!r} in this rig; there are {known}")
+        raise SceneError(unknown("camera", name, names, "this rig"))
 
 
 def _depth_sensor(name: str, config: DepthSensorConfig | None) -> DepthSensor | None:
@@ -555,8 +553,7 @@ def _file_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, C
     read = _with_poses(rig, read_cameras(rig.file, "file", rig, source), source)
     missing = set(rig.cameras or ()) - set(read)
     if missing:
-        known = ", ".join(read) + did_you_mean(min(missing), read)
-        raise CameraError(f"no camera {min(missing)!r} in {rig.file}; there are {known}", key="cameras")
+        raise CameraError(unknown("camera", min(missing), read, rig.file), key="cameras")
     for original in rig.cameras or read:
         name = _topic_name(original)
         if name in cameras:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import SceneError, in_section, located
+from humansim_ros.errors import SceneError, in_section, located, unknown
 from humansim_ros.geometry import from_degrees
 from humansim_ros.io.files import open_file, read_bytes, reading_errors
 from humansim_ros.io.images import MAX_IMAGE_BYTES, MAX_PIXELS, declared_size, decode_image
@@ -198,7 +198,7 @@ def _read_exr(path: str) -> NDArray[np.float32]:
         raise SceneError("the panorama cannot be decoded: it is damaged") from None
     missing = [name for name in "RGB" if name not in pixels]
     if missing:
-        raise SceneError(f"the panorama has no channel {missing[0]}; there are {', '.join(pixels) or 'none'}")
+        raise SceneError(unknown("channel", missing[0], pixels, "the panorama"))
     if any(pixels[name].shape != (height, width) for name in "RGB"):
         raise SceneError("the panorama's channels are not of one size")
     return _reduced(

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from humansim_ros.body.eyes import EYE_BONES
-from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.errors import SceneError, in_section, unknown
 from humansim_ros.humans.makehuman.mouth import has_mouth, jaw_of, with_mouth
 from humansim_ros.io.motion_formats import split_motion_name
 from humansim_ros.motion.face_files import read_face_file
@@ -124,16 +124,8 @@ def _check_gaze(
     if gaze == name:
         raise SceneError("nobody can look at the own face: name another human")
     if gaze not in humans and gaze not in cameras:
-        known = [each for each in humans if each != name]
-        listed = "; ".join(
-            f"the {kind} are {some_of(names)}"
-            for kind, names in (("humans", known), ("cameras", cameras))
-            if names
-        )
-        raise SceneError(
-            f"no human and no camera {gaze[:40]!r}{did_you_mean(gaze, (*known, *cameras))}; {listed}; "
-            f"{AHEAD} ends a gaze"
-        )
+        known = [*(each for each in humans if each != name), *cameras]
+        raise SceneError(f"{unknown('human and no camera', gaze, known)}; {AHEAD} ends a gaze")
     if gaze in humans and humans[gaze].motion.file == LIVE:
         raise SceneError(f"another node moves {gaze}, so that its place is not known: give a point")
 

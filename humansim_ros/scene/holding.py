@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from humansim_ros.errors import SceneError, did_you_mean
+from humansim_ros.errors import SceneError, unknown
 from humansim_ros.geometry import (
     AROUND,
     VELOCITY_STEP,
@@ -132,8 +132,7 @@ def held(item: SceneObject, config: HoldConfig, actors: Mapping[str, Actor]) -> 
     """
     actor = actors.get(config.human)
     if actor is None:
-        known = f"; the humans are {', '.join(list(actors)[:8])}" if actors else "; the scene has no humans"
-        raise SceneError(f"no human {config.human[:40]!r}{known}{did_you_mean(config.human, actors)}")
+        raise SceneError(unknown("human", config.human, actors))
     hold = Hold(actor, config, item.initial_pose)
     if config.by == "path":
         return replace(item, pose_at=hold)

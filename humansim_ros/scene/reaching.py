@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from humansim_ros.errors import SceneError, did_you_mean, in_section, some_of
+from humansim_ros.errors import SceneError, in_section, some_of, unknown
 from humansim_ros.geometry import ObjectPose, quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.motion.hand_poses import ReachingHand
 from humansim_ros.motion.reaches import PALM, GoalAt, HandGoal, Reach, Reaches, in_round
@@ -299,8 +299,7 @@ class _Goals:
             return self._meeting(name, target, config)
         known = self.people[target].human.skeleton.joint_names
         if config.at not in known:
-            hint = did_you_mean(config.at, known) or f"; its joints are {some_of(known)}"
-            raise SceneError(f"{target} has no joint {config.at[:40]!r}{hint}", key="at")
+            raise SceneError(unknown("joint", config.at, known, target), key="at")
         own = PointGoal((0.0, 0.0, 0.0), config.palm, config.fingers)
         return JointGoal(self.people, name, config.hand, target, config.at, own)
 
@@ -312,10 +311,8 @@ class _Goals:
         if target in self.objects:
             return "object"
         if target not in self.people:
-            known = {"humans": [each for each in self.people if each != name], "objects": [*self.objects]}
-            listed = "; ".join(f"the {kind} are {some_of(each)}" for kind, each in known.items() if each)
-            hint = did_you_mean(target, [*known["humans"], *known["objects"]])
-            raise SceneError(f"no human and no object {target[:40]!r}{hint}{listed and '; ' + listed}")
+            known = [*(each for each in self.people if each != name), *self.objects]
+            raise SceneError(unknown("human and no object", target, known))
         if self.configs[target].motion.file == LIVE:
             raise SceneError(f"another node moves {target}, so that its place is not known: give a point")
         return "human"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import RenderError, SceneError
+from humansim_ros.errors import RenderError, SceneError, unknown
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.humans import Human
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
@@ -320,14 +320,14 @@ class Simulation:
 
     def _chosen_scanners(self, names: Collection[str] | None) -> list[str]:
         known = self.scene.scanners
-        if unknown := set(names or ()) - known.keys():
-            raise SceneError(f"no scanner {min(unknown)!r}; the scanners are {', '.join(known)}")
+        if missing := set(names or ()) - known.keys():
+            raise SceneError(unknown("scanner", min(missing), known))
         return [name for name in known if names is None or name in names]
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
         known = self.scene.scene_cameras
-        if unknown := set(names or ()) - known.keys():
-            raise SceneError(f"no camera {min(unknown)!r}; the cameras are {', '.join(known)}")
+        if missing := set(names or ()) - known.keys():
+            raise SceneError(unknown("camera", min(missing), known))
         return {name: camera for name, camera in known.items() if names is None or name in names}
 
     def close(self) -> None:

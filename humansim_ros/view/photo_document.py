@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import HumansimError, PhotographError, did_you_mean, printable
+from humansim_ros.errors import HumansimError, PhotographError, unknown
 from humansim_ros.io.files import exists, read_json
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.photographs.fit_file import read_fit, write_fit
@@ -299,14 +299,12 @@ class PhotoDocument:
 
     def _view(self, view: str) -> int:
         if view not in self.photos.names:
-            hint = did_you_mean(view, self.photos.names)
-            raise HumansimError(f"no view '{printable(view, 60)}'{hint}")
+            raise HumansimError(unknown("view", view, self.photos.names))
         return self.photos.names.index(view)
 
     def _point(self, point: str) -> int:
         if point not in self.keypoints.names:
-            hint = did_you_mean(point, self.keypoints.names)
-            raise HumansimError(f"{self.keypoints.name} has no point '{printable(point, 60)}'{hint}")
+            raise HumansimError(unknown("point", point, self.keypoints.names, self.keypoints.name))
         return self.keypoints.index(point)
 
     # --- files

@@ -196,5 +196,5 @@ def test_impossible_skeletons_are_refused(changes: dict[str, object], message: s
 
 
 def test_unknown_bone_is_named_with_the_known_ones() -> None:
-    with pytest.raises(MeshError, match=r"no bone 'c'; the bones are a, b"):
+    with pytest.raises(MeshError, match=r"no bone 'c'; there are a, b"):
         two_bones().bone("c")

@@ -243,7 +243,10 @@ CASES: list[tuple[list[FloorPoint], str]] = [
     (line(2), "three points or more, not 2"),
     (line(4), "lie on a line"),
     (pixels(camera_1=(3, 4)), "floor point 1: needs pixels of two cameras"),
-    (pixels(camera_1=(3, 4), camera_9=(3, 4)), "no camera 'camera_9'; there are camera_1, camera_2"),
+    (
+        pixels(camera_1=(3, 4), camera_9=(3, 4)),
+        "no camera 'camera_9'; did you mean 'camera_2'.? There are camera_1, camera_2",
+    ),
     (pixels(camera_1=(0, 0), camera_2=(639, 0)), "do not meet in front"),
 ]
 

@@ -45,7 +45,9 @@ def test_quick_has_fewer_cases_and_frames() -> None:
 
 def test_only_chooses_axes_and_keeps_the_baseline(tmp_path: Path) -> None:
     assert {case.axis for case in load_suite(only=["noise"]).cases} == {"baseline", "noise"}
-    with pytest.raises(ChallengeError, match=r"--only: no axis 'nois'.*did you mean 'noise'"):
+    with pytest.raises(
+        ChallengeError, match=r"--only: the suite .* has no axis 'nois'; did you mean 'noise'"
+    ):
         load_suite(only=["nois"])
 
 

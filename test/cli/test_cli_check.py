@@ -71,8 +71,11 @@ def test_json_has_the_fields_of_each_finding(
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("hri: {camera: fromt}", "hri.camera: no camera 'fromt'; the scene has front"),
-        ("adapters: {people: base_link}", "adapters.people.frame: no frame 'base_link'; the scene has map"),
+        ("hri: {camera: fromt}", "hri.camera: the scene has no camera 'fromt'; did you mean 'front'?"),
+        (
+            "adapters: {people: base_link}",
+            "adapters.people.frame: the scene has no frame 'base_link'; there are map",
+        ),
     ],
 )
 def test_adapters_of_what_is_not_in_the_scene_exit_with_2(
@@ -113,7 +116,7 @@ def test_run_warns_about_the_same_mistakes(tmp_path: Path, capsys: pytest.Captur
     ("option", "value", "message"),
     [
         ("motion", "gone.bvh", "no such file"),
-        ("motion", "wlak", "no 'wlak'"),
+        ("motion", "wlak", "'wlak'; did you mean 'walk'"),
         ("motion", "broken.bvh", "broken.bvh:1: "),
         ("body", "gone.glb", "no such file"),
         ("body", "broken.obj", "broken.obj"),

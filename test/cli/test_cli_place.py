@@ -232,7 +232,7 @@ def test_cameras_that_do_not_stand_upright_are_told(
         (["--tilt-deg", 10, "--height", "nan"], "must be finite numbers"),
         (
             ["--tilt-deg", 10, "--height", 1, "--camera", "left"],
-            "no camera 'left'; the names are camera_1, camera_2",
+            "no camera 'left'; there are camera_1, camera_2",
         ),
         (
             ["--tilt-deg", 10, "--board", "floor"],

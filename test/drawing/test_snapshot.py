@@ -184,7 +184,9 @@ def test_a_frame_has_the_cameras_that_are_asked_for(simulation: Simulation) -> N
     whole, one = simulation.frame(3), simulation.frame(3, cameras=["eye_1"])
     assert list(one.views) == list(one.truth) == list(one.cameras) == ["eye_1"]
     assert (one.views["eye_1"].rgb == whole.views["eye_1"].rgb).all()
-    with pytest.raises(SceneError, match="no camera 'eye_9'; the cameras are eye_0, eye_1, eye_2"):
+    with pytest.raises(
+        SceneError, match=r"no camera .eye_9.; did you mean .eye_\d.\? There are eye_0, eye_1, eye_2"
+    ):
         simulation.frame(0, cameras=["eye_9"])
 
 

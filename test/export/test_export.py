@@ -208,8 +208,8 @@ def test_the_formats_are_listed(capsys: pytest.CaptureFixture[str], monkeypatch:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--format", "imags"], "--format: no export format 'imags'; did you mean 'images'?; the formats "),
-        (["--format", "coco", "--keypoints", "coco_17"], "no keypoint set 'coco_17'; the sets are "),
+        (["--format", "imags"], "--format: no export format 'imags'; did you mean 'images'? There are "),
+        (["--format", "coco", "--keypoints", "coco_17"], "no keypoint set 'coco_17'; did you mean "),
         (["--format", ","], "--format: give a format, such as coco; humansim export --list shows all"),
         (["--format", "images", "--range", "5:5"], "--range: a range is A:B, from A up to"),
     ],

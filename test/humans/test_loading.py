@@ -151,7 +151,7 @@ def test_a_human_changes_its_outfit(tmp_path: Path) -> None:
     assert man.mesh.texture is not None
     assert (other.mesh.texture != man.mesh.texture).mean() > 0.3
     assert other.mesh.vertices is man.mesh.vertices
-    with pytest.raises(MeshError, match="no outfit 'armour'; outfits are red"):
+    with pytest.raises(MeshError, match="no outfit 'armour'; there are red"):
         man.wearing("armour")
 
 

@@ -108,7 +108,9 @@ def test_impossible_names_are_errors_too(folder: Path, name: str) -> None:
     ],
 )
 def test_a_misspelt_built_in_is_recognised(name: str, kind: str, meant: str) -> None:
-    with pytest.raises(HumansimError, match=rf"no '{name}'; the built-in .*; did you mean '{meant}'\?"):
+    with pytest.raises(
+        HumansimError, match=rf"no built-in .* and no file '{name}'; did you mean '{meant}'\? There are"
+    ):
         find_asset(name, kind)  # type: ignore[arg-type]
 
 

@@ -143,7 +143,7 @@ def test_two_materials_share_one_texture(tmp_path: Path) -> None:
 def test_an_animation_is_chosen_by_its_name(tmp_path: Path) -> None:
     path = written(tmp_path, *figures.gltf())
     assert read_motion(f"{path}#bend").n_frames == 61
-    with pytest.raises(MotionError, match=r"no animation 'jump'; there are 'bend'"):
+    with pytest.raises(MotionError, match=r"no animation 'jump'; there are bend"):
         read_motion(f"{path}#jump")
 
 

@@ -160,13 +160,13 @@ def test_another_version_is_refused(lacks: str, scene: Scene, monkeypatch: pytes
         (
             {"people": "world"},
             "adapters.people.frame",
-            "the scene has map, odom, base_link, fixed_op",
+            "there are map, odom, base_link, fixed_op",
         ),
         ({"detections_2d": {"cameras": ["left"]}}, "adapters.detections_2d.cameras", "no camera 'left'"),
         (
             {"tracked_persons": {"camera": "left"}},
             "adapters.tracked_persons.camera",
-            "the scene has fixed",
+            "no camera 'left'; there are fixed",
         ),
         ({"detections_2d": {"cameras": []}}, "adapters.detections_2d.cameras", "at least one"),
         ({"people": {"frame": "a b"}}, "adapters.people.frame", "a frame of tf"),

@@ -316,9 +316,7 @@ def test_ids_that_collide_are_refused() -> None:
 
 
 def test_an_unknown_camera_is_named() -> None:
-    with pytest.raises(
-        SceneError, match=r"no camera 'frint'; the scene has front; did you mean 'front'"
-    ) as caught:
+    with pytest.raises(SceneError, match=r"the scene has no camera 'frint'; did you mean 'front'") as caught:
         adapter_topics(scene(hri={"camera": "frint"}))
     assert caught.value.key == "hri.camera"
 

@@ -183,7 +183,7 @@ def test_the_first_of_two_people_is_read_and_the_other_is_named(tmp_path: Path) 
     np.testing.assert_allclose(
         second.world_positions(), alone.world_positions() + np.array([100, 0, 0]), atol=1e-4
     )
-    with pytest.raises(MotionError, match="no root 'C_Hips' in the file; did you mean 'B_Hips'"):
+    with pytest.raises(MotionError, match="the file has no root 'C_Hips'; did you mean 'B_Hips'"):
         read(f"{path}#C_Hips")
 
 

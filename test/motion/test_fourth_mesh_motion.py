@@ -153,7 +153,7 @@ def test_clips_of_collada_are_animations(tmp_path: Path) -> None:
     end = read_motion(f"{path}#End")
     assert end.duration == pytest.approx(5 / 30)
     np.testing.assert_allclose(end.world_positions(-1), read_motion(path).world_positions(-1), atol=1e-6)
-    with pytest.raises(MotionError, match="no animation 'Run'; there are 'Walk', 'End'"):
+    with pytest.raises(MotionError, match="no animation 'Run'; there are Walk, End"):
         read_motion(f"{path}#Run")
 
 

@@ -174,7 +174,7 @@ def test_a_person_of_several_is_chosen_by_its_keys(tmp_path: Path) -> None:
     (tmp_path / "wham_output.pkl").write_bytes(joblib_bytes(WHAM))
     motion, said = read(f"{tmp_path}/wham_output.pkl#0")
     assert motion.n_frames == 6 and "people" not in said
-    with pytest.raises(MotionError, match="no person '7' in the file; there are 0, 3"):
+    with pytest.raises(MotionError, match="the file has no person '7'; there are 0, 3"):
         read(f"{tmp_path}/wham_output.pkl#7")
 
 

@@ -266,6 +266,6 @@ def test_an_unknown_pose_is_refused_with_the_known_ones() -> None:
     anatomy = HandAnatomy.of(load_human("adult_man").skeleton)
     assert anatomy is not None
     with pytest.raises(
-        MotionError, match=r"no hand pose 'fisst'; the poses are relaxed, fist, .*did you mean"
+        MotionError, match=r"no hand pose 'fisst'; did you mean 'fist'\? There are relaxed, fist"
     ):
         hand_angles("fisst", anatomy)

@@ -393,7 +393,7 @@ def test_keyframes_that_do_not_fit_the_scene_are_errors(tmp_path: Path) -> None:
         actor(tmp_path, "keyframes: keyz.xml")
     with pytest.raises(SceneError, match="nown here: file, object"):
         actor(tmp_path, "keyframes: {file: keys.xml, objekt: anna}")
-    with pytest.raises(MotionError, match=r"keys\.xml: no object 'anna'; the file moves door"):
+    with pytest.raises(MotionError, match=r"keys\.xml: the file has no object 'anna'; there are door"):
         actor(tmp_path, file=keys("door"))
     with pytest.raises(MotionError, match=r"'anna' moves a person: its size must be the same.*frame 60"):
         actor(tmp_path, file=keys().replace('x="1.4"', 'x="2"'))

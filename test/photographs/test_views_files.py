@@ -65,7 +65,7 @@ def test_the_person_stands_in_the_masks(studio: Studio) -> None:
         ({"keypoints": "coco18"}, r"keypoints: no keypoint set 'coco18'.*coco17"),
         ({"keypoints": "face70"}, r"keypoints: face70 has no points of the body.*coco17"),
         ({"views": {}}, r"views: "),
-        ({"views": {"view_9": {"image": "view_1/*.jpg"}}}, r"no camera 'view_9'; it has view_1.*camera"),
+        ({"views": {"view_9": {"image": "view_1/*.jpg"}}}, r"no camera 'view_9'.* There are view_1.*camera"),
         ({"views": {"view_1": {"image": "gone.jpg"}}}, r"views.view_1.image: .*no such file"),
         ({"views": {"view_1": {"image": "view_1/*.bmp"}}}, r"no file fits"),
         ({"views": {"view_1": {"points": "gone.json"}}}, r"views.view_1.points: .*no such file"),

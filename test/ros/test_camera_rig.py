@@ -285,7 +285,7 @@ def test_a_rig_has_the_cameras_of_its_parameter(ros: None, scene_path: Path) -> 
     assert made() == ["left", "right"]
     assert made("right") == ["right"]
     assert made("right", "left", "right") == ["right", "left"]
-    with pytest.raises(SceneError, match="no camera 'middle'; the scene has left, right"):
+    with pytest.raises(SceneError, match="the scene has no camera 'middle'; there are left, right"):
         made("left", "middle")
 
 

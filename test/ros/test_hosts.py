@@ -180,4 +180,4 @@ def test_a_name_of_no_node_is_refused(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), "--only", "camera_1"]
     done = subprocess.run(command, env=Host().environment, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "no node 'camera_1' to start only" in done.stderr and "left, right" in done.stderr
+    assert "no node to start 'camera_1'" in done.stderr and "left, right" in done.stderr

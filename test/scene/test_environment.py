@@ -383,7 +383,7 @@ def test_an_openexr_panorama_is_that_of_the_same_light(tmp_path: Path) -> None:
     read = load_panorama(tmp_path / "sky.exr")
     expected = np.where(np.isnan(light), 0, np.minimum(light, 65504))
     np.testing.assert_array_equal(read, expected)
-    with pytest.raises(SceneError, match="no channel R; there are Y"):
+    with pytest.raises(SceneError, match="no channel 'R'; there are Y"):
         load_panorama(tmp_path / "grey.exr")
 
 
@@ -436,7 +436,7 @@ def test_an_openexr_file_with_very_many_channels_is_not_decoded(
     channels = {f"c{number}": np.zeros((64, 128), np.float16) for number in range(40)}
     with exr.File({"type": exr.scanlineimage}, channels) as file:
         file.write(str(tmp_path / "many.exr"))
-    with pytest.raises(SceneError, match="no channel R"):
+    with pytest.raises(SceneError, match="no channel 'R'"):
         load_panorama(tmp_path / "many.exr")
     monkeypatch.setattr(environment, "_MAX_VALUES", 39 * 64 * 128)
     with pytest.raises(SceneError, match="40 channels of 128 x 64 pixels are too many"):

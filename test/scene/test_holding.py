@@ -67,7 +67,7 @@ def test_a_box_is_lifted_from_the_floor_and_put_back() -> None:
 @pytest.mark.parametrize(
     ("held_by", "problem"),
     [
-        ("ana", r"objects\.box\.held_by: no human 'ana'; the humans are anna"),
+        ("ana", r"objects\.box\.held_by: no human 'ana'; did you mean 'anna'"),
         ({"human": "anna", "start": 3, "end": 2}, r"end \(2 s\) must come after start \(3 s\)"),
         ({"human": "anna", "hand": "left"}, r"objects\.box\.held_by"),
         ({"human": "ana", "by": "path"}, r"objects\.box\.held_by: no human 'ana'"),

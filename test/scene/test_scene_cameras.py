@@ -164,7 +164,7 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
             "cameras:\n  left:\n    calibration: shelf.json\n    camera: 7\n    size: [320, 240]",
             "left.camera",
             4,
-            "no camera '7' in shelf.json; there are 0, back door",
+            "shelf.json has no camera '7'; there are 0, back door",
         ),
         (
             f"cameras: {{left: {{calibration: usb.yaml, size: [640, 480], {PLACE}}}}}",
@@ -175,7 +175,12 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
         ("cameras: {left: {trajectory: none.txt}}", "left.trajectory.file", 1, "no such file"),
         ("rate: 20\nrig: none.json", "rig.file", 2, "no such file"),
         ("rig: {file: usb.yaml, size: [64, 48]}", "rig.size", 1, "images of 320x240"),
-        ("rig: {file: shelf.json, size: [320, 240], cameras: [1]}", "rig.cameras", 1, "no camera '1'"),
+        (
+            "rig: {file: shelf.json, size: [320, 240], cameras: [1]}",
+            "rig.cameras",
+            1,
+            "shelf.json has no camera '1'",
+        ),
         ("rig: {file: twins.json, size: [320, 240]}", "rig.cameras", 1, "would be a_b in ROS"),
         ("\n" + RIG % "gone.png", "rig.background", 2, "no such file"),
         ("\n" + RIG % "'usb.{name}'", "rig.background", 2, "usb.0"),
@@ -185,7 +190,7 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
             5,
             "not a PNG or JPEG",
         ),
-        (RIG % "{1: usb.yaml}", "rig.background.1", 1, "no camera '1' in this rig; there are 0, back door"),
+        (RIG % "{1: usb.yaml}", "rig.background.1", 1, "this rig has no camera '1'; there are 0, back door"),
         (
             f"rig: {{file: shelf.json, size: [320, 240]}}\ncameras: {{back_door: {{{PLACE}}}}}",
             "cameras.back_door",

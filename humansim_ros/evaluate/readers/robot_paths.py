@@ -11,7 +11,7 @@ import numpy as np
 
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic
-from humansim_ros.errors import EvaluationError, did_you_mean, located, printable
+from humansim_ros.errors import EvaluationError, located, printable, unknown
 from humansim_ros.evaluate.nearby import RobotPath
 from humansim_ros.evaluate.readers.estimates import bag_transforms, deserialised_message, is_bag, split_topic
 from humansim_ros.evaluate.truth import FIRST_STAMP, MAX_TRUTH_FRAMES
@@ -95,7 +95,7 @@ def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
     with BagReader(path) as reader:
         kinds = {each.name: each.type for each in reader.topics}
         if topic not in kinds:
-            raise EvaluationError(f"the bag has no topic {topic}{did_you_mean(topic, kinds)}", path=path)
+            raise EvaluationError(unknown("topic", topic, kinds, "the bag", 8), path=path)
         is_tf = kinds[topic] == TF
         transforms = bag_transforms(path, [base] if is_tf else [])
         moving = transforms.moving(base)  # its times are those of the path

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar
 
-from humansim_ros.errors import MeshError, did_you_mean
+from humansim_ros.errors import MeshError, unknown
 from humansim_ros.io.assets import read_table
 from humansim_ros.io.schema import ByteColor
 from humansim_ros.mesh.materials import WornName
@@ -243,10 +243,7 @@ def draw_clothes(
     for key, value in wishes.items():
         for name in value if key == "wears" else (value,):
             if name not in CHOICES[key]:
-                known = ", ".join(CHOICES[key])
-                raise MeshError(
-                    f"unknown {name!r}{did_you_mean(name, CHOICES[key])}; there are {known}", key=key
-                )
+                raise MeshError(unknown("choice", name, CHOICES[key]), key=key)
     sex, group = "female" if female else "male", _group(age, female)
     styles = _SHARES["hair"][f"old {group}" if age >= 68 else group]
     hair, top, bottom, shoes, beard = (uniform() for _ in range(5))

@@ -18,7 +18,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
 from humansim_ros import messages
-from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable
+from humansim_ros.errors import HumansimError, RosError, SceneError, located, printable, unknown
 from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros.camera.publishers import (
@@ -240,10 +240,8 @@ class CameraNode(SceneNode):
         )
         name = name or next(iter(self.scene.cameras))
         if name not in self.scene.cameras:
-            known = ", ".join(self.scene.cameras)
-            raise SceneError(
-                f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
-            )
+            text = unknown("camera", name, self.scene.cameras, "the scene")
+            raise SceneError(text, path=self.scene.path, key="cameras")
         camera = self.scene.scene_cameras[name]
         if not url:
             return camera

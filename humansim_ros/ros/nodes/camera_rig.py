@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import SceneError, unknown
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
@@ -51,10 +51,8 @@ class CameraRigNode(SceneNode):
         )
         for name in requested or ():
             if name not in self.scene.cameras:
-                known = ", ".join(self.scene.cameras)
-                raise SceneError(
-                    f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
-                )
+                text = unknown("camera", name, self.scene.cameras, "the scene")
+                raise SceneError(text, path=self.scene.path, key="cameras")
         return list(dict.fromkeys(requested or self.scene.cameras))
 
     @property

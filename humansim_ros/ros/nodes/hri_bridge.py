@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from humansim_ros.errors import SceneError, did_you_mean
+from humansim_ros.errors import SceneError, unknown
 from humansim_ros.io.schema import Section
 from humansim_ros.ros.nodes.bridge import BridgeNode
 from humansim_ros.ros.runtime import run_node
@@ -26,7 +26,7 @@ class HriBridgeNode(BridgeNode):
         camera = self.text_parameter("camera", "", "Camera that sees the people; empty: hri.camera")
         known = self.scene.scene_cameras
         if camera and camera not in known:
-            text = f"no camera {camera!r}; the scene has {', '.join(known)}{did_you_mean(camera, known)}"
+            text = unknown("camera", camera, known, "the scene")
             raise SceneError(text, path=self.scene.path, key="camera")
         config = HriConfig(camera=camera) if camera else self.scene.config.hri
         if config is None:

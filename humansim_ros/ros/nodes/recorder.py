@@ -34,7 +34,7 @@ from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic, check_topics
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable, some_of, unknown
 from humansim_ros.messages import header, read_frame_number, serialised_stamp, to_nanoseconds
 from humansim_ros.messages.frames import RecordedFrames
 from humansim_ros.messages.topic import Topic
@@ -226,8 +226,7 @@ class RecorderNode(SuiteNode):
         values = get_args(kind)
         value = self.text_parameter(name, values[0], f"{description}: {', '.join(values)}")
         if value not in values:
-            text = f"{value!r} is none of {', '.join(values)}{did_you_mean(value, values)}"
-            raise RosError(text, key=f"parameter {name}")
+            raise RosError(unknown("value", value, values), key=f"parameter {name}")
         return value
 
     # --- topics

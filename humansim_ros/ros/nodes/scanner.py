@@ -15,7 +15,7 @@ from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import SceneError, unknown
 from humansim_ros.geometry import ObjectPose
 from humansim_ros.messages.topics import ScannerTopics
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -36,8 +36,7 @@ class ScannerNode(SceneNode):
         chosen = name or self.text_parameter("scanner", "", "Scanner of the scene; empty: the first")
         scanners = self.scene.scanners
         if not scanners or (chosen and chosen not in scanners):
-            listed = f"the scene has {', '.join(scanners)}" if scanners else "the scene has none"
-            text = f"no scanner {chosen!r}; {listed}" if chosen else "the scene has no scanner"
+            text = unknown("scanner", chosen, scanners, "the scene") if chosen else "the scene has no scanner"
             raise SceneError(text, path=self.scene.path, key="scanners")
         self._scanner = scanners[chosen or next(iter(scanners))]
         prefix = self.text_parameter("frame_prefix", "", "Text before the frame of the scanner, such as lab/")

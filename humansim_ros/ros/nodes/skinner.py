@@ -19,7 +19,7 @@ import numpy as np
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 
-from humansim_ros.errors import HumansimError, RosError, SceneError, printable, within_bounds
+from humansim_ros.errors import HumansimError, RosError, SceneError, printable, unknown, within_bounds
 from humansim_ros.messages import read_joints, read_legend, to_nanoseconds
 from humansim_ros.messages.topics import HumanTopics
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
@@ -123,8 +123,8 @@ class SkinnerNode(SceneNode):
         )
         name = name or next(iter(self.scene.actors), "")
         if name not in self.scene.actors:
-            known = ", ".join(self.scene.actors) or "none"
-            raise SceneError(f"no human {name!r}; the scene has {known}", path=self.scene.path, key="humans")
+            text = unknown("human", name, self.scene.actors, "the scene")
+            raise SceneError(text, path=self.scene.path, key="humans")
         self._actor = self.scene.actors[name]
         table = self.text_parameter(
             "joint_names", "", "Joint table of a live source (built-in name or YAML file); empty: detected"

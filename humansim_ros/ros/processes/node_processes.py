@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from humansim_ros.errors import RosError, did_you_mean
+from humansim_ros.errors import RosError, unknown
 from humansim_ros.jobs.frame_job import cores, thread_limits
 from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
@@ -259,8 +259,7 @@ def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
     chosen: set[str] = set()
     for name in (each.strip() for each in only.split(",")):
         if name not in known:
-            names_here = f"the names are {', '.join(known)}{did_you_mean(name, known)}"
-            raise RosError(f"no node {name!r} to start only: {names_here}", path=path)
+            raise RosError(unknown("node to start", name, known, "the scene"), path=path)
         chosen.update(known[name])
     if not chosen:
         raise RosError(f"no node to start: the scene has no {only.strip()}", path=path)

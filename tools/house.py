@@ -1,27 +1,25 @@
-"""Print figures of the structure: lines, modules, imports between folders, modules that a command enters.
+"""Print figures of the structure: packages, imports between them, lines, modules that a command enters.
 
-python tools/house.py            # lines, modules and imports
+python tools/house.py            # packages, imports and lines
 python tools/house.py --walks    # and the modules that some commands enter, which takes a minute
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import re
 import runpy
 import subprocess
 import sys
 import tempfile
 import threading
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "humansim_ros"
+import house_map
+from house_map import PACKAGE, PACKAGES, ROOT
+
 #: Commands whose modules are counted; ``{}`` stands for a folder that is made for them.
 WALKS = {
     "record --frames 2": ("record", "-o", "{}/bag", "--frames", "2", "--jobs", "1"),
@@ -33,29 +31,6 @@ _MOST_LINES = 600
 def lines_of(paths: Iterator[Path]) -> int:
     """Number of lines of some files."""
     return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in paths)
-
-
-def imports(path: Path) -> Iterator[str]:
-    """Names of the modules of the package that a file imports, also those in ``import_module``."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("humansim_ros"):
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name.startswith("humansim_ros"))
-        elif isinstance(node, ast.Constant) and re.fullmatch(r"humansim_ros(\.\w+)+", str(node.value)):
-            yield str(node.value)
-
-
-def arrows() -> Counter[tuple[str, str]]:
-    """Number of modules that import, by folder of the module and folder of what it imports."""
-    folders = {path.name for path in PACKAGE.iterdir() if path.is_dir()}
-    found: Counter[tuple[str, str]] = Counter()
-    for path in PACKAGE.rglob("*.py"):
-        own = path.relative_to(PACKAGE).parts[0]
-        used = {name.split(".")[1] for name in imports(path) if "." in name}
-        found.update((own, folder) for folder in used & folders if folder != own and own in folders)
-    return found
 
 
 def entered(arguments: Sequence[str]) -> set[str]:
@@ -97,12 +72,19 @@ def main() -> None:
         return
     modules = sorted(PACKAGE.rglob("*.py"))
     long = [path for path in modules if lines_of(iter([path])) > _MOST_LINES]
-    between = arrows()
+    between = house_map.package_arrows()
+    print("floor  package      modules    lines")
+    for package in reversed(PACKAGES):
+        names = house_map.modules().items()
+        own = [path for name, path in names if house_map.new_name(name).partition("/")[0] == package]
+        print(f"{PACKAGES[package][0]:5}  {package:11} {len(own):8,} {lines_of(iter(own)):8,}")
+    print(f"floors                     {len({floor for floor, _ in PACKAGES.values()}):8,}")
+    print(f"imports between packages   {len(between):8,}")
+    print(f"of these up                {sum(PACKAGES[a][0] <= PACKAGES[b][0] for a, b in between):8,}")
+    print(f"exceptions of the order    {len(house_map.EXCEPTIONS):8,}")
     print(f"lines of the package       {lines_of(iter(modules)):8,}")
     print(f"modules                    {len(modules):8,}")
     print(f"modules above {_MOST_LINES} lines     {len(long):8,}")
-    print(f"folders                    {len({folder for arrow in between for folder in arrow}):8,}")
-    print(f"imports between folders    {len(between):8,}")
     print(f"lines of tests             {lines_of((ROOT / 'test').rglob('*.py')):8,}")
     print(f"lines of tools             {lines_of((ROOT / 'tools').rglob('*.py')):8,}")
     print(f"lines of benchmarks        {lines_of((ROOT / 'benchmarks').rglob('*.py')):8,}")

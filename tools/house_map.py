@@ -43,7 +43,6 @@ EXCEPTIONS = frozenset(
     {
         # loads the pictures of notebooks on first use
         "base -> scene/pictures",
-        "motion/pose -> people/rigging",
         # the process that starts nodes imports them by name
         "ros/processes -> ros/nodes",
         "scene/checks -> data/engine",

@@ -16,7 +16,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
 RigRule = Literal["heat", "thesis", "thesis-printed"]
-#: Rows per block of dense matrices: angles of vertices, weights of triangles.
+#: Vertices per block of dense matrices of angles.
 _BLOCK = 16_384
 
 
@@ -79,34 +79,6 @@ def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArr
     head, tail = skeleton.heads[best], skeleton.tails[best]
     angle = np.degrees(angle_between(vertices - head, tail - head))
     return best, np.minimum(1.0, angle / 60.0 if printed else 60.0 / np.maximum(angle, 1e-9))
-
-
-def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
-    """Bone (V,) with the largest weight of each vertex."""
-    return _largest(weights).astype(np.intp)
-
-
-def without_details(weights: csr_matrix, skeleton: Skeleton) -> csr_matrix:
-    """Weights (V, B) in which fingers, toes, jaw and eyes give theirs to hand, foot and head."""
-    bones = len(skeleton)
-    sums = csr_matrix((np.ones(bones), (np.arange(bones), skeleton.wholes)), shape=(bones, bones))
-    return csr_matrix(weights @ sums)
-
-
-def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:
-    """Bone (N,) with the largest weight of each triangle, summed over its corners: its part label minus 1."""
-    total = weights[triangles[:, 0]] + weights[triangles[:, 1]] + weights[triangles[:, 2]]
-    return _largest(total).astype(np.uint8)
-
-
-def _largest(values: csr_matrix) -> NDArray[np.intp]:
-    """Column (N,) of the largest value of each row, the first of equal ones.
-
-    SciPy's ``argmax`` of sparse matrices takes a hundred times longer: it visits the rows one by one.
-    """
-    blocks = range(0, values.shape[0], _BLOCK)
-    columns = [values[start : start + _BLOCK].toarray().argmax(axis=1) for start in blocks]
-    return np.concatenate([np.zeros(0, np.intp), *columns])
 
 
 def _viewing_angles(vertices: Array, skeleton: Skeleton) -> Array:

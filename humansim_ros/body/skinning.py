@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import cross, matrix_to_quaternion
 from humansim_ros.mesh.mesh import normalise_weights
@@ -19,6 +20,8 @@ from humansim_ros.types import Array, FloatArray
 
 #: Usual limit of game engines.
 MAX_BONES_PER_VERTEX = 4
+#: Rows of weights that are made dense at once.
+_ROWS = 16_384
 
 
 def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_matrix:
@@ -35,6 +38,34 @@ def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_ma
     after = np.asarray(weights.sum(axis=1)).ravel()
     weights.data *= np.repeat(before / np.where(after > 0, after, 1.0), np.diff(weights.indptr))
     return weights
+
+
+def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
+    """Bone (V,) with the largest weight of each vertex."""
+    return _largest(weights).astype(np.intp)
+
+
+def without_details(weights: csr_matrix, skeleton: Skeleton) -> csr_matrix:
+    """Weights (V, B) in which fingers, toes, jaw and eyes give theirs to hand, foot and head."""
+    bones = len(skeleton)
+    sums = csr_matrix((np.ones(bones), (np.arange(bones), skeleton.wholes)), shape=(bones, bones))
+    return csr_matrix(weights @ sums)
+
+
+def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:
+    """Bone (N,) with the largest weight of each triangle, summed over its corners: its part label minus 1."""
+    total = weights[triangles[:, 0]] + weights[triangles[:, 1]] + weights[triangles[:, 2]]
+    return _largest(total).astype(np.uint8)
+
+
+def _largest(values: csr_matrix) -> NDArray[np.intp]:
+    """Column (N,) of the largest value of each row, the first of equal ones.
+
+    SciPy's ``argmax`` of sparse matrices takes a hundred times longer: it visits the rows one by one.
+    """
+    blocks = range(0, values.shape[0], _ROWS)
+    columns = [values[start : start + _ROWS].toarray().argmax(axis=1) for start in blocks]
+    return np.concatenate([np.zeros(0, np.intp), *columns])
 
 
 #: Frames in one sparse product; more frames need memory and are not faster.

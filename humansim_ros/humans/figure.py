@@ -13,9 +13,8 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.hands import finger_hinges
 from humansim_ros.body.joint_names import DETAIL_BONES, finger_bones
-from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.body.skinning import limit_bones
+from humansim_ros.body.skinning import dominant_bones, limit_bones
 from humansim_ros.errors import MeshError, MotionError, warn_about
 from humansim_ros.geometry import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.humans.makehuman.skeleton import Bones

@@ -15,10 +15,9 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.face_actions import ACTIONS, face_weights
 from humansim_ros.body.loose import LooseParts, loose_arrays, read_loose
-from humansim_ros.body.rigging import triangle_parts, without_details
 from humansim_ros.body.shapes import Shapes, read_shapes, shape_arrays
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.body.skinning import SkinningFunction, make_skinner
+from humansim_ros.body.skinning import SkinningFunction, make_skinner, triangle_parts, without_details
 from humansim_ros.errors import MeshError, unknown
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import BEST, read_npz, write_npz

@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.rigging import dominant_bones, rig
+from humansim_ros.body.rigging import rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
+from humansim_ros.body.skinning import dominant_bones
 from humansim_ros.errors import (
     HumansimError,
     HumansimWarning,

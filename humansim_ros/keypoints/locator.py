@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.joint_names import JOINT_NAMES
-from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.body.skinning import dominant_bones
 from humansim_ros.humans.human import Human, joint_surfaces
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.keypoints.skin import MIXES, place_on_skin

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.landmarks import SKIN_VERTICES, is_makehuman
-from humansim_ros.body.rigging import dominant_bones, without_details
 from humansim_ros.body.skeleton import hanim_skeleton
+from humansim_ros.body.skinning import dominant_bones, without_details
 from humansim_ros.geometry import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human

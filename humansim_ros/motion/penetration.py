@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.rigging import dominant_bones, without_details
 from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.body.skinning import dominant_bones, without_details
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import rotate
 from humansim_ros.mesh.mesh import Mesh

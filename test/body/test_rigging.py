@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, rig, skin
 from humansim_ros.body import heat_weights as heat
-from humansim_ros.body.rigging import RigRule, dominant_bones, triangle_parts, without_details
+from humansim_ros.body.rigging import RigRule
 from humansim_ros.body.skeleton import side_of
+from humansim_ros.body.skinning import dominant_bones, triangle_parts, without_details
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human

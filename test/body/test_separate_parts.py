@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from humansim_ros import load_human
 from humansim_ros.body.fitting import fit_skeleton
-from humansim_ros.body.rigging import dominant_bones, rig, without_details
+from humansim_ros.body.rigging import rig
+from humansim_ros.body.skinning import dominant_bones, without_details
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh, padded

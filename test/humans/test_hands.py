@@ -15,8 +15,8 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.joint_names import FINGERS, finger_bones
-from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.body.skinning import dominant_bones
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import finger_shares, relax_hands, relaxed_fingers

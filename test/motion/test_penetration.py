@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from test_retarget import in_world, read
 
 from humansim_ros.body import Skeleton, hanim_skeleton
-from humansim_ros.body.rigging import dominant_bones, without_details
+from humansim_ros.body.skinning import dominant_bones, without_details
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human

@@ -14,7 +14,7 @@ from ros_support import Client, Lockstep, deliver, write_scene
 from scipy.spatial.transform import Rotation
 
 from humansim_ros import messages
-from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.skinning import dominant_bones
 from humansim_ros.errors import SceneError
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode

@@ -47,8 +47,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointSta
 
 from humansim_ros.apps.bench import CpuTime
 from humansim_ros.io.assets import resource_path
+from humansim_ros.io.machine import cores
 from humansim_ros.messages import serialised_stamp
-from humansim_ros.ros.processes.node_processes import cores, scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import make_executor, prepare_transport

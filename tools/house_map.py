@@ -45,7 +45,6 @@ EXCEPTIONS = frozenset(
         "base -> scene/pictures",
         # the process that starts nodes imports them by name
         "ros/processes -> ros/nodes",
-        "scene/checks -> data/engine",
         # until each feature is a folder that knows only the protocol of features
         "scene/features -> scene/config",
         "scene/features -> scene/core",

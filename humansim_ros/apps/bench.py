@@ -13,7 +13,7 @@ from statistics import median
 from typing import Any
 
 from humansim_ros.errors import HumansimError, RosError, unknown
-from humansim_ros.jobs.frame_job import cores
+from humansim_ros.io.machine import cores
 from humansim_ros.messages.frames import Frames
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.lockstep.settings import TimeOptions

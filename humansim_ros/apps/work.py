@@ -219,7 +219,7 @@ def write_bag(
         scene, output, frames, seconds, topics, jobs, resume, on_progress: As there.
         options: Options of :class:`RecordingPlan`.
     """
-    from humansim_ros.jobs.frame_job import cores
+    from humansim_ros.io.machine import cores
     from humansim_ros.record.recording import SceneRecording, record
 
     if (frames is None) == (seconds is None):
@@ -252,7 +252,7 @@ def write_data_set(
     from humansim_ros.export.exporting import Export, export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan
-    from humansim_ros.jobs.frame_job import cores
+    from humansim_ros.io.machine import cores
 
     def show(state: FrameProgress) -> None:
         on_progress(state.done, state.frames)

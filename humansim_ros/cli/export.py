@@ -69,7 +69,7 @@ def export(
     from humansim_ros.export.exporting import Export
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_range
-    from humansim_ros.jobs.frame_job import cores
+    from humansim_ros.io.machine import cores
     from humansim_ros.record.output import is_url
     from humansim_ros.scene import Scene
 

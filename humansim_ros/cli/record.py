@@ -68,7 +68,7 @@ def record(
     shard_frames: Annotated[int, option("record.shard_frames")] = PART_FRAMES,
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
-    from humansim_ros.jobs.frame_job import cores
+    from humansim_ros.io.machine import cores
     from humansim_ros.record.cluster import cluster_recordings
     from humansim_ros.record.output import is_url
     from humansim_ros.record.recording import SceneRecording

@@ -28,14 +28,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import humansim_ros
 from humansim_ros.errors import HumansimError
-from humansim_ros.jobs.frame_job import (
-    Buffer,
-    FrameJob,
-    FrameProgress,
-    FrameResult,
-    FrameWorker,
-    thread_limits,
-)
+from humansim_ros.io.machine import thread_limits
+from humansim_ros.jobs.frame_job import Buffer, FrameJob, FrameProgress, FrameResult, FrameWorker
 
 #: Step of copying data into memory that the other process has, too.
 COPYING = "copying"

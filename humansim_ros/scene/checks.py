@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from humansim_ros.errors import some_of
-from humansim_ros.jobs.frame_job import cores
+from humansim_ros.io.machine import cores
 from humansim_ros.scanner.casting import Poses
 from humansim_ros.scene.camera_checks import (
     check_cameras,

@@ -16,7 +16,8 @@ from humansim_ros.errors import EvaluationError, HumansimError
 from humansim_ros.evaluate.truth import FIRST_STAMP, truth_at
 from humansim_ros.geometry import quaternion_to_matrix
 from humansim_ros.humans import Human
-from humansim_ros.jobs.frame_job import Costs, FrameResult, cores
+from humansim_ros.io.machine import cores
+from humansim_ros.jobs.frame_job import Costs, FrameResult
 from humansim_ros.jobs.workers import WorkerDiedError, Workers
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.playback import Playback

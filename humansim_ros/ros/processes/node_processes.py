@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, unknown
-from humansim_ros.jobs.frame_job import cores, thread_limits
+from humansim_ros.io.machine import cores, thread_limits
 from humansim_ros.ros.lockstep.settings import TOPIC_PREFIX, ParameterValue, TimeOptions
 from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 

@@ -49,12 +49,12 @@ from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.camera_config import Vector3
 from humansim_ros.scene.config import (
     LIVE,
-    PeopleConfig,
     RoomConfig,
     check_config,
     checked_license,
     file_keys,
 )
+from humansim_ros.scene.features.variety.keys import PeopleConfig
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.truth import BodyBox

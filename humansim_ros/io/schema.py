@@ -101,6 +101,15 @@ TopicName = Annotated[
 ]
 
 
+#: Name of a human, an object, a camera or a scanner. It becomes a part of names of ROS nodes, topics and
+#: frames, which may have 255 characters.
+SceneName = Annotated[
+    str,
+    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=100),
+    Expected("a name of letters, digits and _ that begins with a letter, at most 100 characters"),
+]
+
+
 class NamedFile(str):
     """Value of a key that names a file."""
 

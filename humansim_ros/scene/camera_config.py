@@ -21,6 +21,8 @@ _Row4 = tuple[float, float, float, float]
 #: Metres or degrees; values beyond are mistakes.
 Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
 BoundedVector3 = tuple[Bounded, Bounded, Bounded]
+#: Rectangle on the floor: x, y of two corners.
+Area = tuple[Bounded, Bounded, Bounded, Bounded]
 #: Object of the scene that a camera is mounted on.
 Mount = Literal["robot"]
 #: Name of a camera in a calibration file, which may be a number (``coerce_numbers_to_str``).

@@ -18,6 +18,7 @@ from humansim_ros.io.schema import (
     ByteColor,
     FileName,
     NamedFile,
+    SceneName,
     Section,
     Share,
     ShortSection,
@@ -33,6 +34,8 @@ from humansim_ros.render.lighting import Lighting, RendererName
 from humansim_ros.scene.about_config import AboutConfig
 from humansim_ros.scene.adapter_config import AdaptersConfig, HriConfig
 from humansim_ros.scene.camera_config import Bounded, BoundedVector3, CameraConfig, RigConfig, Vector3
+from humansim_ros.scene.features.crowd.keys import CrowdConfig
+from humansim_ros.scene.features.variety.keys import VarietyConfig
 from humansim_ros.scene.robot_config import ROBOT, RobotConfig
 from humansim_ros.scene.scanner_config import ScannerConfig
 
@@ -54,12 +57,6 @@ MAX_LICENSE = 200
 _Radiance = Annotated[float, Field(ge=0, le=1e4)]
 _LinearColor = tuple[_Radiance, _Radiance, _Radiance]
 _Size = Annotated[float, Field(gt=0, le=1e6)]
-#: Names become parts of ROS nodes, topics and frames, which may have 255 characters.
-_Name = Annotated[
-    str,
-    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=100),
-    Expected("a name of letters, digits and _ that begins with a letter, at most 100 characters"),
-]
 
 
 #: Name of a ROS node, with or without its namespace.
@@ -425,162 +422,6 @@ class RoomConfig(Section):
         return self
 
 
-#: x, y of two corners.
-_Area = tuple[Bounded, Bounded, Bounded, Bounded]
-
-
-_Age = Annotated[float, Field(ge=2, le=90)]
-_Stature = Annotated[float, Field(ge=0.6, le=2.3)]
-_Bmi = Annotated[float, Field(ge=12, le=42)]
-_Tone = Annotated[int, Field(ge=1, le=10)]
-
-
-class PeopleConfig(Section):
-    """People drawn by seed from surveys (docs/humans.md)."""
-
-    age: tuple[_Age, _Age] = Field(default=(2.0, 90.0), description="youngest and oldest age, years")
-    women: Share = Field(default=0.5, description="share of women and girls")
-    stature: tuple[_Stature, _Stature] = Field(
-        default=(0.6, 2.3), description="least and greatest stature barefoot, metres"
-    )
-    bmi: tuple[_Bmi, _Bmi] = Field(
-        default=(12.0, 42.0), description="least and greatest body mass index, kg/m²"
-    )
-    skin: tuple[_Tone, _Tone] = Field(
-        default=(1, 10), description="first and last skin tone of the Monk scale"
-    )
-    uniform: bool = Field(default=False, description="all wear clothes of the same cut, colours and fabrics")
-
-    @field_validator("age", "stature", "bmi", "skin")
-    @classmethod
-    def _rising(cls, limits: tuple[float, float]) -> tuple[float, float]:
-        if limits[0] > limits[1]:
-            raise ValueError(f"the first number, {limits[0]:g}, is above the second, {limits[1]:g}")
-        return limits
-
-
-class VarietyConfig(Section):
-    """Random humans from a seed."""
-
-    count: int = Field(ge=0, le=1000, description="number of humans")
-    seed: int = Field(default=1, ge=0, description="the same seed gives the same humans")
-    name: _Name = Field(default="person", description="prefix of their names: person_1, person_2 …")
-    bodies: tuple[FileName, ...] | None = Field(
-        default=None, min_length=1, description="bodies to choose from; the built-in humans if absent"
-    )
-    people: PeopleConfig | None = Field(
-        default=None, description="draw another person each time, instead of one of the bodies"
-    )
-    motions: tuple[FileName, ...] | None = Field(
-        default=None,
-        min_length=1,
-        description="motions to choose from; built-in motions if absent. activity: one of its own for each",
-    )
-    area: _Area | None = Field(
-        default=None,
-        description="area of the middles of their paths: x, y of two corners; the middle of the room if "
-        "absent",
-    )
-    spacing: float = Field(
-        default=0.9, ge=0, le=100, description="least distance between the middles of two paths, metres"
-    )
-    seats: Literal["own", "scene"] = Field(
-        default="own",
-        description="own: a chair is put below each who sits; scene: they take free chairs of the scene and "
-        "the sofa of the room first",
-    )
-    alive: bool = Field(default=False, description="give them faces that blink and glance around")
-    speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
-        default=(0.9, 1.1), description="least and greatest factor of the motion's speed"
-    )
-
-    @model_validator(mode="after")
-    def _bodies_or_people(self) -> VarietyConfig:
-        if self.people is not None and self.bodies is not None:
-            raise ValueError("give bodies to choose from, or people to draw, not both")
-        return self
-
-
-class FlowConfig(Section):
-    """People who walk from an area to another one, and back."""
-
-    start: _Area = Field(description="area that they come from: x, y of two corners")
-    goal: _Area = Field(description="area that they walk to: x, y of two corners")
-    share: float = Field(default=1.0, gt=0, le=1e6, description="how many, relative to the other flows")
-
-
-class QueueConfig(Section):
-    """People who stand in line; the first one is served, and walks back to the end of the line."""
-
-    position: tuple[Bounded, Bounded] = Field(description="place of the first one: x, y in map, metres")
-    direction_deg: float = Field(
-        default=0.0, description="direction from the first to the last one, degrees from +x to the left"
-    )
-    count: int = Field(ge=1, le=1000, description="number of people in line")
-    spacing: float = Field(default=0.8, ge=0.5, le=10, description="metres from one to the next")
-    service: float = Field(default=5.0, ge=0, le=1e4, description="seconds that one is served")
-
-
-class CrowdConfig(Section):
-    """People who walk among each other without touching (docs/crowds.md)."""
-
-    count: int = Field(ge=0, le=1000, description="number of people")
-    seed: int = Field(default=1, ge=0, description="the same seed gives the same crowd")
-    name: _Name = Field(default="walker", description="prefix of their names: walker_1, walker_2 …")
-    bodies: tuple[FileName, ...] | None = Field(
-        default=None, min_length=1, description="bodies to choose from; the built-in humans if absent"
-    )
-    motions: tuple[FileName, ...] = Field(
-        default=("walk_straight",),
-        min_length=1,
-        description="motions to choose from, which walk straight ahead",
-    )
-    area: _Area | None = Field(
-        default=None,
-        description="floor of the crowd: x, y of two corners; the room if absent, or 10 x 10 m without one",
-    )
-    alive: bool = Field(default=False, description="give them faces that blink and glance around")
-    flows: tuple[FlowConfig, ...] = Field(
-        default=(), max_length=100, description="where they walk; to places at random in the area if absent"
-    )
-    groups: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="share of the people who walk in groups of two to four, side by side",
-    )
-    queues: tuple[QueueConfig, ...] = Field(
-        default=(), max_length=100, description="lines in which some stand"
-    )
-    speed: tuple[Annotated[float, Field(ge=0.2, le=2.0)], Annotated[float, Field(ge=0, le=1)]] = Field(
-        default=(1.34, 0.26), description="mean and standard deviation of their speeds, m/s [Weidmann 1993]"
-    )
-    pause: tuple[Annotated[float, Field(ge=0, le=1e4)], Annotated[float, Field(ge=0, le=1e4)]] = Field(
-        default=(0.0, 2.0), description="shortest and longest stay at a goal, seconds"
-    )
-    radius: float = Field(
-        default=0.3,
-        ge=0.15,
-        le=1.0,
-        description="radius of a person seen from above, metres: the middles of two people keep twice as far",
-    )
-    duration: float = Field(
-        default=60.0,
-        ge=10,
-        le=3600,
-        description="seconds after which everybody is back at the start and the crowd repeats",
-    )
-
-    @model_validator(mode="after")
-    def _has_room_in_queues(self) -> CrowdConfig:
-        for queue in self.queues:
-            if queue.spacing < 2 * self.radius:
-                raise ValueError(
-                    f"a radius of {self.radius:g} m needs a spacing of {2 * self.radius:g} m in queues"
-                )
-        return self
-
-
 class LightConfig(Section):
     """Light, shadows and tone mapping. Colours are linear light: 1 shows a surface in its own colour."""
 
@@ -755,14 +596,14 @@ class SceneConfig(Section):
     room: RoomConfig | None = Field(
         default=RoomConfig.model_construct(), description="furnished room; null for none"
     )
-    humans: dict[_Name, HumanConfig] = Field(default_factory=dict)
+    humans: dict[SceneName, HumanConfig] = Field(default_factory=dict)
     variety: VarietyConfig | None = Field(default=None, description="random humans besides these")
     crowd: CrowdConfig | None = Field(default=None, description="people who walk among each other")
-    objects: dict[_Name, ObjectConfig] = Field(default_factory=dict)
+    objects: dict[SceneName, ObjectConfig] = Field(default_factory=dict)
     robot: RobotConfig | None = Field(default=None, description="a robot that carries cameras")
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
-    cameras: dict[_Name, CameraConfig] = Field(default_factory=dict)
-    scanners: dict[_Name, ScannerConfig] = Field(default_factory=dict, description="laser scanners")
+    cameras: dict[SceneName, CameraConfig] = Field(default_factory=dict)
+    scanners: dict[SceneName, ScannerConfig] = Field(default_factory=dict, description="laser scanners")
     world: WorldConfig = Field(default=WorldConfig.model_construct(), description="mesh files and background")
     light: LightConfig = Field(default=LightConfig.model_construct(), description="light and shadows")
     randomise: RandomiseConfig | None = Field(default=None, description="random looks")

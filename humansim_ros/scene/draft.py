@@ -32,6 +32,7 @@ class Draft:
         config: The configuration. Features add humans to it.
         source: Finds files, and keeps what has been read.
         names: Names of all humans, also of those who are not built yet.
+        tracks: Keyframes by section ("humans", "objects") and name.
         actors: Humans so far by name.
         objects: Objects so far by name.
     """
@@ -39,6 +40,7 @@ class Draft:
     config: SceneConfig
     source: SceneSource
     names: Sequence[str]
+    tracks: Mapping[tuple[str, str], KeyframeTrack]
     actors: dict[str, Actor] = field(default_factory=dict)
     objects: dict[str, SceneObject] = field(default_factory=dict)
 
@@ -48,7 +50,8 @@ class Draft:
 
         Raises HumansimError with the key.
         """
-        draft = cls(config, source.loading(), human_names(config))
+        source = source.loading()
+        draft = cls(config, source, human_names(config), load_tracks(config, source))
         for name, human in config.humans.items():
             draft.add_human(name, human)
         draft.add_objects(config.objects)
@@ -62,7 +65,7 @@ class Draft:
             config: Section of the human.
             path: Path that its walk follows, if any.
         """
-        track = self._tracks.get(("humans", name))
+        track = self.tracks.get(("humans", name))
         actor = Actor.load(name, len(self.actors) + 1, config, self.source, track, path)
         # at once, while what its shape is made of is kept in memory
         self.actors[name] = _with_levels(actor, self.source) if len(self.names) >= _MANY else actor
@@ -76,7 +79,7 @@ class Draft:
             with in_section(f"objects.{name}"):
                 if config.label and name in self.names:
                     raise SceneError("a human has this name: a labelled object needs a name of its own")
-                track = self._tracks.get(("objects", name))
+                track = self.tracks.get(("objects", name))
                 item = SceneObject.build(name, config, self.source, track, self.next_label(config.label))
                 self.objects[name] = item
 
@@ -84,10 +87,6 @@ class Draft:
         """Label of the next object; 0 for an object without label."""
         used = len(self.names) + sum(item.instance > 0 for item in self.objects.values())
         return used + 1 if labelled else 0
-
-    @cached_property
-    def _tracks(self) -> dict[tuple[str, str], KeyframeTrack]:
-        return load_tracks(self.config, self.source)
 
     @cached_property
     def environment(self) -> Environment:

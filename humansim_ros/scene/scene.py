@@ -37,10 +37,10 @@ from humansim_ros.scene.config import (
     load_config,
     map_files,
 )
-from humansim_ros.scene.crowd import add_crowd
 from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.faces import with_faces
+from humansim_ros.scene.features import features_of
 from humansim_ros.scene.holding import held
 from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject
@@ -52,7 +52,6 @@ from humansim_ros.scene.scanner import SceneScanner, build_scanners
 from humansim_ros.scene.seats import Seats, furniture_for
 from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.timing import CameraTiming
-from humansim_ros.scene.variety import add_variety
 from humansim_ros.truth import joint_surfaces
 from humansim_ros.types import Array
 
@@ -314,8 +313,8 @@ class Scene(Pictured):
     def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
         # random people keep away from the humans and objects of the file
         draft = Draft.begin(config, source)
-        add_variety(draft)
-        add_crowd(draft)
+        for feature in features_of(config):
+            feature.expand(draft)
         # whoever holds an object is known now; a chair is put where nothing is below somebody
         actors, objects, environment = draft.actors, draft.objects, draft.environment
         for name, item in config.objects.items():

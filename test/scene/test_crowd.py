@@ -18,9 +18,9 @@ from humansim_ros.motion.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.actor import joint_poses_of
 from humansim_ros.scene.config import check_config
-from humansim_ros.scene.crowd import add_crowd
 from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.floor_plan import FloorPlan
+from humansim_ros.scene.features.crowd.feature import FEATURE
+from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.room import furniture_plan
 from humansim_ros.scene.source import SceneSource
@@ -38,7 +38,7 @@ def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any
     content = {"cameras": CAMERA, "room": room and {"size": list(room)}, "crowd": {"seed": 5, **crowd}}
     content["robot"] = robot
     draft = Draft.begin(check_config(content | {"objects": objects or {}}), SceneSource())
-    add_crowd(draft)
+    FEATURE.expand(draft)
     motions = {name: actor.motion for name, actor in draft.actors.items()}
     return {name: motion.path for name, motion in motions.items() if isinstance(motion, PathMotion)}
 
@@ -132,7 +132,7 @@ def test_seed_decides() -> None:
 
 def test_way_around_a_wall_is_short_and_free() -> None:
     wall = np.stack([np.zeros(161), np.linspace(-5, 3, 161)], axis=-1)
-    plan = FloorPlan.of(np.array([[-5.0, -5.0], [5.0, 5.0]]), wall, 0.3)
+    plan = WalkGrid.of(np.array([[-5.0, -5.0], [5.0, 5.0]]), wall, 0.3)
     start, end = np.array([-3.0, 0.0]), np.array([3.0, 0.0])
     way = plan.way(start, end)
     assert way is not None
@@ -144,7 +144,7 @@ def test_way_around_a_wall_is_short_and_free() -> None:
         points = a + np.linspace(0, 1, 200)[:, None] * (b - a)
         assert np.linalg.norm(points[:, None] - wall, axis=-1).min() > 0.3 - 0.06
     high = np.stack([np.zeros(201), np.linspace(-5, 5, 201)], axis=-1)
-    closed = FloorPlan.of(np.array([[-5.0, -5.0], [5.0, 5.0]]), high, 0.3)
+    closed = WalkGrid.of(np.array([[-5.0, -5.0], [5.0, 5.0]]), high, 0.3)
     assert closed.way(start, end) is None
 
 
@@ -250,10 +250,10 @@ def test_feet_do_not_slide() -> None:
     assert slid / stood < 0.05  # m/s
 
 
-def test_floor_plan_knows_the_free_floor() -> None:
+def test_grid_knows_the_free_floor() -> None:
     box = trimesh.creation.box((1.0, 2.0, 1.0))
     points = trimesh.sample.sample_surface_even(box, 4000, seed=1)[0][:, :2]
-    plan = FloorPlan.of(np.array([[-3.0, -3.0], [3.0, 3.0]]), points, 0.3)
+    plan = WalkGrid.of(np.array([[-3.0, -3.0], [3.0, 3.0]]), points, 0.3)
     rng = np.random.default_rng(0)
     places = rng.uniform(-3.2, 3.2, (500, 2))
     outside = np.maximum(np.abs(places) - (0.5, 1.0), 0)

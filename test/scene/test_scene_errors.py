@@ -20,7 +20,8 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.images import encode_image
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
-from humansim_ros.scene.config import HoldConfig, PeopleConfig, load_config, map_files
+from humansim_ros.scene.config import HoldConfig, load_config, map_files
+from humansim_ros.scene.features.variety.keys import PeopleConfig
 from humansim_ros.scene.robot_config import PathConfig
 
 #: A scene with all sections and all keys that name files.

@@ -20,9 +20,9 @@ from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config import HumanConfig, load_config
 from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.features.variety.feature import FEATURE
 from humansim_ros.scene.room import furnished_room, furniture_plan
 from humansim_ros.scene.source import SceneSource
-from humansim_ros.scene.variety import add_variety
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
 
@@ -30,7 +30,7 @@ CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0
 def drawn(folder: Path, **variety: Any) -> dict[str, HumanConfig]:
     path = scene(folder, **variety)
     draft = Draft.begin(load_config(path), SceneSource.of_file(path))
-    add_variety(draft)
+    FEATURE.expand(draft)
     return draft.config.humans
 
 

@@ -21,8 +21,10 @@ from humansim_ros.mesh.mesh import Mesh, padded
 from humansim_ros.motion.activity import ACTIVITY, needs_table
 from humansim_ros.render.mesh_buffers import PosedMesh, Topology
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig, living_face
+from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, living_face
 from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.features import Feature
+from humansim_ros.scene.features.variety.keys import VarietyConfig
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.room import furniture_plan
@@ -309,38 +311,6 @@ _IN_PLACE = ("wave", "turn_in_place")
 Item = TypeVar("Item")
 
 
-def add_variety(draft: Draft) -> None:
-    """Add the random humans of the section ``variety``.
-
-    The path of each human is inside the room and away from furniture, objects and the paths of all others. A
-    human whose motion finds no such place gets another of the motions. A HumansimWarning names those that
-    find no place with any motion.
-
-    A human depends on the seed and its number only: more humans do not change the first ones. Raises
-    SceneError with the key if there is no space for them.
-    """
-    variety = draft.config.variety
-    if variety is None:
-        return
-    humans, crossing = dict(draft.config.humans), []
-    if variety.count:
-        placing = _Placing.of_scene(draft, variety)
-        for name in variety_names(variety.name, variety.count):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", HumansimWarning)  # of motions that are only tried
-                humans[name] = placing.draw(name)
-            draft.add_human(name, humans[name])
-        crossing = placing.crossing
-    draft.config = draft.config.model_copy(update={"humans": humans, "variety": None})
-    if crossing:
-        draft.source.warn(
-            "variety",
-            f"no free place for {some_of(crossing)}: they walk through other "
-            "people, furniture or walls. Give fewer people (count), a larger area or room, or motions that "
-            f"stay in place, such as {' and '.join(_IN_PLACE)} (motions)",
-        )
-
-
 @dataclass
 class _Placing:
     """Random humans that are drawn one after the other.
@@ -532,3 +502,42 @@ def _order(motions: Sequence[str], uniform: RandomNumbers) -> list[str]:
     first = _one_of(motions, uniform())
     others = sorted(set(motions) - {first})
     return [first, *(name for _, name in sorted((uniform(), name) for name in others))]
+
+
+class Variety(Feature):
+    """The section ``variety``."""
+
+    def expand(self, draft: Draft) -> None:
+        """Add the random humans of the section ``variety``.
+
+        The path of each human is inside the room and away from furniture, objects and the paths of all
+        others. If a motion finds no such place, the human gets another motion. A HumansimWarning names
+        the humans that find no place with any motion.
+
+        A human depends on the seed and its number only: more humans do not change the first ones.
+
+        Raises:
+            SceneError: With the key, if there is no space for the humans.
+        """
+        variety = draft.config.variety
+        assert variety is not None
+        humans, crossing = dict(draft.config.humans), []
+        if variety.count:
+            placing = _Placing.of_scene(draft, variety)
+            for name in variety_names(variety.name, variety.count):
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", HumansimWarning)  # of motions that are only tried
+                    humans[name] = placing.draw(name)
+                draft.add_human(name, humans[name])
+            crossing = placing.crossing
+        draft.config = draft.config.model_copy(update={"humans": humans, "variety": None})
+        if crossing:
+            draft.source.warn(
+                "variety",
+                f"no free place for {some_of(crossing)}: they walk through other people, "
+                "furniture or walls. Give fewer people (count), a larger area or room, or motions that stay "
+                f"in place, such as {' and '.join(_IN_PLACE)} (motions)",
+            )
+
+
+FEATURE = Variety()

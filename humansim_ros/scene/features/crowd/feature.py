@@ -18,13 +18,15 @@ from humansim_ros.errors import HumansimError, SceneError, in_section, some_of
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion.orca import Walkers
 from humansim_ros.motion.path_motion import FloorPath
-from humansim_ros.scene.config import CrowdConfig, HumanConfig, MotionConfig, SceneConfig, living_face
+from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, living_face
 from humansim_ros.scene.draft import Draft
-from humansim_ros.scene.floor_plan import FloorPlan
+from humansim_ros.scene.features import Feature
+from humansim_ros.scene.features.crowd.keys import CrowdConfig
+from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
+from humansim_ros.scene.features.variety.feature import Path, things_on_floor
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
-from humansim_ros.scene.variety import Path, things_on_floor
 from humansim_ros.types import Array
 
 #: Seconds between two velocities, and seconds in which nobody collides.
@@ -57,45 +59,6 @@ _SEPARATIONS, _DETOUR = 4, 5.0
 _OPEN = 10.0
 
 
-def add_crowd(draft: Draft) -> None:
-    """Add the people of the section ``crowd``, each with its path.
-
-    Raises SceneError with the key if there is no room for them or no floor at a goal. A HumansimWarning names
-    the people who get nowhere.
-    """
-    crowd, source = draft.config.crowd, draft.source
-    if crowd is None or not crowd.count:
-        return
-    names = variety_names(crowd.name, crowd.count)
-    plan = _Plan(crowd, _floor(draft, crowd))
-    points = plan.run()
-    humans = {
-        name: _human(crowd, name, person.home, source)
-        for name, person in zip(names, plan.people, strict=True)
-    }
-    for number, queue in enumerate(plan.queues):
-        if not queue.services:
-            source.warn(
-                f"crowd.queues.{number}",
-                "nobody is served: a round is too short for all to be at the first place. Give a "
-                "longer round (crowd.duration), fewer people, or a shorter service",
-            )
-    jump = (
-        "not back at the start at the end of a round, and a jump there: give fewer people (count), a larger "
-        "area, or a longer round (duration)"
-    )
-    no_way = "no way to a goal, as walls or things are between: they walk to other goals only"
-    for numbers, problem in ((plan.blocked, no_way), (plan.lost, jump)):
-        if numbers:
-            source.warn("crowd", f"{some_of(names[number] for number in sorted(numbers))}: {problem}")
-    draft.config = draft.config.model_copy(update={"humans": draft.config.humans | humans})
-    for name, person, line in zip(names, plan.people, np.moveaxis(points, 1, 0), strict=True):
-        try:
-            draft.add_human(name, humans[name], FloorPath(line, STEP, person.facing))
-        except HumansimError as error:
-            raise type(error)(error.message, key="crowd.motions") from error.__cause__
-
-
 def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> HumanConfig:
     """A person at the start (2,); the looks depend on the seed and the name only."""
     uniform = random_numbers(crowd.seed, name)
@@ -114,11 +77,11 @@ def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> H
     )
 
 
-def _floor(draft: Draft, crowd: CrowdConfig) -> FloorPlan:
+def _floor(draft: Draft, crowd: CrowdConfig) -> WalkGrid:
     """The floor with what stands on it: things, and the paths of all other humans."""
     area = _area(draft.config, crowd)
     covered = [things_on_floor(draft, area), *(Path.of_scene(each).points for each in draft.actors.values())]
-    return FloorPlan.of(area, np.concatenate(covered), crowd.radius)
+    return WalkGrid.of(area, np.concatenate(covered), crowd.radius)
 
 
 def _area(config: SceneConfig, crowd: CrowdConfig) -> Array:
@@ -202,7 +165,7 @@ class _Queue:
 class _Starts:
     """Places, speeds and goals at the start, from the seed."""
 
-    def __init__(self, crowd: CrowdConfig, floor: FloorPlan) -> None:
+    def __init__(self, crowd: CrowdConfig, floor: WalkGrid) -> None:
         self._crowd, self._floor = crowd, floor
         self._names = variety_names(crowd.name, crowd.count)
         self._everywhere = floor.places()
@@ -339,7 +302,7 @@ class _Plan:
         blocked: Numbers of the people who have no way to a goal.
     """
 
-    def __init__(self, crowd: CrowdConfig, floor: FloorPlan) -> None:
+    def __init__(self, crowd: CrowdConfig, floor: WalkGrid) -> None:
         starts = _Starts(crowd, floor)
         self.people: list[_Person] = []
         self.queues = [starts.queue(number, self.people) for number in range(len(crowd.queues))]
@@ -535,3 +498,50 @@ class _Plan:
             gap = (self._floor.way(at, chief) or [chief])[0] - at
         wish = velocity + gap / _CATCH_UP
         return np.asarray(wish * min(1.0, _HURRY * person.speed / max(math.hypot(*wish), 1e-9)))
+
+
+class Crowd(Feature):
+    """The section ``crowd``."""
+
+    def expand(self, draft: Draft) -> None:
+        """Add the people of the section ``crowd``, each with its path.
+
+        A HumansimWarning names the people who get nowhere.
+
+        Raises:
+            SceneError: With the key, if there is no room for the people, or no floor at a goal.
+        """
+        crowd, source = draft.config.crowd, draft.source
+        if crowd is None or not crowd.count:
+            return
+        names = variety_names(crowd.name, crowd.count)
+        plan = _Plan(crowd, _floor(draft, crowd))
+        points = plan.run()
+        humans = {
+            name: _human(crowd, name, person.home, source)
+            for name, person in zip(names, plan.people, strict=True)
+        }
+        for number, queue in enumerate(plan.queues):
+            if not queue.services:
+                source.warn(
+                    f"crowd.queues.{number}",
+                    "nobody is served: a round is too short for all to be at the first place. Give a "
+                    "longer round (crowd.duration), fewer people, or a shorter service",
+                )
+        jump = (
+            "not back at the start at the end of a round, and a jump there: give fewer people (count), "
+            "a larger area, or a longer round (duration)"
+        )
+        no_way = "no way to a goal, as walls or things are between: they walk to other goals only"
+        for numbers, problem in ((plan.blocked, no_way), (plan.lost, jump)):
+            if numbers:
+                source.warn("crowd", f"{some_of(names[number] for number in sorted(numbers))}: {problem}")
+        draft.config = draft.config.model_copy(update={"humans": draft.config.humans | humans})
+        for name, person, line in zip(names, plan.people, np.moveaxis(points, 1, 0), strict=True):
+            try:
+                draft.add_human(name, humans[name], FloorPath(line, STEP, person.facing))
+            except HumansimError as error:
+                raise type(error)(error.message, key="crowd.motions") from error.__cause__
+
+
+FEATURE = Crowd()

@@ -24,7 +24,7 @@ _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 
 
 @dataclass(frozen=True)
-class FloorPlan:
+class WalkGrid:
     """Cells of a floor that are covered or not.
 
     Attributes:
@@ -40,7 +40,7 @@ class FloorPlan:
     radius: float
 
     @classmethod
-    def of(cls, corners: Array, things: Array, radius: float) -> FloorPlan:
+    def of(cls, corners: Array, things: Array, radius: float) -> WalkGrid:
         """Floor between two corners (2, 2) with walls around it, and points (M, 2) that are covered."""
         low, high = corners
         cell = max(_CELL, float((high - low).max()) / _MOST_CELLS)

@@ -1,0 +1,1 @@
+"""Random people: bodies, outfits, motions and places from a seed."""

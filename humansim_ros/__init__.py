@@ -18,38 +18,14 @@ Example:
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from humansim_ros.lazy import lazy_exports
+
 __version__: str
-
-
-def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Export names of a package that are imported on first use (PEP 562).
-
-    Args:
-        package: ``__name__`` of the package.
-        file: Its ``__file__``. The stub next to it (.pyi) imports the names from their modules.
-
-    Returns:
-        ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
-    """
-    stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
-    modules = {name: module for module, name in re.findall(r"(?m)^from (\S+) import (\w+) as", stub)}
-
-    def load(name: str) -> Any:
-        if name not in modules:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(modules[name]), name)
-
-    names = sorted(modules)
-    return load, lambda: names, names
-
 
 _load, __dir__, __all__ = lazy_exports(__name__, __file__)
 

@@ -1,6 +1,3 @@
-from collections.abc import Callable
-from typing import Any
-
 from humansim_ros.apps.api import evaluate as evaluate
 from humansim_ros.apps.api import export as export
 from humansim_ros.apps.api import record as record
@@ -26,6 +23,3 @@ from humansim_ros.scene.simulation import Simulation as Simulation
 __version__: str
 
 def make_callable(folder: str) -> None: ...
-def lazy_exports(
-    package: str, file: str
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]: ...

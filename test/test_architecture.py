@@ -18,7 +18,7 @@ import humansim_ros
 
 PACKAGE = ROOT / "humansim_ros"
 #: Modules of the top level, which every folder may import.
-BASE = {"__init__", "errors", "geometry", "pictures", "types"}
+BASE = {"__init__", "errors", "geometry", "lazy", "pictures", "types"}
 #: Public names by folder, as docs/api.md lists them.
 PUBLIC = {
     folder: set(re.findall(r"`(\w+)`", names))

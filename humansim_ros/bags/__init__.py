@@ -1,27 +1,5 @@
 """Bags of rosbag2 (MCAP, sqlite3): written in chunks, read, and continued after interruptions."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-from humansim_ros import lazy_exports
-from humansim_ros.errors import BagError
+from humansim_ros.lazy import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
-
-
-@contextmanager
-def needs_libraries() -> Iterator[None]:
-    """Convert the ImportError of a missing library to an error with the command that installs it.
-
-    Raises:
-        BagError: A library cannot be imported.
-    """
-    try:
-        yield
-    except ImportError as reason:
-        raise BagError(
-            f"recording and reading bags needs the libraries mcap and rosbags ({reason}); "
-            "install them with: pip install 'humansim_ros[record]'"
-        ) from None

@@ -17,7 +17,7 @@ from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
-from humansim_ros.bags import needs_libraries
+from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.errors import BagError
 
 if TYPE_CHECKING:

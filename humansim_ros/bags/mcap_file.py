@@ -31,7 +31,6 @@ from typing import BinaryIO, ClassVar, NamedTuple
 import numpy as np
 
 from humansim_ros import __version__
-from humansim_ros.bags import needs_libraries
 from humansim_ros.bags.chunks import (
     BLOCK,
     CHUNK,
@@ -48,6 +47,7 @@ from humansim_ros.bags.chunks import (
     read_chunk_head,
     read_index_head,
 )
+from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.bags.metadata import Content
 from humansim_ros.bags.topics import BagTopic, qos_of_text, qos_text
 from humansim_ros.errors import BagError, warn_about

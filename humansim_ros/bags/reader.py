@@ -11,8 +11,8 @@ from pathlib import Path, PurePath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from humansim_ros.bags import needs_libraries
 from humansim_ros.bags.chunks import BagMessage
+from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.bags.metadata import SUFFIXES, Content, Storage, custom_in, read_metadata
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.errors import BagError, unknown, warn_about

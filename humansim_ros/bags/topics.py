@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from humansim_ros.bags import needs_libraries
+from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.errors import BagError, warn_about
 from humansim_ros.io.assets import resource_root
 

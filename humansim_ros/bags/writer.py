@@ -18,8 +18,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from humansim_ros.bags import needs_libraries
 from humansim_ros.bags.chunks import COMPRESSIONS, Chunk, Compression
+from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.bags.metadata import (
     SUFFIXES,
     Content,

@@ -1,5 +1,5 @@
 """Cameras: projection, lenses, calibration files, ideal cameras, rigs and trajectories."""
 
-from humansim_ros import lazy_exports
+from humansim_ros.lazy import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

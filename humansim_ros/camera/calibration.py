@@ -25,7 +25,7 @@ from humansim_ros.camera.checks import (
     has_pose,
     image_size,
 )
-from humansim_ros.camera.formats import FORMATS, READ_FORMATS
+from humansim_ros.camera.formats.all_formats import FORMATS, READ_FORMATS
 from humansim_ros.camera.formats.base import CalibrationFile, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera.calibration import Z_UP_FROM_FILE
-from humansim_ros.camera.formats import CalibrationFormat
 from humansim_ros.camera.formats.datasets import H36M, PANOPTIC
+from humansim_ros.camera.formats.table import CalibrationFormat
 from humansim_ros.errors import ExportError
 from humansim_ros.export.openpose import calibration_text
 from humansim_ros.export.writer import ExportFolder, ExportFrame, ExportSettings, FormatWriter, Record

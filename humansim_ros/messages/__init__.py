@@ -5,6 +5,6 @@ World poses are in ``map``, metres (REP-103, REP-105). Without ROS, the classes 
 rosbags' definitions.
 """
 
-from humansim_ros import lazy_exports
+from humansim_ros.lazy import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,5 +1,5 @@
 """Scenes: the scene file, the scene made of it, and the simulation that plays it."""
 
-from humansim_ros import lazy_exports
+from humansim_ros.lazy import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

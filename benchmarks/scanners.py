@@ -20,8 +20,8 @@ import trimesh
 
 from humansim_ros import Scene
 from humansim_ros.scanner.models import MODELS
-from humansim_ros.scene.capture import JointMotion, SceneState
-from humansim_ros.scene.playback import Playback
+from humansim_ros.scene.state import SceneState
+from humansim_ros.scene.states import SceneStates
 from humansim_ros.scene.sweeps import Scanning
 
 BODIES = ("adult_man", "adult_woman", "child")
@@ -48,25 +48,10 @@ def scene_of(people: int, model: str, moving: str | None) -> Scene:
 
 def states(scene: Scene, count: int) -> list[SceneState]:
     """States of the first frames of a scene."""
-    playback, found = Playback(scene), []
-    for index in range(count):
-        elapsed = scene.frame_time(index)
-        poses = playback.show(elapsed)
-        humans = {name: actor.state(poses.poses[name]) for name, actor in playback.actors.items()}
-        found.append(
-            SceneState(
-                stamp=1 + elapsed,
-                scene_time=elapsed,
-                scene=scene,
-                actors=playback.actors,
-                vertices={name: human.vertices for name, human in humans.items()},
-                joints_of={
-                    name: JointMotion(human.joints, None, None) for name, human in humans.items()
-                }.__getitem__,
-                objects=poses.objects,
-            )
-        )
-        found[-1].bodies  # noqa: B018 - made once for all scanners
+    played = SceneStates(scene)
+    found = [played.at(index) for index in range(count)]
+    for state in found:
+        state.bodies  # noqa: B018 - made once for all scanners
     return found
 
 

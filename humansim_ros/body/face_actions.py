@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
+from humansim_ros.body.rated import Rated
 from humansim_ros.errors import MotionError, unknown
 from humansim_ros.io.assets import read_table
 from humansim_ros.types import Array
@@ -87,13 +87,5 @@ def expression(name: str) -> Mapping[str, float]:
     return both_sides({_UNITS[unit]: weight for unit, weight in EXPRESSIONS[name].items()})
 
 
-@dataclass(frozen=True, eq=False)
-class FaceState:
-    """A face at one stamp: weights (52,) of :data:`ACTIONS`, and their rates (52,) per second."""
-
-    weights: Array
-    rates: Array
-
-    def after(self, seconds: float) -> Array:
-        """Weights (52,) some time later, at constant rates."""
-        return np.clip(self.weights + seconds * self.rates, 0.0, 1.0)
+#: Weights of a face at rest.
+FACE_AT_REST = Rated.at_rest(ACTIONS, (len(ACTIONS),), (0.0, 1.0))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.rated import Rated
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.geometry import smooth_step
@@ -137,16 +138,9 @@ def _to_segment(
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", off, off))), np.asarray(nearest)
 
 
-@dataclass(frozen=True, eq=False)
-class SwingState:
-    """Swing of the K ends at one stamp: ``offsets`` (K, 3) metres in ``map``, and ``rates`` (K, 3) m/s."""
-
-    offsets: Array
-    rates: Array
-
-    def after(self, seconds: float) -> Array:
-        """Offsets (K, 3) some time later, at constant rates."""
-        return np.asarray(self.offsets + seconds * self.rates)
+def swing_at_rest(count: int) -> Rated:
+    """Offsets (K, 3) of loose ends that hang still, metres in ``map``."""
+    return Rated.at_rest(tuple(f"{number}/{axis}" for number in range(count) for axis in "xyz"), (count, 3))
 
 
 def loose_arrays(parts: LooseParts) -> dict[str, NDArray[Any]]:

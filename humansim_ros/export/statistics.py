@@ -20,8 +20,8 @@ from humansim_ros.geometry import matrix_to_quaternion
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.makehuman.population import is_person, read_person
 from humansim_ros.motion.limits import JointLimits, load_limits
-from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.config import HumanConfig
+from humansim_ros.scene.human_state import HumanState
 from humansim_ros.truth import BodyBox
 
 #: Name of the file, in the root of the export.

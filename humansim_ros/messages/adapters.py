@@ -26,7 +26,6 @@ from humansim_ros.errors import (
 )
 from humansim_ros.geometry import (
     invert_rigid,
-    matrix_to_quaternion,
     multiply_quaternions,
     quaternion_to_matrix,
     transform,
@@ -73,7 +72,6 @@ from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.renderer import Kind
 from humansim_ros.scene import Scene
-from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.adapter_config import (
     BoxesConfig,
     FramedConfig,
@@ -81,10 +79,10 @@ from humansim_ros.scene.adapter_config import (
     TrackedConfig,
 )
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.capture import SceneState
 from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.simulation import Frame
 from humansim_ros.scene.standing import standing
+from humansim_ros.scene.state import SceneState
 from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, CameraTruth, JointView
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 from humansim_ros.types import Array
@@ -538,7 +536,7 @@ def received_frame(
     return Frame(
         state.index,
         stamp,
-        {name: _human_state(state, name) for name in state.actors},
+        dict(state.humans),
         views,
         truth,
         dict(state.objects),
@@ -546,20 +544,6 @@ def received_frame(
         labels=scene.labels,
         scene_time=state.scene_time,
         camera_poses=state.cameras,
-    )
-
-
-def _human_state(state: SceneState, name: str) -> HumanState:
-    motion = state.joints_of(name)
-    return HumanState(
-        state.actors[name].human.skeleton.joint_names,
-        motion.joints,
-        motion.linear,
-        motion.angular,
-        state.vertices[name],
-        rotations=matrix_to_quaternion(motion.joints[:, :3, :3]),
-        face=motion.face,
-        swing=motion.swing,
     )
 
 

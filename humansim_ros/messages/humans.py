@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
-from humansim_ros.body.face_actions import ACTIONS, FaceState
-from humansim_ros.body.loose import SwingState
+from humansim_ros.body.rated import Rated
 from humansim_ros.errors import RosError, within_bounds
 from humansim_ros.geometry import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.humans.human import Human
@@ -33,7 +34,6 @@ from humansim_ros.messages.types import (
 from humansim_ros.messages.types import Mesh as MeshMessage
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.scene import HumanState
-from humansim_ros.scene.capture import JointMotion
 from humansim_ros.types import Array, Float32Array, Indices
 
 #: Most joints of a motion, and most characters of the name of a joint.
@@ -123,65 +123,53 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     return JointPoses(names, positions[None], unit_quaternions(rotations)[None], linear, angular)
 
 
-def joint_motion(
-    poses: JointPoses, face: FaceState | None = None, swing: SwingState | None = None
-) -> JointMotion:
-    """Joints of a human from the poses (N = 1) of a ``joints`` message, with its face and loose parts."""
-    joints = transform(quaternion_to_matrix(poses.rotations[0]), poses.positions[0])
-    if poses.linear is None or poses.angular is None:
-        return JointMotion(joints, None, None, face, swing)
-    return JointMotion(joints, poses.linear[0], poses.angular[0], face, swing)
+def human_state(
+    poses: JointPoses, vertices: Float32Array, features: Mapping[str, Rated] = MappingProxyType({})
+) -> HumanState:
+    """State of a human from the poses (N = 1) of a ``joints`` message, and what other messages have.
 
-
-def swing_message(swing: SwingState | None, count: int, stamp: int) -> JointState:
-    """Build ``humans/<id>/swing``: offset and rate of each loose end along x, y and z; all 0 without swing.
-
-    ``count``: number of loose ends.
+    Args:
+        poses: Poses of its joints.
+        vertices: Vertices (V, 3).
+        features: Values beside the joints by name of their topic.
     """
-    if swing is None:
-        swing = SwingState(np.zeros((count, 3)), np.zeros((count, 3)))
-    names = [f"{number}/{axis}" for number in range(count) for axis in "xyz"]
-    message = JointState(header=header(stamp, WORLD_FRAME), name=names)
-    message.position, message.velocity = swing.offsets.ravel().tolist(), swing.rates.ravel().tolist()
-    return message
-
-
-def read_swing(message: JointState, count: int) -> SwingState:
-    """Read a ``swing`` message of a human with some loose ends.
-
-    Raises:
-        RosError: It has another number of ends, or a number is not finite.
-    """
-    if not len(message.position) == len(message.velocity) == len(message.name) == 3 * count:
-        raise RosError(f"{len(message.name)} names; {count} loose ends have x, y and z each")
-    offsets, rates = (
-        np.array(values, dtype=float).reshape(count, 3) for values in (message.position, message.velocity)
+    (rotations,), joints = poses.rotations, transform(quaternion_to_matrix(poses.rotations), poses.positions)
+    linear, angular = (None if each is None else each[0] for each in (poses.linear, poses.angular))
+    return HumanState(
+        poses.names, joints[0], linear, angular, vertices, rotations=rotations, features=features
     )
-    if not (within_bounds(offsets) and within_bounds(rates)):
-        raise RosError("an offset of loose cloth or hair is not finite")
-    return SwingState(offsets, rates)
 
 
-def face_message(face: FaceState | None, stamp: int) -> JointState:
-    """Build ``humans/<id>/face``: weight and rate of every action; all 0 for a face that does not move."""
-    face = FaceState(np.zeros(len(ACTIONS)), np.zeros(len(ACTIONS))) if face is None else face
-    message = JointState(header=header(stamp, WORLD_FRAME), name=list(ACTIONS))
-    message.position, message.velocity = face.weights.tolist(), face.rates.tolist()
+def rated_message(rated: Rated, stamp: int) -> JointState:
+    """Build a topic of values beside the joints, such as ``humans/<id>/face``: each value and its rate."""
+    message = JointState(header=header(stamp, WORLD_FRAME), name=list(rated.labels))
+    message.position, message.velocity = rated.values.ravel().tolist(), rated.rates.ravel().tolist()
     return message
 
 
-def read_face(message: JointState) -> FaceState:
-    """Read a ``face`` message.
+def read_rated(message: JointState, rest: Rated) -> Rated:
+    """Read a message of :func:`rated_message`.
+
+    Args:
+        message: The message.
+        rest: Values at rest, with the same labels.
 
     Raises:
-        RosError: Other actions than those of ARKit in their order, or a weight that is not from 0 to 1.
+        RosError: Other labels, or a value that is not within the limits.
     """
-    if tuple(message.name) != ACTIONS or not len(message.position) == len(message.velocity) == len(ACTIONS):
-        raise RosError(f"a face has the {len(ACTIONS)} actions of ARKit, sorted, each with weight and rate")
-    weights, rates = np.array(message.position, dtype=float), np.array(message.velocity, dtype=float)
-    if not ((weights >= 0) & (weights <= 1)).all() or not within_bounds(rates):
-        raise RosError("a weight of the face is not from 0 to 1, or its rate is not finite")
-    return FaceState(weights, rates)
+    labels, (low, high) = rest.labels, rest.limits
+    if tuple(message.name) != labels or not len(message.position) == len(message.velocity) == len(labels):
+        raise RosError(
+            f"{len(message.name)} names; needed are the {len(labels)} from {labels[0]} to {labels[-1]}, each "
+            "with position and velocity"
+        )
+    values, rates = (
+        np.array(part, dtype=float).reshape(rest.values.shape)
+        for part in (message.position, message.velocity)
+    )
+    if not (within_bounds(values) and within_bounds(rates) and ((values >= low) & (values <= high)).all()):
+        raise RosError(f"a value is not from {low:g} to {high:g}, or a rate is not finite")
+    return replace(rest, values=values, rates=rates)
 
 
 def vertices_message(vertices: Float32Array, stamp: int) -> PointCloud2:

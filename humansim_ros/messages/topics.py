@@ -18,6 +18,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from humansim_ros import messages
+from humansim_ros.body.rated import Rated
 from humansim_ros.camera import Camera, Region
 from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import SceneError
@@ -181,6 +182,9 @@ class HumanTopics:
         def of_body(path: str, kind: type[Any], build: Callable[[HumanState, int], Any]) -> Topic[HumanState]:
             return Topic(f"{root}/{path}", kind, build, state, shown=path != "markers")
 
+        def rated(path: str, rest: Rated) -> Callable[[HumanState, int], JointState]:
+            return lambda body, stamp: messages.rated_message(body.features.get(path, rest), stamp)
+
         self.joints = of_body("joints", MultiDOFJointState, messages.joints_message)
         self.vertices = of_body(
             "vertices", PointCloud2, lambda body, stamp: messages.vertices_message(body.vertices, stamp)
@@ -191,17 +195,9 @@ class HumanTopics:
             lambda body, stamp: self.marker_builder.build(name, actor.instance, body, stamp),
         )
         self.mesh = _sent_once(f"{root}/mesh", MeshMessage, lambda: messages.mesh_message(actor.human.mesh))
-        self.face: Topic[HumanState] | None = None
-        if actor.face is not None:
-            self.face = of_body(
-                "face", JointState, lambda body, stamp: messages.face_message(body.face, stamp)
-            )
-        self.swing: Topic[HumanState] | None = None
-        if actor.human.loose is not None:
-            count = len(actor.human.loose.kinds)
-            self.swing = of_body(
-                "swing", JointState, lambda body, stamp: messages.swing_message(body.swing, count, stamp)
-            )
+        self.features = {
+            path: of_body(path, JointState, rated(path, rest)) for path, rest in actor.features.items()
+        }
         self.keypoints: dict[str, Topic[HumanState]] = {
             keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
         }
@@ -226,8 +222,7 @@ class HumanTopics:
     def __iter__(self) -> Iterator[Topic[Any]]:
         driven = (self.frame,) if self.live else (self.motion,)
         body = (self.joints, self.vertices, self.markers, self.mesh)
-        parts = (topic for topic in (self.face, self.swing) if topic is not None)
-        return iter((*driven, self.legend, *body, *parts, *self.keypoints.values()))
+        return iter((*driven, self.legend, *body, *self.features.values(), *self.keypoints.values()))
 
 
 class ObjectTopics:

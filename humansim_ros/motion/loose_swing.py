@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from humansim_ros.body.loose import CLOTH, HAIR, SwingState
+from humansim_ros.body.loose import CLOTH, HAIR, swing_at_rest
+from humansim_ros.body.rated import Rated
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.types import Array
@@ -81,7 +83,11 @@ class LooseSwing:
     ends_at: EndsAt
     _kept: dict[int, tuple[Array, Array, Array]] = field(init=False, repr=False, default_factory=dict)
 
-    def at(self, seconds: float) -> SwingState:
+    @cached_property
+    def _rest(self) -> Rated:
+        return swing_at_rest(len(self.kinds))
+
+    def at(self, seconds: float) -> Rated:
         """Swing at a scene time, between the samples around it by a cubic curve with their slopes."""
         place = seconds / _STEP
         number = math.floor(place + 1e-9)
@@ -90,13 +96,14 @@ class LooseSwing:
         slopes = (p[2:] - p[:-2]) / 2
         a, b, c = p[1], slopes[0], 3 * (p[2] - p[1]) - 2 * slopes[0] - slopes[1]
         d = 2 * (p[1] - p[2]) + slopes[0] + slopes[1]
-        return SwingState(a + t * (b + t * (c + t * d)), (b + t * (2 * c + 3 * t * d)) / _STEP)
+        offsets, rates = a + t * (b + t * (c + t * d)), (b + t * (2 * c + 3 * t * d)) / _STEP
+        return replace(self._rest, values=offsets, rates=rates)
 
     def add(self, poses: JointPoses, seconds: float) -> JointPoses:
         """Poses (N = 1) of a motion at a scene time, with the joints that carry the swing."""
         swing, names = self.at(seconds), swing_joints(len(self.kinds))
         positions, linear = poses.at_first_joint(len(names))
-        positions[1:] += swing.offsets
+        positions[1:] += swing.values
         linear[1:] += swing.rates
         identity = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
         return poses.with_joints(names, identity, np.zeros_like(linear), positions, linear)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -15,16 +15,15 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from humansim_ros import messages
-from humansim_ros.body.face_actions import FaceState
-from humansim_ros.body.loose import SwingState
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.frames import GivenUpFrame, PacedFrames
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.capture import JointMotion, SceneState
 from humansim_ros.scene.config import frame_at
+from humansim_ros.scene.human_state import HumanState
+from humansim_ros.scene.state import OnAccess, SceneState
 from humansim_ros.types import Float32Array
 
 #: Seconds without any vertices after which the scene at its start is shown.
@@ -43,7 +42,7 @@ _MAX_POINT, _MAX_HEADER = 64, 64 << 10
 class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
-    Subscriptions: vertices and joints of every human, and its face if it moves, marker and twist of every
+    Subscriptions: vertices, joints and features of every human, marker and twist of every
     moving object, pose and twist of some cameras; and ``scene_time``, while it has a publisher. Without one,
     as when a recording of vertices is played, the stamp is used as scene time.
 
@@ -96,11 +95,9 @@ class FrameSynchronizer:
             node.create_subscription(
                 MultiDOFJointState, joints, partial(self._on_joints, joints), NEWEST, raw=True
             )
-            if self._scene.actors[human].face is not None:
-                self._subscribe(JointState, f"humans/{human}/face", messages.read_face)
-            if (loose := self._scene.actors[human].human.loose) is not None:
-                read = partial(messages.read_swing, count=len(loose.kinds))
-                self._subscribe(JointState, f"humans/{human}/swing", read)
+            for feature, rest in self._scene.actors[human].features.items():
+                read = partial(messages.read_rated, rest=rest)
+                self._subscribe(JointState, f"humans/{human}/{feature}", read)
         for name in objects:
             self._subscribe(Marker, f"objects/{name}/marker", messages.read_object)
         for name in moving_cameras:
@@ -182,14 +179,14 @@ class FrameSynchronizer:
             raise RosError(f"{len(vertices)} vertices, but the body has {count}")
         return vertices
 
-    def _read_joints(
-        self, human: str, data: bytes, face: FaceState | None, swing: SwingState | None
-    ) -> JointMotion:
-        """Joints of a serialised message, with face and swing. Raises RosError unless the body has these."""
-        poses = messages.read_joints(deserialised(data, MultiDOFJointState))
-        if poses.names != self._scene.actors[human].human.skeleton.joint_names:
+    def _read_human(self, human: str, content: Mapping[str, Any]) -> HumanState:
+        """State of a human from the messages of a stamp. Raises RosError unless the body has these joints."""
+        actor = self._scene.actors[human]
+        poses = messages.read_joints(deserialised(content[f"humans/{human}/joints"], MultiDOFJointState))
+        if poses.names != actor.human.skeleton.joint_names:
             raise RosError(f"{human}: {len(poses.names)} joints that are not the joints of its body")
-        return messages.joint_motion(poses, face, swing)
+        features = {name: content[f"humans/{human}/{name}"] for name in actor.features}
+        return messages.human_state(poses, content[f"humans/{human}/vertices"], features)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the others of its stamp."""
@@ -251,6 +248,7 @@ class FrameSynchronizer:
         }
         self._node.report_lateness(frame.stamp, "arrival")
         scene_time, index = content.get(SCENE_TIME) or (frame.stamp, self._frame_at(frame.stamp))
+        humans = {name: partial(self._read_human, name, content) for name in self._scene.actors}
         self._pass_on(
             SceneState(
                 stamp=frame.stamp,
@@ -259,14 +257,7 @@ class FrameSynchronizer:
                 scene=self._scene,
                 actors=self._scene.actors,
                 vertices={human: content[f"humans/{human}/vertices"] for human in self._scene.actors},
-                joints_of=cache(
-                    lambda human: self._read_joints(
-                        human,
-                        content[f"humans/{human}/joints"],
-                        content.get(f"humans/{human}/face"),
-                        content.get(f"humans/{human}/swing"),
-                    )
-                ),
+                humans=OnAccess(humans),
                 objects=objects,
                 cameras=cameras,
             )
@@ -305,8 +296,7 @@ class FrameSynchronizer:
                 index=self._frame_at(now),
                 scene=self._scene,
                 actors=self._scene.actors,
-                vertices={name: state.vertices for name, state in states.items()},
-                joints_of=lambda human: JointMotion(states[human].joints, None, None),
+                humans={name: replace(state, linear=None, angular=None) for name, state in states.items()},
                 objects=objects,
                 cameras={name: CameraPose.of(self._scene.cameras[name]) for name in self._moving_cameras},
                 is_preview=True,

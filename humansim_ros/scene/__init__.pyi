@@ -1,12 +1,12 @@
 from humansim_ros.geometry import ObjectPose as ObjectPose
 from humansim_ros.scene.actor import Actor as Actor
-from humansim_ros.scene.actor import HumanState as HumanState
 from humansim_ros.scene.camera import CameraPose as CameraPose
 from humansim_ros.scene.camera import SceneCamera as SceneCamera
 from humansim_ros.scene.checks import check_scene as check_scene
 from humansim_ros.scene.config import SceneConfig as SceneConfig
 from humansim_ros.scene.environment import Environment as Environment
 from humansim_ros.scene.findings import Finding as Finding
+from humansim_ros.scene.human_state import HumanState as HumanState
 from humansim_ros.scene.objects import SceneObject as SceneObject
 from humansim_ros.scene.playback import Playback as Playback
 from humansim_ros.scene.scene import Scene as Scene

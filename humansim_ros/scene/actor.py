@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.eyes import Eyes, looked_angles, with_looks, within_limits
-from humansim_ros.body.face_actions import FaceState
+from humansim_ros.body.face_actions import FACE_AT_REST
 from humansim_ros.body.jaw import Jaw
-from humansim_ros.body.loose import SwingState
+from humansim_ros.body.loose import swing_at_rest
+from humansim_ros.body.rated import Rated
 from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.geometry import (
     AROUND,
@@ -43,59 +44,11 @@ from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
 from humansim_ros.render import Body
 from humansim_ros.scene.config import LIVE, HumanConfig, MotionConfig
+from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.source import STANDING, SceneSource
-from humansim_ros.truth.upright_boxes import UprightBox, upright_box
 from humansim_ros.types import Array
 
 _NO_HANDS_MOVE = "moves nothing: the body has no fingers, or the motion moves them all"
-
-
-@dataclass(frozen=True, repr=False)
-class HumanState:
-    """State of a human at one stamp, in ``map``, metres.
-
-    Attributes:
-        joint_names: J names.
-        joints: (J, 4, 4) poses with the axes of the bones (y along the bone).
-        linear: (J, 3) velocities in m/s; None if the motion has none.
-        angular: (J, 3) angular velocities in rad/s; None if the motion has none.
-        vertices: (V, 3) float32 in the order of the mesh.
-        size: Scale of the body by keyframes.
-        rotations: (J, 4) quaternions xyzw that the rotations of ``joints`` are computed from, as messages
-            carry them.
-        face: Weights of the actions of the face; None for a stiff face.
-        swing: Swing of loose cloth and hair; None without.
-    """
-
-    joint_names: tuple[str, ...]
-    joints: Array
-    linear: Array | None
-    angular: Array | None
-    vertices: NDArray[np.float32]
-    size: float = 1.0
-    rotations: Array = field(kw_only=True)
-    face: FaceState | None = field(default=None, kw_only=True)
-    swing: SwingState | None = field(default=None, kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"HumanState({len(self.joint_names)} joints, {len(self.vertices)} vertices)"
-
-    @property
-    def positions(self) -> Array:
-        """(J, 3) joint positions."""
-        return self.joints[:, :3, 3]
-
-    @property
-    def speed(self) -> float:
-        """Speed of the left hip on the floor, m/s; NaN if the motion has no velocities."""
-        if self.linear is None:
-            return float("nan")
-        return float(np.hypot(*self.linear[self.joint_names.index("l_hip"), :2]))
-
-    @property
-    def upright_box(self) -> UprightBox:
-        """Upright box along the direction that the hips face."""
-        return upright_box(self.vertices, self.joint_names, self.positions)
 
 
 @dataclass(frozen=True)
@@ -336,27 +289,25 @@ class Actor:
     def state(self, poses: JointPoses) -> HumanState:
         """State of the body from joint poses with N = 1, as the skinner publishes it.
 
-        It has the same bits for poses that were sent as a message and for those that were not.
+        The result is bit-identical with and without a message in between.
         """
         skeleton, poses = self.human.skeleton, poses.contiguous()
-        face = linear = angular = swing = None
-        if poses.linear is None:
-            posed, sizes, weights, offsets = self.posed(poses)
-            bones, (joints,), (size,) = posed[0], self._open_jaw(posed, weights, sizes), sizes
-            if offsets is not None:
-                swing = SwingState(offsets[0], np.zeros_like(offsets[0]))
-            if weights is not None:
-                face = FaceState(weights[0], np.zeros_like(weights[0]))
-        else:
-            posed, sizes, weights, offsets = self.posed(poses.extrapolate(AROUND))
-            three = self._open_jaw(posed, weights, sizes)
-            bones, joints, size = posed[1], three[1], sizes[1]
-            turns = matrix_to_quaternion(three[::2, :, :3, :3])
-            linear, angular = central_difference(three[::2, :, :3, 3], turns)
-            if weights is not None:
-                face = FaceState(weights[1], (weights[2] - weights[0]) / (2 * VELOCITY_STEP))
-            if offsets is not None:
-                swing = SwingState(offsets[1], (offsets[2] - offsets[0]) / (2 * VELOCITY_STEP))
+        linear = angular = None
+        features: dict[str, Rated] = {}
+        moving = poses.linear is not None
+        posed, sizes, weights, offsets = self.posed(poses.extrapolate(AROUND) if moving else poses)
+        opened = self._open_jaw(posed, weights, sizes)
+        for name, values in (("face", weights), ("swing", offsets)):
+            if values is not None:
+                rest = FACE_AT_REST if name == "face" else swing_at_rest(values.shape[1])
+                features[name] = (
+                    rest.moving(values, 2 * VELOCITY_STEP) if moving else replace(rest, values=values[0])
+                )
+        now = len(posed) // 2
+        bones, joints, size = posed[now], opened[now], sizes[now]
+        if moving:
+            turns = matrix_to_quaternion(opened[::2, :, :3, :3])
+            linear, angular = central_difference(opened[::2, :, :3, 3], turns)
         bones = bones[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
@@ -366,14 +317,19 @@ class Actor:
             transform(quaternion_to_matrix(rotations), joints[:, :3, 3]),
             linear,
             angular,
-            self._skin(
-                bones, None if face is None else face.weights, None if swing is None else swing.offsets
-            ),
+            self._skin(bones, {name: each.values for name, each in features.items()}),
             float(size),
             rotations=rotations,
-            face=face,
-            swing=swing,
+            features=features,
         )
+
+    @cached_property
+    def features(self) -> Mapping[str, Rated]:
+        """Values at rest that travel beside the joints, by name of their topic."""
+        found = {} if self.face is None else {"face": FACE_AT_REST}
+        if self.human.loose is not None:
+            found["swing"] = swing_at_rest(len(self.human.loose.kinds))
+        return found
 
     def _open_jaw(self, joints: Array, weights: Array | None, sizes: Array) -> Array:
         """Frames (N, J, 4, 4) of joints, of bodies of sizes (N,), with the jaw as weights (N, 52) move it."""
@@ -381,9 +337,11 @@ class Actor:
             return joints
         return self.jaw.open(joints, weights, sizes)
 
-    def _skin(self, bones: Array, weights: Array | None, swing: Array | None) -> NDArray[np.float32]:
-        """Vertices (V, 3) of bone frames (B, 4, 4), weights (52,) of the face and the swing (K, 3)."""
-        return self.human.pose(bones, None if weights is None else self.human.of_actions(weights), swing)
+    def _skin(self, bones: Array, values: Mapping[str, Array]) -> NDArray[np.float32]:
+        """Vertices (V, 3) of bone frames (B, 4, 4), with values of :attr:`HumanState.features`."""
+        weights = values.get("face")
+        face = None if weights is None else self.human.of_actions(weights)
+        return self.human.pose(bones, face, values.get("swing"))
 
     def at(self, seconds: float) -> HumanState:
         """State of the body at a scene time in seconds."""
@@ -479,35 +437,25 @@ class Actor:
     def _eyes(self) -> Eyes | None:
         return Eyes.of(self.human.skeleton)
 
-    def moved(
-        self,
-        joints: Array,
-        linear: Array,
-        angular: Array,
-        seconds: float,
-        face: FaceState | None = None,
-        swing: SwingState | None = None,
-    ) -> NDArray[np.float32]:
+    def moved(self, state: HumanState, seconds: float) -> NDArray[np.float32]:
         """Vertices (V, 3) some time after a state, with all joints at constant velocity.
 
         Args:
-            joints: (J, 4, 4) poses, as in :class:`HumanState`.
-            linear: (J, 3) velocities, m/s.
-            angular: (J, 3) angular velocities, rad/s.
+            state: State of this human. Without velocities, its vertices stay.
             seconds: Time after the state; negative for before.
-            face: The face at the state.
-            swing: The swing at the state.
         """
-        skeleton = self.human.skeleton
+        if state.linear is None or state.angular is None:
+            return state.vertices
+        skeleton, joints, face = self.human.skeleton, state.joints, state.features.get("face")
         count = len(skeleton)
-        bones = moved(joints[:count], linear[:count], angular[:count], seconds)
+        bones = moved(joints[:count], state.linear[:count], state.angular[:count], seconds)
         jaw = self.jaw
-        if jaw is None or face is None or not jaw.moves(np.stack([face.weights, face.rates])):
+        if jaw is None or face is None or not jaw.moves(np.stack([face.values, face.rates])):
             jaw = None
         size = skeleton.size_of(joints[:count, :3, 3], but=-1 if jaw is None else jaw.bone)
         if jaw is not None and face is not None:  # the action moves the skin, not the bone
             joints = joints.copy()
-            joints[jaw.bone] = jaw.closed(joints[jaw.bone], face.weights, size)
+            joints[jaw.bone] = jaw.closed(joints[jaw.bone], face.values, size)
             bones[jaw.bone] = jaw.closed(bones[jaw.bone], face.after(seconds), size)
         # fingers, toes, jaw and eyes stay joined to the bone above: they are short, and would come apart
         for details in skeleton.detail_levels:
@@ -516,11 +464,7 @@ class Actor:
             turn = bones[above, :3, :3] @ np.swapaxes(joints[above, :3, :3], -1, -2)
             bones[details, :3, 3] = bones[above, :3, 3] + rotate(turn, offset)
         bones = bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones
-        return self._skin(
-            bones,
-            None if face is None else face.after(seconds),
-            None if swing is None else swing.after(seconds),
-        )
+        return self._skin(bones, {name: each.after(seconds) for name, each in state.features.items()})
 
     def body(self, vertices: NDArray[np.float32]) -> Body:
         """Body for renderers from the vertices (V, 3) of a frame."""

@@ -1,55 +1,22 @@
-"""State of a scene at one stamp, and the capture of a view: render an exposure, and apply the sensor.
-
-During an exposure, joints, objects and cameras move at the velocities that they have at the stamp. Earlier
-frames are not used: the scene time may have jumped since.
-"""
+"""Capture of a view: render an exposure, and apply the sensor."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property, partial
 
-import numpy as np
-from numpy.typing import NDArray
-
-from humansim_ros.body.face_actions import FaceState
-from humansim_ros.body.loose import SwingState
 from humansim_ros.camera import Camera
-from humansim_ros.geometry import ObjectPose
-from humansim_ros.render import AdjacentFrame, Body, Renderer, RenderRequest, View
+from humansim_ros.render import Renderer, RenderRequest, View
 from humansim_ros.render.pixel_geometry import pixel_rays
-from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
-from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.human_state import HumanState
+from humansim_ros.scene.state import Exposure, SceneState
 from humansim_ros.sensor import DepthSensor
 from humansim_ros.sensor.depth import Millimetres, aligned, metres, points_of
 from humansim_ros.truth import CameraTruth
 from humansim_ros.types import Array, Float32Array, Image
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """Bodies and camera pose around one stamp.
-
-    Attributes:
-        bodies_at: Returns the bodies at a time in seconds after the stamp.
-        pose_at: Returns the camera pose at that time.
-        moving: Whether the camera may have another pose in the next frame.
-        next_frame: The next frame, if a channel needs it.
-        previous_frame: The previous frame, if a channel needs it.
-    """
-
-    bodies_at: Callable[[float], Sequence[Body]]
-    pose_at: Callable[[float], CameraPose]
-    moving: bool = False
-    next_frame: AdjacentFrame | None = None
-    previous_frame: AdjacentFrame | None = None
-
-    def adjacent_frame(self, camera: SceneCamera) -> AdjacentFrame:
-        """Bodies and camera at the stamp, as the adjacent frame of another frame."""
-        return AdjacentFrame(self.bodies_at(0.0), camera.camera_at(self.pose_at(0.0)))
 
 
 def capture(
@@ -218,141 +185,38 @@ def capture_depth(
     return DepthCapture(own, view.depth, measured, camera.camera_at(pose))
 
 
-@dataclass(frozen=True)
-class JointMotion:
-    """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s or None.
+def observe(
+    state: SceneState,
+    renderer: Renderer,
+    camera: SceneCamera,
+    exposure: Exposure,
+    channels: Collection[str],
+    faults: FrameFaults = NO_FAULTS,
+    frozen: Image | None = None,
+) -> CameraTruth:
+    """Render a camera of a state. The result has the posed camera, its images, and their ground truth.
 
-    ``face``: its face, if it moves. ``swing``: swing of its loose cloth and hair, if it has any.
+    Args:
+        state: The scene at a stamp.
+        renderer: Renderer of the scene.
+        camera: The camera with its sensor.
+        exposure: :meth:`SceneState.exposure` of the camera; with adjacent frames for channels that need them.
+        channels: Names of the channels.
+        faults: Faults of the picture.
+        frozen: Colours of an earlier frame that the camera shows in place of its own.
     """
-
-    joints: Array
-    linear: Array | None
-    angular: Array | None
-    face: FaceState | None = None
-    swing: SwingState | None = None
-
-    @property
-    def positions(self) -> Array:
-        """(J, 3) metres."""
-        return self.joints[:, :3, 3]
-
-
-@dataclass(frozen=True)
-class CameraFrame:
-    """A camera at a stamp: the camera at its true pose, its images, and their ground truth."""
-
-    camera: Camera
-    view: View
-    truth: CameraTruth
+    scene = state.scene
+    return CameraTruth(
+        camera.camera_at(exposure.pose_at(0.0)),
+        capture(renderer, camera, exposure, channels, state.scene_time, faults, frozen),
+        state.bodies,
+        labels=scene.labels,
+        joint_surfaces=scene.joint_surfaces,
+        # not the state: frames that are stored would hold the bodies of exposures
+        joint_positions=partial(_joint_positions, state.humans),
+        humans={name: actor.human for name, actor in state.actors.items()},
+    )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SceneState:
-    """All bodies, objects and cameras of a scene at one stamp.
-
-    Attributes:
-        stamp: Nanoseconds.
-        scene_time: Nanoseconds from the start of the scene; the noise of sensors depends on it.
-        scene: The scene.
-        actors: Humans by name.
-        vertices: (V, 3) float32 in ``map`` by human.
-        joints_of: Returns the joints of a human by name; called only if they are needed.
-        objects: Poses of moving objects by name.
-        cameras: Poses of moving cameras by name.
-        index: Number of the frame, by which cameras with a rate of their own take their pictures.
-        is_preview: It is shown while no frame arrives, and is no frame itself: no flow leads to it.
-    """
-
-    stamp: int
-    scene_time: int
-    scene: Scene
-    actors: Mapping[str, Actor]
-    vertices: Mapping[str, NDArray[np.float32]]
-    joints_of: Callable[[str], JointMotion]
-    objects: Mapping[str, ObjectPose]
-    cameras: Mapping[str, CameraPose] = field(default_factory=dict)
-    index: int = 0
-    is_preview: bool = False
-    _moved: dict[float, Sequence[Body]] = field(init=False, default_factory=dict)
-
-    @cached_property
-    def bodies(self) -> Sequence[Body]:
-        """Humans, moving objects, then static bodies."""
-        bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
-        bodies += [item.body(self.objects[name]) for name, item in self.scene.moving_objects.items()]
-        return bodies + self.scene.static_bodies
-
-    def exposure(self, camera: SceneCamera) -> Exposure:
-        """Bodies and camera pose around the stamp."""
-        moving = camera.moves or camera.drifts
-        return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), moving)
-
-    def calibrated_pose(self, camera: SceneCamera) -> CameraPose:
-        """Pose at the stamp that the scene gives a camera; a camera that drifts has another."""
-        return self.cameras.get(camera.name, CameraPose.of(camera.camera))
-
-    def camera_frame(
-        self,
-        renderer: Renderer,
-        camera: SceneCamera,
-        exposure: Exposure,
-        channels: Collection[str],
-        faults: FrameFaults = NO_FAULTS,
-        frozen: Image | None = None,
-    ) -> CameraFrame:
-        """Render a camera, and put the ground truth beside its images.
-
-        Args:
-            renderer: Renderer of the scene.
-            camera: The camera with its sensor.
-            exposure: See :meth:`exposure`; with adjacent frames for channels that need them.
-            channels: Names of the channels.
-            faults: Faults of the picture.
-            frozen: Colours of an earlier frame that the camera shows in place of its own.
-        """
-        view = capture(renderer, camera, exposure, channels, self.scene_time, faults, frozen)
-        posed = camera.camera_at(exposure.pose_at(0.0))
-        return CameraFrame(posed, view, self._camera_truth(posed, view))
-
-    def _camera_truth(self, camera: Camera, view: View) -> CameraTruth:
-        """Ground truth of a view of this state. ``camera``: with its pose at the stamp."""
-        return CameraTruth(
-            camera,
-            view,
-            self.bodies,
-            labels=self.scene.labels,
-            joint_surfaces=self.scene.joint_surfaces,
-            # not a method of self: frames that are stored would hold the bodies of exposures
-            joint_positions=partial(_joint_positions, self.joints_of),
-            humans={name: actor.human for name, actor in self.actors.items()},
-        )
-
-    def _bodies_at(self, seconds: float) -> Sequence[Body]:
-        """Bodies ``seconds`` after the stamp, cached for cameras with the same exposure."""
-        if seconds == 0:
-            return self.bodies
-        if seconds not in self._moved:
-            self._moved[seconds] = self._bodies_moved(seconds)
-        return self._moved[seconds]
-
-    def _bodies_moved(self, seconds: float) -> Sequence[Body]:
-        bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
-        for name, item in self.scene.moving_objects.items():
-            bodies.append(item.body(self.objects[name].moved(seconds)))
-        return bodies + self.scene.static_bodies
-
-    def _vertices_at(self, name: str, seconds: float) -> NDArray[np.float32]:
-        motion = self.joints_of(name)
-        if motion.linear is None or motion.angular is None:
-            return self.vertices[name]
-        return self.actors[name].moved(
-            *(motion.joints, motion.linear, motion.angular, seconds, motion.face, motion.swing)
-        )
-
-    def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
-        pose = self.calibrated_pose(camera).moved(seconds)
-        return camera.true_pose(pose, self.scene_time * 1e-9 + seconds)
-
-
-def _joint_positions(joints_of: Callable[[str], JointMotion], name: str) -> Array:
-    return joints_of(name).positions
+def _joint_positions(humans: Mapping[str, HumanState], name: str) -> Array:
+    return humans[name].positions

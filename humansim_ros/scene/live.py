@@ -22,7 +22,8 @@ from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.loose_swing import LOOSE_JOINT, check_swing, swing_joints
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.scene.actor import Actor, HumanState
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.human_state import HumanState
 from humansim_ros.types import Array
 
 #: Links by which persons and rotation conventions are distinguished.

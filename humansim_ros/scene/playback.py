@@ -29,6 +29,7 @@ from humansim_ros.scene.robot_config import ROBOT
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.standing import standing_in
+from humansim_ros.scene.state import SceneState
 from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.
@@ -166,19 +167,6 @@ class PlaybackClock:
 
 
 @dataclass(frozen=True)
-class ScenePoses:
-    """Joint poses (N = 1) by human, and poses of moving objects and moving cameras, at one scene time.
-
-    ``robot``: pose of its ``base_link``, without vibration; None without a robot.
-    """
-
-    poses: dict[str, JointPoses]
-    objects: dict[str, ObjectPose]
-    cameras: dict[str, CameraPose]
-    robot: ObjectPose | None = None
-
-
-@dataclass(frozen=True)
 class Change:
     """A prepared change of one human's motion, for :meth:`Playback.apply`.
 
@@ -224,7 +212,7 @@ class Playback:
         self._moving = dict(scene.moving_objects)
         self.actors = self._reaching(self.actors)
 
-    def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
+    def show(self, elapsed: int, pace: float = 1.0) -> SceneState:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
 
         ``pace``: seconds of the scene per second of the wall clock.
@@ -240,14 +228,21 @@ class Playback:
             if camera.mount is None
         }
         cameras = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in cameras.items()}
-        shown = ScenePoses(poses, objects, cameras)
+        shown = SceneState(
+            scene_time=elapsed,
+            scene=self.scene,
+            actors=self.actors,
+            motions=poses,
+            objects=objects,
+            cameras=cameras,
+        )
         robot = self.scene.robot
         if robot is None:
             return shown
         base = robot.base_at(seconds) if self.drive is None else self.drive.at(seconds)
         return self.with_robot(shown, base, pace)
 
-    def with_robot(self, shown: ScenePoses, base: ObjectPose, pace: float = 1.0) -> ScenePoses:
+    def with_robot(self, shown: SceneState, base: ObjectPose, pace: float = 1.0) -> SceneState:
         """Poses of the scene time that was shown last, with the robot and its cameras somewhere else.
 
         Args:

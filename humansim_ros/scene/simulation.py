@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -22,19 +22,19 @@ from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.pictures import Pictured, drawing
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
-from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
     DepthCapture,
-    Exposure,
-    SceneState,
     capture,
     capture_depth,
     capture_rectified_depth,
+    observe,
     request_at_stamp,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
+from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.scene import Scene, short_list
+from humansim_ros.scene.state import Exposure, OnAccess, SceneState
 from humansim_ros.scene.states import SceneStates
 from humansim_ros.scene.sweeps import Sweep
 from humansim_ros.sensor import DepthSensor
@@ -264,7 +264,7 @@ class Simulation:
             if camera.faults and faults[name].picture and "rgb" in self.channels
         }
         sweeps = {name: self._states.sweeps(name, index) for name in self._chosen_scanners(scanners)}
-        poses, humans, state = self._states.at(index)
+        state = self._states.at(index)
         views = {
             name: (
                 camera,
@@ -278,21 +278,21 @@ class Simulation:
         requests = [request for view in views.values() if (request := request_at_stamp(*view)) is not None]
         if len(requests) > 1:
             self.renderer.prepare(requests)
-        captured = {name: state.camera_frame(self.renderer, *view) for name, view in views.items()}
+        captured = {name: observe(state, self.renderer, *view) for name, view in views.items()}
         return Frame(
             index=index,
             stamp=state.stamp,
-            humans=humans,
+            humans=dict(state.humans),
             views={name: each.view for name, each in captured.items()},
-            truth={name: each.truth for name, each in captured.items()},
-            objects=poses.objects,
+            truth=captured,
+            objects=dict(state.objects),
             cameras={name: each.camera for name, each in captured.items()},
             bodies=state.bodies,
             labels=self.scene.labels,
             scene_time=state.scene_time,
-            motions=poses.poses,
-            camera_poses=poses.cameras,
-            robot=poses.robot,
+            motions=state.motions,
+            camera_poses=state.cameras,
+            robot=state.robot,
             models={name: actor.human for name, actor in state.actors.items()},
             rectified_depth={
                 name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
@@ -304,7 +304,7 @@ class Simulation:
             published_cameras={
                 name: camera.published_at(state.calibrated_pose(camera)) for name, camera in asked.items()
             },
-            depth_sensors=_OnAccess(
+            depth_sensors=_DepthCaptures(
                 {
                     name: partial(self._measured, camera, camera.depth_sensor, state)
                     for name, camera in chosen.items()
@@ -336,37 +336,20 @@ class Simulation:
 
     def _frozen(self, camera: SceneCamera, index: int) -> Image:
         """Image of an earlier frame, at which a camera has frozen."""
-        state = self._states.at(index).state
+        state = self._states.at(index)
         faults = NO_FAULTS if camera.faults is None else camera.faults.at(index)
         exposure = state.exposure(camera)
         return capture(self.renderer, camera, exposure, ("rgb",), state.scene_time, faults).rgb
 
 
-class _OnAccess(Mapping[str, DepthCapture]):
-    """Values by name, each computed on first access. ``values``: those that are known."""
-
-    def __init__(
-        self, compute: Mapping[str, Callable[[], DepthCapture]], values: dict[str, DepthCapture] | None = None
-    ) -> None:
-        self._compute = compute
-        self._values = {} if values is None else values
+class _DepthCaptures(OnAccess[DepthCapture]):
+    """Measurements of depth sensors by camera, each rendered on first access."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         for name in self._compute:
             with suppress(RenderError):  # the simulation is closed, or belongs to another thread
                 self[name]
         return type(self), (dict.fromkeys(self._compute, _not_rendered), self._values)
-
-    def __getitem__(self, name: str) -> DepthCapture:
-        if name not in self._values:
-            self._values[name] = self._compute[name]()
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._compute)
-
-    def __len__(self) -> int:
-        return len(self._compute)
 
 
 def _not_rendered() -> NoReturn:

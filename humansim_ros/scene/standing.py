@@ -7,7 +7,7 @@ import scipy
 
 from humansim_ros.geometry import ObjectPose, Velocity, heading_of_hips
 from humansim_ros.motion.kinematics import JointPoses
-from humansim_ros.scene.actor import HumanState
+from humansim_ros.scene.human_state import HumanState
 
 #: Joints from which the heading follows.
 HIPS = ("l_hip", "r_hip")

@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from functools import partial
-from typing import NamedTuple
+from dataclasses import replace
 
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName
-from humansim_ros.scene.actor import HumanState
-from humansim_ros.scene.capture import JointMotion, SceneState
 from humansim_ros.scene.config import frame_at
-from humansim_ros.scene.playback import Playback, ScenePoses
+from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.state import SceneState
 from humansim_ros.scene.sweeps import Scanning, Sweep
 
 #: Pictures of a camera from the present one to each of the adjacent ones.
 _DIRECTIONS = dict(zip(ADJACENT_NAMES, (1, -1), strict=True))
-
-
-class Moment(NamedTuple):
-    """A scene at one scene time: its poses, its humans by name, and its state for cameras and scanners."""
-
-    poses: ScenePoses
-    humans: dict[str, HumanState]
-    state: SceneState
 
 
 class SceneStates:
@@ -48,31 +38,21 @@ class SceneStates:
         #: Frames before the present one that sweeps need.
         self._sweep_frames = 1 + math.ceil(longest * 1e-9 / scene.period)
         #: States that are needed again, by scene time and version of the motions.
-        self._kept: dict[tuple[int, int], Moment] = {}
+        self._kept: dict[tuple[int, int], SceneState] = {}
 
-    def at(self, index: int) -> Moment:
+    def at(self, index: int) -> SceneState:
         """Everything at a frame; renderers reuse the bodies of a state that is kept."""
         elapsed = self._scene.frame_time(index)
         key = elapsed, self.playback.version
         if key in self._kept:
             self.playback.elapsed = elapsed
             return self._kept[key]
-        poses = self.playback.show(elapsed)
-        humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
-        state = SceneState(
-            stamp=self._start + elapsed,
-            scene_time=elapsed,
-            scene=self._scene,
-            actors=self.playback.actors,
-            vertices={name: human.vertices for name, human in humans.items()},
-            joints_of=partial(_joints_of, humans),
-            objects=poses.objects,
-            cameras=poses.cameras,
-        )
-        moment = Moment(poses, humans, state)
+        state = self.playback.show(elapsed)
+        humans = {name: actor.state(state.motions[name]) for name, actor in state.actors.items()}
+        state = replace(state, stamp=self._start + elapsed, humans=humans)
         if self._scanning or self._directions:
-            self._kept[key] = moment
-        return moment
+            self._kept[key] = state
+        return state
 
     def adjacent(self, index: int, steps: Collection[int]) -> dict[int, Mapping[AdjacentName, SceneState]]:
         """States some frames after and before a frame, as far as cameras compare with them.
@@ -81,7 +61,7 @@ class SceneStates:
         """
         self._forget(index)
         return {
-            step: {name: self.at(index + sign * step).state for name, sign in self._directions.items()}
+            step: {name: self.at(index + sign * step) for name, sign in self._directions.items()}
             for step in steps
         }
 
@@ -95,7 +75,7 @@ class SceneStates:
         for number in scanning.due(frame_time(index - 1), frame_time(index)):
             first = frame_at(scanning.scanner.pattern.start(number), self._scene.config.rate)
             first -= frame_time(first) > scanning.scanner.pattern.start(number)
-            states = [self.at(each).state for each in range(first, index + 1)]
+            states = [self.at(each) for each in range(first, index + 1)]
             sweeps.append(scanning.sweep(number, states, self._start))
         return sweeps
 
@@ -108,9 +88,4 @@ class SceneStates:
             number = timing.number(index)
             frames |= {timing.frame(number + each) for each in (0, *self._directions.values())}
         needed = {(self._scene.frame_time(frame), self.playback.version) for frame in frames}
-        self._kept = {key: moment for key, moment in self._kept.items() if key in needed}
-
-
-def _joints_of(humans: Mapping[str, HumanState], name: str) -> JointMotion:
-    human = humans[name]
-    return JointMotion(human.joints, human.linear, human.angular, human.face, human.swing)
+        self._kept = {key: state for key, state in self._kept.items() if key in needed}

@@ -117,13 +117,13 @@ class SceneViewSource(ViewSource):
 
     def frame(self, index: int, wanted: FrameRequest = POSES) -> ViewFrame:
         elapsed = self.scene.frame_time(index)
-        poses = self._playback.show(elapsed)
+        shown = self._playback.show(elapsed)
         joints: dict[str, Array] = {}
         sizes: dict[str, float] = {}
         faces: dict[str, Array] = {}
         for name, actor in self._playback.actors.items():
             # without the motion of the jaw: shapes move its skin on the page
-            (joints[name],), (size,), weights, _ = actor.posed(poses.poses[name].contiguous())
+            (joints[name],), (size,), weights, _ = actor.posed(shown.motions[name].contiguous())
             sizes[name] = float(size)
             if weights is not None:
                 faces[name] = actor.human.of_actions(weights[0])
@@ -137,9 +137,9 @@ class SceneViewSource(ViewSource):
             joints=joints,
             sizes=sizes,
             faces=faces,
-            objects={name: pose.matrix for name, pose in poses.objects.items()},
+            objects={name: pose.matrix for name, pose in shown.objects.items()},
             cameras={
-                name: camera.camera_at(poses.cameras[name]) if name in poses.cameras else camera.camera
+                name: camera.camera_at(shown.cameras[name]) if name in shown.cameras else camera.camera
                 for name, camera in self.scene.scene_cameras.items()
                 if name in self.cameras
             },

@@ -61,16 +61,15 @@ class Played:
         states = SceneStates(self.scene)
         out = {}
         for index in FRAMES:
-            poses, humans, state = states.at(index)
-            time = state.scene_time
+            state = states.at(index)
             out[index] = Frame(
                 index,
-                1 + time,
-                humans,
+                state.stamp,
+                dict(state.humans),
                 {},
-                objects=poses.objects,
-                scene_time=time,
-                camera_poses=poses.cameras,
+                objects=dict(state.objects),
+                scene_time=state.scene_time,
+                camera_poses=state.cameras,
             )
         return out
 

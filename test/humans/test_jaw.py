@@ -89,7 +89,7 @@ def test_joints_have_the_motion_and_vertices_move_once() -> None:
     number, chin = (state.joint_names.index(name) for name in (BONE, f"{BONE}_end"))
     jaw = jaw_of(actor.human)
     assert jaw is not None and state.face is not None
-    (turn,), (shift,) = jaw.motions(state.face.weights[None])
+    (turn,), (shift,) = jaw.motions(state.face.values[None])
     own = np.linalg.inv(still.joints[number]) @ state.joints[number]
     np.testing.assert_allclose(own, transform(turn, shift), atol=1e-9)
     others = [n for n, name in enumerate(state.joint_names) if not name.startswith(BONE)]
@@ -120,9 +120,9 @@ def test_an_opening_jaw_has_its_velocity_and_moves_the_skin_around_the_stamp(tim
     np.testing.assert_allclose(state.angular[number], rate, atol=0.02 * float(np.linalg.norm(rate)))
     jaw = actor.human.weights[:, [actor.human.skeleton.bone(BONE)]].toarray().ravel() > 0.1
     for sign, other in ((-1, before), (1, after)):
-        got = actor.moved(state.joints, state.linear, state.angular, sign * step, state.face)
+        got = actor.moved(state, sign * step)
         assert np.abs(got - other.vertices)[jaw].max() < 5e-5
-    still = actor.moved(state.joints, state.linear, state.angular, 0.0, state.face)
+    still = actor.moved(state, 0.0)
     np.testing.assert_allclose(still, state.vertices, atol=1e-5)
 
 
@@ -151,5 +151,5 @@ def test_a_scaled_body_has_the_motion_in_its_size(tmp_path: Path) -> None:
     whole, shrunk = (each.positions[number] - each.positions[head] for each in (state, half))
     np.testing.assert_allclose(shrunk, 0.5 * whole, atol=1e-9)
     assert half.linear is not None and half.angular is not None
-    still = small.moved(half.joints, half.linear, half.angular, 0.0, half.face)
+    still = small.moved(half, 0.0)
     np.testing.assert_allclose(still, half.vertices, atol=1e-5)

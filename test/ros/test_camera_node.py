@@ -35,7 +35,7 @@ from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Frame, Scene, Simulation
-from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.state import SceneState
 
 PLACE = "size: [128, 96], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
 BENT = "K: [[120, 1, 66], [0, 118, 46], [0, 0, 1]], distortion: [-0.3, 0.09, 0.001, -0.002]"
@@ -656,9 +656,6 @@ def test_a_pose_of_another_clock_moves_a_camera_and_does_not_fix_it(
             scene_time=0,
             scene=scene,
             actors={},
-            vertices={},
-            joints_of=lambda _: None,
-            objects={},
         )
         pose = publisher.exposure(state).pose_at(0.0)
         return float((-pose.R.T @ pose.t)[0])

@@ -15,7 +15,7 @@ from humansim_ros import messages
 from humansim_ros.ros import frame_synchronizer
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.state import SceneState
 
 HUMANS = ("first", "second")
 PERIOD = 50_000_000

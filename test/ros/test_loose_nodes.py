@@ -10,6 +10,7 @@ from loose_figures import loose_child
 from ros_support import write_scene
 
 from humansim_ros import messages
+from humansim_ros.body.loose import swing_at_rest
 from humansim_ros.humans.human import write_human
 from humansim_ros.messages.types import Image
 from humansim_ros.scene import Scene, Simulation
@@ -44,8 +45,8 @@ def test_swing_and_images_equal_those_of_simulation(ros: None, tmp_path: Path) -
             frame = simulation.frame(index)
             human, view = frame.humans["anna"], frame.views["left"]
             assert human.swing is not None
-            got = messages.read_swing(received["humans/anna/swing"].at(stamp), 2)
-            np.testing.assert_array_equal([got.offsets, got.rates], [human.swing.offsets, human.swing.rates])
+            got = messages.read_rated(received["humans/anna/swing"].at(stamp), swing_at_rest(2))
+            np.testing.assert_array_equal([got.values, got.rates], [human.swing.values, human.swing.rates])
             vertices = messages.read_vertices(received["humans/anna/vertices"].at(stamp))
             np.testing.assert_array_equal(vertices, human.vertices)
             for topic, channel in IMAGES.items():

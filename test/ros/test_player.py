@@ -134,7 +134,7 @@ def test_without_changes_the_scene_is_played_as_its_file_says(scene: Scene) -> N
     playback = Playback(scene)
     for frame in (300, 0, 7):
         elapsed = scene.frame_time(frame)
-        for name, poses in playback.show(elapsed).poses.items():
+        for name, poses in playback.show(elapsed).motions.items():
             expected = scene.actors[name].joint_poses(elapsed * 1e-9)
             np.testing.assert_array_equal(poses.positions, expected.positions)
             np.testing.assert_array_equal(poses.linear, expected.linear)
@@ -142,7 +142,7 @@ def test_without_changes_the_scene_is_played_as_its_file_says(scene: Scene) -> N
 
 def test_velocities_are_per_second_of_the_wall(scene: Scene) -> None:
     playback = Playback(scene)
-    plain, fast, still = (playback.show(SECOND // 2, pace).poses["first"] for pace in (1.0, 2.5, 0.0))
+    plain, fast, still = (playback.show(SECOND // 2, pace).motions["first"] for pace in (1.0, 2.5, 0.0))
     assert plain.linear is not None and plain.angular is not None
     np.testing.assert_array_equal(fast.linear, 2.5 * plain.linear)
     np.testing.assert_array_equal(fast.angular, 2.5 * plain.angular)
@@ -158,15 +158,15 @@ def test_at_another_speed_a_motion_continues_from_its_position(
     playback, elapsed = Playback(scene), 7 * SECOND // 10
     played = 0.7
     for speed in speeds:
-        before = playback.show(elapsed).poses
+        before = playback.show(elapsed).motions
         playback.change("first", speed=speed)
-        after = playback.show(elapsed).poses
+        after = playback.show(elapsed).motions
         np.testing.assert_allclose(after["first"].positions, before["first"].positions, atol=1e-9)
         np.testing.assert_array_equal(after["second"].positions, before["second"].positions)
         elapsed += SECOND
         played += speed
         expected = scene.actors["first"].joint_poses(played).positions
-        np.testing.assert_allclose(playback.show(elapsed).poses["first"].positions, expected, atol=1e-9)
+        np.testing.assert_allclose(playback.show(elapsed).motions["first"].positions, expected, atol=1e-9)
 
 
 def test_another_motion_begins_at_its_start_and_after_rewind_equals_that_of_the_scene_file(
@@ -185,7 +185,7 @@ def test_another_motion_begins_at_its_start_and_after_rewind_equals_that_of_the_
         now = playback.show(round((1.5 + later) * SECOND)).poses["second"]
         np.testing.assert_allclose(now.positions, expected.motion.sample(later).positions, atol=1e-9)
     playback.rewind()
-    again = playback.show(3 * SECOND // 10).poses["second"]
+    again = playback.show(3 * SECOND // 10).motions["second"]
     np.testing.assert_array_equal(again.positions, expected.joint_poses(0.3).positions)
 
 
@@ -194,7 +194,7 @@ def test_another_loop_keeps_the_position_in_the_repetition(scene: Scene) -> None
     playback = Playback(scene)
     playback.show(round(4.9 * SECOND))
     playback.change("first", loop="repeat")
-    shown = playback.show(round(4.9 * SECOND)).poses["first"].positions
+    shown = playback.show(round(4.9 * SECOND)).motions["first"].positions
     np.testing.assert_allclose(shown, scene.actors["first"].joint_poses(0.9).positions, atol=1e-9)
 
 
@@ -204,7 +204,7 @@ def test_settings_of_a_file_are_not_used_for_another_file_but_return_with_it(tmp
     playback = Playback(Scene.load(write_scene(tmp_path, text)))
 
     def height() -> float:
-        return float(np.ptp(playback.show(0).poses["giant"].positions[0, :, 2]))
+        return float(np.ptp(playback.show(0).motions["giant"].positions[0, :, 2]))
 
     assert 3.0 < height() < 3.6
     playback.change("giant", file="walk_straight")
@@ -626,7 +626,7 @@ def test_parameters_at_the_start_have_priority_over_the_scene(ros: None, tmp_pat
     expected = node.playback.actors["second"].motion.sample(
         3.5
     )  # with an offset of half a second, from its start
-    shown = node.playback.show(node.playback_clock.cut(5).elapsed).poses["second"]
+    shown = node.playback.show(node.playback_clock.cut(5).elapsed).motions["second"]
     np.testing.assert_array_equal(shown.positions, expected.positions)
     node.destroy_node()
     for invalid in ({"rate": 0.0}, {"speed": "fast"}, {"motion": "nothing"}, {"first__loop": "often"}):

@@ -111,8 +111,9 @@ def test_body_of_sent_joints_has_the_bits_of_simulation(ros: None, tmp_path: Pat
                 received = retargeter.retarget(sent, frame.stamp)
                 for part in ("joints", "rotations", "linear", "angular", "vertices"):
                     np.testing.assert_array_equal(getattr(received, part), getattr(state, part), part)
-            motion = messages.joint_motion(messages.read_joints(messages.joints_message(state, frame.stamp)))
-            for part in ("joints", "linear", "angular"):
+            joints = messages.read_joints(messages.joints_message(state, frame.stamp))
+            motion = messages.human_state(joints, state.vertices)
+            for part in ("joints", "rotations", "linear", "angular"):
                 np.testing.assert_array_equal(getattr(motion, part), getattr(state, part), part)
             body = messages.read_vertices(messages.vertices_message(state.vertices, frame.stamp))
             np.testing.assert_array_equal(body, state.vertices)

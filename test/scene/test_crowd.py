@@ -228,10 +228,10 @@ def test_person_with_another_speed_stays_on_the_path_and_with_another_motion_sta
     playback = Playback(scene)
     playback.show(3 * 10**9)
     playback.change("walker_1", speed=0.5)
-    slower = playback.show(5 * 10**9).poses["walker_1"].positions
+    slower = playback.show(5 * 10**9).motions["walker_1"].positions
     assert np.allclose(slower, scene.actors["walker_1"].joint_poses(4.0).positions, atol=1e-9)
     playback.change("walker_1", file="wave")
-    hips = playback.show(5 * 10**9).poses["walker_1"].positions[0, 0, :2]
+    hips = playback.show(5 * 10**9).motions["walker_1"].positions[0, 0, :2]
     home = scene.actors["walker_1"].motion.path.points[0]  # type: ignore[attr-defined]
     assert np.linalg.norm(hips - home) < 0.1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene
 from humansim_ros.body.eyes import LIMITS, LOOKS, NECK_LIMITS
-from humansim_ros.body.face_actions import ACTIONS, FaceState, expression
+from humansim_ros.body.face_actions import ACTIONS, FACE_AT_REST, expression
 from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion.face_files import read_face_file
 from humansim_ros.motion.faces import LIFE_SECONDS, blinks, glances, saccade_seconds, speech, without_face
 from humansim_ros.motion.kinematics import JointPoses
 from humansim_ros.motion.limits import load_limits
-from humansim_ros.scene.actor import Actor, HumanState
+from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.checks import check_scene
+from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.live import JointSource, LiveRetargeter
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.randomise import random_numbers
@@ -40,7 +42,7 @@ def anna(face: object, **others: object) -> Actor:
 
 def weights(state: HumanState) -> Array:
     assert state.face is not None
-    return state.face.weights
+    return state.face.values
 
 
 def off_target(state: HumanState, point: Array) -> float:
@@ -92,7 +94,7 @@ def test_a_message_of_the_player_carries_the_face() -> None:
     got, own = LiveRetargeter(actor).retarget(poses), actor.at(0.63)
     assert own.face is not None and got.face is not None
     assert np.array_equal(got.vertices, own.vertices)
-    assert np.array_equal([got.face.weights, got.face.rates], [own.face.weights, own.face.rates])
+    assert np.array_equal([got.face.values, got.face.rates], [own.face.values, own.face.rates])
     assert not any("face" in name for name in JointSource.of_actor(actor).names)
     assert set(without_face(poses)[0].names) == set(actor.motion.names)
 
@@ -103,14 +105,12 @@ def test_vertices_move_with_the_rates_of_the_face() -> None:
     assert state.face is not None and state.linear is not None and state.angular is not None
     assert state.face.rates[SMILE] > 1
     lips = np.flatnonzero(np.linalg.norm(actor.at(0.9).vertices - actor.at(0.4).vertices, axis=1) > 0.004)
-    before, after = (
-        actor.moved(state.joints, state.linear, state.angular, sign * step, state.face) for sign in (-1, 1)
-    )
+    before, after = (actor.moved(state, sign * step) for sign in (-1, 1))
     measured = (actor.at(0.7 + step).vertices - actor.at(0.7 - step).vertices)[lips]
     assert np.abs((after - before)[lips] - measured).max() < 0.05 * np.abs(measured).max()
-    still = actor.moved(state.joints, state.linear, state.angular, 0.0, state.face)
+    still = actor.moved(state, 0.0)
     np.testing.assert_allclose(still, state.vertices, atol=1e-5)
-    assert np.abs(FaceState(np.ones(52), np.ones(52)).after(0.1) - 1).max() == 0
+    assert np.abs(replace(FACE_AT_REST, values=np.ones(52), rates=np.ones(52)).after(0.1) - 1).max() == 0
 
 
 def test_eyes_look_at_points_people_and_cameras() -> None:

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from humansim_ros import Human, Scene, Simulation, load_human, messages
-from humansim_ros.body.loose import CLOTH, HAIR
+from humansim_ros.body.loose import CLOTH, HAIR, swing_at_rest
 from humansim_ros.errors import MeshError, MotionError, RosError
 from humansim_ros.humans.human import human_from_arrays, write_human
 from humansim_ros.humans.makehuman.building import build
@@ -72,7 +72,7 @@ def test_an_end_swings_like_a_damped_spring(
     asked = np.arange(-1, 3, 0.07)
     exact = solve_ivp(rates, (-3, 6), [0.0, 0.0], t_eval=asked, max_step=0.01).y[0]
     swing = swing_of(lambda t: np.stack([spline(t), 0 * t, 0 * t], axis=1), (kind,))
-    got = np.array([swing.at(time).offsets[0, 0] for time in asked])
+    got = np.array([swing.at(time).values[0, 0] for time in asked])
     assert np.abs(exact).max() > 0.05
     # the path is cut after a second and sampled 30 times a second
     assert np.abs(got - exact).max() < 0.15 * np.abs(exact).max()
@@ -80,21 +80,21 @@ def test_an_end_swings_like_a_damped_spring(
 
 def test_an_end_lags_at_constant_speed_and_rests_when_nothing_moves() -> None:
     moving = swing_of(lambda t: np.stack([2.0 * t, 0 * t, 0 * t], axis=1), (CLOTH, HAIR))
-    np.testing.assert_allclose(moving.at(3.217).offsets, [[-0.06, 0, 0], [-0.04, 0, 0]], atol=1e-5)
+    np.testing.assert_allclose(moving.at(3.217).values, [[-0.06, 0, 0], [-0.04, 0, 0]], atol=1e-5)
     still = swing_of(lambda t: np.ones((len(t), 3)))
-    assert not still.at(3.2).offsets.any() and not still.at(3.2).rates.any()
+    assert not still.at(3.2).values.any() and not still.at(3.2).rates.any()
 
 
 def test_a_jump_swings_nothing() -> None:
     jump = swing_of(lambda t: np.stack([5.0 * (t > 1), 0 * t, 0 * t], axis=1))
-    assert not any(jump.at(time).offsets.any() for time in np.arange(0.5, 2.5, 0.1))
+    assert not any(jump.at(time).values.any() for time in np.arange(0.5, 2.5, 0.1))
 
 
 def test_a_swing_is_limited_keeps_the_length_and_stays_outside() -> None:
     swing = swing_of(lambda t: np.stack([0 * t, -np.abs(4 * t), 0 * t], axis=1), length=0.5)
     reached = []
     for time in np.arange(-0.5, 1.5, 1 / 30):
-        offset = swing.at(round(time * 30) / 30).offsets[0]
+        offset = swing.at(round(time * 30) / 30).values[0]
         assert np.linalg.norm(offset - np.array([0, 0, 0.5])) == pytest.approx(0.5, abs=1e-6)
         reached.append(offset[1])
     assert min(reached) > -0.0101 and 0.05 < max(reached) < 0.5 * 0.3 + 0.001
@@ -104,7 +104,7 @@ def test_rates_are_the_velocities_of_the_offsets(anna: Actor) -> None:
     for time in (0.31, 0.4, 0.55):
         before, now, after = (anna.at(time + step).swing for step in (-1e-4, 0, 1e-4))
         assert before is not None and now is not None and after is not None
-        measured = (after.offsets - before.offsets) / 2e-4
+        measured = (after.values - before.values) / 2e-4
         assert np.abs(measured).max() > 0.05
         np.testing.assert_allclose(now.rates, measured, atol=0.02 * np.abs(measured).max() + 1e-3)
 
@@ -128,7 +128,7 @@ def test_a_frame_does_not_depend_on_those_before(tmp_path: Path, anna: Actor) ->
     for time in times:
         np.testing.assert_array_equal(forwards[time].vertices, backwards[time].vertices)
     moved = forwards[0.7].swing
-    assert moved is not None and np.abs(moved.offsets).max() > 0.005
+    assert moved is not None and np.abs(moved.values).max() > 0.005
 
 
 def test_a_message_of_the_player_carries_the_swing(anna: Actor) -> None:
@@ -137,7 +137,7 @@ def test_a_message_of_the_player_carries_the_swing(anna: Actor) -> None:
     got = LiveRetargeter(anna).retarget(sent)
     assert own.swing is not None and got.swing is not None
     assert np.array_equal(got.vertices, own.vertices) and np.array_equal(got.joints, own.joints)
-    assert np.array_equal([got.swing.offsets, got.swing.rates], [own.swing.offsets, own.swing.rates])
+    assert np.array_equal([got.swing.values, got.swing.rates], [own.swing.values, own.swing.rates])
     assert not any("loose" in name for name in JointSource.of_actor(anna).names)
     assert set(without_swing(poses)[0].names) == set(anna.motion.names)
     # who sends joints alone moves the body without a swing
@@ -161,17 +161,16 @@ def test_wrong_joints_of_a_swing_are_refused(anna: Actor) -> None:
 
 def test_the_swing_has_a_topic(anna: Actor) -> None:
     state = anna.at(0.63)
-    read = messages.read_swing(messages.swing_message(state.swing, 2, 7), 2)
+    read = messages.read_rated(messages.rated_message(state.swing, 7), swing_at_rest(2))
     assert state.swing is not None
-    np.testing.assert_array_equal(read.offsets, state.swing.offsets)
+    np.testing.assert_array_equal(read.values, state.swing.values)
     np.testing.assert_array_equal(read.rates, state.swing.rates)
-    assert not messages.read_swing(messages.swing_message(None, 2, 7), 2).offsets.any()
-    with pytest.raises(RosError, match="6 names; 3 loose ends"):
-        messages.read_swing(messages.swing_message(state.swing, 2, 7), 3)
-    wrong = messages.swing_message(state.swing, 2, 7)
+    with pytest.raises(RosError, match="6 names; needed are the 9 from 0/x to 2/z"):
+        messages.read_rated(messages.rated_message(state.swing, 7), swing_at_rest(3))
+    wrong = messages.rated_message(state.swing, 7)
     wrong.position[0] = float("nan")
     with pytest.raises(RosError, match="not finite"):
-        messages.read_swing(wrong, 2)
+        messages.read_rated(wrong, swing_at_rest(2))
 
 
 def test_vertices_around_the_stamp_move_with_the_swing(anna: Actor) -> None:
@@ -179,10 +178,7 @@ def test_vertices_around_the_stamp_move_with_the_swing(anna: Actor) -> None:
     assert state.linear is not None and state.angular is not None and state.swing is not None
     loose = anna.human.loose
     assert loose is not None
-    before, after = (
-        anna.moved(state.joints, state.linear, state.angular, sign * step, None, state.swing)
-        for sign in (-1, 1)
-    )
+    before, after = (anna.moved(state, sign * step) for sign in (-1, 1))
     measured = (anna.at(0.55 + step).vertices - anna.at(0.55 - step).vertices)[loose.rows]
     assert np.abs((after - before)[loose.rows] - measured).max() < 0.03 * np.abs(measured).max()
 

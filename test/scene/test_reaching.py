@@ -202,7 +202,7 @@ def test_velocities_are_those_of_the_poses() -> None:
         before, after = (actor.at(time + sign * step) for sign in (-1, 1))
         measured = (after.positions - before.positions) / (2 * step)
         np.testing.assert_allclose(state.linear, measured, atol=0.02)
-        moved = actor.moved(state.joints, state.linear, state.angular, step)
+        moved = actor.moved(state, step)
         assert np.abs(moved - after.vertices).max() < 1e-3
 
 

@@ -61,7 +61,7 @@ def sweep(played: Simulation, index: int) -> Sweep:
 def embree_ranges(played: Simulation, seen: Sweep, first: int, last: int) -> tuple[Any, Any]:
     """Distance and label of each ray, with the scene frozen between two of its frames at each firing."""
     rays, loaded = seen.rays, played.scene
-    states = [played._states.at(i).state for i in range(first, last + 1)]
+    states = [played._states.at(i) for i in range(first, last + 1)]
     moving = states[0].bodies
     meshes = [*(body.mesh for body in moving), *loaded.static_meshes]
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -194,7 +194,7 @@ def test_a_person_who_jumps_to_the_start_of_its_motion_is_not_smeared() -> None:
         }
     )
     with simulation(loaded) as played:
-        places = [played._states.at(i).state.vertices["anna"].mean(axis=0) for i in range(20)]
+        places = [played._states.at(i).vertices["anna"].mean(axis=0) for i in range(20)]
         (jump,) = np.flatnonzero(np.linalg.norm(np.diff(places, axis=0), axis=1) > 1).tolist()
         seen = sweep(played, jump + 1)
     found = seen.true_points[seen.instances == 1] + (0.6, 2.5, 0.8)
@@ -208,7 +208,7 @@ def test_live_sweeps_are_those_of_a_simulation() -> None:
     with simulation(loaded) as played:
         expected = [each for index in range(7) for each in frame(played, index).sweeps["lidar"]]
         for index in range(7):
-            sweeps += live.sweeps(played._states.at(index).state)
+            sweeps += live.sweeps(played._states.at(index))
     assert len(sweeps) == 5
     for ours, theirs in zip(sweeps, expected, strict=True):
         assert (ours.start, ours.stamp) == (theirs.start, theirs.stamp)

@@ -44,7 +44,8 @@ from humansim_ros.ros.processes.node_processes import TIMED_OUT, WRONG_INPUT
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.scene import Scene
 from humansim_ros.scene.names import BRIDGE_NODE, LOCKSTEP
-from humansim_ros.scene.playback import ScenePoses, Tick
+from humansim_ros.scene.playback import Tick
+from humansim_ros.scene.state import SceneState
 
 #: Seconds between two looks at the members.
 _LOOK_EVERY = 0.05
@@ -188,8 +189,8 @@ class LockstepPlaying(Playing):
         self._steps: deque[Callable[[], object] | None] = deque()
         self._done: Callable[[], object] | None = None
         #: The frame in flight, and the one after it with the version of the playback that it shows.
-        self._frame: tuple[Tick, ScenePoses] | None = None
-        self._prepared: tuple[Tick, int, ScenePoses] | None = None
+        self._frame: tuple[Tick, SceneState] | None = None
+        self._prepared: tuple[Tick, int, SceneState] | None = None
         #: Number of frames of the run before this player was started.
         self._before = 0
         self._seconds = (0.0, 0.0)
@@ -356,8 +357,8 @@ class LockstepPlaying(Playing):
 
     def _send_next(self) -> None:
         tick = self.clock.next()
-        scene_poses = self._take_prepared(tick)
-        self._frame = tick, scene_poses
+        shown = self._take_prepared(tick)
+        self._frame = tick, shown
         self.state.begin(tick.stamp, self._now, self._resting(tick.index))
         if self._progress is not None:
             self._progress.write(tick.stamp)
@@ -372,14 +373,14 @@ class LockstepPlaying(Playing):
             return ()
         return self.state.members.keys() - {*_finishing(scene), self._settings.recorder, TEST_NODE}
 
-    def _take_prepared(self, tick: Tick) -> ScenePoses:
+    def _take_prepared(self, tick: Tick) -> SceneState:
         """Poses of a frame, which have been computed already unless something has changed since."""
         playback = self.player.playback
         if self._prepared is not None:
-            prepared, version, scene_poses = self._prepared
+            prepared, version, shown = self._prepared
             if prepared == tick and version == playback.version:
                 playback.elapsed = tick.elapsed
-                return scene_poses
+                return shown
         return playback.show(tick.elapsed, tick.pace)
 
     def _prepare(self) -> None:

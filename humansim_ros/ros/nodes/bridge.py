@@ -25,7 +25,7 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
-from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.state import SceneState
 
 #: In place of a topic: bodies and objects of a frame.
 _STATE = "state"

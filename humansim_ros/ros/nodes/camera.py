@@ -39,15 +39,15 @@ from humansim_ros.ros.transforms import TransformSender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import (
-    CameraFrame,
-    Exposure,
-    SceneState,
     capture,
     capture_depth,
     capture_rectified_depth,
+    observe,
 )
 from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
+from humansim_ros.scene.state import Exposure, SceneState
 from humansim_ros.scene.timing import PictureTimer
+from humansim_ros.truth import CameraTruth
 from humansim_ros.types import Image
 
 #: Received poses that are held: frames are a little older than the newest pose.
@@ -336,16 +336,16 @@ class CameraNode(SceneNode):
         if self._depth is not None and sensor is not None and depth_topics:
             measured = capture_depth(self._renderer, self._camera, sensor, exposure, state.scene_time)
             self._depth.publish(depth_topics, (measured, view), stamp)
-        self._truth.publish(truth_topics, captured.truth, stamp)
+        self._truth.publish(truth_topics, captured, stamp)
         self.count("frames")
         self.report_lateness(stamp)
 
     def _captured(
         self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
-    ) -> CameraFrame:
+    ) -> CameraTruth:
         """Images and truth of a state; with the colours of an earlier frame while the camera is frozen."""
         frozen = self._last_colours if faults.picture and "rgb" in channels else None
-        captured = state.camera_frame(self._renderer, self._camera, exposure, channels, faults, frozen)
+        captured = observe(state, self._renderer, self._camera, exposure, channels, faults, frozen)
         if self._freezes and "rgb" in channels:
             self._last_colours = captured.view.rgb
         return captured

@@ -19,7 +19,7 @@ from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.processes.node_processes import RIG_NODE
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
-from humansim_ros.scene.capture import SceneState
+from humansim_ros.scene.state import SceneState
 
 
 class CameraRigNode(SceneNode):

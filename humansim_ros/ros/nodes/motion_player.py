@@ -50,7 +50,8 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
-from humansim_ros.scene.playback import Change, Playback, PlaybackClock, ScenePoses, Tick
+from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
+from humansim_ros.scene.state import SceneState
 
 #: Largest accepted lead in seconds.
 MAX_LEAD = 0.1
@@ -119,21 +120,21 @@ class MotionPlayerNode(FramePlayer):
 
     # --- frames
 
-    def send_frame(self, tick: Tick, scene_poses: ScenePoses) -> None:
+    def send_frame(self, tick: Tick, shown: SceneState) -> None:
         """Publish one frame."""
         if self._robot is not None:
-            scene_poses = self._robot.placed(tick, scene_poses)
-            self._robot.publish(scene_poses, tick.stamp)
+            shown = self._robot.placed(tick, shown)
+            self._robot.publish(shown, tick.stamp)
         self._scene_time.publish(SCENE_TIME_TOPIC.build((tick.elapsed, tick.index), tick.stamp))
         for name, publisher in self._motions.items():
             motion = self._human_topics[name].motion
-            publisher.publish(motion.build(scene_poses.poses[name], tick.stamp))
+            publisher.publish(motion.build(shown.motions[name], tick.stamp))
         for name, publisher in self._live.items():
             publisher.publish(self._human_topics[name].frame.build(None, tick.stamp))
-        for name, object_pose in scene_poses.objects.items():
+        for name, object_pose in shown.objects.items():
             for object_topic, publisher in self._objects[name]:
                 publisher.publish(object_topic.build(object_pose, tick.stamp))
-        for name, pose in scene_poses.cameras.items():
+        for name, pose in shown.cameras.items():
             for camera_topic, publisher in self._cameras[name]:
                 publisher.publish(camera_topic.build(pose, tick.stamp))
         self.count("frames")

@@ -28,8 +28,8 @@ from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.qos import LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
-from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.config import LIVE
+from humansim_ros.scene.human_state import HumanState
 from humansim_ros.scene.live import LiveRetargeter
 
 #: Seconds between two lines about changes of the source.
@@ -139,8 +139,7 @@ class SkinnerNode(SceneNode):
         self._joints, self._vertices, self._markers = map(
             self.topic_publisher, (topics.joints, topics.vertices, topics.markers)
         )
-        self._face = None if topics.face is None else self.topic_publisher(topics.face)
-        self._swing = None if topics.swing is None else self.topic_publisher(topics.swing)
+        self._features = [(topic, self.topic_publisher(topic)) for topic in topics.features.values()]
         self._keypoints = [(topic, self.topic_publisher(topic)) for topic in topics.keypoints.values()]
         _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
@@ -204,10 +203,8 @@ class SkinnerNode(SceneNode):
         )
         self._wait_for(stamp)
         self._joints.publish(joints)
-        if self._face is not None and self._topics.face is not None:
-            self._face.publish(self._topics.face.build(state, stamp))
-        if self._swing is not None and self._topics.swing is not None:
-            self._swing.publish(self._topics.swing.build(state, stamp))
+        for topic, publisher in self._features:
+            publisher.publish(topic.build(state, stamp))
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices)
         for topic, publisher in self._keypoints:
@@ -245,9 +242,8 @@ class SkinnerNode(SceneNode):
 def _at_standstill(state: HumanState) -> HumanState:
     """State with velocities of zero."""
     nothing = np.zeros((len(state.joints), 3))
-    face = None if state.face is None else replace(state.face, rates=np.zeros_like(state.face.rates))
-    swing = None if state.swing is None else replace(state.swing, rates=np.zeros_like(state.swing.rates))
-    return replace(state, linear=nothing, angular=nothing, face=face, swing=swing)
+    features = {name: each.stopped() for name, each in state.features.items()}
+    return replace(state, linear=nothing, angular=nothing, features=features)
 
 
 def main(scene: Scene | None = None) -> int:

@@ -17,7 +17,8 @@ from humansim_ros.errors import RosError
 from humansim_ros.ros.graph import StampedTopics
 from humansim_ros.ros.lockstep.settings import topic_name
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.scene.playback import Playback, PlaybackClock, ScenePoses, Tick
+from humansim_ros.scene.playback import Playback, PlaybackClock, Tick
+from humansim_ros.scene.state import SceneState
 
 #: Most frames that are requested during a pause and not sent yet.
 MAX_WAITING = 100
@@ -40,7 +41,7 @@ class FramePlayer(SceneNode):
     playing: Playing
     stamped_steps: StampedSteps
 
-    def send_frame(self, tick: Tick, scene_poses: ScenePoses) -> None:
+    def send_frame(self, tick: Tick, shown: SceneState) -> None:
         """Publish one frame."""
         raise NotImplementedError
 

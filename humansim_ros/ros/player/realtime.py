@@ -14,7 +14,8 @@ from humansim_ros.messages import to_nanoseconds
 from humansim_ros.ros.clock import ClockSteps
 from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer, Playing
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
-from humansim_ros.scene.playback import ScenePoses, Tick
+from humansim_ros.scene.playback import Tick
+from humansim_ros.scene.state import SceneState
 
 #: Newest sent frames that are remembered.
 _MAX_SENT = 128
@@ -191,7 +192,7 @@ class RealtimePlaying(Playing):
         self._clock_steps = ClockSteps(lambda: player.now(), player.has_simulated_time)
         self._pacing = FramePacing()
         #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
-        self._waiting: deque[tuple[Tick, ScenePoses, Callable[[], object] | None]] = deque()
+        self._waiting: deque[tuple[Tick, SceneState, Callable[[], object] | None]] = deque()
         #: Monotonic seconds and causes of the last drops, as :func:`pace_reason` takes them.
         self._drops: deque[tuple[float, str, int]] = deque(maxlen=_MAX_SENT)
         player.create_subscription(Header, FRAME_DONE, self._on_frame_done, REPORTS)
@@ -295,14 +296,14 @@ class RealtimePlaying(Playing):
     def _send_waiting(self) -> None:
         """Publish the next waiting frames for which the cameras have time."""
         while self._waiting and self._pacing.may_send_paused(1, time.monotonic()):
-            tick, scene_poses, done = self._waiting.popleft()
-            self._send(tick, scene_poses)
+            tick, shown, done = self._waiting.popleft()
+            self._send(tick, shown)
             if done is not None:
                 done()
 
-    def _send(self, tick: Tick, scene_poses: ScenePoses) -> None:
+    def _send(self, tick: Tick, shown: SceneState) -> None:
         self._pacing.add_sent(tick.stamp, time.monotonic())
-        self.player.send_frame(tick, scene_poses)
+        self.player.send_frame(tick, shown)
         if tick.dropped:
             self._count_drops(tick.dropped, [""])
         self.player.report_lateness(tick.stamp - self._lead)
@@ -325,11 +326,11 @@ class RealtimePlaying(Playing):
         """
         self.timer.timer_period_ns = round(self.clock.period)
         self.timer.reset()
-        scene_poses = self.player.playback.show(tick.elapsed, tick.pace)
+        shown = self.player.playback.show(tick.elapsed, tick.pace)
         if not (self.clock.paused or self._waiting):
-            self._send(tick, scene_poses)
+            self._send(tick, shown)
             if done is not None:
                 done()
         elif len(self._waiting) < MAX_WAITING:  # else shown by the next frames of the pause
-            self._waiting.append((tick, scene_poses, done))
+            self._waiting.append((tick, shown, done))
             self._send_waiting()

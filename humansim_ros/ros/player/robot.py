@@ -16,8 +16,9 @@ from humansim_ros.messages.topics import RobotTopics
 from humansim_ros.ros.player.playing import FramePlayer
 from humansim_ros.ros.qos import NEWEST
 from humansim_ros.ros.transforms import TransformSender
-from humansim_ros.scene.playback import Playback, ScenePoses, Tick
+from humansim_ros.scene.playback import Playback, Tick
 from humansim_ros.scene.robot import Robot
+from humansim_ros.scene.state import SceneState
 
 #: Most seconds over which a robot is moved at the velocity of its newest odometry.
 _MOST_AHEAD = 0.3
@@ -51,7 +52,7 @@ class RobotPort:
         self._odom = node.topic_publisher(self._topics.odom)
         self._transforms = TransformSender(node, [self._topics.start, self._topics.base], node.now())
 
-    def placed(self, tick: Tick, shown: ScenePoses) -> ScenePoses:
+    def placed(self, tick: Tick, shown: SceneState) -> SceneState:
         """Poses of a frame with the robot where the odometry of another node has it."""
         if self._robot.config.odometry is None:
             return shown
@@ -63,7 +64,7 @@ class RobotPort:
             return shown
         return self._playback.with_robot(shown, self._base_at(tick.stamp), tick.pace)
 
-    def publish(self, shown: ScenePoses, stamp: int) -> None:
+    def publish(self, shown: SceneState, stamp: int) -> None:
         """Publish odometry and the transform of a frame, unless another node does."""
         base = shown.robot
         if self._odom is None or base is None:

@@ -433,7 +433,7 @@ class ObjectPose:
             x: Metres in ``map``.
             y: Metres in ``map``.
             yaw: Heading in radians from +x to the left.
-            velocity: Velocity; None if it is zero or unknown.
+            velocity: Velocity; None for a zero or unknown velocity.
         """
         return cls(np.array([x, y, 0.0]), turn_about_z(yaw), velocity=velocity)
 

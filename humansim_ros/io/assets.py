@@ -1,7 +1,8 @@
 """Find the files of the package (config/, assets/, launch/), and humans and motions by name or path.
 
-In a source checkout or editable install the files are beside the package. After pip or colcon they are in
-``share/humansim_ros`` of the prefix. AMENT_PREFIX_PATH, which pip users do not have, is searched last.
+In a source checkout or an editable install, the files are next to the package. After an install by pip or
+colcon, they are in ``share/humansim_ros`` of the prefix. AMENT_PREFIX_PATH, which pip users do not have, is
+searched last.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
 
 @functools.cache
 def read_table(name: str) -> Any:
-    """Content of a table of the package, ``config/<name>.json``; nobody changes it."""
+    """Content of a table of the package, ``config/<name>.json``. Do not change it: it is cached."""
     return json.loads(resource_path(f"config/{name}.json").read_text("utf-8"))
 
 
 @functools.cache
 def package_version() -> str:
-    """Version of the package from ``package.xml``, which every kind of installation has."""
+    """Version of the package, from ``package.xml``, which every kind of installation has."""
     import xml.etree.ElementTree as ElementTree
 
     return ElementTree.parse(resource_path("package.xml")).getroot().findtext("version", "unknown")
@@ -49,7 +50,7 @@ def resource_root() -> Path:
     """Folder with ``config``, ``assets`` and ``launch``."""
     candidates = list(dict.fromkeys(_candidates()))
     for folder in candidates:
-        # package.xml distinguishes this folder from others with a config/
+        # package.xml distinguishes this folder from other folders with a config/
         if (folder / "package.xml").is_file() and (folder / "config").is_dir():
             return folder
     raise ResourceError(
@@ -59,7 +60,7 @@ def resource_root() -> Path:
 
 
 def _candidates() -> Iterator[Path]:
-    # resolve links of colcon's symlink install
+    # resolve the links of colcon's symlink install
     package = Path(__file__).resolve().parents[1]
     yield package.parent
     for parent in package.parents:
@@ -71,7 +72,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def _pip_records() -> Iterator[Path]:
-    # imported on use: most installations are found without
+    # imported here, since most installations are found without it
     import importlib.metadata
 
     try:
@@ -108,16 +109,16 @@ def find_asset(
     """Find a human or a motion by name or path.
 
     Args:
-        name: Name of a built-in, or path of a file.
+        name: Name of a built-in human or motion, or path of a file.
         kind: ``humans`` or ``motions``.
-        folder: Folder that relative paths start from; the current folder if None.
+        folder: Folder that relative paths start from. If None, the current folder.
         error: Class of the error to raise.
 
     Returns:
         Path of an existing file or folder.
 
     Raises:
-        HumansimError: Of class ``error``, if there is neither a built-in nor a file of this name.
+        HumansimError: ``error``, if there is neither a built-in nor a file with this name.
     """
     known = built_in_names(kind)
     if name in known:

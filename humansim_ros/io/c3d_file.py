@@ -1,7 +1,7 @@
 """C3D files: their parameters, points and rotations of segments [C3D 2008].
 
-Programs write headers and parameters that contradict each other. The layout of the data is the one that
-fills the file, and what the points do not need is not read.
+Programs write headers and parameters that contradict each other. The layout of the data that fills the file
+is taken. What the points do not need is not read.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from humansim_ros.io.files import read_bytes
 from humansim_ros.types import Array
 
 _BLOCK = 512
-#: Number of the processor of a file -> byte order. Floats of DEC's are a format of their own.
+#: Byte order by number of the processor in the file. The processors of DEC have their own format of floats.
 _BYTE_ORDERS, _DEC = {84: "<", 85: "<", 86: ">"}, 85
-#: Largest section of parameters, bytes.
+#: Largest parameter section, bytes.
 _MAX_PARAMETERS = 1 << 20
 
 
 class C3dFile:
-    """Content of a C3D file of at most ``most`` bytes. Raises ``error`` if it is not one."""
+    """Content of a C3D file of at most ``most`` bytes. Raises ``error`` if the file is no C3D file."""
 
     def __init__(self, path: Path, error: type[HumansimError], most: int) -> None:
         self._path, self._data = path, read_bytes(path, error, "C3D", most)
@@ -39,7 +39,8 @@ class C3dFile:
         self._parameters = self._read_parameters(self._data[: at + _MAX_PARAMETERS], at + 4)
 
     def _read_parameters(self, data: bytes, at: int) -> dict[str, tuple[int, int, bytes]]:
-        """Type, first dimension and bytes of each parameter, by ``GROUP:NAME``; the first of equal names."""
+        """Type, first dimension and bytes of each parameter, by ``GROUP:NAME``. Of equal names the first
+        counts."""
         groups: dict[int, str] = {}
         found: dict[tuple[int, str], tuple[int, int, bytes]] = {}
         while at + 4 < len(data) and data[at] and data[at + 1]:
@@ -63,11 +64,11 @@ class C3dFile:
         raw = raw[: len(raw) // 4 * 4]
         if not self._is_dec:
             return np.frombuffer(raw, f"{self._order}f4")
-        # the words of a number are exchanged, and its exponent is larger by two
+        # the two words of a number are exchanged, and its exponent is larger by two
         return np.frombuffer(raw, "<u2").reshape(-1, 2)[:, ::-1].copy().view("<f4").ravel() / np.float32(4)
 
     def _number(self, key: str) -> float:
-        """Number of a parameter, of two words if it has them; 0 if there is none."""
+        """Number of a parameter, from one or two words; 0 if the parameter is missing."""
         kind, _, raw = self._parameters.get(key, (0, 0, b""))
         if kind == 4:
             number = float(next(iter(self._floats(raw)), 0))
@@ -76,35 +77,34 @@ class C3dFile:
         return sum(int(word) << (16 * place) for place, word in enumerate(words[:2]))
 
     def texts(self, key: str) -> list[str]:
-        """Texts of a parameter, without blanks and zero bytes at their ends; empty if there are none."""
+        """Texts of a parameter, without blanks and zero bytes at their ends. Empty if the parameter is
+        missing."""
         kind, width, raw = self._parameters.get(key, (0, 0, b""))
         return [_text(raw[n : n + width]) for n in range(0, len(raw) if kind == -1 else 0, max(width, 1))]
 
     def labels(self, group: str) -> list[str]:
-        """Names of the points or the segments; a parameter holds at most 255."""
+        """Names of the points or of the segments. Each parameter holds at most 255."""
         numbers = ("", *range(2, 258))
         return [text for number in numbers for text in self.texts(f"{group}:LABELS{number}")]
 
     @cached_property
     def rates(self) -> list[float]:
-        """Positive frame rates of the parameter and the header, Hz."""
+        """Positive frame rates that the parameter and the header state, Hz."""
         return [rate for rate in (self._number("POINT:RATE"), self._rate) if 0 < rate < math.inf]
 
     @cached_property
     def first_frame(self) -> int:
-        """Number of the first frame, from 0."""
+        """Number of the first frame, counted from 0."""
         return max(int(self._number("TRIAL:ACTUAL_START_FIELD") or self._header[3]) - 1, 0)
 
     def _block(self, *numbers: float) -> int:
-        """Byte at which the first of these blocks behind the header begins; else the end of the file."""
+        """Byte at which the first of these blocks after the header begins, or else the end of the file."""
         starts = (_BLOCK * (int(number) - 1) for number in numbers if number > self._data[0])
         return next((start for start in starts if start < len(self._data)), len(self._data))
 
     def _layout(self, room: int) -> tuple[float, int, int, int]:
-        """Scale, points and analog numbers of a frame, and frames, as the file states them and its size fits.
-
-        ``room``: bytes of the data. A negative scale stands for floats.
-        """
+        """Scale, number of points and analog values per frame, and frames: as the file states, if its size
+        fits. ``room``: number of bytes of the data. A negative scale means floats."""
         header, last = self._header, self._number("TRIAL:ACTUAL_END_FIELD")
         trial = last - self.first_frame
         counts = (
@@ -131,10 +131,8 @@ class C3dFile:
         return min(layouts, key=misfit)
 
     def places(self) -> tuple[Array, Array]:
-        """Points (F, P, 3) and origins (F, S, 3) of the segments of the group ROTATION, in units of the file.
-
-        They are NaN where they were not seen.
-        """
+        """Points (F, P, 3), and origins (F, S, 3) of the segments of the group ROTATION, in units of the
+        file. A point that was not seen is NaN."""
         data, used = self._data, int(self._number("ROTATION:USED"))
         start = self._block(self._header[8], self._number("POINT:DATA_START"))
         rotations = self._block(self._number("ROTATION:DATA_START")) if used else len(data)
@@ -150,7 +148,7 @@ class C3dFile:
         raw = data[start : start + whole * size]
         words = self._floats(raw) if scale < 0 else np.frombuffer(raw, f"{self._order}i2")
         table = words.reshape(whole, 4 * count + analog)[:, : 4 * count].reshape(whole, count, 4)
-        # of each segment a 4x4 matrix by columns, and its quality
+        # each segment has a 4x4 matrix by columns, and a quality
         turns, step = self._floats(data[rotations:]), max(int(self._number("ROTATION:RATIO")), 1)
         samples = min(len(turns) // (17 * used), frames * step) if used else 0
         turns = turns[: samples * 17 * used].reshape(samples, used, 17)[::step]
@@ -164,7 +162,7 @@ def _frame_bytes(scale: float, points: int, analog: int, _: int) -> int:
 
 
 def _seen(points: Array, quality: Array) -> Array:
-    """Points (..., 3), NaN where their quality (..., 1) is negative or a number is not finite."""
+    """Points (..., 3). They become NaN if their quality (..., 1) is negative or a number is not finite."""
     is_seen = np.isfinite(points).all(axis=-1, keepdims=True) & (quality > -1)
     return np.where(is_seen, points, np.nan).astype(float)
 

@@ -1,4 +1,4 @@
-"""Other programs that read files which nobody has checked: their limits, and FBX files as glTF.
+"""Run other programs under limits on untrusted files, and convert FBX files to glTF.
 
 FBX has no open specification. Blender or FBX2glTF converts it, if one is installed.
 """
@@ -21,21 +21,22 @@ from pathlib import Path
 from humansim_ros.errors import HumansimError, located
 from humansim_ros.io.files import cache_folder, expand_user, read_bytes, temporary_folder, write_file
 
-#: Environment variable with the program that converts FBX files.
+#: Environment variable that names the program that converts FBX files.
 FBX_VARIABLE = "HUMANSIM_FBX"
-#: Largest FBX file, and largest glTF file of a conversion.
+#: Largest FBX file, and largest glTF file that it is converted to, bytes.
 _MAX_FBX = 1 << 29
-#: Memory, processor time and time of a conversion.
+#: Limits of a conversion: memory in bytes, processor time and wall-clock time in seconds.
 _MEMORY, _CPU_SECONDS, _SECONDS = 8 << 30, 300, 600
-#: Converted files in the cache; the least recently used are deleted.
+#: Most converted files in the cache. The least recently used file is deleted first.
 _MOST_CONVERTED = 50
-#: Names beside an FBX file, and in the folders there, among which its textures may be.
+#: Most names in the folder of an FBX file, and in its folders, that are searched for textures.
 _MOST_NAMES = 5000
 _BINARY_FBX = b"Kaydara FBX Binary"
 _IMAGES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff")
 _NAMES = ("FBX2glTF", "fbx2gltf", "FBX2glTF-linux-x64", "FBX2glTF-linux-x86_64")
 
-#: Runs a command under limits. It is a program of its own because ``preexec_fn`` may block beside threads.
+#: Runs a command under limits. It is a separate program, since ``preexec_fn`` may block if there are other
+#: threads.
 _LIMITED = """
 import os, resource, sys
 memory, seconds, size = map(int, sys.argv[1:4])
@@ -45,7 +46,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 os.execv(sys.argv[4], sys.argv[4:])
 """
-#: Converts in Blender. An image elsewhere than beside the FBX file is none of its content.
+#: Converts in Blender. An image that is not in the folder of the FBX file is not taken as its content.
 _BLENDER = """
 import os, sys, bpy
 source, target, folder = sys.argv[-3:]
@@ -73,22 +74,22 @@ def run_limited(
     environment: dict[str, str] | None = None,
     folder: Path | None = None,
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run a program that reads a file which nobody has checked; it and its children end at the limits.
+    """Run a program on an untrusted file. The program and its children end when a limit is reached.
 
     Args:
         command: Absolute path of the program, and its arguments.
-        data: Its standard input.
+        data: Standard input of the program.
         memory: Most address space, bytes.
         cpu_seconds: Most processor time.
         seconds: Most time.
-        environment: Its environment; the own one if absent.
-        folder: Its working directory; the own one if absent.
+        environment: Environment of the program. If None, that of this process.
+        folder: Working directory of the program. If None, that of this process.
 
     Returns:
         Exit code, standard output and standard error.
 
     Raises:
-        subprocess.TimeoutExpired: It took more than ``seconds``.
+        subprocess.TimeoutExpired: The program took more than ``seconds``.
     """
     limits = [str(memory), str(cpu_seconds), str(2 * _MAX_FBX)]
     with subprocess.Popen(
@@ -126,13 +127,14 @@ def converted_fbx(
     """Convert an FBX file with its skins, textures and animations to glTF, in a process with limits.
 
     The environment variable ``HUMANSIM_FBX`` names the converter: a Python that has Blender's package
-    ``bpy``, a Blender, or FBX2glTF. Without it, this Python, ``blender`` and ``FBX2glTF`` on the PATH are
-    tried in this order. Results are kept in the cache folder.
+    ``bpy``, a Blender, or FBX2glTF. If the variable is not set, this Python, ``blender`` and ``FBX2glTF`` on
+    the PATH are tried in this order. Results are kept in the cache folder.
+
 
     Args:
         path: FBX file. Textures that are not in it are read from its folder and below.
         error: Error class to raise.
-        data: Content of the file, if it is read already.
+        data: Content of the file, if it has been read already.
 
     Returns:
         Content of a .glb file: metres, y up.
@@ -166,7 +168,7 @@ def converted_fbx(
 
 @dataclass(frozen=True)
 class _Converter:
-    """Program that converts. ``kind``: ``python`` (with bpy), ``blender`` or ``FBX2glTF``."""
+    """A program that converts. ``kind``: ``python`` (with bpy), ``blender`` or ``FBX2glTF``."""
 
     program: str
     kind: str
@@ -186,7 +188,8 @@ class _Converter:
 
 
 def find_converter(path: Path, error: type[HumansimError]) -> _Converter:
-    """Program that converts FBX files. Raises ``error`` without one, with the line that converts ``path``."""
+    """Find a program that converts FBX files. If there is none, ``error`` has the line that converts
+    ``path``."""
     named = os.environ.get(FBX_VARIABLE)
     if named:
         program = shutil.which(expand_user(named))
@@ -239,14 +242,14 @@ def _convert(path: Path, converter: _Converter, error: type[HumansimError]) -> b
 
 
 def _last_line(text: bytes) -> str:
-    """Last line of a program's output that says something, without control characters."""
+    """Last line of a program's output that is not empty, without control characters."""
     lines = [" ".join(line.split()) for line in text.decode(errors="replace").splitlines()]
     said = [line for line in lines if any(character.isalpha() for character in line)]
     return "".join(c for c in said[-1][:300] if c.isprintable()) if said else ""
 
 
 def _cached_file(path: Path, content: bytes, converter: _Converter) -> Path | None:
-    """File of the cache: by the content, the converter, and the images in the folder and below it."""
+    """File in the cache for this content, this converter, and the images in the folder and below it."""
     folder = cache_folder()
     if folder is None:
         return None

@@ -1,4 +1,5 @@
-"""Read files and JSON with clear errors, resolve names in files, write atomically, make temporary folders."""
+"""Read files and JSON with clear errors, find files that files name, write atomically, make temporary
+folders."""
 
 from __future__ import annotations
 
@@ -18,11 +19,11 @@ from typing import Any, BinaryIO
 
 from humansim_ros.errors import HIDING, HumansimError, did_you_mean, near_names
 
-#: Bytes of a file that :func:`read_blocks` reads at once.
+#: Number of bytes that :func:`read_blocks` reads at once.
 _BLOCK = 1 << 20
-#: Names of a folder that are compared with the name of a missing file.
+#: Most names of a folder that are compared with the name of a missing file.
 _MOST_NAMES = 5000
-#: Entries of a folder that are no regular files, in words.
+#: Words for entries of a folder that are not regular files.
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a named pipe",
@@ -34,7 +35,7 @@ _KINDS = {
 
 @contextmanager
 def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
-    """Convert exceptions of opening and reading a file to ``error`` with path and reason."""
+    """Convert exceptions of opening and reading a file to ``error``, with path and reason."""
     if "\0" in os.fspath(path):
         raise error("a file name cannot contain a NUL character", path=path)
     try:
@@ -46,9 +47,9 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
         raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
 
 
-#: Flags with which files are opened: never waiting.
+#: Flags for opening files. Opening never waits.
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
-#: Limit of :func:`open_file` for files that are read part by part.
+#: Limit of :func:`open_file` for files that are read block by block.
 ANY_SIZE = 1 << 62
 
 
@@ -60,23 +61,23 @@ def open_file(
     *,
     may_be_empty: bool = False,
 ) -> BinaryIO:
-    """Open a regular file to read it; all files of users are opened here.
+    """Open a regular file to read it. All files of users are opened by this function.
 
-    Opening never waits. What the name stands for and its size are checked before anything is read.
+    Opening never waits. The kind of the file and its size are checked before anything is read.
 
     Args:
         path: File to open.
         error: Error class to raise.
         what: Kind of file for messages, such as ``mesh``.
         most: Maximum size in bytes.
-        may_be_empty: Open empty files, too.
+        may_be_empty: Whether empty files are opened, too.
 
     Raises:
         HumansimError: ``error``, if the file is missing, not a regular file (a folder, a named pipe, a
             device), unreadable, empty or too large.
     """
     with reading_errors(path, error, what):
-        # before it is opened: to open a pipe or a device can have effects
+        # checked before it is opened, since to open a pipe or a device can have effects
         _check_entry(Path(path).stat(), path, error, what)
         descriptor = os.open(path, _READ)
         try:
@@ -96,7 +97,8 @@ def open_file(
 
 
 def read_blocks(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[bytes]:
-    """Content of a file of any size, part by part; nothing if it is empty. Errors as of :func:`open_file`."""
+    """Content of a file of any size, block by block. No block if the file is empty. Errors are those of
+    :func:`open_file`."""
     with open_file(path, error, what, ANY_SIZE, may_be_empty=True) as file, reading_errors(path, error, what):
         while block := file.read(_BLOCK):
             yield block
@@ -105,7 +107,7 @@ def read_blocks(path: str | os.PathLike[str], error: type[HumansimError], what: 
 def _check_entry(
     status: os.stat_result, path: str | os.PathLike[str], error: type[HumansimError], what: str
 ) -> None:
-    """Raise ``error`` for anything but a regular file."""
+    """Raise ``error`` unless the entry is a regular file."""
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
         raise error(f"cannot read the {what} file: this is {kind}, not a regular file", path=path)
@@ -123,7 +125,7 @@ def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: s
     """Read a file.
 
     Args:
-        path, error, what, most: As of :func:`open_file`, which also lists the errors.
+        path, error, what, most: The same as in :func:`open_file`, which also lists the errors.
     """
     with open_file(path, error, what, most) as file, reading_errors(path, error, what):
         data = file.read(os.fstat(file.fileno()).st_size)
@@ -136,20 +138,20 @@ def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: st
     """Read a text file: UTF-8 with or without BOM, or else Latin-1.
 
     Args:
-        path, error, what, most: As of :func:`open_file`.
+        path, error, what, most: The same as in :func:`open_file`.
 
     Raises:
-        HumansimError: ``error``, as for :func:`open_file`, and for binary files.
+        HumansimError: ``error``, in the cases of :func:`open_file`, and for binary files.
     """
     return decode_text(read_bytes(path, error, what, most), path, error, what)
 
 
 def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimError], what: str) -> str:
-    """Text of the content of a file: UTF-8 with or without BOM, or else Latin-1.
+    """Decode the content of a text file: UTF-8 with or without BOM, or else Latin-1.
 
     Args:
         data: Content of the file.
-        path, error, what: As of :func:`open_file`. The error is raised if the file is binary.
+        path, error, what: The same as in :func:`open_file`. The error is raised if the file is binary.
     """
     if b"\0" in data:
         raise error(f"this is a binary file, not a {what} text file", path=path)
@@ -159,11 +161,11 @@ def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimE
         return data.decode("latin-1")
 
 
-#: Encodings of names in scripts of East Asia, and their names for people.
+#: East Asian encodings, with their names in messages.
 ENCODINGS = {"cp932": "Shift-JIS", "gb18030": "GBK", "cp949": "EUC-KR", "big5": "Big5", "euc_jp": "EUC-JP"}
-#: Share of such characters from which an encoding is taken.
+#: An encoding is taken if at least this share of the characters are among those below.
 _LEAST_BODY = 0.2
-#: Characters of the names of joints in these scripts: left, right, and parts of the body.
+#: Characters in names of joints in these scripts: left, right, and parts of the body.
 _BODY = frozenset(
     "左右上下手足腕脚腳腿臂膝首頭头頸颈肩腰胸身骨根踝肘趾指髋髖盆脊親人中先大小捩両目"
     "ンスセタルーひじざつまさき왼오른쪽팔다리발손머목허무릎어깨가슴척추골반꿈치"
@@ -171,12 +173,14 @@ _BODY = frozenset(
 
 
 def text_encoding(data: bytes) -> str:
-    """Encoding of a text that has names of joints, by the letters that are parts of the body in their script.
+    """Detect the encoding of a text with names of joints, from characters for parts of the body.
 
-    ``data``: start of the text; its last line, which may be cut, does not count.
+    ``data``: start of the text. The last line is ignored, since it may be cut.
+
 
     Returns:
-        A codec of Python: ``utf-16`` or its like, one of :data:`ENCODINGS`, or ``latin-1``, also for UTF-8.
+        A codec of Python: ``utf-16`` or a variant of it, one of :data:`ENCODINGS`, or ``latin-1``, also for
+            UTF-8.
     """
     if b"\0" in data[:2] or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return {b"\0": "utf-16-be", b"\xff": "utf-16", b"\xfe": "utf-16"}.get(data[:1], "utf-16-le")
@@ -191,7 +195,7 @@ def text_encoding(data: bytes) -> str:
     return max(shares, key=lambda encoding: shares[encoding])
 
 
-#: Most values of a JSON text, each of which needs some fifty bytes of memory, and most nested levels.
+#: Most values of a JSON text (each value needs some fifty bytes of memory), and most nested levels.
 MAX_JSON_VALUES, _MAX_JSON_DEPTH = 100_000_000, 100
 
 
@@ -205,7 +209,7 @@ def parse_json(
     nan: bool = False,
     pairs: Callable[[list[tuple[str, Any]]], Any] | None = None,
 ) -> Any:
-    """Parse JSON that is not trusted; all JSON of users is parsed here.
+    """Parse untrusted JSON. All JSON of users is parsed by this function.
 
     A whole number beyond 64 bits becomes a float, as in JavaScript.
 
@@ -215,8 +219,9 @@ def parse_json(
         path: File, for messages.
         kind: What the text should be, for messages.
         most: Maximum count of values and keys.
-        nan: Accept NaN and Infinity, which are not JSON but common; the caller checks its numbers.
-        pairs: Makes an object from its keys and values; a dict if None.
+        nan: Whether NaN and Infinity are accepted. They are not valid JSON, but common. The caller must check
+            its numbers.
+        pairs: Makes an object from its keys and values. If None, it becomes a dict.
 
     Raises:
         HumansimError: ``error`` with path and line, if the text is no JSON, has too many values or levels,
@@ -250,14 +255,14 @@ def parse_json(
 def read_json(
     path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int, *, nan: bool = False
 ) -> Any:
-    """Content of a JSON file.
+    """Read a JSON file.
 
     Args:
-        path, error, what, most: As of :func:`read_text`.
-        nan: As of :func:`parse_json`.
+        path, error, what, most: The same as in :func:`read_text`.
+        nan: The same as in :func:`parse_json`.
 
     Raises:
-        HumansimError: ``error``, as for :func:`read_text` and :func:`parse_json`.
+        HumansimError: ``error``, in the cases of :func:`read_text` and :func:`parse_json`.
     """
     return parse_json(read_text(path, error, what, most), error, path, nan=nan)
 
@@ -290,15 +295,13 @@ def _is_deep(content: Any) -> bool:
 
 
 def missing_file(path: Path, hint: str = "") -> str:
-    """Message about a file that is missing, with a file of its folder that resembles it.
-
-    ``hint``: what to use instead of a file.
-    """
+    """Message about a missing file. It names a similar file of the folder. ``hint``: what to use instead of a
+    file."""
     return "; ".join(filter(None, (f"no such file {str(path)!r}", hint, near_file(path))))
 
 
 def near_file(path: Path) -> str:
-    """What was probably meant by the path of a missing file; empty if nothing resembles it."""
+    """Suggest what the path of a missing file probably means. Empty if nothing resembles it."""
     try:
         if path.is_symlink():
             return "it is a link to a file that is missing"
@@ -324,13 +327,13 @@ def near_file(path: Path) -> str:
 
 
 def _names(folder: Path) -> list[str]:
-    """Names in a folder, the first thousands."""
+    """Names in a folder, at most the first thousands."""
     with os.scandir(folder) as entries:
         return [entry.name for entry in islice(entries, _MOST_NAMES)]
 
 
 def expand_user(name: str) -> Path:
-    """Expand ``~`` in a path; unknown users stay as they are."""
+    """Expand ``~`` in a path. The name of an unknown user is not changed."""
     try:
         return Path(name).expanduser()
     except RuntimeError:  # unknown user
@@ -338,7 +341,7 @@ def expand_user(name: str) -> Path:
 
 
 def exists(path: Path) -> bool:
-    """Whether a path exists; False for impossible names."""
+    """Whether a path exists. False for impossible names."""
     try:
         return path.exists()
     except (OSError, ValueError):  # name too long, or with a NUL character
@@ -346,13 +349,13 @@ def exists(path: Path) -> bool:
 
 
 def resolve_relative(file: str | os.PathLike[str], name: str) -> tuple[Path, bool]:
-    """Resolve a name in a file from the folder of the file; also return whether it exists."""
+    """Resolve a name in a file, relative to the folder of the file. Returns also whether the path exists."""
     path = Path(file).resolve().parent / expand_user(name)
     return path, exists(path)
 
 
 def resolve_inside(folder: Path, name: str) -> Path | None:
-    """Resolve a name in a file to a path in the folder or below it; None for all other paths."""
+    """Resolve a name in a file to a path in the folder or below it. Returns None for all other paths."""
     try:
         target = (folder.resolve() / name).resolve()
         target.exists()  # raises for names that are too long
@@ -363,9 +366,11 @@ def resolve_inside(folder: Path, name: str) -> Path | None:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Temporary path in the same folder: renamed to ``path`` after the block, deleted on exceptions.
+    """Temporary path in the same folder. It is renamed to ``path`` after the block, and deleted on
+    exceptions.
 
-    A link stays, and its file is replaced. A device or pipe, such as ``/dev/stdout``, gets the content.
+    If ``path`` is a link, the file behind it is replaced. A device or pipe, such as ``/dev/stdout``, gets the
+    content.
 
     Raises:
         HumansimError: The file cannot be written, in the block or after it.
@@ -386,7 +391,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file at once, text as UTF-8. Raises HumansimError if it cannot be written."""
+    """Write a file atomically, text as UTF-8. Raises HumansimError if the file cannot be written."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
@@ -407,20 +412,21 @@ def _beside(target: Path) -> Iterator[Path]:
 
 # --- temporary folders
 
-#: Begin of the names of temporary folders.
+#: Prefix of the names of temporary folders.
 _PREFIX = "humansim-"
-#: File in a folder that its process keeps locked.
+#: File in a folder that the process using the folder keeps locked.
 _LOCK = ".lock"
-#: Seconds in which a process has surely locked a folder that it has made.
+#: After this time, seconds, a process has surely locked a folder that it has made.
 _MAKING = 10.0
 
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Temporary folder, removed at the end of ``with``.
+    """Temporary folder. It is removed at the end of ``with``.
 
-    A process that is killed leaves its folder: this call first removes such folders of this user. A folder
-    whose process lives is locked, also if the process runs in another container with the same ``/tmp``.
+    A process that is killed leaves its folder behind, so this call first removes such folders of this user.
+    The folder of a running process is locked, even if the process runs in another container with the same
+    ``/tmp``.
 
     Raises:
         HumansimError: No folder can be made, such as on a full disk.
@@ -451,26 +457,24 @@ def _remove_dead_folders() -> None:
 
 
 def _remove_if_dead(folder: Path) -> None:
-    """Remove a folder whose lock file nobody has locked; OSError if it is locked or has no lock file."""
+    """Remove a folder if nobody has locked its lock file. OSError if it is locked or has no lock file."""
     lock = os.open(folder / _LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(folder, ignore_errors=True)  # it follows no links
+        shutil.rmtree(folder, ignore_errors=True)  # rmtree follows no links
     finally:
         os.close(lock)
 
 
 # --- the cache
 
-#: Seconds between two tries to lock a file.
+#: Seconds between two attempts to lock a file.
 _LOOK_EVERY = 0.05
 
 
 def cache_folder() -> Path | None:
-    """Folder of the cache: ``$HUMANSIM_CACHE``, else ``humansim_ros/humans`` in the user's cache folder.
-
-    None if HUMANSIM_CACHE is ``off``.
-    """
+    """Folder of the cache: ``$HUMANSIM_CACHE``, or else ``humansim_ros/humans`` in the user's cache folder.
+    Returns None if HUMANSIM_CACHE is ``off``."""
     own = os.environ.get("HUMANSIM_CACHE")
     if own:
         return None if own == "off" else expand_user(own)
@@ -480,12 +484,9 @@ def cache_folder() -> Path | None:
 
 @contextmanager
 def only_one_process(path: Path, longest: float) -> Iterator[None]:
-    """Let processes that make the same file do so one after the other.
-
-    Who comes later finds the file made. A process that has waited ``longest`` seconds goes on: the other one
-    may have been stopped. Without write access nobody waits. ``path``: file that is locked meanwhile, and
-    removed after it.
-    """
+    """Make processes that want to create the same file do so one after the other. A process that comes later
+    finds the file ready. After ``longest`` seconds it stops waiting, since the other process may have been
+    stopped. Without write access no process waits. ``path``: lock file, which is removed afterwards."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -501,13 +502,14 @@ def only_one_process(path: Path, longest: float) -> Iterator[None]:
             if has_lock:
                 with suppress(OSError):
                     path.unlink(missing_ok=True)
-                    fcntl.flock(lock, fcntl.LOCK_UN)  # a child process may have it open
+                    # unlocked explicitly, since a child process may have it open
+                    fcntl.flock(lock, fcntl.LOCK_UN)
     finally:
         os.close(lock)
 
 
 def _locks(lock: int, end: float) -> bool:
-    """Whether an open file could be locked before a time of ``time.monotonic``."""
+    """Try to lock an open file until a time of ``time.monotonic``. Returns whether it could be locked."""
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

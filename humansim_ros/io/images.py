@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MeshError
 from humansim_ros.types import Array
 
-#: Limit for decoded images: 8192 x 8192; and for image files: that size without compression.
+#: Most pixels of a decoded image (8192 x 8192), and largest image file: that size without compression.
 MAX_PIXELS, MAX_IMAGE_BYTES = 1 << 26, 1 << 28
-#: Limit for all images of one file together: 128 of 2048 x 2048.
+#: Most pixels of all images of one file together: 128 images of 2048 x 2048.
 MAX_PIXELS_OF_FILE = 1 << 29
 
 
 def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> NDArray[np.uint8]:
-    """Decode a PNG or JPEG file to (H, W, 3) uint8 sRGB. ``noun``: its use, for messages.
-
-    Raises MeshError for other files, and for images larger than MAX_PIXELS.
-    """
+    """Decode a PNG or JPEG file to (H, W, 3) uint8 sRGB. ``noun``: what the image is, for messages. Raises
+    MeshError for other files, and for images larger than MAX_PIXELS."""
     data = bytes(encoded)
     _checked_size(data, noun)
     try:
@@ -47,7 +45,8 @@ def _checked_size(data: bytes, noun: str) -> int:
 
 
 def _has_whole_chunks(data: bytes) -> bool:
-    """Whether a PNG file has the bytes that its chunks declare; OpenCV takes memory for what they declare."""
+    """Whether a PNG file has all bytes that its chunks declare, since OpenCV allocates memory for what they
+    declare."""
     start = 8
     while start < len(data) and data[start + 4 : start + 8] != b"IEND":
         start += 12 + int.from_bytes(data[start : start + 4], "big")
@@ -55,7 +54,7 @@ def _has_whole_chunks(data: bytes) -> bool:
 
 
 class DecodedImages:
-    """Images of one file: each is decoded once, and there are at most MAX_PIXELS_OF_FILE pixels of them."""
+    """Images of one file. Each is decoded once. Together they have at most MAX_PIXELS_OF_FILE pixels."""
 
     def __init__(self) -> None:
         self._images: dict[Hashable, NDArray[np.uint8]] = {}
@@ -63,19 +62,20 @@ class DecodedImages:
         self._pixels = 0
 
     def get(self, key: Hashable, encoded: Callable[[], bytes]) -> NDArray[np.uint8]:
-        """Image (H, W, 3) of a key, decoded from ``encoded`` on the first call. Raises MeshError."""
+        """Image (H, W, 3) with a key, decoded from ``encoded`` on the first call. Raises MeshError."""
         if key not in self._images:
             self._images[key] = decode_image(self._counted(encoded()))
         return self._images[key]
 
     def alpha(self, key: Hashable, encoded: Callable[[], bytes]) -> NDArray[np.uint8] | None:
-        """Alpha channel (H, W) of the image of a key; None if it is opaque. Raises MeshError."""
+        """Alpha channel (H, W) of the image with a key; None if the image is opaque. Raises MeshError."""
         if key not in self._alphas:
             self._alphas[key] = _decode_alpha(self._counted(encoded()))
         return self._alphas[key]
 
     def tinted(self, key: Hashable, image: NDArray[np.uint8], color: Array) -> NDArray[np.uint8]:
-        """Image (H, W, 3) times a colour (3,), sRGB 0 to 1; of each key and colour once. Raises MeshError."""
+        """Image (H, W, 3) times a colour (3,), sRGB 0 to 1. It is computed once per key and colour. Raises
+        MeshError."""
         key = key, *color.tolist()
         if key not in self._images:
             self._reserve(image.shape[0] * image.shape[1])
@@ -97,7 +97,7 @@ def _decode_alpha(data: bytes) -> NDArray[np.uint8] | None:
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
-        return None  # of a damaged image, whose colours are an error
+        return None  # the image is damaged, and reading its colours raises the error
     if image is None or image.ndim != 3 or image.shape[2] != 4:
         return None
     alpha = image[..., 3] if image.dtype == np.uint8 else image[..., 3] // 257
@@ -134,7 +134,7 @@ def declared_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
-# --- sRGB of linear light and its inverse (IEC 61966-2-1), for values from 0 to 1
+# --- sRGB from linear light and back (IEC 61966-2-1), for values from 0 to 1
 
 
 def encode_srgb(linear: Array) -> Array:

@@ -19,7 +19,7 @@ from humansim_ros.types import Array
 #: Metres of each unit.
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001}
 _SPELLINGS = {"meter": "m", "decimeter": "dm", "centimeter": "cm", "millimeter": "mm"}
-#: Median distance of the points of a person from their middle, metres.
+#: Median distance of the points of a person from their centre, metres.
 _PERSON = 0.45
 
 
@@ -31,11 +31,12 @@ class MarkerFile:
         labels: K labels.
         points: (F, K, 3) metres, in the axes of the file; NaN where a point was not seen.
         times: (F,) seconds, as the file has them.
-        lines: Line of each frame in a text file; nothing for others.
+        lines: Line of each frame in a text file. Empty for other files.
         rate: Frames per second that the file states; NaN if it states none.
         screen_up: Axis of the file that points up or down on a screen (``x``, ``y`` or ``z``); empty if the
             file does not state it.
-        segments: Origins of the segments whose rotations the file has as well; None if it has none.
+        segments: Origins of those segments that the file has rotations for; None if the file has no
+            rotations.
     """
 
     labels: tuple[str, ...]
@@ -48,13 +49,13 @@ class MarkerFile:
 
 
 def label_parts(label: str) -> tuple[str, str]:
-    """Person and name of a label such as ``anna:l_knee``; an empty person for others."""
+    """Person and name of a label such as ``anna:l_knee``. The person is empty for other labels."""
     person, found, name = label.rpartition(":")
     return (person, name) if found and person and name else ("", label)
 
 
 def number(text: str, error: type[HumansimError], path: Path, line: int, key: str) -> float:
-    """A number of a file; NaN for an empty field.
+    """Convert a field of a file to a number. An empty field is NaN.
 
     Args:
         text: The field.
@@ -62,7 +63,7 @@ def number(text: str, error: type[HumansimError], path: Path, line: int, key: st
         path, line, key: File, its line and the name of the field, for messages.
 
     Raises:
-        HumansimError: ``error`` with path, line and key, if it is no number.
+        HumansimError: ``error`` with path, line and key, if the text is no number.
     """
     text = text.strip()
     if not text:
@@ -74,7 +75,7 @@ def number(text: str, error: type[HumansimError], path: Path, line: int, key: st
 
 
 def _unit(text: str) -> str:
-    """Short name of a unit, such as ``mm`` for ``Millimetres``; the text itself of an unknown one."""
+    """Short name of a unit, such as ``mm`` for ``Millimetres``. An unknown unit is returned unchanged."""
     word = re.sub(r"[^a-z]", "", text.lower()).replace("metre", "meter")
     found = _SPELLINGS.get(word.removesuffix("s"), word)
     repeated = re.fullmatch(r"(mm|cm|dm|m)\1*", found)
@@ -93,10 +94,8 @@ def _metres(
 
 
 def read_trc_points(path: Path, error: type[HumansimError], most: int) -> MarkerFile:
-    """Read a TRC file, with tabs or commas between the fields. Points without a name are left out.
-
-    ``most``: maximum size in bytes. Raises ``error`` with the line.
-    """
+    """Read a TRC file. Its fields are separated by tabs or commas. Points without a name are left out.
+    ``most``: maximum size in bytes. Raises ``error``, which names the line."""
     lines = read_text(path, error, "TRC", most).splitlines()
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise error("not a TRC file: it must begin with PathFileType", path=path, line=1)
@@ -110,7 +109,7 @@ def read_trc_points(path: Path, error: type[HumansimError], most: int) -> Marker
     names = {n: word.strip() for n, word in enumerate(lines[3].split(mark)[2:]) if word.strip()}
     if not names:
         raise error("no marker names", path=path, line=4)
-    # a name has the first of three columns; some programs write the names without blank columns
+    # a name stands in the first of three columns; some programs write the names without blank columns
     in_order = any(n % 3 for n in names)
     labels = {order if in_order else n // 3: word for order, (n, word) in enumerate(names.items())}
     rows, numbers = [], []
@@ -171,7 +170,7 @@ def read_c3d_points(path: Path, error: type[HumansimError], most: int) -> Marker
         unit = next(unit for unit, metres in UNITS.items() if metres == scale)
         warn_about(path, f"POINT:UNITS states no unit: {unit}, by the size of the person")
     scales = np.full(places.shape[1], scale)
-    if len(units) == len(scales):  # what is no length is left out, such as angles
+    if len(units) == len(scales):  # what is no length, such as an angle, is left out
         scales = np.array([UNITS.get(_unit(unit), np.nan) if unit else scale for unit in units])
     screen = "".join(file.texts("POINT:Y_SCREEN")[:1]).lower().strip("+-")
 
@@ -187,9 +186,9 @@ def read_c3d_points(path: Path, error: type[HumansimError], most: int) -> Marker
 
 
 def likely_scale(points: Array, scales: Sequence[float]) -> float:
-    """Scale with which points (F, K, 3) are as far from their middle as those of a person, metres."""
+    """Scale that gives points (F, K, 3) the usual distance from the centre of a person, metres."""
     seen = np.where(points.any(axis=-1, keepdims=True), points, np.nan)[:: max(len(points) // 100, 1)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of frames without points
+        warnings.simplefilter("ignore", RuntimeWarning)  # frames without points cause warnings
         away = np.nanmedian(np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=-1))
     return min(scales, key=lambda scale: abs(math.log(max(away, 1e-9) * scale / _PERSON)))

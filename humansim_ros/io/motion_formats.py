@@ -1,4 +1,4 @@
-"""Motion formats: their names, suffixes and parts are rows of config/motion_formats.json."""
+"""Motion formats. Their names, suffixes and other data are rows of config/motion_formats.json."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ class MotionFormat:
     """A format of motion files.
 
     Attributes:
-        name: Short name, by which readers are found.
+        name: Short name, which selects the reader.
         title: Name for people.
         suffixes: Lower-case suffixes of its files.
-        part: What a name after ``#`` chooses in a file, such as ``animation``; empty if nothing.
-        also: What else files of these suffixes may be, such as ``human``; empty if nothing.
+        part: What a name after ``#`` selects in a file, such as ``animation``. Empty if nothing can be
+            selected.
+        also: What else a file with these suffixes may be, such as ``human``. Empty if nothing.
     """
 
     name: str
@@ -40,7 +41,7 @@ MOTION_TITLES = ", ".join(known.title for known in MOTION_FORMATS)
 
 
 def unread_format(file: str | os.PathLike[str]) -> str | None:
-    """What a file is that is not read, and what to do, by its suffix; None for other suffixes."""
+    """For a suffix that is not read: what the file is, and what to do. None for other suffixes."""
     suffix = Path(file).suffix.lower()
     for row in _TABLE["unread"]:
         if suffix in row["suffixes"]:
@@ -49,13 +50,14 @@ def unread_format(file: str | os.PathLike[str]) -> str | None:
 
 
 def motion_format(file: str | os.PathLike[str]) -> MotionFormat | None:
-    """Format of a file by its suffix; None for other suffixes."""
+    """Format of a file by suffix; None for an unknown suffix."""
     suffix = Path(file).suffix.lower()
     return next((known for known in MOTION_FORMATS if suffix in known.suffixes), None)
 
 
 def split_motion_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
-    """File and part of a name such as ``figure.glb#Walk`` or ``all.zip/walk.bvh``; None without a part."""
+    """File and part of a name such as ``figure.glb#Walk`` or ``all.zip/walk.bvh``. The part is None if the
+    name has none."""
     text = os.fspath(name)
     file, mark, part = text.rpartition("#")
     known = motion_format(file) if mark else None

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import atomic_path, read_bytes
 
-#: Limit for a file, and for all its arrays together.
+#: Largest file, and largest total size of its arrays, bytes.
 MAX_BYTES = 1 << 30
-#: What a damaged, an encrypted or an unusual ZIP archive raises.
+#: Exceptions that a damaged, an encrypted or an unusual ZIP archive raises.
 ARCHIVE_ERRORS = (ValueError, OSError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error)
-#: Kinds of arrays that are read: booleans, whole numbers, numbers and texts.
+#: Kinds of arrays that are read: booleans, integers, floats and texts.
 _KINDS = "biufUS"
 
 
@@ -38,8 +38,8 @@ def read_npz(
         path: File to read.
         error: Error class to raise.
         what: Kind of file for messages, such as ``human``.
-        names: Arrays to read; all if absent. Others are not unpacked.
-        most: Largest size of the file, and of all its arrays together, in bytes; MAX_BYTES if None.
+        names: Arrays to read. If None, all. Other arrays are not unpacked.
+        most: Largest size of the file, and of all its arrays together, in bytes. If None, MAX_BYTES.
 
     Returns:
         Arrays by name.
@@ -75,7 +75,8 @@ def read_npz(
 
 
 def npy_header(stream: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order (whether columns come first) and type at the start of a .npy file; ValueError if wrong."""
+    """Shape, order (whether columns come first) and type from the start of a .npy file. ValueError if the
+    header is wrong."""
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
@@ -84,13 +85,13 @@ def npy_header(stream: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a header of Python 2
             shape, fortran, dtype = readers[version](stream)
-    except Exception as reason:  # its parsers raise all kinds
+    except Exception as reason:  # the parsers raise all kinds of exceptions
         raise ValueError(f"a damaged header: {str(reason)[:60]}") from None
     return shape, fortran, dtype
 
 
 def npy_array(content: bytes) -> NDArray[Any]:
-    """Array of a .npy file, without any object. Raises ValueError if it is wrong or incomplete."""
+    """Array of a .npy file. It contains no objects. Raises ValueError if the file is wrong or incomplete."""
     stream = io.BytesIO(content)
     shape, fortran, dtype = npy_header(stream)
     if dtype.hasobject:
@@ -107,21 +108,19 @@ def npy_array(content: bytes) -> NDArray[Any]:
     return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
 
 
-#: Best level of compression.
+#: Highest level of compression.
 BEST = 9
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], level: int = BEST) -> None:
-    """Write arrays atomically; equal arrays give equal bytes. Encoded images are not compressed again.
-
-    ``level``: level of compression, 1 to 9.
-    """
+    """Write arrays atomically. Equal arrays give equal bytes. Encoded images are not compressed again.
+    ``level``: level of compression, 1 to 9."""
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         _write(archive, arrays, level)
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Content of an archive of arrays; equal arrays give equal bytes."""
+    """Content of an archive of arrays. Equal arrays give equal bytes."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         _write(archive, arrays)

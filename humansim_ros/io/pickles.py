@@ -1,9 +1,9 @@
 """Pickles of arrays, numbers, texts and containers, read without running anything that they name.
 
-A pickle is a program. Its opcodes are interpreted here, and a name in it stands for a maker of a table, which
-makes a plain value from bytes. The unpickler of Python is not used: it imports what a file names, and its
-memory follows numbers of the file. Pickles of Python 2 and 3, .npy files of objects, and files of joblib and
-PyTorch are read.
+A pickle is a program. Its opcodes are interpreted here. A name in it selects a function from a table, which
+makes a plain value from bytes. The unpickler of Python is not used, since it imports what a file names, and
+allocates as much memory as the file demands. Pickles of Python 2 and 3, .npy files of objects, and files of
+joblib and PyTorch are read.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import read_bytes
 from humansim_ros.io.npz import MAX_BYTES, npy_array, npy_header
 
-#: Most bytes that the values of a file need beside its own, those of an opcode, and most nested levels.
+#: Most bytes that the values of a file may need in addition to the file itself; bytes that each opcode counts
+#: as; most nested levels.
 _ROOM, _COST, _MAX_DEPTH = 1 << 29, 80, 30
-#: First number of a file that PyTorch wrote before it had archives.
+#: First number of a file that PyTorch wrote before it used archives.
 _OLD_TORCH = 0x1950A86A20F9469CFC6C
 #: Types of the numbers of PyTorch.
 _TYPES = "Half:<f2 Float:<f4 Double:<f8 Char:i1 Short:<i2 Int:<i4 Long:<i8 Byte:u1 Bool:?"
@@ -40,11 +41,11 @@ _BUILTINS: tuple[tuple[str, Callable[..., Any]], ...] = (
 
 
 class _RefusedError(Exception):
-    """A pickle asks for something that is not read."""
+    """A pickle asks for something that is not supported."""
 
 
 class _Made:
-    """A value that gets its content after it is made: by ``build``, or by ``finish`` when all is read."""
+    """A value that gets its content later: by ``build``, or by ``finish`` when all is read."""
 
     def __init__(self, build: Callable[[Any], Any], finish: Callable[[], Any] | None = None) -> None:
         self.value: Any = None
@@ -56,7 +57,7 @@ class _Made:
 
 
 class _DType(_Made):
-    """Type of an array: code of NumPy, such as ``f8``, and byte order."""
+    """Type of an array: NumPy's code, such as ``f8``, and byte order."""
 
     def __init__(self, code: Any, *_: Any) -> None:
         super().__init__(lambda state: state[1].replace("|", "=") if state[2:5] == [None] * 3 else "records")
@@ -70,15 +71,13 @@ class _DType(_Made):
 
 
 class _Machine:
-    """Interpreter of the pickles in a stream, one after another.
-
-    ``room``: bytes that values may need, a list of one number. ``load``: bytes of a storage in an archive.
-    """
+    """Interpreter of the pickles in a stream, one after another. ``room``: bytes that values may still need,
+    as a list of one number. ``load``: function that returns the bytes of a storage in an archive."""
 
     def __init__(self, data: bytes, room: list[int], load: Callable[[str], bytes] | None = None) -> None:
         self.stream, self.room, self.load = io.BytesIO(data), room, load
         self.storages: dict[str, _Made] = {}
-        #: What names stand for. Those with None cannot be called.
+        #: Functions that names stand for. A name with None cannot be called.
         self.makers: Mapping[str, Callable[..., Any] | None] = {
             "numpy.ndarray": None,
             "numpy.dtype": _DType,
@@ -100,7 +99,8 @@ class _Machine:
             },
             **dict.fromkeys(_STORAGES),
         }
-        #: What opcodes push, from what they pop. Opcodes that are not here push their argument.
+        #: Functions from what an opcode pops to what it pushes. Opcodes that are not listed push their
+        #: argument.
         self.steps: Mapping[str, Callable[..., Any]] = {
             "NEWTRUE": lambda: True,
             "NEWFALSE": lambda: False,
@@ -117,19 +117,19 @@ class _Machine:
             "STACK_GLOBAL": self._named,
             "REDUCE": self._called,
             "NEWOBJ": self._called,
-            # an OrderedDict of PyTorch has a state that does not count
+            # the state of an OrderedDict of PyTorch is ignored
             "BUILD": lambda made, state: made if isinstance(made, dict) else made.build(state),
             "BINPERSID": self._storage,
         }
 
     def take(self, size: int) -> None:
-        """Count bytes; ValueError if the file needs too many."""
+        """Count bytes. Raises ValueError if the file needs too many."""
         self.room[0] -= size
         if self.room[0] < 0:
             raise ValueError
 
     def all(self) -> Any:
-        """What the stream has: its first pickle, or the object of an old file of PyTorch."""
+        """Content of the stream: its first pickle, or the object of an old file of PyTorch."""
         if (found := self.next()) == _OLD_TORCH:
             _, _, found, names = (self.next() for _ in range(4))
             for storage in (self.storages[name] for name in names):
@@ -139,7 +139,7 @@ class _Machine:
         return found
 
     def next(self) -> Any:
-        """What the next pickle of the stream makes."""
+        """Value that the next pickle of the stream makes."""
         stack: list[Any] = []
         outer: list[list[Any]] = []
         memo: dict[Any, Any] = {}
@@ -169,7 +169,7 @@ class _Machine:
         raise ValueError
 
     def plain(self, value: Any, depth: int = 0) -> Any:
-        """A value as arrays, numbers, texts, lists and dictionaries; None for others."""
+        """Convert a value to arrays, numbers, texts, lists and dictionaries. Other values become None."""
         self.take(5 * _COST)
         if depth > _MAX_DEPTH:
             raise ValueError
@@ -190,7 +190,8 @@ class _Machine:
     def _put(self, target: Any, items: Any) -> Any:
         self.take(_COST * len(items))
         for key, value in zip(items[::2], items[1::2], strict=True):
-            if not isinstance(key, (str, bytes)) and not abs(key) < 1 << 31:  # others may be slow to compare
+            # other keys may be slow to compare
+            if not isinstance(key, (str, bytes)) and not abs(key) < 1 << 31:
                 raise ValueError
             dict.__setitem__(target, key.decode("latin-1") if isinstance(key, bytes) else key, value)
         return target
@@ -200,7 +201,7 @@ class _Machine:
         if name not in self.makers:
             shown = repr(name) if re.fullmatch(r"[\w.]{1,100}", name) else "something"
             raise _RefusedError(f"the pickle asks for {shown}")
-        return (name,)  # no other value is a tuple
+        return (name,)  # only a name is a tuple
 
     def _called(self, name: Any, arguments: Any) -> Any:
         maker = self.makers[name[0]] if isinstance(name, tuple) else None
@@ -267,10 +268,8 @@ def _content(data: bytes) -> Any:
 
 def read_pickle(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Any:
     """Read a pickle of Python, NumPy, joblib or PyTorch as arrays, numbers, texts, lists and dictionaries.
-
-    ``what``: kind of file for messages. Raises ``error``, if the file is no pickle, damaged or too large, or
-    has something else; the message has the name that it asks for.
-    """
+    ``what``: kind of file for messages. Raises ``error`` if the file is no pickle, is damaged or too large,
+    or has other values. The message has the name of such a value."""
     data = read_bytes(path, error, what, MAX_BYTES)
     try:
         return _content(data)
@@ -280,5 +279,6 @@ def read_pickle(path: str | os.PathLike[str], error: type[HumansimError], what: 
         )
         hint += " to an archive instead, with numpy.savez('motion.npz', poses=..., trans=...)"
         raise error(f"{reason}. {hint}", path=path) from None
-    except Exception:  # damaged opcodes raise all kinds; their messages would have content of the file
+    # damaged opcodes raise all kinds of exceptions; their messages would show content of the file
+    except Exception:
         raise error(f"not a {what} that can be read: no pickle, or a damaged one", path=path) from None

@@ -1,4 +1,4 @@
-"""Messages about files that somebody else has named, as in a scene: they do not show what is in the files."""
+"""Hide the content of files in messages about files that somebody else has named, as in a scene."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ import humansim_ros
 from humansim_ros.errors import HIDING
 from humansim_ros.io.assets import resource_path
 
-#: In place of what is in a file.
+#: Shown in place of the content of a file.
 HIDDEN = "…"
-#: Parts of a message: what is in quotes, and words.
+#: Parts of a message: quoted texts, and words.
 _PARTS = re.compile(r"""(?<!\w)'(?:[^'\\]|\\.)+'(?!\w)|(?<!\w)"(?:[^"\\]|\\.)+"(?!\w)|[\w.:+$-]{3,}""")
 _WORD, _ESCAPE = re.compile(r"\w{3,}"), re.compile(r"\\(?:x..|u.{4}|U.{8}|.)")
-#: A number of fewer characters outside quotes may be a count or a length by chance.
+#: A number with fewer characters, outside quotes, may be a count or a length and equal a word of the file by
+#: chance.
 _NUMBER = re.compile(r"[\d.,:+-]{1,8}")
-#: Bytes of the largest file that is searched.
+#: Largest file that is searched, bytes.
 _LARGEST = 1 << 24
 _ENCODINGS = ("utf-8", "utf-16-le", "utf-16-be", "latin-1", "cp932", "gb18030", "cp949", "big5", "euc_jp")
 
 
 class FileQuotes:
-    """Hides words of the files that are read in texts. ``known``: text whose words may be shown."""
+    """Hides words of files in texts. ``known``: text with words that may be shown."""
 
     def __init__(self, known: Callable[[], object]) -> None:
         self.files: dict[str, None] = {}
@@ -38,7 +39,7 @@ class FileQuotes:
         return str(self._known()).lower()
 
     def hide(self, text: str) -> str:
-        """The text with ``…`` for each part that is in a file, and neither known nor of this package."""
+        """Replace each part of a text that is in a file by ``…``, unless it is known or from this package."""
         return _PARTS.sub(lambda found: self._shown(found[0]), text) if self.files else text
 
     def _shown(self, part: str) -> str:
@@ -62,10 +63,8 @@ class FileQuotes:
 
 @contextmanager
 def hiding_quotes(known: Callable[[], object]) -> Iterator[None]:
-    """Hide what is in the files that are read meanwhile, in all errors and warnings of the package.
-
-    ``known``: gives what may be shown: the settings that name the files.
-    """
+    """Hide the content of the files that are read in the block, in all errors and warnings of the package.
+    ``known``: returns text that may be shown, such as the settings that name the files."""
     quotes = FileQuotes(known)
     token = HIDING.set(quotes)
     try:
@@ -76,7 +75,7 @@ def hiding_quotes(known: Callable[[], object]) -> Iterator[None]:
 
 @cache
 def _own_texts() -> tuple[str, ...]:
-    """Texts whose words tell nothing about a file: the sources and the tables of this package."""
+    """Texts with words that reveal nothing about a file: the sources and the tables of this package."""
     package = Path(humansim_ros.__file__).parent
     files = (*package.rglob("*.py"), *resource_path("config").rglob("*.*"))
     return tuple(
@@ -87,7 +86,8 @@ def _own_texts() -> tuple[str, ...]:
 
 
 def _is_in(file: Path, word: str) -> bool:
-    """Whether a file has a word in any encoding; files that would take long to search have all words."""
+    """Whether a file contains a word, in any encoding. For files that would take long to search, the answer
+    is yes."""
     forms = set[bytes]()
     for encoding in _ENCODINGS:
         with suppress(UnicodeEncodeError):

@@ -1,4 +1,4 @@
-"""Base model and value types that the schemas of all YAML files share."""
+"""Base model and value types for the schemas of all YAML files."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ else:
     ModelMetaclass = type(BaseModel)
 
 
-#: Parts of the schema of a model that hold no schemas.
+#: Keys of a schema with content that is no schema.
 _NO_SCHEMAS = ("default", "metadata", "serialization")
 
 
 def _refusing_booleans(part: Any) -> Any:
-    """Part of a schema, with a check before each number."""
+    """Add a check before each number of a schema, which refuses booleans."""
     if isinstance(part, (list, tuple)):
         return type(part)(_refusing_booleans(item) for item in part)
     if not isinstance(part, dict):
@@ -40,7 +40,7 @@ def _refusing_booleans(part: Any) -> Any:
     if part.get("type") in ("int", "float"):
         return core_schema.no_info_before_validator_function(_refuse_boolean, cast(Any, part))
     if part.get("type") == "function-before" and part["function"]["function"] is _refuse_boolean:
-        return part  # of a model within the model
+        return part  # the schema of a model within the model
     return {key: item if key in _NO_SCHEMAS else _refusing_booleans(item) for key, item in part.items()}
 
 
@@ -51,18 +51,18 @@ def _refuse_boolean(value: Any) -> Any:
 
 
 class Checked(BaseModel):
-    """Base of all models: true and false are no numbers, although Python counts them as 1 and 0."""
+    """Base of all models. It refuses true and false as numbers, although Python counts them as 1 and 0."""
 
     @classmethod
     def __get_pydantic_core_schema__(
         cls, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Schema of the model, whose numbers refuse booleans."""
+        """Schema of the model, with numbers that refuse booleans."""
         return cast("core_schema.CoreSchema", _refusing_booleans(handler(source)))
 
 
 class _SectionType(ModelMetaclass):
-    """Converts errors of constructors to errors of this package, except in ``model_validate``."""
+    """Converts errors of constructors to errors of this package, but not errors of ``model_validate``."""
 
     def __call__(cls, *values: Any, **keys: Any) -> Any:
         try:
@@ -72,11 +72,11 @@ class _SectionType(ModelMetaclass):
 
 
 class Section(Checked, metaclass=_SectionType):
-    """Mapping of a YAML file; unknown keys and numbers that are not finite are errors."""
+    """Mapping of a YAML file. Unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
-    #: Words that others use for keys of this section, separated by spaces, by key; if it is not in
-    #: config/other_words.json.
+    #: For each key of this section: words that people use for the key, separated by spaces, in addition to
+    #: those of config/other_words.json.
     other_words: ClassVar[dict[str, str]] = {}
 
 
@@ -114,12 +114,12 @@ class NamedFile(str):
     """Value of a key that names a file."""
 
 
-#: A path, or the name of a built-in where the key says so. Relative paths start from the scene's folder.
+#: A path. If the key allows it, the name of a built-in. Relative paths start from the folder of the scene.
 FileName = Annotated[str, AfterValidator(NamedFile), Expected("a name or path", "names or paths")]
 
 
 def one_or_more(schema: dict[str, Any]) -> None:
-    """Let a JSON schema of a list, for :func:`alone_in_list`, accept one of its items alone."""
+    """Let the JSON schema of a list accept a single item of the list, too."""
     options = schema.pop("anyOf", None) or [
         {key: schema.pop(key) for key in ("type", "items", "maxItems") if key in schema}
     ]
@@ -128,14 +128,15 @@ def one_or_more(schema: dict[str, Any]) -> None:
 
 
 def alone_in_list(value: Any) -> Any:
-    """A list of one item for a text or a section alone."""
+    """Put a single text or section into a list."""
     return (value,) if isinstance(value, (str, dict)) else value
 
 
 class ShortSection(Section):
-    """Section that a text alone can stand for: the value of one of its keys, such as the name of its file."""
+    """Section that can be written as a single text. The text is the value of one of its keys, such as the
+    name of its file."""
 
-    #: The key.
+    #: The key with this value.
     short_key: ClassVar[str] = "file"
 
     @model_validator(mode="before")

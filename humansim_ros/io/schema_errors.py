@@ -1,6 +1,6 @@
-"""Errors of schemas in words of their own: what a key needs, and what was given.
+"""Errors of schemas in our own words: what a key needs, and what was given.
 
-The messages are made of the annotations of the schema, not of the messages of the validation library.
+The messages are made from the annotations of the schema, not from the messages of the validation library.
 """
 
 from __future__ import annotations
@@ -34,10 +34,8 @@ _LISTS = (tuple, list, collections.abc.Sequence)
 
 @dataclass(frozen=True)
 class Expected:
-    """What a value must be, for error messages; for use in ``Annotated``.
-
-    ``one``: such as ``an axis``. ``many``: of several such values, such as ``axes``.
-    """
+    """Words for a value in error messages. Use it in ``Annotated``. ``one``: for one value, such as ``an
+    axis``. ``many``: for several values, such as ``axes``."""
 
     one: str
     many: str = ""
@@ -45,7 +43,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class _Place:
-    """The key of an error, what it needs, and the field that says it."""
+    """The key of an error, the need of the key, and the field that states it."""
 
     keys: tuple[Any, ...]
     annotation: Any
@@ -70,7 +68,7 @@ def validated(
         tree: YAML nodes of the file, for the line.
 
     Raises:
-        HumansimError: ``error`` with key and line, as :func:`schema_error` makes it.
+        HumansimError: ``error`` with key and line, made by :func:`schema_error`.
     """
     try:
         return model.model_validate(data)
@@ -85,7 +83,7 @@ def schema_error(
     path: str | os.PathLike[str] | None = None,
     tree: yaml.Node | None = None,
 ) -> HumansimError:
-    """Make an error of the first fault that the validation of a model has found.
+    """Make an error for the first fault that the validation of a model has found.
 
     Args:
         reason: Exception of the validation.
@@ -95,7 +93,7 @@ def schema_error(
         tree: YAML nodes of the file, for the line.
 
     Returns:
-        Error with key and line; its message has the needed and the found value.
+        Error with key and line. Its message says which value is needed and which was found.
     """
     return schema_errors(reason, model, error, path, tree)[0]
 
@@ -107,16 +105,16 @@ def schema_errors(
     path: str | os.PathLike[str] | None = None,
     tree: yaml.Node | None = None,
 ) -> list[HumansimError]:
-    """Make an error of each key that the validation of a model has found wrong.
+    """Make an error for each key that the validation of a model has found wrong.
 
     Args:
-        reason, model, error, path, tree: As of :func:`schema_error`.
+        reason, model, error, path, tree: The same as in :func:`schema_error`.
     """
     groups: dict[tuple[Any, ...], list[Any]] = {}
     for fault in reason.errors(include_url=False):
         unknown = fault["type"] == "extra_forbidden"
         keys = tuple(fault["loc"]) if unknown else _place(model, tuple(fault["loc"])).keys
-        # the alternatives of a key are one error
+        # the alternatives of a key count as one error
         known = next((other for other in groups if keys[: len(other)] == other), keys)
         groups.setdefault(known, []).append(fault)
     errors = []
@@ -132,7 +130,7 @@ def _key_and_message(fault: Any, model: type[BaseModel]) -> tuple[tuple[Any, ...
     if fault["type"] == "extra_forbidden":
         return location, unknown_key(model, location)
     place = _place(model, location)
-    # of values in lists their numbers, without the alternatives' names in between
+    # for values in lists: their numbers, without the names of alternatives in between
     inner = [part for part in location[len(place.keys) :] if isinstance(part, int)]
     if fault["type"] == "value_error":
         return (*place.keys, *inner), str(fault["msg"]).removeprefix("Value error, ")
@@ -143,7 +141,7 @@ def _key_and_message(fault: Any, model: type[BaseModel]) -> tuple[tuple[Any, ...
 
 
 def allowed(annotation: Any, field: FieldInfo | None = None) -> str:
-    """The values that a key takes: ``two whole numbers``, ``a number of 0 or more``."""
+    """The values that a key accepts: ``two whole numbers``, ``a number of 0 or more``."""
     return _Words.of(annotation, () if field is None else field.metadata).one
 
 
@@ -188,7 +186,8 @@ def show_value(value: Any) -> str:
 
 
 def _best(faults: Sequence[Any]) -> Any:
-    """The first fault; if a key has alternatives, the fault within the one that is a mapping of names."""
+    """The first fault. If the key has alternatives, the fault in the alternative that is a mapping of
+    names."""
     first, alternative = faults[0], len(faults[0]["loc"]) - 1
     if isinstance(first["input"], (str, list)):
         return first
@@ -201,7 +200,7 @@ def _best(faults: Sequence[Any]) -> Any:
 
 
 def _place(model: type[BaseModel], location: tuple[Any, ...]) -> _Place:
-    """The place of an error: as deep as the location goes, but lists of plain values are one place."""
+    """The place of an error, as deep as its location, but a list of plain values is one place."""
     place = _Place((), model, None)
     for number, part in enumerate(location):
         annotation = _plain(place.annotation)
@@ -232,7 +231,7 @@ def _field(model: type[BaseModel], name: Any) -> FieldInfo | None:
 
 
 def _found(fault: Any, place: _Place, inner: Sequence[int]) -> str:
-    """What was given at a place; of a long list, the wrong value, which has the numbers ``inner``."""
+    """The value that was given at a place. For a long list, the wrong item, at the indices ``inner``."""
     if place.is_name:
         return f"the name {show_value(place.keys[-1])}"
     value = show_value(fault["input"])
@@ -257,7 +256,7 @@ def _choices(annotation: Any) -> list[str]:
 
 @dataclass(frozen=True)
 class _Words:
-    """What one value needs, and what several need: ``a number above 0``, ``numbers above 0``."""
+    """What one value needs, and what several values need: ``a number above 0``, ``numbers above 0``."""
 
     one: str
     many: str
@@ -330,7 +329,7 @@ def _at_least_one(metadata: Sequence[Any]) -> str:
 
 
 def _limits(metadata: Sequence[Any]) -> str:
-    """Limits of a number: `` from 0 to 1``."""
+    """Limits of a number, in words: `` from 0 to 1``."""
     forms = {"ge": "of {} or more", "gt": "above {}", "le": "at most {}", "lt": "below {}"}
     limits = {key: _number(getattr(part, key)) for part in metadata for key in forms if hasattr(part, key)}
     if {"ge", "le"} <= limits.keys():
@@ -344,7 +343,7 @@ def _number(value: Any) -> str:
 
 
 def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
-    """Metadata, also the metadata inside a ``Field`` of an annotation."""
+    """Metadata, including metadata inside a ``Field`` of an annotation."""
     for part in metadata:
         if isinstance(part, FieldInfo):
             yield from _flat(part.metadata)
@@ -355,7 +354,7 @@ def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
 
 
 def _example(annotation: Any, field: FieldInfo) -> str:
-    """An example of a list of numbers; other values need none."""
+    """An example of a list of numbers. Empty for other values."""
     if field.examples:
         return str(field.examples[0])
     plain = _plain(annotation)
@@ -384,20 +383,21 @@ def _is_union(annotation: Any) -> bool:
 
 
 def _has_sections(annotation: Any) -> bool:
-    """Whether an annotation has a section somewhere within."""
+    """Whether an annotation contains a section."""
     return any(True for _ in _models(annotation))
 
 
 # --- unknown keys: the key that was probably meant, or the section that the key belongs to
 
-#: Least similarity to a key of the same section: before the same key of another section, and after it.
+#: Least similarity to a key of the same section. The first value ranks before an equal key of another
+#: section, the second after it.
 _VERY_NEAR, _NEAR = 0.8, 0.6
-#: Most sections that a message names, and depth of sections.
+#: Most sections that a message names, and largest depth of sections.
 _MOST_PLACES, _DEPTH = 3, 7
 
 
 def unknown_key(model: type[BaseModel], keys: Sequence[Any]) -> str:
-    """Message about an unknown key. ``keys``: from the top of a file of the model to the unknown one."""
+    """Message about an unknown key. ``keys``: path from the top of the file to the unknown key."""
     section = _section_at(model, keys[:-1])
     known = key_names(section)
     hint = _hint(model, section, keys)
@@ -433,18 +433,19 @@ def _hint(model: type[BaseModel], section: type[BaseModel], keys: Sequence[Any])
 
 
 def either(texts: Sequence[str]) -> str:
-    """Different texts as alternatives: ``a, b or c``."""
+    """Join the different texts as alternatives: ``a, b or c``."""
     unique = list(dict.fromkeys(texts))
     return unique[0] if len(unique) == 1 else f"{', '.join(unique[:-1])} or {unique[-1]}"
 
 
 def key_names(section: type[BaseModel]) -> list[str]:
-    """Keys of a section, as files have them."""
+    """Keys of a section, as they are spelled in files."""
     return [info.alias or name for name, info in section.model_fields.items()]
 
 
 def _other_words(section: type[BaseModel]) -> dict[str, str]:
-    """Keys of a section by the words that others use for them, from config/other_words.json or its own."""
+    """Keys of a section by words that people use for them, from config/other_words.json or from the
+    section."""
     table = read_table("other_words")
     rows = (vars(each).get("other_words") or table.get(each.__name__) for each in section.__mro__)
     by_key: dict[str, str] = next(filter(None, rows), {})
@@ -452,7 +453,8 @@ def _other_words(section: type[BaseModel]) -> dict[str, str]:
 
 
 def _section_at(model: type[BaseModel], keys: Sequence[Any]) -> type[BaseModel]:
-    """Section of a path of keys; keys that are names of humans, cameras … or numbers do not change it."""
+    """Section at a path of keys. Names (of humans, cameras …) and numbers in the path do not change the
+    section."""
     for key in keys:
         if key in model.model_fields:
             model = next(_models(model.model_fields[key].annotation), model)
@@ -462,7 +464,7 @@ def _section_at(model: type[BaseModel], keys: Sequence[Any]) -> type[BaseModel]:
 def _sections(
     model: type[BaseModel], place: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], type[BaseModel]]]:
-    """Place and model of each section: ``("humans", "<name>", "motion")``."""
+    """Yield place and model of each section, with places such as ``("humans", "<name>", "motion")``."""
     yield place, model
     if len(place) <= _DEPTH:
         for name, info in model.model_fields.items():

@@ -1,4 +1,4 @@
-"""YAML files, read with the line of each key for error messages, and with limits for untrusted files."""
+"""Read YAML files with limits for untrusted files. Error messages name the line of a key."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ import yaml
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import exists, read_text
 
-#: Size of a file; PyYAML takes many seconds for megabytes.
+#: Largest file, bytes, since PyYAML takes many seconds for megabytes.
 MAX_BYTES = 1 << 20
-#: Keys and values, including repetitions by aliases and merge keys. A scene of a thousand people has 40,000.
+#: Most keys and values, including repetitions by aliases and merge keys. A scene of a thousand people has
+#: 40,000.
 _MAX_NODES = 100_000
 _MAX_DEPTH = 50
-#: Characters of a number or date; the time for 1:1:1:1 … grows with its length.
+#: Most characters of a number or date, since the time for 1:1:1:1 … grows with its length.
 _MAX_NUMBER_LENGTH = 1000
 _TEXT, _BOOLEAN = "tag:yaml.org,2002:str", "tag:yaml.org,2002:bool"
 
 
-#: Characters from which a text is parsed by libyaml: a scene of 1,000 cameras in a third of the time.
+#: A longer text (characters) is parsed by libyaml: a scene of 1,000 cameras takes a third of the time.
 _LONG = 20_000
 
 
 class _Limits(yaml.composer.Composer):
-    """Composer with limits on size and depth; nested aliases multiply both."""
+    """Composer with limits on size and depth, since nested aliases multiply both."""
 
     def _begin(self) -> None:
-        # count of nodes so far, level of this node, and maximum level within it
+        # count of nodes so far, level of this node, and largest level within it
         self._nodes, self._level, self._deepest = 0, 0, 0
-        # count of nodes and of levels of anchored nodes
+        # count of nodes and of levels of each node with an anchor
         self._anchored: dict[yaml.Node | None, tuple[int, int]] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
@@ -85,7 +86,7 @@ if yaml.__with_libyaml__:
     _CParser: Any = yaml.cyaml.CParser  # type: ignore[attr-defined]
 
     class _FastLoader(_Limits, _CParser, yaml.constructor.SafeConstructor, yaml.resolver.Resolver):
-        """The same with the parser of libyaml, whose messages have other words."""
+        """Like Loader, with the parser of libyaml. The messages of libyaml have other words."""
 
         def __init__(self, text: str) -> None:
             _CParser.__init__(self, text)
@@ -96,10 +97,10 @@ if yaml.__with_libyaml__:
 
 
 def _tree(text: str, kind: type[Loader]) -> tuple[Any, yaml.Node | None]:
-    """Loader and nodes of a text."""
+    """Loader of a text, and its nodes."""
     # libyaml accepts tabs that YAML does not
     if kind is Loader and len(text) > _LONG and "\t" not in text and yaml.__with_libyaml__:
-        with suppress(yaml.YAMLError, ValueError):  # which the other parser tells
+        with suppress(yaml.YAMLError, ValueError):  # the other parser reports the error
             fast = _FastLoader(text)
             return fast, fast.get_single_node()
     loader = kind(text)
@@ -109,12 +110,14 @@ def _tree(text: str, kind: type[Loader]) -> tuple[Any, yaml.Node | None]:
 def read_yaml(
     path: str | os.PathLike[str], error: type[HumansimError], what: str
 ) -> tuple[Any, yaml.Node | None]:
-    """Read a YAML file: data and nodes as of :func:`parse_yaml`. ``what``: kind of file for messages."""
+    """Read a YAML file. Returns the data and nodes, like :func:`parse_yaml`. ``what``: kind of file for
+    messages."""
     return parse_yaml(read_text(path, error, what, MAX_BYTES), error, path)
 
 
 def has_key(path: Path, key: str) -> bool:
-    """Whether a YAML file has a key at its top. Of a file that cannot be read, the reader says why."""
+    """Whether a YAML file has a key at its top level. False for a file that cannot be read, since the reader
+    reports it."""
     if path.suffix.lower() not in (".yaml", ".yml") or not exists(path):
         return False
     try:
@@ -133,7 +136,7 @@ def parse_yaml(
         text: Content of the file.
         error: Error class to raise.
         path: File, for messages.
-        kind: Loader class; a subclass can know more tags.
+        kind: Loader class. A subclass can know more tags.
 
     Returns:
         The data, and the nodes for :func:`line_of`, with merge keys applied.
@@ -182,7 +185,7 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
         )
         if not matches:
             break
-        # merged keys come first; a later key overrides them
+        # merged keys come first, and a later key overrides them
         line, node = matches[-1][0].start_mark.line + 1, matches[-1][1]
     return line
 
@@ -190,10 +193,8 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
 def _check_keys(
     root: yaml.Node | None, error: type[HumansimError], path: str | os.PathLike[str], names: bool
 ) -> None:
-    """Raise ``error`` for a repeated key, of which PyYAML would silently take the last value.
-
-    ``names``: also for a key that YAML 1.1 reads as a boolean; it is the name of a camera or a human.
-    """
+    """Raise ``error`` for a repeated key, since PyYAML would silently take the last value. ``names``: also
+    for a key that YAML 1.1 reads as a boolean, since it may be the name of a camera or a human."""
     pending, visited = [root], set[int]()
     while pending:
         node = pending.pop()

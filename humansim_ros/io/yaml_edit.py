@@ -1,8 +1,8 @@
-"""Edit a YAML text by keys with ruamel.yaml: comments, order, anchors and quotes stay.
+"""Edit single keys of a YAML text with ruamel.yaml. Comments, order, anchors and quotes stay.
 
-ruamel.yaml writes the text before and after an edit, and the lines that differ are changed in the text as it
-was: all other lines keep their characters. The result is read again and compared with the expected data, so
-that an edit either does what it says or raises an error.
+ruamel.yaml writes the text before and after an edit. The lines that differ are then changed in the original
+text, so that all other lines keep their characters. The result is read again and compared with the expected
+data, so that an edit either does what it says or raises an error.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ if TYPE_CHECKING:
 YamlKey = str | int
 FilePath = str | os.PathLike[str]
 
-#: Longest line that is written; longer mappings get a line for each key.
+#: Longest line that is written. A longer mapping gets a line for each key.
 _WIDTH = 110
 _NO_EDIT = "this cannot be edited where it stands: edit the file"
 _COMMENT = re.compile(r"(?:^|(?<=\s))#[^\r\n]*")
-#: An empty section below the comment of its key, where ruamel.yaml writes it.
+#: An empty section below the comment of its key, as ruamel.yaml writes it.
 _EMPTY = re.compile(r"^( *[^\s#][^\n]*?:)([ ]*#[^\n]*(?:\n *#[^\n]*)*)\n *(\{\}|\[\])$", re.MULTILINE)
-#: Spaces before a key of a section, and a key with the dash of its first item.
+#: Spaces before a key of a section; and a key with the dash of the first item of its list.
 _INDENT = re.compile(r"^( +)[^\s#-]", re.MULTILINE)
 _LIST = re.compile(r"^( *)[^\s#][^\n]*:[ ]*(?:#.*)?\n(?:[ ]*(?:#.*)?\n)*( *)-[ ]", re.MULTILINE)
 
 
 def set_value(text: str, keys: Sequence[YamlKey], value: Any, path: FilePath) -> str:
-    """Set the value of a key; sections that are missing are added.
+    """Set the value of a key. Missing sections are added.
 
     Args:
         text: A YAML file.
-        keys: Path of the key: names, and numbers in lists; the number after the last one appends.
+        keys: Path of the key: names, and numbers in lists. The number after the last item appends an item.
         value: Plain data: None, booleans, finite numbers, texts, lists and mappings of these.
         path: The file, for messages.
 
@@ -83,12 +83,12 @@ def remove_value(text: str, keys: Sequence[YamlKey], path: FilePath) -> str:
 
 
 def rename_key(text: str, keys: Sequence[YamlKey], name: str, path: FilePath) -> str:
-    """Rename a key of a mapping; its value and its place stay.
+    """Rename a key of a mapping. Its value and its place do not change.
 
     Args:
         text: A YAML file.
         keys: Path of the key.
-        name: Its new name.
+        name: New name of the key.
         path: The file, for messages.
 
     Raises:
@@ -139,7 +139,7 @@ _Dumper.add_representer(str, _write_text)
 
 
 class _Editor:
-    """A text, its data, and the tree of ruamel.yaml that is edited.
+    """A text with its data, and the tree of ruamel.yaml that is edited.
 
     Args:
         text: The text.
@@ -164,9 +164,9 @@ class _Editor:
 
         Args:
             node: Mapping or list of the tree.
-            depth: Number of keys above it.
-            data: Its data, with merge keys applied.
-            value: The value.
+            depth: Number of keys above the node.
+            data: Data of the node, with merge keys applied.
+            value: New value.
         """
         key, rest = self._keys[depth], self._keys[depth + 1 :]
         own, inner = _own_key(node, key), value_at(data, [key])
@@ -184,7 +184,7 @@ class _Editor:
             node[name] = self._new(given, name if isinstance(node, dict) else None, depth)
 
     def _replace(self, node: Any, key: YamlKey, value: Any, depth: int) -> None:
-        """Replace a value; its aliases get the new value."""
+        """Replace a value. Its aliases get the new value, too."""
         old, new = node[key], self._new(value, key if isinstance(node, dict) else None, depth)
         places = [] if self._is_alias(node, key) else self.places(old)
         if len(places) > 1:
@@ -195,10 +195,9 @@ class _Editor:
             parent[name] = new
 
     def _new(self, value: Any, key: YamlKey | None = None, depth: int = 0) -> Any:
-        """Node of a value: on one line, or with a line for each key of a mapping that is too long for it.
-
-        ``key``: in a mapping; None for an item of a list, which has one line. ``depth``: keys above it.
-        """
+        """Node for a new value: on one line, or with a line for each key if a mapping is too long for one
+        line. ``key``: key of the value in a mapping; None for an item of a list, which always has one line.
+        ``depth``: number of keys above the value."""
         node = self._yaml.load(flow(value))
         if key is not None and isinstance(value, Mapping) and value:
             sections = depth == 0 and all(isinstance(part, Mapping) for part in value.values())
@@ -209,7 +208,8 @@ class _Editor:
         return node
 
     def places(self, value: Any) -> list[tuple[Any, YamlKey]]:
-        """Where a value with an anchor is in the tree, in the order of the text; nothing without anchor."""
+        """Places in the tree of a value with an anchor, in the order of the text. Empty for a value without
+        anchor."""
         if getattr(getattr(value, "anchor", None), "value", None) is None:
             return []
         found: list[tuple[Any, YamlKey]] = []
@@ -246,10 +246,11 @@ class _Editor:
     # --- the text
 
     def edited(self, change: Callable[[], None], expected: Any) -> str:
-        """The text after a change of the tree, if it reads as expected and has all comments."""
+        """Text after a change of the tree. Raises SceneError unless it reads as expected and has all
+        comments."""
         lines = self._text.split("\n")
         with self._refusing():
-            if self.root is None:  # comments at most
+            if self.root is None:  # only comments
                 self.root = self._yaml.load("{}")
                 self.root.fa.set_block_style()
                 change()
@@ -267,7 +268,7 @@ class _Editor:
         raise SceneError(_NO_EDIT, path=self._path, key=_dotted(self._keys))
 
     def _is(self, text: str, expected: Any) -> bool:
-        """Whether a text reads as expected. With anchors, a change of one key changes others."""
+        """Whether a text reads as expected. With anchors, the change of one key may change others."""
         try:
             data, _ = parse_yaml(text, SceneError, self._path)
         except SceneError:
@@ -282,7 +283,7 @@ class _Editor:
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
-        """Refuse what ruamel.yaml cannot edit; it raises errors of many kinds."""
+        """Refuse what ruamel.yaml cannot edit, since it raises errors of many kinds."""
         try:
             yield
         except SceneError:
@@ -296,7 +297,7 @@ def _round_trip(text: str) -> YAML:
     from ruamel.yaml import YAML
     from ruamel.yaml.representer import RoundTripRepresenter
 
-    class Representer(RoundTripRepresenter):  # a class of our own, because it gets functions
+    class Representer(RoundTripRepresenter):  # our own class, since functions are added to it
         pass
 
     Representer.add_representer(
@@ -321,21 +322,22 @@ def _taken_over(
     end: str,
     form: Callable[[str], str],
 ) -> list[str]:
-    """Lines of a text with the difference of two other texts.
+    """Apply the difference between two texts to the lines of another text.
 
     Args:
         text: The lines.
         before: The same content, written by ruamel.yaml.
         after: The changed content, written by ruamel.yaml.
-        end: What new lines end with.
-        form: What lines of the same content have in common in ``text`` and ``before``.
+        end: Line end of new lines.
+        form: Function that maps a line to a form that is equal for lines with the same content in ``text``
+            and ``before``.
     """
     kept, new = set[int](), dict[int, list[str]]()
     for kind, a, b, c, d in _differences(before, after):
         if kind == "equal":
             kept.update(range(a, b))
             continue
-        if a == b:  # a new key comes before the comments of the next one
+        if a == b:  # a new key comes before the comments of the next key
             a = b = 1 + max((n for n in range(a) if not _is_comment(before[n])), default=a - 1)
         new[a] = [line + end for line in after[c:d]]
         while b > a and _is_comment(before[b - 1]):  # comments after a removed key belong to the next key
@@ -379,19 +381,19 @@ def _dotted(keys: Sequence[YamlKey]) -> str:
 
 
 def _own_keys(node: Any) -> list[Any]:
-    """Keys of a mapping without merged keys, or numbers of the items of a list."""
+    """Keys that a mapping itself has (not those merged with ``<<``), or item numbers of a list."""
     if isinstance(node, list):
         return list(range(len(node)))
     return [key for key, _ in node.non_merged_items()] if hasattr(node, "non_merged_items") else []
 
 
 def _own_key(node: Any, key: YamlKey) -> Any:
-    """The key as it is in a mapping or list; None if it is not there."""
+    """The key as a mapping or list stores it; None if absent."""
     return next((own for own in _own_keys(node) if str(own) == str(key)), None)
 
 
 def value_at(data: Any, keys: Sequence[YamlKey]) -> Any:
-    """Value of a key in data, to read only; None if it is absent."""
+    """Value of a key in data, to read only; None if absent."""
     for key in keys:
         items = dict(enumerate(data)) if isinstance(data, list) else data
         if not isinstance(items, dict):
@@ -401,7 +403,8 @@ def value_at(data: Any, keys: Sequence[YamlKey]) -> Any:
 
 
 def _with(data: Any, keys: Sequence[YamlKey], value: Any, above: Sequence[YamlKey] = ()) -> Any:
-    """Copy of data with a value. Raises SceneError if it cannot have the key. ``above``: keys of the data."""
+    """Copy of data with a value set. Raises SceneError if the data cannot have the key. ``above``: keys of
+    the data."""
     if not keys:
         return copy.deepcopy(value)
     key, *rest = keys

@@ -1,4 +1,4 @@
-"""Words for work on the frames of a scene.
+"""Interfaces of work on the frames of a scene.
 
 A :class:`FrameJob` can be copied to another process. There it starts a :class:`FrameWorker`, which makes one
 :class:`FrameResult` for each frame. ``run_frames`` (``workers.py``) gives the frames to workers, takes the
@@ -21,8 +21,8 @@ class FrameResult(NamedTuple):
 
     Attributes:
         value: Small object, which is pickled for another process.
-        data: Groups of buffers. In another process each group is one buffer in shared memory, valid until
-            the next result.
+        data: Groups of buffers. If another process has made the result, each group is one buffer in shared
+            memory, which is valid until the next result.
     """
 
     value: Any = None
@@ -33,7 +33,7 @@ class Costs(dict[str, float]):
     """Seconds of processor time by step."""
 
     def add(self, step: str, start: float) -> float:
-        """Add the processor time since ``start`` to a step; return the time now."""
+        """Add the processor time since ``start`` to a step. Returns the time now."""
         now = time.process_time()
         self[step] = self.get(step, 0.0) + now - start
         return now
@@ -43,7 +43,7 @@ class FrameWorker(Protocol):
     """Does the work of single frames.
 
     Attributes:
-        costs: Processor time of its frames; another process sets it back before each frame.
+        costs: Processor time of its frames. In a worker process, it is set back before each frame.
     """
 
     costs: Costs
@@ -70,9 +70,9 @@ class FrameProgress:
     """State of a recording or an export.
 
     Attributes:
-        first: Number of frames that were done before.
-        frames: Number of frames of the whole.
-        done: Number of frames that are done.
+        first: Number of frames that were done before this run.
+        frames: Number of frames in total.
+        done: Number of frames that are done so far.
         size: Bytes that this process has written.
         seconds: Wall-clock seconds of writing, from the first frame on.
         costs: Seconds of processor time of all processes by step.
@@ -87,7 +87,7 @@ class FrameProgress:
 
     @classmethod
     def of(cls, frames: int, missing: int | None = None) -> FrameProgress:
-        """Progress of work that has ``missing`` frames to do; all if None."""
+        """Progress of work with ``missing`` frames left. If None, all frames are left."""
         done = 0 if missing is None else frames - missing
         return cls(done, frames, done)
 
@@ -102,5 +102,5 @@ class FrameProgress:
         return self.new / self.seconds if self.seconds else 0.0
 
     def add_cost(self, step: str, seconds: float) -> None:
-        """Add processor time to a step, which becomes the last one."""
+        """Add processor time to a step. The step becomes the last one in the order of ``costs``."""
         self.costs[step] = self.costs.pop(step, 0.0) + seconds

@@ -1,4 +1,4 @@
-"""A job on a Ray cluster: each task does a part of it, some frames one after the other."""
+"""A job on a Ray cluster. Each task does a part of the job: some consecutive frames."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from humansim_ros import __version__
 from humansim_ros.errors import BagError, HumansimError, RenderError, some_of
 from humansim_ros.jobs.frame_job import FrameJob, FrameProgress, FrameWorker
 
-#: Frames of a part: with four cameras some seconds of work for one core, and 1 GB of raw images.
+#: Number of frames of a part. With four cameras they are some seconds of work for one core, and 1 GB of raw
+#: images.
 PART_FRAMES = 100
-#: Further attempts after the death of a worker, or after an error that another machine may not have.
+#: Number of further attempts after a worker has died, or after an error that another machine may not have.
 _RETRIES = 3
 _RETRIED = [OSError, BagError, RenderError, MemoryError]
-#: Tasks for each core: one waits while one runs.
+#: Number of tasks for each core, so that one task waits while another runs.
 _TASKS_PER_CORE = 2
-#: Seconds until a host that does not answer is given up.
+#: A host that does not answer is given up after this time, seconds.
 _CONNECT_LIMIT = 5.0
-#: Bytes of the object store of a Ray that is started here, which holds the scenes.
+#: Size of the object store, bytes, of a Ray that is started here. The store holds the scenes.
 _OBJECT_STORE = 2**29
-#: Environment variables of a task, which has one core.
+#: Environment variables of a task. A task has one core.
 _ONE_CORE = {"LP_NUM_THREADS": "0", "OPENCV_FOR_THREADS_NUM": "1"}
 #: Most parts that an error lists.
 _MAX_LISTED = 5
@@ -43,8 +44,8 @@ class ClusterPart:
         name: Name among the parts that are missing.
         text: Name in the reason of a failure.
         frames: Numbers of the frames.
-        size: What the part adds to the progress.
-        target: Where its file goes, if the job writes one file for each part.
+        size: Number of frames that the part adds to the progress.
+        target: Path of its file, if the job writes one file for each part.
         version: Version of the package.
     """
 
@@ -69,7 +70,7 @@ class ClusterJob(FrameJob, Protocol):
 
     @property
     def key(self) -> str:
-        """Equal for jobs whose workers do the same."""
+        """Key that is equal for jobs with equal workers."""
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
         """Write the files of a part; this runs in a task. Raises HumansimError, OSError."""
@@ -83,12 +84,12 @@ class _Work:
 
 @lru_cache(maxsize=1)
 def _worker(work: _Work) -> FrameWorker:
-    """Worker that stays for the next part: a renderer takes seconds to draw what does not move."""
+    """Worker that is kept for the next part, since a new renderer takes seconds to draw the static scene."""
     return work.job.start()
 
 
 def write_part(job: ClusterJob, part: ClusterPart) -> PartResult:
-    """Write a part of a job; this is a task. Raises HumansimError if the driver has another version."""
+    """Write a part of a job. This is a task. Raises HumansimError if the driver has another version."""
     if part.version != __version__:
         message = (
             f"has humansim_ros {__version__}, and the driver {part.version}: install the same everywhere"
@@ -99,7 +100,7 @@ def write_part(job: ClusterJob, part: ClusterPart) -> PartResult:
     try:
         return job.write_part(_worker(_Work(job.key, job)), part)
     except BaseException:
-        _worker.cache_clear()  # it may be broken: the next attempt starts from the beginning
+        _worker.cache_clear()  # the worker may be broken, so the next attempt starts from the beginning
         raise
 
 
@@ -109,16 +110,16 @@ def run_parts(
     progress: FrameProgress,
     on_progress: Callable[[FrameProgress], None] = lambda _: None,
 ) -> tuple[dict[ClusterPart, PartResult], list[str]]:
-    """Do parts of jobs on a cluster. After a failure no part is begun.
+    """Do parts of jobs on a cluster. After a failure no further part is begun.
 
     Args:
         ray: The module, connected.
         work: Jobs, each with its parts.
-        progress: State before the first part, which this function updates.
+        progress: State before the first part. This function updates it.
         on_progress: Called with ``progress`` after each part.
 
     Returns:
-        Results of the parts that are written, and reasons of failures.
+        Results of the parts that have been written, and the reasons of failures.
     """
     options = {"max_retries": _RETRIES, "retry_exceptions": _RETRIED, "scheduling_strategy": "SPREAD"}
     task = ray.remote(num_cpus=1, **options)(write_part)
@@ -171,14 +172,14 @@ def missing_text(
     what: str,
     does: str,
 ) -> str:
-    """Text of an error about parts that could not be written; empty if there is none.
+    """Error text about parts that could not be written. Empty if all were written.
 
     Args:
         work: Jobs, each with its parts.
         results: Results of the parts that are written.
         failures: Reasons.
         what: Kind of the parts, such as ``shards``.
-        does: What ``--resume`` does with them, such as ``records``.
+        does: What ``--resume`` does with the parts, such as ``records``.
     """
     missing = [part.name for _, parts in work for part in parts if part not in results]
     if not missing:
@@ -192,12 +193,13 @@ def missing_text(
 
 @contextmanager
 def connected(address: str, workers: int | None) -> Iterator[Any]:
-    """Ray, connected to a cluster, or to the one to which this process is connected already.
+    """Ray, connected to a cluster. If this process is connected already, that connection is used.
 
     Raises:
         BagError: Ray is not installed, or the address does not answer.
     """
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # or it warns of a change to come
+    # otherwise Ray warns of a change to come
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
         import ray
         import ray.exceptions
@@ -209,7 +211,7 @@ def connected(address: str, workers: int | None) -> Iterator[Any]:
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
     if address == "local":
         options |= {"num_cpus": workers, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
-        # workers import the package from the place from which this process has it
+        # workers import the package from the same place as this process
         places = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
         options["runtime_env"] = {"env_vars": {"PYTHONPATH": os.pathsep.join(places)}}
     else:
@@ -226,7 +228,7 @@ def connected(address: str, workers: int | None) -> Iterator[Any]:
 
 
 def _check_address(address: str) -> None:
-    """Check that a host answers: Ray itself would try for half a minute. Raises BagError."""
+    """Check that a host answers, since Ray itself would try for half a minute. Raises BagError."""
     parts = urlsplit(address if "://" in address else f"//{address}")
     if address == "auto":
         return

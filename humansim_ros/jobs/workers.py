@@ -1,8 +1,8 @@
 """Do the work of a job in this process or in others, frame by frame.
 
-A worker process inherits file descriptors: a socket to the process that started it, and memory for the data
-of a result, one piece for each frame that the worker may be ahead. The memory has no name, so that nothing
-of it is left, however the processes end. A worker ends when its socket is closed.
+A worker process inherits file descriptors: a socket to the process that started it, and slots, each a piece
+of memory for the data of one result. A worker may be ahead by as many frames as it has slots. The memory has
+no name, so that nothing is left of it, however the processes end. A worker ends when its socket is closed.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.machine import thread_limits
 from humansim_ros.jobs.frame_job import Buffer, FrameJob, FrameProgress, FrameResult, FrameWorker
 
-#: Step of copying data into memory that the other process has, too.
+#: Name of a step in costs: copying data into the shared memory.
 COPYING = "copying"
-#: Frames that a worker may be ahead: it makes the next one while one is being written.
+#: Number of slots: a worker makes the next frame while the last one is being written.
 _SLOTS = 2
-#: Not ``-m``: objects of a module that is run so cannot be sent to another process.
+#: The module is not run by ``-m``, since its objects could then not be sent to another process.
 _PROGRAM = "from humansim_ros.jobs.workers import main; main()"
-#: Seconds in which a worker ends whose socket is closed.
+#: A worker ends within this time, seconds, after its socket is closed.
 _ENDING = 2.0
-#: File descriptors of a copy are below, and seconds between looks for the end of a copy.
+#: File descriptors of a copy are below this number; seconds between checks whether a copy has ended.
 _MOST_DESCRIPTORS, _LOOK_EVERY = 1 << 16, 0.02
 
 
 def children_of(parent: int) -> set[int]:
-    """Ids of the children of a process, dead ones too."""
+    """Ids of the children of a process, including dead ones."""
     found = set[int]()
     for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, ValueError, IndexError):  # it has ended meanwhile
+        with suppress(OSError, ValueError, IndexError):  # the process has ended meanwhile
             # the name in brackets may contain anything
             if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
                 found.add(int(folder.name))
@@ -59,14 +59,16 @@ class WorkerDiedError(HumansimError):
 
 
 class _Load(NamedTuple):
-    """Request to start a job, which is pickled in a slot; of size 0: the job that a copied process has."""
+    """Request to start a job. The job is pickled in a slot. Size 0 means the job that a copied process has
+    already."""
 
     slot: int
     size: int
 
 
 class _Answer(NamedTuple):
-    """Result in a slot: its value, sizes of the groups of data, size of the slot, processor time by step."""
+    """Result in a slot: its value, the sizes of the groups of data, the size of the slot, and processor time
+    by step."""
 
     value: Any
     sizes: list[int]
@@ -75,7 +77,8 @@ class _Answer(NamedTuple):
 
 
 def _positions(sizes: Sequence[int]) -> list[int]:
-    """Places of groups of data in their slot: at pages, so that they can be written to a disk directly."""
+    """Places of groups of data in their slot. Each begins at a page, so that it can be written to a disk
+    directly."""
     places = [0]
     for size in sizes:
         places.append(places[-1] + -(-size // mmap.PAGESIZE) * mmap.PAGESIZE)
@@ -83,12 +86,13 @@ def _positions(sizes: Sequence[int]) -> list[int]:
 
 
 class CopiedProcess:
-    """Copy of this process that runs a function, with the methods of ``subprocess.Popen`` that are used.
+    """Copy of this process that runs a function. It has those methods of ``subprocess.Popen`` that are used
+    here.
 
     Args:
-        function: What it runs; then it ends.
-        environment: Its environment variables.
-        descriptors: File descriptors that it keeps, beside the standard output and error.
+        function: What the copy runs. Afterwards the copy ends.
+        environment: Environment variables of the copy.
+        descriptors: File descriptors that the copy keeps, in addition to standard output and standard error.
     """
 
     def __init__(
@@ -96,7 +100,8 @@ class CopiedProcess:
     ) -> None:
         self._code: int | None = None
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # threads of BLAS: it takes care of copies
+            # threads of BLAS cause a warning, but BLAS handles copies
+            warnings.simplefilter("ignore", DeprecationWarning)
             self.pid = os.fork()
         if self.pid:
             return
@@ -104,7 +109,7 @@ class CopiedProcess:
         try:
             os.setsid()
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-            # the sockets of other workers too, which end when their sockets are closed
+            # other sockets are closed too, since workers end when their sockets are closed
             kept = sorted({2, *descriptors})
             for low, high in zip(kept, [*kept[1:], _MOST_DESCRIPTORS], strict=True):
                 os.closerange(low + 1, high)
@@ -117,7 +122,7 @@ class CopiedProcess:
             os._exit(code)
 
     def poll(self) -> int | None:
-        """Exit code, or the negative number of the signal that ended it; None while it runs."""
+        """Exit code, or the negative number of the signal that ended the copy; None while the copy runs."""
         if self._code is None:
             try:
                 pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -128,7 +133,7 @@ class CopiedProcess:
         return self._code
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end; returns the exit code. Raises ``subprocess.TimeoutExpired``."""
+        """Wait for the end. Returns the exit code. Raises ``subprocess.TimeoutExpired``."""
         end = None if timeout is None else time.monotonic() + timeout
         while (code := self.poll()) is None:
             if end is not None and time.monotonic() > end:
@@ -137,7 +142,7 @@ class CopiedProcess:
         return code
 
     def kill(self) -> None:
-        """Kill it, unless it has ended."""
+        """Kill the copy, unless it has ended."""
         if self.poll() is None:
             os.kill(self.pid, signal.SIGKILL)
 
@@ -146,19 +151,19 @@ WorkerProcess: TypeAlias = subprocess.Popen[bytes] | CopiedProcess
 
 
 class _Worker:
-    """One worker process, as the process sees it that has started it.
+    """One worker process, as seen by the process that has started it.
 
     Args:
-        number: Its number.
-        environment: Its environment variables.
-        nice: Added to its niceness.
-        copied: The job of a copy of this process; None: a new process is started.
+        number: Number of the worker.
+        environment: Environment variables of the worker.
+        nice: Number that is added to its niceness.
+        copied: Job of a copy of this process. If None, a new process is started.
 
     Attributes:
         connection: Socket to the process.
         job: The job that it was given last.
-        asked: Frames that it has been asked for and that have not arrived, with their slots; None for the
-            start of a job.
+        asked: Frames that were asked for and have not arrived, with their slots. None stands for the start of
+            a job.
     """
 
     def __init__(
@@ -183,17 +188,15 @@ class _Worker:
                     [sys.executable, "-c", _PROGRAM, str(nice), *map(str, descriptors)],
                     pass_fds=descriptors,
                     stdin=subprocess.DEVNULL,
-                    start_new_session=True,  # Ctrl-C is for the process that started it
+                    start_new_session=True,  # Ctrl-C is meant for the process that started this one
                     env=environment,
                 )
         finally:
             other.close()
 
     def load(self, job: bytes) -> None:
-        """Start a job; all slots must be free. It goes through memory: a socket would have to wait.
-
-        A copy has its first job already.
-        """
+        """Start a job. All slots must be free. The job goes through a slot, since a socket would have to
+        wait. A copy has its first job already."""
         slot = self._free.popleft()
         position = 0
         size = 0 if self._is_copy and self.job is None else len(job)
@@ -203,7 +206,7 @@ class _Worker:
         self._send(None, slot, _Load(slot, size))
 
     def ask(self, frame: Any) -> None:
-        """Ask for a frame; there must be a free slot."""
+        """Ask for a frame. A slot must be free."""
         slot = self._free.popleft()
         self._send(frame, slot, (frame, slot))
 
@@ -215,7 +218,7 @@ class _Worker:
             raise self._died() from None
 
     def receive(self) -> tuple[Any, int, FrameResult | HumansimError]:
-        """Next answer with its frame and slot. Raises WorkerDiedError."""
+        """Wait for the next answer. Returns its frame, slot and result. Raises WorkerDiedError."""
         try:
             answer: _Answer | HumansimError = self.connection.recv()
         except (EOFError, OSError):
@@ -250,7 +253,7 @@ class _Worker:
         return WorkerDiedError(f"worker process {self.number + 1} {reason} {doing}")
 
     def close(self) -> None:
-        """Wait for the end of the process, whose socket is closed, or end it."""
+        """Wait for the end of the process after its socket is closed, or kill it."""
         try:
             self.process.wait(_ENDING)
         except subprocess.TimeoutExpired:
@@ -261,14 +264,14 @@ class _Worker:
 
 
 class Workers:
-    """Worker processes of a job; use it in a ``with`` block, or call :meth:`close`.
+    """Worker processes of a job. Use it in a ``with`` block, or call :meth:`close`.
 
     Args:
         job: The work.
         count: Number of processes.
-        nice: Added to the niceness of this process.
-        copies: Processes are copies of this one: they have its modules and the job at once. It must have no
-            other threads of its own, and must not have used OpenGL or threads of OpenCV.
+        nice: Number that is added to the niceness of this process for the workers.
+        copies: Workers are copies of this process, so that they have its modules and the job at once. This
+            process must have no other threads, and must not have used OpenGL or threads of OpenCV.
 
     Attributes:
         costs: Seconds of processor time of all workers by step.
@@ -295,7 +298,7 @@ class Workers:
 
     @property
     def processes(self) -> list[WorkerProcess]:
-        """The processes."""
+        """The worker processes."""
         return [worker.process for worker in self._workers]
 
     def use(self, job: FrameJob) -> None:
@@ -311,7 +314,7 @@ class Workers:
             worker.release(slot)
 
     def idle(self) -> list[int]:
-        """Return the numbers of the processes that have nothing to do, or only to start the present job."""
+        """Numbers of the processes without work, or with nothing but the start of the present job."""
         return [
             worker.number
             for worker in self._workers
@@ -320,10 +323,8 @@ class Workers:
         ]
 
     def ask(self, frame: Any, number: int | None = None) -> bool:
-        """Ask a process that has nothing to do for a frame; False if there is none.
-
-        ``number``: of the process, one of :meth:`idle`; None: any.
-        """
+        """Ask an idle process for a frame. Returns False if none is idle. ``number``: number of a process
+        from :meth:`idle`. If None, any process."""
         idle = self.idle()
         if not idle:
             return False
@@ -334,9 +335,9 @@ class Workers:
         return True
 
     def arrived(self, timeout: float | None = None) -> Iterator[tuple[Any, FrameResult | HumansimError]]:
-        """Frames that have arrived, with their results or what is wrong; None for the start of a job.
+        """Frames that have arrived, each with its result or error. None stands for the start of a job.
 
-        The data of a result are valid until the next step. ``timeout``: seconds to wait for the first.
+        The data of a result are valid until the next step. ``timeout``: seconds to wait for the first frame.
 
         Raises:
             WorkerDiedError: A process has died.
@@ -356,7 +357,7 @@ class Workers:
             yield asked[connection], *asked[connection].receive()
 
     def results(self, frames: Sequence[int]) -> Iterator[FrameResult]:
-        """Results of some frames, in their order. ``frames``: numbers, each once.
+        """Results of frames, in the order of ``frames``: numbers, each once.
 
         Raises:
             WorkerDiedError: A process has died.
@@ -410,10 +411,11 @@ def run_frames(
     Args:
         job: The work.
         frames: Numbers of the frames, each once; at least one.
-        jobs: Number of processes; with 1, this process does the work.
-        progress: State before the first frame, which this function updates.
-        take: Called with each number and result, in the order of ``frames``. Returns the bytes written.
-        begin: Called after the start of the workers. A machine without OpenGL has failed before.
+        jobs: Number of processes. If 1, this process does the work.
+        progress: State before the first frame. This function updates it.
+        take: Called with each number and result, in the order of ``frames``. Returns the number of bytes
+            written.
+        begin: Called after the workers have started. On a machine without OpenGL, the start fails first.
         on_progress: Called with ``progress`` after each frame.
 
     Raises:
@@ -439,7 +441,7 @@ def run_frames(
 
 
 class _Slot:
-    """Memory for the data of one result; it grows if a result needs more."""
+    """Memory for the data of one result. The slot grows if a result needs more."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -449,7 +451,7 @@ class _Slot:
         return os.pread(self._descriptor, size, 0)
 
     def store(self, groups: Sequence[Sequence[Buffer]]) -> tuple[list[int], int]:
-        """Copy groups of buffers one after the other; return their sizes, and the size of the slot.
+        """Copy groups of buffers one after the other. Returns their sizes, and the size of the slot.
 
         Raises:
             OSError: There is no memory left.
@@ -459,7 +461,7 @@ class _Slot:
         sizes = [sum(memoryview(buffer).nbytes for buffer in group) for group in groups]
         places = _positions(sizes)
         if self._memory is None or len(self._memory) < places[-1]:
-            # now: a page that cannot be had later kills the process
+            # allocated now, since a page that cannot be had later would kill the process
             os.posix_fallocate(self._descriptor, 0, places[-1])
             self._memory = mmap.mmap(self._descriptor, places[-1])
         with memoryview(self._memory) as memory:
@@ -471,13 +473,14 @@ class _Slot:
 
 
 def main() -> None:
-    """Do what the other process asks for until it closes the socket, or ends."""
+    """Do what the other process asks for, until it closes the socket or ends."""
     nice, *descriptors = map(int, sys.argv[1:])
     _work(nice, descriptors)
 
 
 def _work(nice: int, descriptors: Sequence[int], job: FrameJob | None = None) -> None:
-    """Do what the other process asks for. ``descriptors``: a socket and slots. ``job``: of a copy."""
+    """Do what the other process asks for. ``descriptors``: a socket and slots. ``job``: job of a copied
+    process."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)  # the other process stops its workers
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a copy has the handler of the other process

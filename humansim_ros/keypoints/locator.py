@@ -17,7 +17,7 @@ from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.keypoints.skin import MIXES, place_on_skin
 from humansim_ros.types import Array, Indices
 
-#: Joints of all humans, or of those with fingers.
+#: Names of joints that all humans have, or all humans with fingers.
 _JOINTS = {joint.name for joint in JOINT_NAMES}
 
 
@@ -27,9 +27,10 @@ class KeypointLocator:
 
     Attributes:
         keypoints: The set.
-        on_surface: (K,) the keypoint is a point of the skin.
-        certain: (K,) its place is known; on meshes that are not made here, points of the skin are found by
-            fitting, and are less certain. Points that a human lacks, such as fingers, are not certain either.
+        on_surface: (K,) whether the keypoint is a point of the skin.
+        certain: (K,) whether its place is known exactly. On meshes from other programs, points of the skin
+            are found by fitting, and are not certain. Points that a human lacks, such as fingers, are not
+            certain either.
         surfaces: Part labels (K, 256) that are skin around each keypoint.
     """
 
@@ -48,7 +49,7 @@ class KeypointLocator:
 
     @classmethod
     def of(cls, human: Human, keypoints: KeypointSet) -> KeypointLocator:
-        """Locator of a set on a human; it is made once.
+        """Locator of a keypoint set on a human. It is made once and cached.
 
         Example:
             >>> from humansim_ros.humans import load_human
@@ -65,10 +66,9 @@ class KeypointLocator:
         return locator
 
     def positions(self, joints: Array, vertices: NDArray[np.floating]) -> Array:
-        """Positions (K, 3) in the space of the joints and vertices; NaN for points that the human lacks.
-
-        ``joints``: (J, 3) in the order of the joint names of the skeleton. ``vertices``: (V, 3) of the mesh.
-        """
+        """Positions (K, 3) of the keypoints, in the space of the joints and vertices. NaN for points that the
+        human lacks. ``joints``: (J, 3) in the order of the joint names of the skeleton. ``vertices``: (V, 3)
+        of the mesh."""
         skin = np.einsum("nk,nkj->nj", self._corner_weights, vertices[self._corners])
         positions = np.asarray(self._joint_shares @ joints, dtype=float)
         positions[self.on_surface] = skin
@@ -103,11 +103,11 @@ def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
 
 
 def _joints_between(skeleton: Skeleton, shares: Array) -> list[int]:
-    """Joints that have a share (J,), and the heads of the bones on the way from one of them to another."""
+    """Joints with a share (J,), and the heads of the bones on the way between them."""
     joints = np.flatnonzero(shares).tolist()
     ways = [_ancestors(skeleton, skeleton.joint_bones[joint]) for joint in joints]
     common = set.intersection(*map(set, ways)) if ways else set()
-    # parents come before children: the last common ancestor is the nearest one
+    # parents come before children, so the largest common ancestor is the nearest one
     nearest = max(common, default=-1)
     return sorted({*joints, *(bone for way in ways for bone in way if bone not in common or bone == nearest)})
 

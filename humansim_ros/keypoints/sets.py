@@ -1,6 +1,6 @@
 """Keypoint sets: names in their order, place in the body, lines to draw, OKS constants.
 
-``config/keypoint_sets.json`` has them.
+The sets are in ``config/keypoint_sets.json``.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from humansim_ros.errors import KeypointError, unknown
 from humansim_ros.io.assets import read_table
 
 _Value = TypeVar("_Value")
-#: Set of all keypoints of OpenPose.
+#: Set with all keypoints of OpenPose.
 _OPENPOSE = "openpose137"
-#: Names of the points of Face Mesh begin with this.
+#: Prefix of the names of the points of Face Mesh.
 _MESH = "mesh-"
-#: Sets that are parts of others.
+#: Sets that are parts of other sets.
 _PARTS = {"face": "face68", "left_hand": "left_hand21", "right_hand": "right_hand21"}
 
 
@@ -31,11 +31,11 @@ class KeypointSet:
     Attributes:
         name: Name in scenes, commands and topics, such as ``coco17``.
         title: Name for people.
-        names: K names in the order of the field.
+        names: K names, in the order of the detector's output.
         points: Anatomical point of each keypoint: a joint of the skeleton, or a name of
             :mod:`humansim_ros.keypoints.skin`.
         edges: Pairs of keypoints to connect by lines.
-        sigmas: K constants of the object keypoint similarity (OKS), where they are published; else None.
+        sigmas: K constants of the object keypoint similarity (OKS); None if none are published.
         source: Citation with URL.
     """
 
@@ -55,7 +55,7 @@ class KeypointSet:
 
     @cached_property
     def mirrored(self) -> tuple[int, ...]:
-        """(K,) number of the same keypoint of the other side; its own number if there is none.
+        """(K,) number of the keypoint on the other side. A keypoint in the middle has its own number.
 
         Example:
             >>> coco17 = keypoint_set("coco17")
@@ -80,7 +80,8 @@ class KeypointSet:
 
     @cached_property
     def parts(self) -> Mapping[str, tuple[int, ...]]:
-        """Numbers of the keypoints of ``face`` (68), ``left_hand`` and ``right_hand`` (21), if it has them.
+        """Numbers of the keypoints of ``face`` (68), ``left_hand`` and ``right_hand`` (21), as far as the set
+        has them.
 
         Example:
             >>> min(keypoint_set("wholebody133").parts["left_hand"])
@@ -94,7 +95,7 @@ class KeypointSet:
         }
 
     def subset(self, numbers: Sequence[int], sigmas: tuple[float, ...] | None = None) -> KeypointSet:
-        """Set of some of the keypoints. ``sigmas``: their OKS constants."""
+        """Set of some of the keypoints. ``sigmas``: OKS constants of the new set."""
         names, points = (tuple(each[number] for number in numbers) for each in (self.names, self.points))
         places = {number: place for place, number in enumerate(numbers)}
         edges = tuple((places[a], places[b]) for a, b in self.edges if a in places and b in places)
@@ -104,8 +105,8 @@ class KeypointSet:
     def openpose_fields(self) -> Mapping[str, tuple[int, ...]]:
         """Numbers of the keypoints in each field of a person in files of OpenPose.
 
-        OpenPose has fields of their own for the parts of ``openpose137``; other sets are in one field, as
-        Pose2Sim has them.
+        OpenPose has a separate field for each part of ``openpose137``. Other sets are in one field, as
+        Pose2Sim writes them.
 
         Example:
             >>> fields = keypoint_set("openpose137").openpose_fields
@@ -118,7 +119,7 @@ class KeypointSet:
 
     @property
     def has_body(self) -> bool:
-        """Whether it has more than a hand or a face."""
+        """Whether the set has more than a hand or a face."""
         own = sum(not name.startswith(_MESH) for name in self.names)
         return own - sum(map(len, self.parts.values())) > 2  # face70 has pupils
 
@@ -136,7 +137,7 @@ def _other_side(name: str) -> str:
 
 
 def keypoint_set(name: str) -> KeypointSet:
-    """Keypoint set of a name. Raises KeypointError, which lists the known names.
+    """Keypoint set with a name. Raises KeypointError, which lists the known names.
 
     Example:
         >>> keypoint_set("coco17").names[:3]
@@ -148,10 +149,8 @@ def keypoint_set(name: str) -> KeypointSet:
 
 
 class BySet(Mapping[str, _Value]):
-    """Values of all keypoint sets by name, each computed on first access.
-
-    Raises KeypointError, which is a KeyError, for the name of no set.
-    """
+    """Values of all keypoint sets by name, each computed on first access. Raises KeypointError, which is a
+    KeyError, for an unknown name."""
 
     def __init__(self, compute: Callable[[KeypointSet], _Value]) -> None:
         self._compute = compute
@@ -184,8 +183,8 @@ KEYPOINT_SETS: Mapping[str, KeypointSet] = {
     name: _read(name, row) for name, row in read_table("keypoint_sets").items()
 }
 
-#: Sets of detectors that write keypoints without names, by the number of the keypoints. 18 are those of
-#: OpenPose's model COCO: BODY_25 without the middle of the hips and the feet.
+#: Sets of detectors that write keypoints without names, by number of keypoints. 18 is OpenPose's model COCO:
+#: BODY_25 without the middle of the hips and the feet.
 COUNTED_SETS: Mapping[int, KeypointSet] = {
     len(keypoints): keypoints
     for keypoints in (

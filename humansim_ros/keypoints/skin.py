@@ -1,9 +1,9 @@
 """Find anatomical points on the skin of a human: triangle and barycentric weights.
 
 Points that are no joints of the skeleton are in ``config/body_landmarks.json``, which
-``tools/assets/find_landmarks.py`` writes: texture coordinates on the bodies that we make, and a triangle of
-MakeHuman's base mesh for each. Those of MediaPipe's Face Mesh are in ``config/face_mesh_points.json``;
-docs/keypoints.md says how they were found.
+``tools/assets/find_landmarks.py`` writes. Each has texture coordinates on the bodies that we make, and a
+triangle of MakeHuman's base mesh. The points of MediaPipe's Face Mesh are in
+``config/face_mesh_points.json``. docs/keypoints.md says how they were found.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from humansim_ros.types import Array, Indices
 
 
 def _between(first: Mapping[str, float], second: Mapping[str, float], share: float) -> dict[str, float]:
-    """Point between two points, ``share`` of the way to the second."""
+    """Shares of two points in the point that lies ``share`` of the way from the first to the second."""
     joints = dict.fromkeys((*first, *second), 0.0)
     for point, part in ((first, 1 - share), (second, share)):
         for joint, weight in point.items():
@@ -53,8 +53,8 @@ def _of_side(side: str) -> dict[str, Mapping[str, float]]:
     }
 
 
-#: Shares of joints in each point between joints. SMPL's shares are measured on its mean body between hips
-#: and neck; the middle of the skull is taken from the skeleton of Human3.6M.
+#: Shares of joints in each point between joints. SMPL's shares are measured on its mean body, between hips
+#: and neck. The middle of the skull is that of the skeleton of Human3.6M.
 MIXES: Mapping[str, Mapping[str, float]] = {
     "mid_hip": _HIPS,
     "mid_shoulder": _SHOULDERS,
@@ -77,7 +77,8 @@ class SkinPoint:
 
     Attributes:
         uv: Texture coordinates (u, v), v up, on bodies that :mod:`humansim_ros.humans.makehuman` makes.
-        vertices: Corners of its triangle in MakeHuman's base mesh; eyes are after the skin.
+        vertices: Corners of its triangle in MakeHuman's base mesh. The vertices of eyes come after those of
+            the skin.
         weights: Barycentric weights of the corners.
     """
 
@@ -96,15 +97,16 @@ def skin_points() -> Mapping[str, SkinPoint]:
     }
 
 
-#: Bones at the ends of limbs: skeletons of other programs end at different points there.
+#: Bones at the ends of limbs. Skeletons of other programs end at different points there.
 _ENDS = ("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist")
-#: Built-in human whose points are carried over to other bodies.
+#: Built-in human with the points that are carried over to other bodies.
 _TEMPLATE = "adult_man"
 
 
 @dataclass(frozen=True, eq=False)
 class SkinPlaces:
-    """Places of N points: corners (N, 3) of their triangles, barycentric weights (N, 3), certainty (N,)."""
+    """Places of N points: corners (N, 3) of their triangles, barycentric weights (N, 3), and whether they are
+    certain (N,)."""
 
     corners: Indices
     weights: Array
@@ -112,16 +114,16 @@ class SkinPlaces:
 
 
 def has_exact_skin(human: Human) -> bool:
-    """Whether a human has the texture layout of the bodies that are made here."""
+    """Whether a human has the texture layout of the bodies that we make."""
     return human.notes.get("source") == SOURCE and human.mesh.uv is not None
 
 
 def place_on_skin(human: Human, names: Sequence[str]) -> SkinPlaces:
     """Find points of :func:`~humansim_ros.keypoints.skin.skin_points` on a human.
 
-    Bodies that are made here have one texture layout, which gives the exact place; bare MakeHuman bodies have
-    the vertices of its base mesh. On other bodies the points are carried over from a built-in human, and are
-    less certain.
+    All bodies that we make have one texture layout, which gives the exact place. Bare MakeHuman bodies have
+    the vertices of MakeHuman's base mesh. On other bodies the points are carried over from a built-in human,
+    and are not certain.
     """
     if has_exact_skin(human):
         return _by_texture(human, names)
@@ -158,9 +160,8 @@ def _cross(first: Array, second: Array) -> Array:
 
 
 def _by_vertices(human: Human, names: Sequence[str]) -> SkinPlaces:
-    """Find points of a bare MakeHuman body by vertices of its base mesh; the eyes, which such a mesh may
-    lack, are carried over.
-    """
+    """Find points of a bare MakeHuman body by vertices of its base mesh. Points of the eyes are carried over,
+    since such a mesh may lack eyes."""
     rows = [skin_points()[name] for name in names]
     places = _carried_over(human, names)
     known = np.array([max(row.vertices) < SKIN_VERTICES for row in rows], dtype=bool)
@@ -171,7 +172,8 @@ def _by_vertices(human: Human, names: Sequence[str]) -> SkinPlaces:
 
 
 def _carried_over(human: Human, names: Sequence[str]) -> SkinPlaces:
-    """Find points by their place beside the bones of a built-in human: the nearest skin of that body part."""
+    """Carry points over from a built-in human: from the same place relative to a bone to the nearest skin of
+    that body part."""
     template = load_human(_TEMPLATE)
     places = _by_texture(template, names)
     skin = np.einsum("nk,nkj->nj", places.weights, template.mesh.vertices[places.corners])
@@ -192,11 +194,11 @@ def _carried_over(human: Human, names: Sequence[str]) -> SkinPlaces:
 
 @dataclass(frozen=True)
 class _BodyPart:
-    """Skin of a bone of the general skeleton, and of the bones below it that are not of that skeleton.
+    """Skin of a bone of the general skeleton, with the skin of further bones below it.
 
-    ``head``: (3,). ``direction``: unit vector (3,) along the bone. ``length``: metres, of the bone, or to the
-    end of the skin where the limb ends. ``triangles``: (N, 3) vertex indices; the whole skin if there are
-    none.
+    ``head``: (3,). ``direction``: unit vector (3,) along the bone. ``length``: metres, length of the bone; at
+    the end of a limb, distance to the end of the skin. ``triangles``: (N, 3) vertex indices; the whole skin
+    if the bone has no skin.
     """
 
     head: Array
@@ -221,9 +223,8 @@ class _BodyPart:
         return cls(head, direction, length, triangles)
 
     def place(self, point: Array, other: _BodyPart, scale: float) -> Array:
-        """Place (3,) beside this bone of a point (3,) beside another one: along the bone in shares of the
-        length, across it times ``scale``.
-        """
+        """Place (3,) relative to this bone for a point (3,) near another bone. Along the bone, distances
+        scale with its length; across it, with ``scale``."""
         offset = point - other.head
         along = float(offset @ other.direction)
         axis = unit_vectors(np.cross(other.direction, self.direction))
@@ -234,7 +235,8 @@ class _BodyPart:
 
 @dataclass(frozen=True)
 class _Triangles:
-    """Triangles (N, 3, 3) with their centres (N, 3) and the distances (N,) of the corners from these."""
+    """Triangles (N, 3, 3) with their centres (N, 3), and the distances (N,) from the centres to the farthest
+    corners."""
 
     corners: Array
     centres: Array
@@ -246,7 +248,7 @@ class _Triangles:
         return cls(corners, centres, np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1))
 
     def nearest(self, target: Array) -> tuple[int, Array]:
-        """The nearest triangle to a point (3,), and barycentric weights (3,) of its nearest point."""
+        """The triangle nearest to a point (3,), and barycentric weights (3,) of its nearest point."""
         distance = np.linalg.norm(self.centres - target, axis=1)
         near = np.flatnonzero(distance - self.radii <= distance.min())
         triangles = self.corners[near]
@@ -258,9 +260,8 @@ class _Triangles:
 
 
 def _nearest_weights(target: Array, triangles: Array) -> Array:
-    """Barycentric weights (4, N, 3): of the nearest point inside each triangle (a corner if there is none),
-    and of the nearest point of each edge.
-    """
+    """Barycentric weights (4, N, 3) of points of triangles near a target. First the nearest point inside each
+    triangle (a corner if there is none), then the nearest point of each edge."""
     a, b, c = triangles.transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     square = np.maximum(np.einsum("ij,ij->i", normal, normal), 1e-30)

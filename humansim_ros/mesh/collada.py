@@ -1,6 +1,6 @@
-"""COLLADA files (.dae) with skins and animations as glTF, so that the same code reads both formats.
+"""Convert COLLADA files (.dae) with skins and animations to glTF, so that the same code reads both formats.
 
-Polygons become triangles, and animated transforms translations, rotations and scales of their nodes
+Polygons become triangles. Animated transforms become translations, rotations and scales of their nodes
 [COLLADA 1.4.1, 1.5]. pycollada, which trimesh uses, reads no animations and few skins.
 """
 
@@ -34,12 +34,13 @@ from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size, decode_srgb
 from humansim_ros.mesh.glb import GlbBuilder
 from humansim_ros.types import Array, Indices
 
-#: Most elements and attributes of a file; nodes with all instances; numbers, which count at each use; keys of
-#: animations; joints of a vertex.
+#: Limits of a file: elements and attributes; nodes, counted in each instance; numbers, counted at each use;
+#: keys of animations; joints of a vertex.
 _MAX_PARTS, _MAX_NODES, _MAX_READ, _MAX_KEYS, _MAX_JOINTS = 2_000_000, 50_000, 50_000_000, 1_000_000, 64
-#: Lowest rate, per second, of animated values other than whole matrices; points of a curve between two keys.
+#: Lowest rate, per second, at which animated values are sampled, unless they are whole matrices; points of a
+#: curve between two keys.
 _RATE, _POINTS = 60.0, 16
-#: Seconds between times that rounding makes different; largest number of a transform.
+#: Times that differ by at most this (seconds) differ only by rounding; largest number of a transform.
 _SAME_TIME, _LARGEST = 1e-5, 1e12
 #: Rotations from the up axes of files to y up.
 _TO_Y_UP: dict[str, Array] = {
@@ -50,7 +51,7 @@ _TO_Y_UP: dict[str, Array] = {
 _POLYGONS = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 _WIDTHS, _POSITION = {"POSITION": 3, "NORMAL": 3, "TEXCOORD": 2}, "input[@semantic='POSITION']"
 _MESHES = ("instance_controller", "instance_geometry")
-#: Transforms of nodes with the number of their values, and the values that channels name.
+#: Number of values of each kind of transform, and the names of values that channels use.
 _TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3}
 _MEMBERS = {"X": 0, "Y": 1, "Z": 2, "ANGLE": 3}
 _TARGET = re.compile(r"([^/]+)/(?:.*/)?([^/(]+?)(?:\.(X|Y|Z|ANGLE)|\((\d+)\)(?:\((\d+)\))?)?")
@@ -58,11 +59,9 @@ _NAMES = ("sid", "id", "name")
 
 
 def converted_collada(path: str | os.PathLike[str], data: bytes) -> bytes:
-    """Convert a COLLADA file with its skins, textures and animations to a .glb file in metres, y up.
-
-    Images are searched in the folder of the file and below it; a missing one is a warning. Raises MeshError,
-    with the element as the key, if the file is wrong.
-    """
+    """Convert a COLLADA file with its skins, textures and animations to a .glb file in metres, y up. Images
+    are searched in the folder of the file and below it. A missing image causes a warning. If the file is
+    wrong, MeshError names the element as its key."""
     with located(path=path):
         if data.count(b"<") + data.count(b"=") > _MAX_PARTS:
             raise MeshError(f"more than {_MAX_PARTS} elements and attributes: simplify the mesh")
@@ -75,18 +74,17 @@ def converted_collada(path: str | os.PathLike[str], data: bytes) -> bytes:
         except (ValueError, LookupError) as reason:  # an encoding that the parser does not know
             raise MeshError(f"the XML cannot be decoded: {reason}") from None
         for element in root.iter():
-            element.tag = element.tag.rpartition("}")[2]  # without its namespace
+            element.tag = element.tag.rpartition("}")[2]  # remove the namespace
         if root.tag != "COLLADA":
             raise MeshError(f"not a COLLADA file: it begins with <{printable(root.tag, 40)}>")
-        with np.errstate(all="ignore"):  # numbers that are not finite, or too large, are errors
+        with np.errstate(all="ignore"):  # numbers that are infinite, NaN or too large cause errors later
             return _Conversion(Path(path), root).result()
 
 
 class _Curve(NamedTuple):
-    """Values (K, W) at times (K,) of the transform at ``place`` in a node, from its value ``first`` on.
-
-    ``keys``: times in the file. ``exact``: a matrix, whose keys tell the poses between them.
-    """
+    """Values (K, W) at times (K,) of one transform of a node. ``place``: the transform; ``first``: its first
+    animated value. ``keys``: times in the file. ``exact``: a whole matrix, interpolated exactly between its
+    keys."""
 
     node: int
     place: int
@@ -98,16 +96,16 @@ class _Curve(NamedTuple):
 
 
 class _Conversion(GlbBuilder):
-    """A glTF file while it is made from the root element of a document."""
+    """A glTF file while it is converted from the root element of a document."""
 
     def __init__(self, path: Path, root: Element) -> None:
         super().__init__()
         self.path, self.root = path, root
         named = [(element.get("id"), element) for element in root.iter()]
         self.elements = {name: element for name, element in reversed(named) if name}
-        self.nodes: list[tuple[Element, int]] = []  # element of each node, and node above it
+        self.nodes: list[tuple[Element, int]] = []  # element and parent node of each node
         self.named: defaultdict[str | None, list[int]] = defaultdict(list)
-        self.made: dict[str, Any] = {}  # meshes, materials and textures
+        self.made: dict[str, Any] = {}  # meshes, materials and textures that are made already
         self.keys = self.spent = 0
 
     def result(self) -> bytes:
@@ -126,7 +124,7 @@ class _Conversion(GlbBuilder):
 
     @contextmanager
     def inside(self, element: Element) -> Iterator[None]:
-        """Name an element in the errors that its content causes."""
+        """Name an element in errors that its content causes."""
         name = next((text for key in ("id", "name", "url") if (text := element.get(key))), "")
         with located(MeshError, self.path, key=printable(f"{element.tag} {name}".strip(), 80)):
             try:
@@ -137,7 +135,7 @@ class _Conversion(GlbBuilder):
     # --- elements of the document
 
     def find(self, url: str | None, *tags: str) -> Element:
-        """Element of one of some tags that a URL such as ``#Body`` names."""
+        """Element that a URL such as ``#Body`` names. It must have one of some tags."""
         found = self.elements.get((url or "").strip().removeprefix("#"))
         if found is None or found.tag not in tags:
             raise MeshError(f"there is no <{tags[0]}> {printable(url or '', 60)!r} in the file")
@@ -151,7 +149,7 @@ class _Conversion(GlbBuilder):
         return found
 
     def spend(self, count: int) -> None:
-        """Count what is read: short files may refer to the same part again and again."""
+        """Count what is read, since short files may refer to the same element again and again."""
         self.spent += count
         if self.spent > _MAX_READ:
             raise MeshError(f"more than {_MAX_READ} numbers with all repetitions: simplify the mesh")
@@ -162,11 +160,11 @@ class _Conversion(GlbBuilder):
         return self.child(element, f"input[@semantic='{semantic}']")
 
     def numbers(self, element: Element, kind: type[Any] = float) -> NDArray[Any]:
-        """Numbers (N,) that are the text of an element."""
+        """Numbers (N,) in the text of an element."""
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # older NumPy only warns of other text
             out = np.fromstring((element.text or "").strip(), kind, sep=" ")
-        self.spend(200 + len(out))  # a short text takes some time, too
+        self.spend(200 + len(out))  # reading a short text takes some time, too
         if not np.isfinite(out).all():
             raise MeshError(f"a number of <{element.tag}> is not finite (NaN or infinity)")
         return out
@@ -185,7 +183,7 @@ class _Conversion(GlbBuilder):
             return np.asarray(numbers[start : start + count * stride].reshape(count, stride)[:, :width])
 
     def names(self, owner: Element | None) -> list[str]:
-        """Names of the source that an ``input`` names; none without one."""
+        """Names of the source that an ``input`` names. Empty if there is no such source."""
         arrays: Iterable[Element] = () if owner is None else self.find(owner.get("source"), "source")
         names = next(((array.text or "").split() for array in arrays if array.tag.endswith("_array")), [])
         self.spend(len(names))
@@ -194,7 +192,7 @@ class _Conversion(GlbBuilder):
     # --- nodes
 
     def add_nodes(self) -> None:
-        """Add the nodes of the scene below a node that turns and scales them to metres, y up."""
+        """Add the nodes of the scene below a new node that turns and scales them to metres, y up."""
         shown = self.root.find("scene/instance_visual_scene")
         scene = self.root.find("library_visual_scenes/visual_scene")
         if shown is not None or scene is None:
@@ -229,10 +227,8 @@ class _Conversion(GlbBuilder):
                     pending.append((below, number))
 
     def matrices(self, element: Element, animated: dict[int, Array]) -> Array:
-        """Matrices (N, 4, 4) of a node in its parent; one if no values are ``animated``.
-
-        ``animated``: values (N, n) of transforms by their place in the element.
-        """
+        """Matrices (N, 4, 4) of a node in its parent. One matrix if ``animated`` is empty. ``animated``:
+        values (N, n) of animated transforms, by place in the element."""
         out = np.eye(4)[None]
         for place, each in enumerate(element):
             if each.tag == "skew":
@@ -258,7 +254,7 @@ class _Conversion(GlbBuilder):
         return np.asarray(out)
 
     def node_of(self, name: str, roots: Iterable[int | None] = ()) -> int | None:
-        """Node of a sid, id or name, the first of them that is there; below ``roots`` if one is."""
+        """First existing node with a sid, id or name; preferably below ``roots``."""
         found = [n for key in _NAMES for n in self.named.get(name, ()) if self.nodes[n][0].get(key) == name]
         for number in found if roots else ():
             above = number
@@ -272,11 +268,12 @@ class _Conversion(GlbBuilder):
     # --- meshes, skins and materials
 
     def mesh(self, instance: Element) -> dict[str, int]:
-        """Numbers of the mesh and the skin of an instance, which are made once; none without polygons."""
+        """Numbers of the mesh and the skin of an instance. They are made once. Empty if the mesh has no
+        polygons."""
         looks = {each.get("symbol"): each.get("target", "") for each in instance.iter("instance_material")}
         controller = geometry = self.find(instance.get("url"), "controller", "geometry")
         skin: Element | None = None
-        for _ in range(3):  # a skin, a morph, or the skin of a morph
+        for _ in range(3):  # at most: a skin, a morph, or the skin of a morph
             deformed = next((each for each in geometry if each.tag in ("skin", "morph")), None)
             if deformed is not None:
                 skin = deformed if deformed.tag == "skin" else skin
@@ -354,7 +351,8 @@ class _Conversion(GlbBuilder):
         return {"attributes": attributes, **out}
 
     def skin(self, instance: Element, skin: Element, count: int) -> tuple[dict[str, NDArray[Any]], int]:
-        """Add a skin; returns joints and weights of ``count`` points by attribute, and its number."""
+        """Add a skin. Returns joints and weights of ``count`` points by attribute, and the number of the
+        skin."""
         joints, table = self.child(skin, "joints"), self.child(skin, "vertex_weights")
         names = self.names(self.input(joints, "JOINT"))
         inverse = self.values(self.input(joints, "INV_BIND_MATRIX"), 16).reshape(-1, 4, 4)
@@ -371,7 +369,8 @@ class _Conversion(GlbBuilder):
             raise MeshError(
                 f"{len(names)} joints, {len(inverse)} matrices, and weights of joint {joint.max()}"
             )
-        shares = self.values(self.input(table, "WEIGHT"), 1)[weight, 0] * (joint >= 0)  # -1 is the bind shape
+        # joint -1 is the bind shape
+        shares = self.values(self.input(table, "WEIGHT"), 1)[weight, 0] * (joint >= 0)
         roots = [
             self.node_of((each.text or "").strip().removeprefix("#")) for each in instance.iter("skeleton")
         ]
@@ -402,7 +401,7 @@ class _Conversion(GlbBuilder):
         return columns, number
 
     def material(self, target: str) -> int:
-        """Add a material on first use, with the colour or the texture of its effect; returns its number."""
+        """Material with the colour or the texture of its effect, added on first use. Returns its number."""
         if target not in self.made:
             material = self.find(target, "material")
             look: dict[str, Any] = {"metallicFactor": 0.0}
@@ -418,7 +417,7 @@ class _Conversion(GlbBuilder):
         return int(self.made[target])
 
     def texture(self, effect: Element, texture: Element) -> int | None:
-        """Add the image of a texture of an effect; None, with a warning, if it is missing."""
+        """Add the image of a texture of an effect. If the image is missing, warns and returns None."""
         name, parameters = texture.get("texture"), {each.get("sid"): each for each in effect.iter("newparam")}
         for path in ("sampler2D/source", "surface/init_from", "sampler2D/instance_image"):
             found = parameters[name].find(path) if name in parameters else None
@@ -426,7 +425,7 @@ class _Conversion(GlbBuilder):
         image = self.find(name, "image")
         place = urllib.parse.unquote("".join(image.itertext()).strip()).replace("\\", "/")
         words = place.split("/")[-8:]
-        for start in range(len(words)):  # an absolute path is often one of another computer
+        for start in range(len(words)):  # an absolute path is often from another computer
             file = resolve_inside(self.path.parent, "/".join(words[start:]))
             if file is not None and file.is_file():
                 if str(file) not in self.made:
@@ -442,10 +441,9 @@ class _Conversion(GlbBuilder):
     # --- animations
 
     def animations(self, lost: list[str]) -> Iterator[tuple[str, tuple[float, float], list[_Curve]]]:
-        """Names, spans of time and curves of animations: of each clip, or else of the whole file.
-
-        A second animation of the same transform begins another one. ``lost`` gets targets that are nowhere.
-        """
+        """Animations: the clips of the file, or else the whole file as one. Yields name, span of time and
+        curves of each. A second animation of the same transform begins a new animation. ``lost``: gets
+        targets that do not exist."""
         clips = self.root.findall("library_animation_clips/animation_clip")
         for clip in clips:
             with self.inside(clip):
@@ -464,18 +462,18 @@ class _Conversion(GlbBuilder):
             yield names[0] if len(names) == 1 else "", (-np.inf, np.inf), list(curves_of.values())
 
     def curves(self, animation: Element, lost: list[str]) -> Iterator[_Curve]:
-        """Curves of an animation and those in it."""
+        """Curves of an animation and of animations inside it."""
         for channel in animation.iter("channel"):
             target = channel.get("target", "")
             found = _TARGET.fullmatch(target)
             node = self.node_of(found[1]) if found else None
             if found is None or node is None:
-                if target.partition("/")[0] not in self.elements:  # not a light or a material
+                if target.partition("/")[0] not in self.elements:  # a light or a material is no node
                     lost.append(printable(target, 60))
                 continue
             element, sid = self.nodes[node][0], found[2]
             places = [place for place, each in enumerate(element) if each.tag in _TRANSFORMS]
-            tag = "matrix" if sid == "transform" else sid  # of transforms without a sid
+            tag = "matrix" if sid == "transform" else sid  # transforms without a sid
             named = [place for place in places if element[place].get("sid") == sid]
             if named := named or [place for place in places if element[place].tag == tag]:
                 width, first = _TRANSFORMS[element[named[0]].tag], _MEMBERS.get(found[3], 0)
@@ -489,7 +487,8 @@ class _Conversion(GlbBuilder):
                 yield _Curve(node, named[0], first, *curve)
 
     def curve(self, sampler: Element, width: int) -> tuple[Array, Array, Array, bool]:
-        """Keys, times (K,), values (K, ``width``) of a sampler, and whether it is ``exact``, as a _Curve."""
+        """Read a sampler: keys, times (K,), values (K, ``width``), and whether it is ``exact`` (see
+        _Curve)."""
         times = self.values(self.input(sampler, "INPUT"), 1)[:, 0]
         values = self.values(self.input(sampler, "OUTPUT"), width)
         if not 0 < len(times) == len(values) or (np.diff(times) < 0).any():
@@ -510,7 +509,7 @@ class _Conversion(GlbBuilder):
         before, after = (
             self.values(inputs[f"{side}_TANGENT"], 2 * width).reshape(keys.shape) for side in ("IN", "OUT")
         )
-        from scipy.interpolate import BPoly  # slow to import
+        from scipy.interpolate import BPoly  # imported here, since the import is slow
 
         self.spend(_POINTS * keys.size)
         if kind == "HERMITE":
@@ -522,7 +521,7 @@ class _Conversion(GlbBuilder):
         return times, dense, np.stack(columns, axis=1), False
 
     def add_animation(self, name: str, span: tuple[float, float], curves: list[_Curve]) -> None:
-        """Add an animation: translations, rotations and scales of its nodes within a span of time."""
+        """Add an animation of nodes (translations, rotations and scales) within a span of time."""
         channels: list[dict[str, Any]] = []
         samplers: list[dict[str, int]] = []
         start = max(min((float(curve.keys[0]) for curve in curves), default=0.0), span[0])
@@ -560,7 +559,8 @@ class _Conversion(GlbBuilder):
 
 
 def _triangles(sizes: Indices, strips: bool) -> Indices:
-    """Corners (T, 3) of the triangles of polygons, or of triangle strips, of some sizes (P,)."""
+    """Corners (T, 3) of triangles that make up polygons, or triangle strips, with ``sizes`` (P,) corners
+    each."""
     counts = np.maximum(sizes - 2, 0)
     first = np.repeat(np.cumsum(sizes) - sizes, counts)
     step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -1,4 +1,4 @@
-"""Binary glTF files while they are made: a JSON document and its buffer [glTF 2.0]."""
+"""Build binary glTF files: a JSON document and its buffer [glTF 2.0]."""
 
 from __future__ import annotations
 
@@ -20,23 +20,21 @@ _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4
 
 
 class GlbBuilder:
-    """Lists of a glTF document, such as its nodes, and the buffer that they refer to."""
+    """Lists of a glTF document, such as its nodes, and the buffer with its arrays."""
 
     def __init__(self) -> None:
         self.lists: dict[str, list[dict[str, Any]]] = {}
         self.binary = bytearray()
 
     def add(self, kind: str, item: dict[str, Any]) -> int:
-        """Add an item to a list of the document; return its number."""
+        """Add an item to a list of the document. Returns its number."""
         items = self.lists.setdefault(kind, [])
         items.append(item)
         return len(items) - 1
 
     def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
-        """Add an array (N, ...) of float32, uint8, uint16 or uint32; return the number of its accessor.
-
-        ``bounds``: with the smallest and largest values, which glTF requires of positions and times.
-        """
+        """Add an array (N, ...) of float32, uint8, uint16 or uint32. Returns the number of its accessor.
+        ``bounds``: store the smallest and largest values, which glTF requires for positions and times."""
         accessor: dict[str, Any] = {
             "bufferView": self.view(values.tobytes(), target),
             "componentType": _TYPES[values.dtype],
@@ -51,7 +49,7 @@ class GlbBuilder:
         return self.add("accessors", accessor)
 
     def view(self, data: bytes, target: int | None = None) -> int:
-        """Add bytes to the buffer; return the number of their view."""
+        """Add bytes to the buffer. Returns the number of their view."""
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
         if target is not None:
             view["target"] = target
@@ -59,13 +57,13 @@ class GlbBuilder:
         return self.add("bufferViews", view)
 
     def image(self, encoded: bytes) -> int:
-        """Add a JPEG or PNG file; return the number of its texture."""
+        """Add a JPEG or PNG file. Returns the number of its texture."""
         kind = "image/jpeg" if encoded[:2] == b"\xff\xd8" else "image/png"
         image = self.add("images", {"bufferView": self.view(encoded), "mimeType": kind})
         return self.add("textures", {"source": image})
 
     def packed(self, **document: Any) -> bytes:
-        """Content of the .glb file: ``document``, the lists and the buffer."""
+        """Content of the .glb file: ``document`` with the lists, and the buffer."""
         if self.binary:
             document["buffers"] = [{"byteLength": len(self.binary)}]
         document = {**document, "asset": {"version": "2.0", **document.get("asset", {})}, **self.lists}

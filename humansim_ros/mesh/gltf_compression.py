@@ -19,9 +19,9 @@ DRACO = "KHR_draco_mesh_compression"
 #: Magic bytes, version, kind, method and flags.
 _DRACO_START = "<5s4BH"
 _MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
-#: Largest size of all decoded buffer views, and most elements of one with indices.
+#: Largest size of all decoded buffer views in bytes, and most elements of a view with indices.
 MAX_DECODED, _MAX_INDICES = 1 << 29, 30_000_000
-#: Most triangles or points in the Draco data of a file: a few hundred bytes can hold any number of them.
+#: Most triangles or points in the Draco data of a file, since a few hundred bytes can declare any number.
 MAX_DRACO = 5_000_000
 
 
@@ -45,11 +45,8 @@ class DracoPrimitive(Part):
 
 
 class DracoMesh:
-    """Decoded Draco mesh: ``triangles`` (N, 3), and ``attributes`` (V, width) by their id.
-
-    Raises MeshError if DracoPy is missing or refuses the data, or if they have more than ``most`` triangles
-    or points.
-    """
+    """Decoded Draco mesh: ``triangles`` (N, 3), and ``attributes`` (V, width) by id. Raises MeshError if
+    DracoPy is missing or refuses the data, or if there are more than ``most`` triangles or points."""
 
     def __init__(self, data: bytes, most: int) -> None:
         try:
@@ -68,7 +65,7 @@ class DracoMesh:
             self.attributes: dict[int, NDArray[Any]] = {
                 int(attribute["unique_id"]): np.asarray(attribute["data"]) for attribute in decoded.attributes
             }
-        except Exception as reason:  # also errors of the C++ library, which have no common class
+        except Exception as reason:  # the C++ library raises errors that have no common class
             raise MeshError(f"the Draco data cannot be decoded: {str(reason)[:100]}") from None
 
 
@@ -98,7 +95,7 @@ class _DracoHeader:
             raise MeshError("the header of the Draco data is damaged") from None
 
     def _number(self) -> int:
-        """Number of seven bits in each byte."""
+        """Read a number that is stored with seven bits in each byte."""
         value = shift = 0
         while shift < 35:
             byte = self._data[self._offset]
@@ -123,13 +120,15 @@ class _DracoHeader:
 
 
 def meshopt_view(extensions: Mapping[str, Any]) -> MeshoptView | None:
-    """Meshopt extension of a buffer view, or None. Raises MeshError with the key."""
+    """Meshopt extension of a buffer view; None if the view has none. Raises MeshError, which names the wrong
+    key."""
     name = next((name for name in _MESHOPT if name in extensions), None)
     return None if name is None else _validated(MeshoptView, extensions[name], name)
 
 
 def draco_primitive(extensions: Mapping[str, Any]) -> DracoPrimitive | None:
-    """Draco extension of a primitive, or None. Raises MeshError with the key."""
+    """Draco extension of a primitive; None if the primitive has none. Raises MeshError, which names the wrong
+    key."""
     return _validated(DracoPrimitive, extensions[DRACO], DRACO) if DRACO in extensions else None
 
 

@@ -1,4 +1,5 @@
-"""glTF 2.0 files (.gltf, .glb): nodes, meshes, skins, materials and animations as in the file [glTF 2.0].
+"""glTF 2.0 files (.gltf, .glb): nodes, meshes, skins, materials and animations as the file has them [glTF
+2.0].
 
 All content is checked before use: sizes against the data, indices against their arrays, the node tree for
 cycles. Further files must be in the folder of the file or below it; nothing is fetched from a network.
@@ -43,11 +44,11 @@ from humansim_ros.types import Array
 
 #: Maximum size of a file.
 MAX_BYTES = 1 << 29
-#: Maximum count of values in an accessor, and in one without data, which stands for zeros.
+#: Most values in an accessor, and in an accessor without data, which stands for zeros.
 MAX_VALUES, _MAX_ZEROS = 100_000_000, 10_000_000
-#: Maximum count of values in the JSON part; each needs some fifty bytes of memory.
+#: Most values in the JSON part. Each value needs some fifty bytes of memory.
 _MAX_ITEMS = 10_000_000
-#: Maximum count of nodes; a house with all its furniture has some thousands.
+#: Most nodes. A house with all its furniture has some thousands.
 _MAX_NODES = 50_000
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -68,14 +69,14 @@ class Gltf:
         """Read a .gltf or .glb file, or an FBX or COLLADA file, which is converted."""
         data = read_bytes(path, MeshError, "glTF", MAX_BYTES)
         if is_collada(data) or Path(path).suffix.lower() == ".dae":
-            from humansim_ros.mesh.collada import converted_collada  # slow to import
+            from humansim_ros.mesh.collada import converted_collada  # imported here, since the import is slow
 
             return cls.parse(path, converted_collada(path, data))
         return cls.parse(path, converted_fbx(path, MeshError, data) if is_fbx(data) else data)
 
     @classmethod
     def parse(cls, path: str | os.PathLike[str], data: bytes) -> Gltf:
-        """Parse the content of a .gltf or .glb file; the first bytes decide which."""
+        """Parse the content of a .gltf or .glb file. The first bytes decide which format it has."""
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
         if b"\0" in text:
             raise MeshError("not a glTF file: its JSON part is not text", path=path)
@@ -102,7 +103,7 @@ class Gltf:
         if "KHR_texture_basisu" in document.extensionsRequired:
             raise MeshError("its textures are KTX2 files: export them as PNG or JPEG", path=path)
         gltf = cls(Path(path), document, embedded)
-        _ = gltf.parents  # checks the tree
+        _ = gltf.parents  # this checks the tree
         return gltf
 
     # --- the tree of nodes
@@ -131,10 +132,8 @@ class Gltf:
         return parents
 
     def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:
-        """Transforms (..., N, 4, 4) of the nodes in their parents.
-
-        ``properties`` replace properties of the file, such as ``(3, "rotation"): (..., 4)``.
-        """
+        """Transforms (..., N, 4, 4) of the nodes in their parents. ``properties``: replace properties of the
+        file, such as ``(3, "rotation"): (..., 4)`` for node 3."""
         properties = properties or {}
         shape = next((value.shape[:-1] for value in properties.values()), ())
         out = np.broadcast_to(np.eye(4), (*shape, len(self.nodes), 4, 4)).copy()
@@ -172,7 +171,7 @@ class Gltf:
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
-        """(N,) nodes in the order of the file, parents before children."""
+        """(N,) nodes in the order of the file, but with parents before children."""
         order: list[int] = []
         pending = [int(root) for root in np.flatnonzero(self.parents < 0)[::-1]]
         while pending:
@@ -184,10 +183,8 @@ class Gltf:
     # --- the data
 
     def accessor(self, number: int, kinds: Sequence[str], what: str) -> NDArray[Any]:
-        """Values (count,) or (count, width) of an accessor, floats if normalised; matrices (count, n, n).
-
-        ``kinds``: valid types for ``what``.
-        """
+        """Values (count,) or (count, width) of an accessor; matrices (count, n, n). Normalised integers
+        become floats. ``kinds``: valid types of the accessor for ``what``."""
         key = f"accessors.{number}"
         accessor = self._item(self.document.accessors, number, key)
         if accessor.type not in kinds:
@@ -228,7 +225,7 @@ class Gltf:
         return values[:, 0] if width == 1 else values
 
     def attribute(self, primitive: Primitive, name: str, kinds: Sequence[str], what: str) -> NDArray[Any]:
-        """Values of a vertex attribute of a primitive, also of a Draco mesh.
+        """Values of a vertex attribute of a primitive, which may be a Draco mesh.
 
         Args:
             primitive: Primitive that has the attribute.
@@ -254,7 +251,7 @@ class Gltf:
         return _normalised(values, values.dtype) if accessor.normalized else values
 
     def indices(self, primitive: Primitive) -> tuple[NDArray[np.int64] | None, int]:
-        """Vertex indices of a primitive, None if it has none; and their mode."""
+        """Vertex indices of a primitive (None if absent), and its mode."""
         mesh, _ = self._draco_mesh(primitive)
         if mesh is not None:
             return mesh.triangles.ravel(), 4
@@ -263,12 +260,12 @@ class Gltf:
         return self.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64), primitive.mode
 
     def _draco_mesh(self, primitive: Primitive) -> tuple[DracoMesh | None, DracoPrimitive]:
-        """Draco mesh of a primitive, or None; and its attributes."""
+        """Draco mesh of a primitive (None for no Draco mesh), and its attributes."""
         with located(path=self.path, key=DRACO):
             packed = draco_primitive(primitive.extensions)
             position = primitive.attributes["POSITION"]
             plain = self._item(self.document.accessors, position, "accessors").bufferView
-            if packed is None or plain is not None:  # the same mesh without compression
+            if packed is None or plain is not None:  # the file has the same mesh uncompressed
                 return None, DracoPrimitive(bufferView=0, attributes={})
             if packed.bufferView not in self._draco_meshes:
                 view = self._view(packed.bufferView, f"bufferViews.{packed.bufferView}")
@@ -281,7 +278,7 @@ class Gltf:
         return {}
 
     def image(self, number: int) -> bytes:
-        """Encoded image file."""
+        """Content of an image file."""
         image = self._item(self.document.images, number, f"images.{number}")
         if image.bufferView is not None:
             return bytes(self._view(image.bufferView, f"images.{number}.bufferView"))
@@ -291,7 +288,7 @@ class Gltf:
 
     @cached_property
     def decoded_images(self) -> DecodedImages:
-        """Decoded images of the file, by their numbers."""
+        """Decoded images of the file, by number."""
         return DecodedImages()
 
     def texture_image(self, number: int) -> int | None:
@@ -307,17 +304,17 @@ class Gltf:
         return wrap.wrapS, wrap.wrapT
 
     def material(self, number: int | None) -> GltfMaterial:
-        """Material; None is the default material."""
+        """Material with an index. None stands for the default material."""
         if number is None:
             return GltfMaterial()
         return self._item(self.document.materials, number, f"materials.{number}")
 
     def mesh(self, number: int) -> GltfMesh:
-        """Mesh of an index."""
+        """Mesh with an index."""
         return self._item(self.document.meshes, number, f"meshes.{number}")
 
     def skin(self, number: int) -> Skin:
-        """Skin; its joints are checked to be different nodes."""
+        """Skin with an index. Its joints must be different nodes."""
         key = f"skins.{number}.joints"
         skin = self._item(self.document.skins, number, key)
         for joint in skin.joints:
@@ -343,10 +340,8 @@ class Gltf:
         return np.asarray(np.linalg.inv(inverse))
 
     def keys(self, animation: Animation, channel: int, targets: int = 0) -> tuple[Array, Array, str]:
-        """Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation.
-
-        ``targets``: number of morph targets, of a channel with their weights, which is the width.
-        """
+        """Times (K,) and values (K, width) of a channel, and the interpolation. Cubic splines have values (K,
+        3, width). ``targets``: number of morph targets; for a channel of their weights, this is the width."""
         sampler = self._item(animation.samplers, animation.channels[channel].sampler, "animations.samplers")
         times = self.accessor(sampler.input, ["SCALAR"], "times").astype(float)
         kinds = ["SCALAR"] if targets else ["SCALAR", "VEC3", "VEC4"]
@@ -395,7 +390,7 @@ class Gltf:
         return memoryview(data)[view.byteOffset : view.byteOffset + view.byteLength]
 
     def _decode(self, number: int, packed: MeshoptView, size: int) -> memoryview:
-        """Content of a meshopt buffer view of ``size`` bytes."""
+        """Decode a meshopt buffer view to ``size`` bytes."""
         key = f"bufferViews.{number}"
         if packed.count * packed.byteStride != size:
             raise self._error(f"{packed.count} elements of {packed.byteStride} bytes are not {size}", key)
@@ -433,10 +428,8 @@ class Gltf:
         return {}
 
     def _fetch(self, uri: str, key: str, most: int) -> bytes:
-        """Content of a data URI, or of a file in the folder of this file or below; other URIs are errors.
-
-        ``most``: maximum size of a file in bytes.
-        """
+        """Content of a data URI, or of a file in the folder of this file or below. Other URIs are errors.
+        ``most``: maximum size of a file in bytes."""
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             if not comma or not head.endswith(";base64"):
@@ -457,7 +450,7 @@ class Gltf:
             raise self._error(f"{uri[:60]!r}: {error.message}", key) from None
 
     def external_data(self) -> Iterator[bytes]:
-        """Contents of the files that this file refers to, one after the other."""
+        """Contents of the files that this file refers to, one at a time."""
         uris = {f"buffers.{n}.uri": buffer.uri for n, buffer in enumerate(self.document.buffers)}
         uris |= {f"images.{n}.uri": image.uri for n, image in enumerate(self.document.images)}
         for key, uri in uris.items():
@@ -474,7 +467,7 @@ class Gltf:
 
 
 def _normalised(values: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Floats from 0 to 1, or -1 to 1, from normalised integers."""
+    """Convert normalised integers to floats from 0 to 1, or from -1 to 1."""
     return np.maximum(values / np.iinfo(dtype).max, -1.0) if dtype.kind in "iu" else values
 
 

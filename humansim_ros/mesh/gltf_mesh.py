@@ -28,10 +28,8 @@ _EMISSIVE_STRENGTH = "KHR_materials_emissive_strength"
 
 
 def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
-    """Read a material; None is the default material. ``has_uv``: the mesh has texture coordinates.
-
-    Raises MeshError if an image is wrong.
-    """
+    """Read a material. None stands for the default material. ``has_uv``: the mesh has texture coordinates.
+    Raises MeshError if an image is wrong."""
     material = gltf.material(number)
     pbr, base = material.pbrMetallicRoughness, material.pbrMetallicRoughness.baseColorTexture
     maps = {
@@ -82,19 +80,21 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
 
 
 def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
-    """Image (H, W, 3) of a texture; None if it has none. Raises MeshError with the key if it is damaged."""
+    """Image (H, W, 3) of a texture; None for no image. A damaged image raises MeshError, which names the
+    key."""
     return _decoded(gltf, info, gltf.decoded_images.get)
 
 
 def _read_alpha(gltf: Gltf, info: TextureInfo) -> Image | None:
-    """Alpha channel (H, W) of a texture; None if it has none. Raises MeshError as :func:`read_image`."""
+    """Alpha channel (H, W) of a texture; None for no alpha. Raises MeshError in the same way as
+    :func:`read_image`."""
     return _decoded(gltf, info, gltf.decoded_images.alpha)
 
 
 def _decoded(
     gltf: Gltf, info: TextureInfo, decode: Callable[[int, Callable[[], bytes]], Image | None]
 ) -> Image | None:
-    """Result of ``decode`` for the image of a texture, with path and key in errors."""
+    """Call ``decode`` for the image of a texture. Its errors get path and key."""
     source = gltf.texture_image(info.index)
     if source is None:
         return None
@@ -103,7 +103,7 @@ def _decoded(
 
 
 def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
-    """Transform of the texture coordinates of a texture; None without one. Raises MeshError."""
+    """Transform of the texture coordinates of a texture; None for no transform. Raises MeshError."""
     if _TRANSFORM not in info.extensions:
         return None
     with located(path=gltf.path), in_section(_TRANSFORM):
@@ -111,7 +111,7 @@ def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
 
 
 def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
-    """Parts of a material that are ignored."""
+    """Properties of a material that are ignored."""
     parts = [f"extension {name!r}" for name in material.extensions if name != _EMISSIVE_STRENGTH]
     if material.occlusionTexture is not None:
         parts.append("the ambient occlusion map (ambient occlusion is computed)")
@@ -140,9 +140,8 @@ _MAX_VERTICES = 5_000_000
 
 @dataclass(frozen=True)
 class _Piece:
-    """A primitive in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down,
-    ``colors`` (V, 3) linear, ``normals`` (V, 3), zero where they have no length.
-    """
+    """A primitive in the common space. ``vertices``: (V, 3). ``triangles``: (N, 3). ``uv``: (V, 2), v down.
+    ``colors``: (V, 3) linear. ``normals``: (V, 3), zero where the file has a normal without length."""
 
     vertices: Array
     triangles: NDArray[np.int64]
@@ -154,11 +153,9 @@ class _Piece:
 
 
 def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
-    """Read a glTF file as a skinned mesh at bind time, or as a mesh if nothing in it is skinned.
-
+    """Read a glTF file as a skinned mesh at bind time. If nothing in it is skinned, read it as a mesh.
     ``data``: content of the file. A skinned mesh has the normals of the file. Raises MeshError if the file is
-    wrong or has no triangles.
-    """
+    wrong or has no triangles."""
     gltf = Gltf.parse(path, data)
     skeleton = GltfSkeleton.of(gltf)
     pieces = _all_pieces(gltf, skeleton)
@@ -177,13 +174,13 @@ def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
 
 
 def read_gltf_scene(path: str | os.PathLike[str], data: bytes, *, shaded: bool = False) -> Mesh:
-    """Read the scene of a glTF file as one mesh; skinned meshes have the pose of their nodes.
+    """Read the scene of a glTF file as one mesh. Skinned meshes are posed by the nodes of the file.
 
     Args:
         path: Path of the file.
         data: Content of the file.
-        shaded: With the normals of the file. A mesh without normals is flat: its triangles get vertices of
-            their own.
+        shaded: Use the normals of the file. A mesh without normals looks flat, since each triangle gets its
+            own vertices.
 
     Raises:
         MeshError: The file is wrong or has no triangles.
@@ -198,9 +195,7 @@ def read_gltf_scene(path: str | os.PathLike[str], data: bytes, *, shaded: bool =
 
 def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
     """Read the scene of a glTF file as one mesh for each material, with normals. Textures may repeat.
-
-    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
-    """
+    ``data``: content of the file. Raises MeshError if the file is wrong or has no triangles."""
     gltf = Gltf.parse(path, data)
     pieces = _flat_without_normals(_all_pieces(gltf, None))
     materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
@@ -211,7 +206,7 @@ def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]
 
 
 def _all_pieces(gltf: Gltf, skeleton: GltfSkeleton | None) -> list[_Piece]:
-    """Pieces of all nodes; in the scene if there is no skeleton."""
+    """Pieces of all nodes. If there is no skeleton, only the nodes in the scene count."""
     pieces: list[_Piece] = []
     total = 0
     for number in gltf.order:
@@ -226,10 +221,8 @@ def _all_pieces(gltf: Gltf, skeleton: GltfSkeleton | None) -> list[_Piece]:
 
 
 def _flat_without_normals(pieces: list[_Piece]) -> list[_Piece]:
-    """Pieces in which triangles without normals have vertices of their own: they look flat [glTF 2.0].
-
-    If these were too many vertices, nothing changes.
-    """
+    """Give triangles without normals their own vertices, so that they look flat [glTF 2.0]. If this made too
+    many vertices, nothing is changed."""
     total = sum(len(p.vertices) if p.normals is not None else 3 * len(p.triangles) for p in pieces)
     if total > _MAX_VERTICES:
         return pieces
@@ -273,7 +266,7 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     coordinates = [piece.uv for piece in pieces if piece.uv is not None]
     material = read_material(gltf, pieces[0].material, has_uv=bool(coordinates))
     linear = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
-    if not coordinates:  # the mean colour of a texture without texture coordinates
+    if not coordinates:  # a texture without texture coordinates: use its mean colour
         srgb = encode_srgb(linear) * texture.reshape(-1, 3).mean(axis=0)
         srgb_colors = np.rint(srgb).astype(np.uint8)
         return Mesh(vertices, faces, colors=srgb_colors, material=material, shading=_shading(pieces))
@@ -285,7 +278,7 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
 
 @dataclass(frozen=True)
 class _Attachment:
-    """Transform and joints of the mesh of a node.
+    """How the mesh of a node is placed, and which joints move it.
 
     ``to_common``: (4, 4) transform to the common space. ``joints``: number of each joint of the skin among
     all ``n_joints``. ``parent_joint``: joint that moves a mesh without skin. ``pose``: (J, 4, 4) transforms
@@ -300,7 +293,7 @@ class _Attachment:
 
 
 def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> Iterator[_Piece]:
-    """Pieces of the mesh of a node."""
+    """Pieces of the mesh of one node."""
     node = gltf.nodes[number]
     if node.mesh is None:
         return
@@ -394,7 +387,7 @@ def _piece(gltf: Gltf, primitive: Primitive, key: str, attachment: _Attachment) 
 
 
 def _normals(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | None:
-    """Normals (V, 3) in the space of the mesh; None if the file has none."""
+    """Normals (V, 3) in the space of the mesh; None if the file has no normals."""
     if "NORMAL" not in primitive.attributes:
         return None
     normals: Array = gltf.attribute(primitive, "NORMAL", ["VEC3"], "normals").astype(float)
@@ -403,7 +396,7 @@ def _normals(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | 
 
 
 def _texture_coordinates(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | None:
-    """Texture coordinates (V, 2), v down, of the colour of a material; None if there are none."""
+    """Texture coordinates (V, 2), v down, for the colour of a material; None if there are none."""
     info = gltf.material(primitive.material).pbrMetallicRoughness.baseColorTexture
     change = None if info is None else texture_transform(gltf, info)
     number = 0 if info is None else info.texCoord
@@ -430,7 +423,8 @@ def _posed(points: Array, weights: csr_matrix, pose: Array) -> Array:
 def _weights(
     gltf: Gltf, primitive: Primitive, key: str, joints: NDArray[np.intp], n_vertices: int, n_joints: int
 ) -> csr_matrix:
-    """Weights (V, J) of a primitive, summed over its sets. ``joints``: joint of each entry of the skin."""
+    """Weights (V, J) of a primitive, summed over its sets. ``joints``: number in J of each joint of the
+    skin."""
     total = csr_matrix((n_vertices, n_joints))
     count = 0
     while f"JOINTS_{count}" in primitive.attributes and f"WEIGHTS_{count}" in primitive.attributes:
@@ -462,7 +456,7 @@ def _same_length(gltf: Gltf, values: NDArray[np.generic], count: int, key: str) 
 
 
 def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
-    """Triangles (N, 3) of a list, strip or fan of corners, without degenerate ones."""
+    """Triangles (N, 3) of a list, strip or fan of corners. Degenerate triangles are left out."""
     out: NDArray[np.int64]
     if mode == 4:
         out = corners[: len(corners) // 3 * 3].reshape(-1, 3)
@@ -493,7 +487,7 @@ def _one_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     tiles = [_texture(gltf, number) for number in known]
     plain = np.array([tile.shape[0] == PLAIN for tile in tiles])
     material = np.repeat([known.index(number) for number in materials], counts)
-    # a plain tile needs no texture coordinates
+    # a tile of one colour needs no texture coordinates
     uv_faces = np.where((has_uv & ~plain[material])[:, None], faces, -1).astype(np.int32)
     if len(tiles) == 1 and plain[0]:
         uv_faces = faces
@@ -501,7 +495,7 @@ def _one_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
 
 
 def _texture(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
-    """Texture (H, W, 3) of a material times its colour; a small tile of the colour without a texture."""
+    """Texture (H, W, 3) of a material times its colour. Without a texture, a small tile of the colour."""
     pbr = gltf.material(number).pbrMetallicRoughness
     factor = np.clip(np.array(pbr.baseColorFactor[:3]), 0.0, 1.0)
     srgb = encode_srgb(factor)

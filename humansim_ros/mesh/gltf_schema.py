@@ -15,7 +15,7 @@ Vector = tuple[float, float, float]
 
 
 class Part(Checked):
-    """Section of the document. Not a Section of io.schema: files may have further keys."""
+    """Section of the document. It is no Section of io.schema, since files may have further keys."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -28,7 +28,7 @@ class Buffer(Part):
 
 
 class BufferView(Part):
-    """Part of a buffer."""
+    """Range of bytes in a buffer."""
 
     buffer: Index
     byteOffset: Index = 0
@@ -38,7 +38,7 @@ class BufferView(Part):
 
 
 class SparseIndices(Part):
-    """Rows that sparse values replace."""
+    """Numbers of the rows that sparse values replace."""
 
     bufferView: Index
     byteOffset: Index = 0
@@ -73,7 +73,7 @@ class Accessor(Part):
 
 
 class Primitive(Part):
-    """Part of a mesh with one material; ``mode`` 4, 5, 6: triangles, strip, fan."""
+    """Part of a mesh with one material. ``mode`` 4, 5 and 6 are triangles, strip and fan."""
 
     attributes: dict[str, Index]
     indices: Index | None = None
@@ -85,7 +85,7 @@ class Primitive(Part):
 
 
 class GltfMesh(Part):
-    """Primitives of a mesh; ``extras`` may have the names of its morph targets."""
+    """Primitives of a mesh. ``extras`` may have the names of its morph targets."""
 
     name: str = ""
     primitives: tuple[Primitive, ...]
@@ -101,7 +101,7 @@ class Skin(Part):
 
 
 class Node(Part):
-    """Node of the tree with its transform in its parent."""
+    """Node of the tree, with its transform relative to its parent."""
 
     name: str = ""
     children: tuple[Index, ...] = ()
@@ -142,7 +142,7 @@ class Pbr(Part):
 
 
 class GltfMaterial(Part):
-    """Material; colours are linear factors."""
+    """Material. Colours are linear factors."""
 
     name: str = ""
     pbrMetallicRoughness: Pbr = Pbr()
@@ -200,7 +200,7 @@ class Sampler(Part):
 
 
 class Animation(Part):
-    """Channels; each animates one property of one node with the values of a sampler."""
+    """Animation. Each channel animates one property of one node with the values of a sampler."""
 
     name: str = ""
     channels: tuple[AnimationChannel, ...]

@@ -15,7 +15,7 @@ from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.types import Array
 
-#: Human bones of VRM, each below the one before it [VRM 1.0].
+#: Chains of human bones of VRM. In each chain, a bone is below the previous one [VRM 1.0].
 _CHAINS = (
     ("hips", "spine", "chest", "upperChest", "neck", "head"),
     *(("hips", *(side + b for b in ("UpperLeg", "LowerLeg", "Foot", "Toes"))) for side in ("left", "right")),
@@ -24,13 +24,13 @@ _CHAINS = (
         for side in ("left", "right")
     ),
 )
-#: Most joints whose rotations are compared with each other.
+#: Most joints that are compared with each other by their rotations.
 _MAX_COMPARED = 1000
 
 
 @dataclass(frozen=True)
 class GltfSkeleton:
-    """Joints of all skins of a file.
+    """Joints of all skins of a file, in one common space.
 
     ``nodes``: (J,) node of each joint, parents first. ``parents``: (J,) nearest joint above, or -1.
     ``bind``: (J, 4, 4) joint frames in the common space at bind time. ``space``: (4, 4) transform from the
@@ -46,16 +46,18 @@ class GltfSkeleton:
 
     @classmethod
     def of(cls, gltf: Gltf) -> GltfSkeleton | None:
-        """Collect the joints of a file; None if nothing in it is skinned."""
+        """Collect the joints of a file. Returns None if nothing in the file is skinned."""
         skins = sorted({n.skin for n in gltf.nodes if n.skin is not None and n.mesh is not None})
         return cls._of_skins(gltf, skins) if skins else None
 
     @classmethod
     def of_animation(cls, gltf: Gltf, animation: Animation) -> GltfSkeleton | None:
-        """Joints that an animation moves, of a file that may have no mesh; None if it moves no joint.
+        """Joints that an animation moves, in a file that may have no mesh. None if the animation moves no
+        joint.
 
-        The human bones of a VRM animation, else the joints of all skins, else the nodes that the animation
-        rotates, what is between them, and their ends. Without skins the rest pose of the nodes counts.
+        For a VRM animation, they are its human bones; or else the joints of all skins; or else the nodes that
+        the animation rotates, the nodes between these, and their ends. Without skins, the rest pose is that
+        of the nodes.
         """
         human = _human_bones(gltf)
         if human and "VRMC_vrm_animation" in gltf.document.extensions:
@@ -67,14 +69,15 @@ class GltfSkeleton:
         nodes: set[int] = set()
         turned = {c.target.node for c in animation.channels if c.target.path == "rotation"}
         for node in gltf.order.tolist():
-            # a node below a joint is a joint or an end, if it does not only hold a mesh
+            # a node below a joint is a joint or an end, unless it only holds a mesh
             if node in turned or (int(gltf.parents[node]) in nodes and gltf.nodes[node].mesh is None):
                 nodes.add(node)
         return cls._of_nodes(gltf, nodes, human) if nodes else None
 
     @classmethod
     def _of_nodes(cls, gltf: Gltf, chosen: Collection[int], human: dict[int, str]) -> GltfSkeleton:
-        """Joints at some nodes, in the rest pose of the nodes. ``human``: human bones of nodes."""
+        """Skeleton with joints at some nodes, in the rest pose of the nodes. ``human``: human bones, by
+        node."""
         nodes = np.array([n for n in gltf.order if int(n) in chosen], dtype=np.intp)
         frames = np.array(gltf.at_rest[nodes])
         if not (np.isfinite(frames).all() and (np.abs(np.linalg.det(frames[:, :3, :3])) > 1e-27).all()):
@@ -88,7 +91,7 @@ class GltfSkeleton:
         for skin in skins:
             matrices = dict(zip(gltf.skin(skin).joints, gltf.bind_matrices(skin), strict=True))
             shared = next((joint for joint in matrices if joint in bind), None)
-            # skins may be bound in different spaces: a joint of both skins relates them
+            # skins may be bound in different spaces, which a joint of both skins relates
             change = np.eye(4) if shared is None else bind[shared] @ np.linalg.inv(matrices[shared])
             from_skin[skin] = change
             bind.update({joint: change @ matrix for joint, matrix in matrices.items() if joint not in bind})
@@ -110,14 +113,14 @@ class GltfSkeleton:
 
 
 def _parents(gltf: Gltf, nodes: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Nearest joint above each joint (J,), or -1."""
+    """Nearest joint above each joint (J,); -1 for none."""
     joint_of_node = {int(node): joint for joint, node in enumerate(nodes)}
     above = [_nearest(gltf, int(gltf.parents[node]), joint_of_node) for node in nodes]
     return np.array([joint_of_node.get(node, -1) for node in above], dtype=np.intp)
 
 
 def _nearest(gltf: Gltf, node: int, nodes: Collection[int]) -> int:
-    """First of some nodes at or above a node; -1 if there is none."""
+    """First of ``nodes`` at or above a node; -1 if there is none."""
     while node >= 0 and node not in nodes:
         node = int(gltf.parents[node])
     return node
@@ -126,9 +129,10 @@ def _nearest(gltf: Gltf, node: int, nodes: Collection[int]) -> int:
 def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
     """Similarity transform (4, 4) from bind time to the scene, and its scale.
 
-    ``changes``: (J, 4, 4) of the joints. They are equal if the rest pose of the nodes is the bind pose. Else
-    each joint has its own rotation. So the scale is the median. Rotation and translation come from the joint
-    whose rotation is nearest to all others; a mean of different rotations would be smaller.
+    ``changes``: (J, 4, 4) transforms of the joints. They are equal if the rest pose of the nodes is the bind
+    pose. Otherwise each joint has its own rotation. So the scale is the median. Rotation and translation are
+    those of the joint with the rotation nearest to all others, since a mean of different rotations is no
+    rotation.
     """
     sizes = np.cbrt(np.abs(np.linalg.det(changes[:, :3, :3])))
     scale = float(np.median(sizes))
@@ -164,10 +168,8 @@ def _names(gltf: Gltf, nodes: NDArray[np.intp], human: dict[int, str]) -> tuple[
 
 
 def _human_bones(gltf: Gltf) -> dict[int, str]:
-    """Human bone of each node in the map of a VRM avatar or animation, such as ``leftUpperArm``.
-
-    [VRM 0.x, 1.0; VRM animation 1.0]
-    """
+    """Name of the VRM bone, such as ``leftUpperArm``, by node number, from ``humanBones`` of a VRM avatar or
+    animation. [VRM 0.x, 1.0; VRM animation 1.0]"""
     extensions = gltf.document.extensions
     maps = [
         member(extensions, name, "humanoid", "humanBones")
@@ -190,10 +192,9 @@ def _human_bones(gltf: Gltf) -> dict[int, str]:
 
 
 def _unshifted(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
-    """Human bone of each node in the map of a VRM animation, which may name the node before or after it.
-
-    A map is wrong if bones are not below those that they belong to. Warns (HumansimWarning) of such a map.
-    """
+    """Correct the map of a VRM animation, since the map may name the node before or after the right one. A
+    map is wrong if bones are not below the bones that they belong to. A wrong map causes a
+    HumansimWarning."""
     if not (wrong := _misplaced(gltf, named)):
         return named
     for shift in (-1, 1, -2, 2):
@@ -209,7 +210,7 @@ def _unshifted(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
 
 
 def _misplaced(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
-    """Nodes of human bones, with the bones, that are not below the bones above them."""
+    """Human bones, by node, that are not below the bones that should be above them."""
     node_of = {bone: node for node, bone in named.items()}
     wrong: dict[int, str] = {}
     for chain in _CHAINS:
@@ -221,7 +222,7 @@ def _misplaced(gltf: Gltf, named: dict[int, str]) -> dict[int, str]:
 
 
 def member(value: Any, *keys: str) -> Any:
-    """Member of nested objects of a JSON document; None if there is none."""
+    """Member of nested objects of a JSON document; None if absent."""
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None
     return value

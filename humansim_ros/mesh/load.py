@@ -13,7 +13,7 @@ from humansim_ros.mesh.obj import read_obj, read_obj_materials
 from humansim_ros.mesh.trimesh_files import read_foreign
 from humansim_ros.types import Array
 
-#: Rotation to z up by the up axis of a file: as in Blender for y, and as COLLADA defines it for x.
+#: Rotation to z up by up axis of a file. For y, Blender's rotation; for x, that of COLLADA.
 _TO_Z_UP: dict[str, Array] = {
     "x": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
@@ -21,15 +21,14 @@ _TO_Z_UP: dict[str, Array] = {
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file as one mesh with one texture: OBJ, glTF, VRM, FBX, PLY, STL, OFF, COLLADA
-    or 3MF.
+    """Read a mesh file as one mesh with one texture: OBJ, glTF, VRM, FBX, PLY, STL, OFF, COLLADA or 3MF.
 
-    The content of the file decides its format. Units and axes stay as in the file. The textures of all
+    The content of the file decides its format. Units and axes stay those of the file. The textures of all
     materials become one image. Materials and textures are searched in the folder of the file and below it.
-    Skinned meshes of a glTF file have the pose of its nodes.
+    Skinned meshes of a glTF file are posed by its nodes.
 
     Raises:
-        MeshError: The file is missing or wrong; the error has the file and the line or key.
+        MeshError: The file is missing or wrong. The error names the file, and the line or key.
 
     Example:
         >>> import tempfile
@@ -44,36 +43,30 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
 
 
 def read_mesh_or_figure(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
-    """Read a mesh file as :func:`read_mesh` does, but a glTF file at bind time, with joints and weights.
-
-    Raises MeshError.
-    """
+    """Like :func:`read_mesh`, but read a glTF file at bind time, with joints and weights. Raises
+    MeshError."""
     kind, data = read_format(path)
     if kind != "gltf":
         return _read(path, kind, data)[0]
-    from humansim_ros.mesh.gltf_mesh import read_gltf  # slow to import
+    from humansim_ros.mesh.gltf_mesh import read_gltf  # imported here, since the import is slow
 
     return read_gltf(path, data)
 
 
 def read_mesh_z_up(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file as one mesh, with z up and the normals of a glTF or OBJ file.
-
-    It is in metres, if the file states its unit. Raises MeshError.
-    """
+    """Read a mesh file as one mesh, with z up and the normals of a glTF or OBJ file. The mesh is in metres if
+    the file states its unit. Raises MeshError."""
     mesh, up, unit = _read(path, *read_format(path), shaded=True)
     return _to_z_up(mesh, up, unit)
 
 
 def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | None = None) -> list[Mesh]:
-    """Read a mesh file as one mesh for each material, with z up. Textures may repeat.
-
-    ``up``: up axis of the file; None: y for glTF, as stated for COLLADA, z for others. COLLADA and 3MF state
-    their unit and are in metres. Raises MeshError.
-    """
+    """Read a mesh file as one mesh for each material, with z up. Textures may repeat. ``up``: up axis of the
+    file. If None, y for glTF, the stated axis for COLLADA, z for other formats. Meshes of COLLADA and 3MF are
+    in metres, since these files state their unit. Raises MeshError."""
     kind, data = read_format(path)
     if kind == "gltf":
-        from humansim_ros.mesh.gltf_mesh import read_gltf_materials  # slow to import
+        from humansim_ros.mesh.gltf_mesh import read_gltf_materials  # imported here, since the import is slow
 
         return [_to_z_up(mesh, up or "y") for mesh in read_gltf_materials(path, data)]
     if kind == "obj":
@@ -88,12 +81,10 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
 def _read(
     path: str | os.PathLike[str], kind: MeshFormat, data: bytes, *, shaded: bool = False
 ) -> tuple[Mesh, str, float]:
-    """Mesh, up axis and metres per unit of a file with its format and content.
-
-    ``shaded``: with the normals of a glTF or OBJ file.
-    """
+    """Mesh of a file with a known format, with its up axis, and metres per unit. ``shaded``: use the normals
+    of a glTF or OBJ file."""
     if kind == "gltf":
-        from humansim_ros.mesh.gltf_mesh import read_gltf_scene  # slow to import
+        from humansim_ros.mesh.gltf_mesh import read_gltf_scene  # imported here, since the import is slow
 
         return read_gltf_scene(path, data, shaded=shaded), "y", 1.0
     if kind == "obj":

@@ -1,4 +1,4 @@
-"""Labels of what the surface of a human is made of: skin, eyes, hair, garments and things that are worn."""
+"""Labels of the materials of a human's surface: skin, eyes, hair, garments and things that are worn."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-#: Things that people wear beside their clothes.
+#: Things that people wear in addition to clothes.
 WornName = Literal[
     "glasses",
     "sunglasses",
@@ -21,7 +21,8 @@ WornName = Literal[
     "backpack",
     "bag",
 ]
-#: Names of the labels from 1; 0 is no human. Labels stay: new names come last, also of worn things.
+#: Names of the labels, counted from 1. 0 is no human. Numbers never change: new names come last, also those
+#: of worn things.
 MATERIALS = (
     "unknown",
     "skin",
@@ -36,16 +37,16 @@ MATERIALS = (
 )
 #: Label by name.
 MATERIAL_LABELS = {name: label for label, name in enumerate(MATERIALS, 1)}
-#: Label of the surface of a human without labels.
+#: Label of a human's surface if its mesh has no labels.
 UNKNOWN = MATERIAL_LABELS["unknown"]
-#: Labels of skin and of hair, between which the texels decide.
+#: Labels of skin and of hair. The texels decide between them.
 SKIN, HAIR = MATERIAL_LABELS["skin"], MATERIAL_LABELS["hair"]
 
 
 def with_hair(
     labels: NDArray[np.uint8], uv: NDArray[np.floating], hair: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Labels (N,) of points of a surface, of which those on a texel of hair are no longer skin.
+    """Change the label of points on a texel of hair from skin to hair.
 
     Args:
         labels: Labels (N,) of the triangles at the points.

@@ -27,12 +27,12 @@ from humansim_ros.types import Array, Image
 class Material:
     """A glTF 2.0 metallic-roughness material. Its images use the texture coordinates of the mesh.
 
-    ``metallic``, ``roughness``: 0 to 1; multiplied by the blue and green channels of ``metal_rough``
-    (H, W, 3). ``specular``: (3,) linear reflectance at normal incidence (F0) of non-metals. ``normals``:
-    (H, W, 3) normal map, +y up in the image; its x and y are multiplied by ``normal_scale``. ``emission``:
-    (3,) emitted linear light, multiplied by ``emissive_map`` (H, W, 3), sRGB. ``alpha``: ``mask`` discards
-    pixels less opaque than ``cutoff``. ``opacity`` is multiplied by ``alpha_map`` (H, W). ``double_sided``:
-    back faces are visible. ``wrap``: whether images repeat along u and v.
+    ``metallic``, ``roughness``: 0 to 1, multiplied by the blue and green channels of ``metal_rough`` (H, W,
+    3). ``specular``: (3,) linear reflectance at normal incidence (F0) of non-metals. ``normals``: (H, W, 3)
+    normal map, +y up in the image; ``normal_scale`` multiplies its x and y. ``emission``: (3,) emitted linear
+    light, multiplied by ``emissive_map`` (H, W, 3), sRGB. ``alpha``: ``mask`` discards pixels that are less
+    opaque than ``cutoff``. ``opacity``: multiplied by ``alpha_map`` (H, W). ``double_sided``: back faces are
+    visible. ``wrap``: whether images repeat along u and v.
     """
 
     metallic: float = 0.0
@@ -52,10 +52,8 @@ class Material:
 
 
 def height_to_normal_map(heights: Image, strength: float) -> Image:
-    """Make a normal map (H, W, 3) from a height map (H, W), which repeats.
-
-    ``strength``: height of value 255 in texels.
-    """
+    """Make a normal map (H, W, 3) from a height map (H, W) that repeats. ``strength``: height that the value
+    255 stands for, in texels."""
     height = heights.astype(np.float32) * (strength / 255)
     x = (np.roll(height, 1, axis=1) - np.roll(height, -1, axis=1)) / 2
     y = (np.roll(height, -1, axis=0) - np.roll(height, 1, axis=0)) / 2
@@ -65,7 +63,7 @@ def height_to_normal_map(heights: Image, strength: float) -> Image:
 
 
 def without_maps(material: Material | None, path: str, name: str) -> Material | None:
-    """Remove the images of a material, with a warning: its mesh has no texture coordinates."""
+    """Remove the images of a material, and warn that its mesh has no texture coordinates."""
     if material is None:
         return None
     images = {
@@ -94,13 +92,14 @@ class Mesh:
     ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
     ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8, share of skin in
-    each texel (the rest is cloth and hair), or None. ``materials``: (F,) uint8, label of each face of a
-    human (:data:`humansim_ros.mesh.materials.MATERIALS`), or None; ``hair``: (H, W) uint8, share of hair in
-    each texel of skin, or None for the rest of ``skin``. ``off_body``: (F,) bool, whether each face of a
-    human is part of a surface beside the body, such as a skirt, a hat or long hair, or None if no face is.
-    ``material``: reflection of static meshes; matt if None.
-    ``shading``: (V, N) weights of the area vectors of the N triangles in the vertex normals, or None for 1
+    each texel (the rest is cloth and hair), or None. ``materials``: (F,) uint8, label of each face of a human
+    (:data:`humansim_ros.mesh.materials.MATERIALS`), or None. ``hair``: (H, W) uint8, share of hair in each
+    texel of skin; if None, everything that is not ``skin``. ``off_body``: (F,) bool, whether each face
+    belongs to an off-body surface: one away from the body, such as a skirt, a hat or long hair. None if no
+    face does. ``material``: reflection of static meshes; if None, matt. ``shading``: (V, N) weights of the
+    area vectors of the N triangles in the vertex normals; if None, 1
     (:func:`humansim_ros.mesh.normals.shading_weights`).
+
 
     Raises:
         MeshError: An index is out of range, a vertex is not finite, or shapes do not match.
@@ -159,7 +158,7 @@ class Mesh:
 
     @cached_property
     def triangles(self) -> FaceIndices:
-        """(N, 3) vertex indices: each quad a b c d as a b c and a c d."""
+        """(N, 3) vertex indices of the triangles. A quad a b c d becomes a b c and a c d."""
         return self._split(self.faces)
 
     @cached_property
@@ -182,24 +181,22 @@ class Mesh:
 
     @cached_property
     def triangles_off_body(self) -> NDArray[np.bool_]:
-        """(N,) whether each triangle of a human is part of a surface beside the body."""
+        """(N,) whether each triangle of a human belongs to an off-body surface."""
         if self.off_body is None:
             return np.zeros(len(self.triangles), bool)
         return self.off_body[self.triangle_faces]
 
     @cached_property
     def hair_texels(self) -> NDArray[np.uint8] | None:
-        """(H, W) share of hair in each texel of skin, 255 is all of it; None without labels or texture."""
+        """(H, W) share of hair in each texel of skin, 0 to 255; None if there are no labels or no texture."""
         if self.materials is None or self.hair is not None:
             return self.hair
         return None if self.skin is None else 255 - self.skin
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the surface is closed and faces outwards: each edge has two faces of opposite direction.
-
-        From outside, back faces of a closed surface are never visible and need not be drawn.
-        """
+        """Whether the surface is closed and faces outwards: each edge has two faces with opposite directions.
+        The back faces of a closed surface are never visible from outside, and need not be drawn."""
         owner = np.zeros(len(self.triangles), np.intp)
         return bool(closed_surfaces(self.vertices[self.triangles], self.triangles, owner)[0])
 
@@ -212,11 +209,9 @@ class Mesh:
 def closed_surfaces(
     points: Array, triangles: NDArray[np.integer], owner: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """(M,) whether each of several surfaces is closed and faces outwards, see :attr:`Mesh.closed`.
-
-    ``points``: (N, 3, 3) corners of all triangles. ``triangles``: (N, 3) their vertices; surfaces do not
-    share any. ``owner``: (N,) surface of each triangle.
-    """
+    """(M,) whether each of several surfaces is closed and faces outwards (see :attr:`Mesh.closed`).
+    ``points``: (N, 3, 3) corners of all triangles. ``triangles``: (N, 3) vertices; no vertex belongs to two
+    surfaces. ``owner``: (N,) surface of each triangle."""
     start, end = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64).T
     count, owners = int(triangles.max(initial=0)) + 1, np.repeat(owner, 3)
     forward, backward = start * count + end, end * count + start
@@ -231,17 +226,15 @@ def closed_surfaces(
 
 
 def padded(triangles: NDArray[np.integer]) -> FaceIndices:
-    """Faces (N, 4) of a :class:`Mesh` from triangles (N, 3): padded with -1."""
+    """Make faces (N, 4) for a :class:`Mesh` from triangles (N, 3), padded with -1."""
     return np.pad(triangles.astype(np.int32), ((0, 0), (0, 1)), constant_values=-1)
 
 
 @dataclass(frozen=True)
 class SkinnedMesh:
-    """Mesh, joints and weights at bind time, in the space of the file.
-
-    ``joint_names``: J names. ``parents``: (J,), parents first, -1 for a root. ``joints``: (J, 3) positions.
-    ``weights``: (V, J), rows sum to one.
-    """
+    """A mesh with joints and weights at bind time, in the space of the file. ``joint_names``: J names.
+    ``parents``: (J,), parents first, -1 for a root. ``joints``: (J, 3) positions. ``weights``: (V, J), rows
+    sum to one."""
 
     name: str
     mesh: Mesh
@@ -252,10 +245,8 @@ class SkinnedMesh:
 
 
 def normalise_weights(weights: csr_matrix) -> csr_matrix:
-    """Scale weights (V, B) so that rows sum to one.
-
-    Raises MeshError with the vertex if a weight is negative or not finite, or a row sums to zero.
-    """
+    """Scale weights (V, B) so that rows sum to one. Raises MeshError, which names the vertex, if a weight is
+    negative or not finite, or a row sums to zero."""
     scaled = csr_matrix(weights, dtype=np.float64, copy=True)
     counts = np.diff(scaled.indptr)
     rows = np.repeat(np.arange(len(counts)), counts)
@@ -269,13 +260,13 @@ def normalise_weights(weights: csr_matrix) -> csr_matrix:
     np.maximum.at(largest, rows, scaled.data)
     if (largest == 0).any():
         raise MeshError(f"vertex {int(np.argmin(largest))} follows no bone: its weights sum to zero")
-    scaled.data /= largest[rows]  # whose sum cannot overflow
+    scaled.data /= largest[rows]  # now the sum cannot overflow
     scaled.data /= np.bincount(rows, scaled.data, len(counts))[rows]
     return scaled
 
 
 MeshFormat = Literal["obj", "gltf", "ply", "stl", "off", "dae", "3mf"]
-#: Formats by suffix. VRM avatars are glTF files, and FBX files are converted to glTF.
+#: Formats by suffix. VRM avatars are glTF files. FBX files are converted to glTF.
 MESH_SUFFIXES: dict[str, MeshFormat] = {
     ".obj": "obj",
     ".gltf": "gltf",
@@ -293,10 +284,8 @@ MAX_BYTES = 1 << 29
 
 
 def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
-    """Format and content of a mesh file; FBX files, and COLLADA files with a skin, are converted to glTF.
-
-    Raises MeshError if it is missing, empty or too large, or cannot be converted.
-    """
+    """Format and content of a mesh file. FBX files, and COLLADA files with a skin, are converted to glTF.
+    Raises MeshError if the file is missing, empty or too large, or cannot be converted."""
     data = read_bytes(path, MeshError, "mesh", MAX_BYTES)
     if is_fbx(data) or (_format_of(data) is None and Path(path).suffix.lower() == ".fbx"):
         return "gltf", converted_fbx(path, MeshError, data)
@@ -308,7 +297,7 @@ def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:
 
 
 def has_signature(data: bytes) -> bool:
-    """Whether the content of a file says that it is a mesh file of some format."""
+    """Whether the first bytes of a file identify it as a mesh file."""
     return is_fbx(data) or _format_of(data) is not None
 
 
@@ -341,11 +330,11 @@ def _names(data: bytes) -> list[str]:
 
 
 def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:
-    """Copy vertices that have several texture coordinates: glTF and viewers have one per vertex.
+    """Copy vertices with several texture coordinates, since glTF and viewers have one per vertex.
 
     Returns:
-        Original vertex (N,) of each vertex; the first V are 0 to V - 1; texture coordinates (N, 2),
-        v up, or None; and triangles (T, 3) of the N vertices.
+        Original vertex (N,) of each vertex, with 0 to V - 1 first; texture coordinates (N, 2), v up, or None;
+        and triangles (T, 3) of the N vertices.
     """
     count = len(mesh.vertices)
     if mesh.uv is None or mesh.uv_triangles is None:

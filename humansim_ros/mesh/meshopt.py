@@ -1,7 +1,7 @@
 """Decoder of the meshopt bitstream [EXT_meshopt_compression, KHR_meshopt_compression].
 
-Data are untrusted: each read is checked, and the size of the result is known before decoding. A wrong stream
-raises ValueError.
+Data are untrusted, so each read is checked, and the size of the result is known before decoding. A wrong
+stream raises ValueError.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 Bytes = NDArray[np.uint8]
 
 _GROUP, _MAX_BLOCK = 16, 256
-#: Bits of a delta by the mode of its group: version 0, and version 1 by the control mode of the byte.
+#: Bits of a delta by mode of its group: in version 0, and in version 1 by the control mode of the byte.
 _MODE_BITS = ((0, 2, 4, 8), (0, 1, 2, 4), (1, 2, 4, 8))
-#: Deltas in a packed byte, by their number of bits. Single bits begin at the lowest bit.
+#: Deltas in a packed byte, by number of bits. Single bits begin at the lowest bit.
 _UNPACKED = {
     1: tuple(bytes((byte >> shift) & 1 for shift in range(8)) for byte in range(256)),
     2: tuple(bytes((byte >> shift) & 3 for shift in (6, 4, 2, 0)) for byte in range(256)),
@@ -89,7 +89,7 @@ def _attributes(data: bytes, count: int, stride: int) -> Bytes:
 
 
 def _block(data: bytes, at: int, end: int, version: int, size: int, stride: int) -> tuple[Bytes, int]:
-    """Deltas (stride, size) of a block, and the position behind it.
+    """Deltas (stride, size) of a block, and the position after the block.
 
     Args:
         data: Compressed bytes.
@@ -125,7 +125,7 @@ def _block(data: bytes, at: int, end: int, version: int, size: int, stride: int)
 
 
 def _group(data: bytes, at: int, bits: int) -> tuple[Bytes, int]:
-    """16 deltas (packed first, then the larger ones), and the position behind them."""
+    """Read 16 deltas: first the packed ones, then the larger ones. Returns also the position after them."""
     packed = data[at : at + 2 * bits]
     at += 2 * bits
     if bits == 8:
@@ -147,7 +147,7 @@ def _bytes(values: bytes | bytearray) -> Bytes:
 
 
 def _integrated(deltas: Bytes, last: Bytes, kind: int) -> Bytes:
-    """Bytes (N, 4) of a channel from its deltas (4, N) and the bytes (4,) before them."""
+    """Bytes (N, 4) of a channel, from its deltas (4, N) and the previous bytes (4,)."""
     rotation, kind = kind >> 4, kind & 15
     if kind > 2 or (rotation and kind < 2):
         raise ValueError(f"channel mode {kind}")
@@ -160,7 +160,7 @@ def _integrated(deltas: Bytes, last: Bytes, kind: int) -> Bytes:
         values = np.bitwise_xor.accumulate(np.concatenate([before, steps]), axis=0)[1:]
     else:
         one = dtype.type(1)
-        signed = steps >> one ^ (~(steps & one) + one)  # zigzag
+        signed = steps >> one ^ (~(steps & one) + one)  # zigzag encoding
         values = np.cumsum(np.concatenate([before, signed]), axis=0, dtype=dtype)[1:]
     return np.ascontiguousarray(values.astype(dtype)).view(np.uint8)
 
@@ -174,7 +174,7 @@ def _check(at: int, end: int) -> None:
 
 
 class _Reader:
-    """Variable-length numbers of a byte string, and indices as differences to the last."""
+    """Reads numbers of variable length, and indices that are stored as differences to the previous index."""
 
     def __init__(self, data: bytes, at: int) -> None:
         self.data, self.at, self.last = data, at, 0
@@ -191,7 +191,7 @@ class _Reader:
         raise ValueError("a number of more than five bytes")
 
     def index(self) -> int:
-        """Index that is stored as the difference to the last such index."""
+        """Read an index that is stored as the difference to the previous index of this kind."""
         value = self.number()
         self.last = (self.last + _signed(value)) & 0xFFFFFFFF
         return self.last
@@ -220,7 +220,7 @@ def _triangles(data: bytes, count: int) -> list[int]:
     if count % 3 or len(data) < 17 + count // 3:
         raise ValueError(f"{len(data)} bytes for {count} indices")
     table, reader = data[-16:], _Reader(data[:-16], 1 + count // 3)
-    # the last 16 edges and vertices, newest last; entries that were not written read as 0
+    # the last 16 edges and vertices, newest last; entries that were not written are 0
     edges: list[tuple[int, int]] = [(0, 0)] * 16
     recent: list[int] = [0] * 16
     out: list[int] = []
@@ -305,19 +305,20 @@ def _quaternion(elements: Bytes) -> Bytes:
 def _exponential(elements: Bytes) -> Bytes:
     """Floats from an exponent (8 bits) and a mantissa (24 bits)."""
     values = np.ascontiguousarray(elements).view("<i4")
-    with np.errstate(over="ignore"):  # infinities are refused where the floats are read
+    with np.errstate(over="ignore"):  # infinities are refused later, where the floats are read
         floats = np.ldexp(((values << 8) >> 8).astype(np.float64), values >> 24).astype("<f4")
     return floats.view(np.uint8).reshape(-1)
 
 
 def _color(elements: Bytes) -> Bytes:
-    """Colours (N, 4) from luma, chroma and alpha; the highest bit of alpha gives the number of bits."""
+    """Colours (N, 4) from luma, chroma and alpha. The highest bit of alpha gives the number of bits."""
     signed, _ = _components(elements, "COLOR")
     bits = 2 * elements.shape[1]
     unsigned: NDArray[np.int64] = np.where(signed < 0, signed + (1 << bits), signed).astype(np.int64)
     y, alpha = unsigned[:, 0], unsigned[:, 3]
     orange, green = signed[:, 1], signed[:, 2]
-    top: NDArray[np.int64] = np.frexp(np.maximum(alpha, 1).astype(float))[1].astype(np.int64)  # bits of alpha
+    # number of bits of alpha
+    top: NDArray[np.int64] = np.frexp(np.maximum(alpha, 1).astype(float))[1].astype(np.int64)
     scale = (np.int64(1) << top) - 1
     alpha = alpha & (scale >> 1)
     alpha = alpha << 1 | alpha & 1
@@ -328,7 +329,7 @@ def _color(elements: Bytes) -> Bytes:
 
 
 def _components(elements: Bytes, name: str) -> tuple[NDArray[np.float64], int]:
-    """Signed components (N, 4) as floats, and the largest one."""
+    """Signed components (N, 4) as floats, and the largest possible component."""
     width = elements.shape[1] // 4
     if width not in (1, 2):
         raise ValueError(f"filter {name} needs elements of 4 or 8 bytes")
@@ -337,7 +338,7 @@ def _components(elements: Bytes, name: str) -> tuple[NDArray[np.float64], int]:
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round half away from zero."""
+    """Round to the nearest integer. Halves are rounded away from zero."""
     return np.asarray(np.copysign(np.floor(np.abs(values) + 0.5), values))
 
 

@@ -23,11 +23,12 @@ _PREVIOUS = (2, 0, 1)
 
 @dataclass(frozen=True, init=False)
 class SurfaceNormals:
-    """Unit vertex normals of N triangles: the weighted mean of the normals of the triangles at each vertex.
+    """Unit vertex normals of a surface with N triangles: weighted means of the normals of the triangles at
+    each vertex.
 
-    ``weighting``: ``angle`` weights a triangle by its angle at the vertex [Thürmer 1998], as Blender does
-    with triangles; the result does not depend on the triangulation of polygons. ``area`` weights by area and
-    takes half the time.
+    ``weighting``: ``angle`` weights a triangle by its angle at the vertex [Thürmer 1998], as Blender does, so
+    that the result does not depend on how polygons are divided into triangles. ``area`` weights a triangle by
+    its area and takes half the time.
     """
 
     corners: tuple[Indices, Indices, Indices]
@@ -45,10 +46,8 @@ class SurfaceNormals:
         object.__setattr__(self, "weighting", weighting)
 
     def __call__(self, vertices: FloatArray) -> FloatArray:
-        """Normals (..., V, 3) of vertices (..., V, 3), zero at vertices without triangles.
-
-        Raises MeshError for another number of vertices.
-        """
+        """Normals (..., V, 3) of vertices (..., V, 3). Zero at vertices without triangles. Raises MeshError
+        if the number of vertices is wrong."""
         batch, shape = _checked_frames(vertices, self.around.shape[0])
         out = np.empty_like(batch)
         around = self.around.astype(batch.dtype)
@@ -62,7 +61,7 @@ class SurfaceNormals:
 
 
 def welded(positions: NDArray[np.floating]) -> Indices:
-    """(V,) number of each place: vertices (V, 3) at the same place have the same."""
+    """(V,) number of the place of each vertex. Vertices (V, 3) at the same place have the same number."""
     order = np.lexsort(positions.T)
     new = (np.diff(positions[order], axis=0, prepend=np.nan) != 0).any(axis=1)
     places = np.empty(len(positions), np.intp)
@@ -71,30 +70,34 @@ def welded(positions: NDArray[np.floating]) -> Indices:
 
 
 def mean_normals(face_normals: Array, faces: NDArray[np.integer], n_vertices: int) -> Array:
-    """Unit vertex normals (V, 3) from weighted face normals (F, 3) of faces (F, K); zero without faces."""
+    """Unit vertex normals (V, 3) from weighted face normals (F, 3) of faces (F, K). Zero for vertices without
+    faces."""
     normals = np.zeros((n_vertices, 3))
     for corner in range(faces.shape[1]):
         np.add.at(normals, faces[:, corner], face_normals)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
-#: Vertices at one place that share their triangles; more have their own only.
+#: Up to this number, vertices at one place share their triangles. If there are more, each has only its own.
 _MOST_AT_PLACE = 32
-#: Degrees by which normals may differ from area-weighted means; steps of the fit where they differ more.
+#: If normals differ by less than this (degrees) from area-weighted means, nothing is fitted; steps of the
+#: fit.
 _SAME, _STEPS = 1.0, 300
 
 
 def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Array) -> csr_matrix:
-    """Weights (V, N) with which the area vectors of triangles sum to the direction of given vertex normals.
+    """Weights (V, N) of the area vectors of triangles. Their weighted sums have the directions of given
+    vertex normals.
 
-    Weights stay valid when the mesh moves, and follow its surface when it deforms, unlike the normals
-    themselves. They are at least 0, so that a normal outside its triangles' normals becomes the nearest one
-    between them. Triangles at other vertices of the same place count: smooth normals cross seams.
+    Unlike the normals themselves, weights stay valid when the mesh moves or deforms. They are at least 0, so
+    that a normal that is not between the normals of its triangles becomes the nearest one between them.
+    Triangles at other vertices of the same place count too, so that normals are smooth across seams.
+
 
     Args:
         vertices: (V, 3).
         triangles: (N, 3) vertex indices.
-        normals: (V, 3) unit normals; zero where unknown, which gives area-weighted means.
+        normals: (V, 3) unit normals. Zero where unknown; there the result is the area-weighted mean.
     """
     count = len(vertices)
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
@@ -115,7 +118,7 @@ def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Ar
     plain = np.where(own, size[columns], 0.0)
 
     def mean(weights: Array, chosen: NDArray[np.intp]) -> Array:
-        """Weighted sums (V, 3) of the unit normals of triangles."""
+        """Sums (V, 3) of the unit normals of triangles, multiplied by the weights."""
         unit = area[columns[chosen]] / size[columns[chosen], None]
         return np.stack([np.bincount(rows[chosen], weights * unit[:, k], count) for k in range(3)], axis=1)
 
@@ -142,14 +145,15 @@ def shading_weights(vertices: Array, triangles: NDArray[np.integer], normals: Ar
 
 @dataclass(frozen=True, init=False)
 class SurfaceTangents:
-    """Tangents of a surface with texture coordinates, as MikkTSpace computes them for triangles
-    [Mikkelsen 2008]: the convention of normal maps in glTF and Blender.
+    """Tangents of a surface with texture coordinates, as MikkTSpace computes them for triangles [Mikkelsen
+    2008].
 
-    A vertex has one tangent for each of its texture coordinates, and two where a mirrored texture meets the
-    original. These are C corners: ``vertex`` (C,) and ``uv`` (C,) are their indices, ``sign`` (C,) their
-    handedness, bitangent = sign * cross(normal, tangent). ``triangles`` (N, 3) index the corners. MikkTSpace
-    walks over common edges; here, corners with the same vertex and texture coordinate are one, even where
-    surfaces only touch.
+    Normal maps in glTF and Blender use this convention. A vertex has one tangent for each of its texture
+    coordinates, and two where a mirrored texture meets the original. Each tangent belongs to one of C
+    corners: ``vertex`` (C,) and ``uv`` (C,) are the indices of the corner, ``sign`` (C,) its handedness, with
+    bitangent = sign * cross(normal, tangent). ``triangles`` (N, 3) index the corners. MikkTSpace walks over
+    common edges. Here, corners with the same vertex and texture coordinate are one, even where surfaces only
+    touch.
     """
 
     vertex: Indices
@@ -182,11 +186,9 @@ class SurfaceTangents:
         object.__setattr__(self, "_gradient", gradient)
 
     def __call__(self, vertices: FloatArray, normals: FloatArray) -> FloatArray:
-        """Tangents (..., C, 4): unit vector perpendicular to the normal, towards increasing u, and the sign.
-
-        ``vertices``, ``normals``: (..., V, 3). Zero where the texture has no area. Raises MeshError for wrong
-        shapes.
-        """
+        """Tangents (..., C, 4): a unit vector perpendicular to the normal, towards increasing u, and the
+        sign. ``vertices``, ``normals``: (..., V, 3). The tangent is zero where the texture has no area.
+        Raises MeshError for wrong shapes."""
         batch, shape = _checked_frames(vertices, self.n_vertices)
         batch_normals, other = _checked_frames(normals, self.n_vertices)
         if shape != other:
@@ -223,7 +225,7 @@ def _checked_triangles(triangles: NDArray[Any], count: int, what: str) -> Indice
 
 
 def _checked_frames(vertices: FloatArray, count: int) -> tuple[FloatArray, tuple[int, ...]]:
-    """Reshape to (F, V, 3), float32 or float64; also return the original shape."""
+    """Reshape vertices to (F, V, 3), float32 or float64. Returns also the original shape."""
     array = np.asarray(vertices)
     if array.ndim < 2 or array.shape[-2:] != (count, 3):
         raise MeshError(f"an array of shape {array.shape} does not fit {count} vertices: (..., {count}, 3)")
@@ -233,14 +235,14 @@ def _checked_frames(vertices: FloatArray, count: int) -> tuple[FloatArray, tuple
 
 
 def _sides(points: FloatArray, corners: tuple[Indices, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Sides (3, N) of triangles, coordinates first: from corner 0 to 1, 1 to 2, 2 to 0."""
+    """Sides (3, N) of triangles, from corner 0 to 1, 1 to 2 and 2 to 0. Coordinates come first."""
     columns = np.ascontiguousarray(points.T)
     a, b, c = (columns.take(corner, axis=1) for corner in corners)
     return b - a, c - b, a - c
 
 
 def _angles(sides: tuple[FloatArray, FloatArray, FloatArray]) -> list[FloatArray]:
-    """Angles (N,) at corners 0, 1 and 2, radians; 0 where a side has no length."""
+    """Angles (N,) at corners 0, 1 and 2, radians. 0 where a side has no length."""
     units = [_unit(side) for side in sides]
     cosines = (-np.einsum("ij,ij->j", units[i], units[_PREVIOUS[i]]) for i in range(3))
     return [np.arccos(np.clip(cosine, -1, 1)) for cosine in cosines]
@@ -253,7 +255,7 @@ def _perpendicular(vectors: FloatArray, up: FloatArray) -> FloatArray:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Normalise vectors (3, N); zero stays zero."""
+    """Normalise vectors (3, N). A zero vector stays zero."""
     length = np.sqrt(np.einsum("ij,ij->j", vectors, vectors))
     unit: FloatArray = vectors / np.where(length > 0, length, 1)
     return unit

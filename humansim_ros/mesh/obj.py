@@ -18,11 +18,12 @@ from humansim_ros.mesh.normals import shading_weights
 from humansim_ros.mesh.texels import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.types import Array, Image
 
-#: Keyword -> line number and words after it, of one material. The last statement of a keyword counts.
+#: By keyword, for one material: line number, and the words after the keyword. The last statement of a keyword
+#: counts.
 Statements = Mapping[str, tuple[int, list[str]]]
-#: Specular reflectance (F0) of Ks 1. Ks 0.5 is glass and plastic (F0 0.04), as in Blender.
+#: Specular reflectance (F0) for Ks = 1. Ks = 0.5 is glass and plastic (F0 0.04), as in Blender.
 _SPECULAR = 0.08
-#: Largest material file: thousands of materials.
+#: Largest material file, bytes. It has room for thousands of materials.
 _MAX_MTL_BYTES = 16 << 20
 _NORMAL_MAPS = ("norm", "map_Bump", "map_bump", "bump")
 _UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl", "decal")
@@ -30,7 +31,7 @@ _UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl"
 
 @dataclass(frozen=True)
 class _Mtl:
-    """A material of a material file. ``images``: images of the file that are decoded already."""
+    """A material of a material file. ``images``: images of the file that have been decoded already."""
 
     path: Path
     name: str
@@ -38,12 +39,12 @@ class _Mtl:
     images: DecodedImages
 
     def texture(self) -> Image:
-        """The texture (H, W, 3): ``map_Kd``, else the plain colour ``Kd``."""
+        """The texture (H, W, 3): ``map_Kd``, or else the plain colour ``Kd``."""
         image = self._map("map_Kd", "the colour Kd is used")
         return plain_tile(self._three("Kd", 0.8)) if image is None else image
 
     def finish(self) -> Material | None:
-        """Material besides its colour; None for a matt one. Warns about unsupported statements."""
+        """Material without its colour; None for a matt surface. Warns about unsupported statements."""
         statements = self.statements
         ignored = [keyword for keyword in _UNSUPPORTED if keyword in statements]
         maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in statements]
@@ -58,7 +59,7 @@ class _Mtl:
         shiny = self._one("illum", 2.0) >= 2
         gloss = self._three("Ks", 0.0) * _SPECULAR if shiny else np.zeros(3)
         exponent = max(self._one("Ns", 0.0), 0.0)
-        # roughness with the same width of highlight as the Blinn-Phong exponent
+        # roughness with a highlight as wide as that of the Blinn-Phong exponent
         roughness = self._one("Pr", (2 / (exponent + 2)) ** 0.25 if shiny else 1.0)
         metallic, emission = self._one("Pm", 0.0), self._three("Ke", 0.0)
         opacity = self._one("d", 1 - self._one("Tr", 0.0))
@@ -95,7 +96,7 @@ class _Mtl:
         return float(numbers([words[-1:]], [line], 1, keyword, str(self.path))[0, 0])
 
     def _normals(self) -> Image | None:
-        """Normal map; a grey image is a height map and converted."""
+        """Normal map. A grey image is a height map and is converted."""
         keyword = next((key for key in _NORMAL_MAPS if key in self.statements), None)
         image = None if keyword is None else self._map(keyword)
         if image is None or keyword is None or np.ptp(image.reshape(-1, 3), axis=1).max() > 8:
@@ -106,7 +107,7 @@ class _Mtl:
         return height_to_normal_map(image[..., 0], 4 * float(given))
 
     def _alpha(self) -> Image | None:
-        """Opacity (H, W) of ``map_d``: its alpha channel, or grey values without one."""
+        """Opacity (H, W) of ``map_d``: its alpha channel, or its grey values if it has none."""
         image = self._map("map_d", "the material is opaque")
         file = None if image is None else self._file("map_d")
         if image is None or file is None:
@@ -115,10 +116,8 @@ class _Mtl:
         return image[..., 0] if alpha is None else alpha
 
     def _map(self, keyword: str, fallback: str = "it is ignored") -> Image | None:
-        """Image that a statement names after its options; None, with a warning, if it is missing.
-
-        ``fallback``: words that say in the warning how the material looks without the image.
-        """
+        """Image that a statement names after its options. If the image is missing, warns and returns None.
+        ``fallback``: words for the warning: how the material looks without the image."""
         if keyword not in self.statements:
             return None
         file = self._file(keyword)
@@ -130,7 +129,7 @@ class _Mtl:
             return self.images.get(file, lambda: _read(file))
 
     def _file(self, keyword: str) -> Path | None:
-        """Image in the folder of the material file or below; None if it is missing."""
+        """Image file in the folder of the material file or below; None if the file is missing."""
         name = self.statements[keyword][1][-1]
         file = resolve_inside(self.path.parent, name.replace("\\", "/"))
         return file if file is not None and exists(file) else None
@@ -141,7 +140,7 @@ def _read(file: Path) -> bytes:
 
 
 def read_mtl(path: Path, images: DecodedImages) -> dict[str, _Mtl]:
-    """Materials of a material file by name. ``images``: images that are decoded already."""
+    """Materials of a material file by name. ``images``: images that have been decoded already."""
     materials: dict[str, dict[str, tuple[int, list[str]]]] = {}
     for number, line in enumerate(read_text(path, MeshError, "material", _MAX_MTL_BYTES).splitlines(), 1):
         words = line.partition("#")[0].split()
@@ -166,7 +165,7 @@ def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, p
         Finite numbers, (N, width).
 
     Raises:
-        MeshError: A row is wrong; the error has its line.
+        MeshError: A row is wrong. The error names its line.
     """
     try:
         values = np.array(rows, dtype=float)
@@ -188,38 +187,36 @@ def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, p
     raise MeshError(f"'{keyword}' lines cannot be read", path=path)
 
 
-#: Colour of materials that are missing in the library.
+#: Colour of materials that are missing in the material library.
 _GREY = (0.6, 0.6, 0.6)
-#: Largest OBJ file: its text needs about ten times its size of memory while it is parsed.
+#: Largest OBJ file, bytes. Parsing needs about ten times its size in memory.
 _MAX_OBJ_BYTES = 1 << 28
-#: Most corners of a polygon: it becomes a fan of triangles, which only fits a convex one.
+#: Most corners of a polygon. It becomes a fan of triangles, which is correct only for convex polygons.
 _MAX_CORNERS = 50_000
-#: Longest normal; longer ones are not known.
+#: A longer normal is treated as unknown.
 _LARGEST_NORMAL = 1e30
 
 
 def read_obj(path: str | os.PathLike[str], data: bytes, *, shaded: bool = False) -> Mesh:
     """Read a Wavefront OBJ file as one mesh with the colours and textures of its materials in one texture.
 
-    Units and axes stay as in the file. Without a material file the mesh has no colours.
+    Units and axes stay those of the file. Without a material file the mesh has no colours.
 
     Args:
         path: Path of the file.
         data: Content of the file.
-        shaded: With the normals of the file: corners with different ones get vertices of their own.
+        shaded: Use the normals of the file. Corners with different normals get their own vertices.
 
     Raises:
-        MeshError: The file is wrong; with file and line.
+        MeshError: The file is wrong. The error names file and line.
     """
     with located(path=path):
         return _one_mesh(_parse(path, data, shaded))
 
 
 def read_obj_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
-    """Read a Wavefront OBJ file as one mesh for each material, with normals. Textures may repeat.
-
-    ``data``: content of the file. Raises MeshError with file and line.
-    """
+    """Read a Wavefront OBJ file as one mesh for each material, with normals. Textures may repeat. ``data``:
+    content of the file. Raises MeshError, which names file and line."""
     with located(path=path):
         return _by_material(_parse(path, data, shaded=True))
 
@@ -233,7 +230,7 @@ def material_files(path: str | os.PathLike[str]) -> list[Path]:
 
 
 def _references(path: Path, keyword: str) -> list[Path]:
-    """Existing files that the lines with a keyword name."""
+    """Existing files that lines with this keyword name."""
     lines = read_text(path, MeshError, "mesh", MAX_BYTES).splitlines()
     names = [line.split(None, 1)[1].strip() for line in lines if line.startswith(f"{keyword} ")]
     if keyword == "map_Kd":
@@ -244,11 +241,8 @@ def _references(path: Path, keyword: str) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Obj:
-    """Content of a file.
-
-    ``face_materials``: name of the material of each face. ``normals``: (V, 3) unit normals, zero where
-    unknown; None without any.
-    """
+    """Content of a file. ``face_materials``: name of the material of each face. ``normals``: (V, 3) unit
+    normals, zero where unknown; None if the file has none."""
 
     points: Array
     faces: FaceIndices
@@ -261,7 +255,7 @@ class _Obj:
 
 
 def _by_material(obj: _Obj) -> list[Mesh]:
-    """One mesh for each material, split by whether faces have texture coordinates."""
+    """Make one mesh for each material. Faces with and without texture coordinates become two meshes."""
     materials = _read_libraries(obj)
     textures = {name: material.texture() for name, material in materials.items()}
     finishes = {name: material.finish() for name, material in materials.items()}
@@ -274,7 +268,7 @@ def _by_material(obj: _Obj) -> list[Mesh]:
     for (name, textured), kind in numbers.items():
         chosen = number == kind
         used, corners = np.unique(obj.faces[chosen], return_inverse=True)
-        first = int(used[0] < 0)  # -1, the padding of triangles
+        first = int(used[0] < 0)  # -1 pads triangles
         faces = (corners.reshape(-1, 4) - first).astype(np.int32)
         texture = textures.get(name, plain_tile(_GREY) if textures else plain_tile((1, 1, 1)))
         vertices = obj.points[used[first:]]
@@ -302,24 +296,22 @@ def _with_normals(mesh: Mesh, normals: Array) -> Mesh:
 
 
 def _split_by_normals(obj: _Obj, corners: FaceIndices, directions: Array) -> _Obj:
-    """Give corners of faces with different normals vertices of their own.
-
-    ``corners``: (F, 4) indices into ``directions`` (N, 3), -1 where a corner has no normal.
-    """
+    """Give corners of faces their own vertices where their normals differ. ``corners``: (F, 4) indices into
+    ``directions`` (N, 3), -1 where a corner has no normal."""
     # programs repeat equal normals
     known, number = np.unique(unit_vectors(directions).round(4), axis=0, return_inverse=True)
     number = np.where(directions.any(axis=1), number.reshape(-1) + 1, 0)
     known, number = np.vstack([np.zeros((1, 3)), known]), np.append(number, 0)
     keys = np.where(obj.faces < 0, -1, obj.faces.astype(np.int64) * len(known) + number[corners])
     used, places = np.unique(keys, return_inverse=True)
-    first = int(used[0] < 0)  # -1, the padding of triangles
+    first = int(used[0] < 0)  # -1 pads triangles
     vertices, chosen = np.divmod(used[first:], len(known))
     faces = (places.reshape(-1, 4) - first).astype(np.int32)
     return replace(obj, points=obj.points[vertices], faces=faces, normals=known[chosen])
 
 
 def _directions(rows: list[list[str]], path: str) -> Array | None:
-    """Normals (N, 3) of ``vn`` lines, zero where they are not finite; None if they cannot be read."""
+    """Normals (N, 3) of ``vn`` lines; zero where not finite. None if they cannot be read."""
     try:
         found = np.array(rows, dtype=float).reshape(-1, 3)
     except ValueError:
@@ -425,7 +417,7 @@ def _read_libraries(obj: _Obj) -> dict[str, _Mtl]:
 
 
 def _colored(obj: _Obj) -> Mesh | None:
-    """Mesh with the textures of its materials; None without materials. Missing ones are grey."""
+    """Mesh with the textures of its materials; None if there are no materials. Missing textures are grey."""
     materials = _read_libraries(obj)
     if not materials:
         return None
@@ -443,10 +435,8 @@ def _colored(obj: _Obj) -> Mesh | None:
 
 
 def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) -> int:
-    """Convert a 1-based OBJ index to 0-based; a negative index counts back from the last element so far.
-
-    ``so_far``, ``total``: number of elements above this line, and in the file.
-    """
+    """Convert a 1-based OBJ index to 0-based. A negative index counts back from the last element so far.
+    ``so_far``, ``total``: number of elements above this line, and in the file."""
     try:
         number = int(word)
     except ValueError:
@@ -458,7 +448,7 @@ def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) 
 
 
 def _quads(corners: int) -> list[tuple[int, int, int, int]]:
-    """Split a polygon: up to four corners stay one face, more become a fan of triangles."""
+    """Split a polygon. Up to four corners stay one face; more corners become a fan of triangles."""
     if corners == 3:
         return [(0, 1, 2, -1)]
     if corners == 4:

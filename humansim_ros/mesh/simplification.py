@@ -1,7 +1,9 @@
-"""Levels of detail of a mesh: edges collapse into one of their vertices, so that vertices stay a subset.
+"""Levels of detail of a mesh. Edges collapse into one of their vertices, so that the remaining vertices are a
+subset.
 
-The cheapest collapses by quadric error [Garland 1997] come first, in several poses at once: a surface that
-bends keeps the vertices that it bends at. A vertex of a texture seam moves along it only. Borders stay.
+Collapses with the smallest quadric error [Garland 1997] come first. The error counts in several poses at
+once, so that a surface that bends keeps its vertices at the bend. A vertex of a texture seam only moves along
+the seam. Borders stay.
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ from scipy.sparse.csgraph import connected_components
 
 from humansim_ros.types import Array, Indices
 
-#: Share of the cheapest collapses that are tried in a round.
+#: Share of the cheapest collapses that are tried in each round.
 _TRIED = 0.35
 #: Smallest cosine between the normals of a triangle before and after a collapse.
 _LEAST_COSINE = 0.3
-#: Share of the vertices whose deviation the error of a level does not exceed.
+#: The error of a level holds for this share of the vertices: they deviate by at most this error.
 _WITHIN = 0.95
-#: Share of the triangles that a round removes at least, if a limit of the error is to be reached.
+#: If a limit of the error is to be reached, each round removes at least this share of the triangles.
 _LEAST_REMOVED = 0.003
-#: Vertices at which :func:`bounded_errors` measures, and the share of them whose deviation the error does not
-#: exceed: two standard deviations above ``_WITHIN``.
+#: Number of vertices at which :func:`bounded_errors` measures, and the share of them that the error must hold
+#: for. This share is two standard deviations above ``_WITHIN``.
 _SAMPLES, _WITHIN_SAMPLES = 2000, 0.96
 _UPPER = np.triu_indices(4)
 _TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
@@ -34,13 +36,15 @@ _TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Simplification:
-    """Simpler versions of a mesh; level 0 is the mesh itself.
+    """Simpler versions of a mesh. Level 0 is the mesh itself.
 
     Attributes:
-        parents: (V,) vertex that each vertex collapses into; itself if it stays at all levels.
+        parents: (V,) vertex that each vertex collapses into. A vertex that stays at all levels has its own
+            number.
         coordinate_parents: (T,) the same for texture coordinates.
-        removed_at: (V,) first level without the vertex; 255 if it stays.
-        errors: (K + 1,) metres; 95 % of the vertices are nearer to the surface of a level, in all poses.
+        removed_at: (V,) first level without the vertex. 255 if the vertex stays.
+        errors: (K + 1,) metres. 95 % of the vertices are nearer to the surface of a level than this, in all
+            poses.
     """
 
     parents: Indices
@@ -56,7 +60,8 @@ class Simplification:
     def level(
         self, number: int, triangles: NDArray[np.integer], coordinates: NDArray[np.integer]
     ) -> _Triangles:
-        """Triangles (N, 3) of a level and their texture coordinates (N, 3), with the numbers of the mesh."""
+        """Triangles (N, 3) of a level, and their texture coordinates (N, 3), as indices into the arrays of
+        the mesh."""
         vertices = self.vertices_of(number)
         stays = self.removed_at > number
         owner = np.zeros(len(self.coordinate_parents), np.intp)
@@ -65,7 +70,7 @@ class Simplification:
         return _without_degenerate(vertices[triangles], found[coordinates])
 
     def vertices_of(self, number: int) -> Indices:
-        """(V,) vertex of a level that each vertex has become."""
+        """(V,) vertex of a level that stands for each vertex."""
         return _followed(self.parents, self.removed_at > number)
 
 
@@ -78,11 +83,12 @@ def simplify(
     """Simplify a mesh.
 
     Args:
-        poses: Vertices in P poses, (P, V, 3) metres; the first is at rest.
+        poses: Vertices in P poses, (P, V, 3) metres. The first is the rest pose.
         triangles: (N, 3).
-        coordinates: Texture coordinates of the triangles, (N, 3); two vertices have none in common.
-        shares: Number of triangles of each level, as a share of N; decreasing. Levels that cannot be reached
-            are missing in the result.
+        coordinates: Indices of texture coordinates of the triangles, (N, 3). No two vertices share a
+            coordinate.
+        shares: Number of triangles of each level, as a share of N, decreasing. Levels that cannot be reached
+            are left out.
     """
     work = _Collapsing(poses, triangles, coordinates)
     count = len(triangles)
@@ -109,11 +115,11 @@ def simplify_within(
     """Simplify a mesh, or a patch of one, as far as its quadric error allows.
 
     Args:
-        poses: Vertices in P poses, (P, V, 3) metres; the first is at rest.
+        poses: Vertices in P poses, (P, V, 3) metres. The first is the rest pose.
         triangles: (N, 3).
         coordinates: Texture coordinates of the triangles, (N, 3).
-        limits: Largest quadric error of the collapses of each level, metres; increasing. ``errors`` of the
-            result are these: :func:`bounded_errors` measures true ones.
+        limits: Largest quadric error of the collapses of each level, metres, increasing. They become
+            ``errors`` of the result. :func:`bounded_errors` measures the true errors.
     """
     work = _Collapsing(poses, triangles, coordinates)
     removed_at = np.full(poses.shape[1], 255, np.uint8)
@@ -129,11 +135,9 @@ def simplify_within(
 
 
 def patches(triangles: NDArray[np.integer], coordinates: NDArray[np.integer]) -> Indices:
-    """Patch (N,) of each triangle, such that each can be simplified without the others.
-
-    Patches meet at edges of which both vertices never move: those with more than two texture coordinates, as
-    at the hems of clothes.
-    """
+    """Divide a mesh into patches that can be simplified independently. Returns the patch (N,) of each
+    triangle. Patches meet at edges with two vertices that never move. Such vertices have more than two
+    texture coordinates, as at the hems of clothes."""
     count, number = int(triangles.max()) + 1, int(coordinates.max()) + 1
     distinct = np.unique(triangles.ravel().astype(np.int64) * number + coordinates.ravel()) // number
     fixed = np.bincount(distinct, minlength=count) > 2
@@ -149,13 +153,13 @@ def patches(triangles: NDArray[np.integer], coordinates: NDArray[np.integer]) ->
 def bounded_errors(
     levels: Simplification, poses: Array, triangles: NDArray[np.integer], coordinates: NDArray[np.integer]
 ) -> Simplification:
-    """Levels with errors measured at some of the vertices; true ones are hardly ever larger.
+    """Measure the errors of levels at some of the vertices. The true errors are hardly ever larger.
 
-    The triangle that is nearest at rest stands for the nearest one of each pose.
+    The triangle that is nearest in the rest pose is taken as the nearest one in each pose.
 
     Args:
         levels: Levels of a mesh.
-        poses: Its vertices in P poses, (P, V, 3) metres; the first is at rest.
+        poses: Vertices in P poses, (P, V, 3) metres. The first is the rest pose.
         triangles: (N, 3).
         coordinates: Texture coordinates of the triangles, (N, 3).
     """
@@ -181,7 +185,7 @@ def bounded_errors(
 
 
 class _Collapsing:
-    """A mesh whose edges collapse, many that are apart in each round."""
+    """Collapses edges of a mesh. Each round collapses many edges that are apart from each other."""
 
     def __init__(
         self, poses: Array, triangles: NDArray[np.integer], coordinates: NDArray[np.integer]
@@ -207,10 +211,8 @@ class _Collapsing:
         return np.stack([around @ each for each in quadrics]), (around @ (areas.T / 3)).T
 
     def collapse(self, goal: int, largest: float = np.inf) -> bool:
-        """Collapse edges, to no fewer triangles than a goal. Returns whether any could be.
-
-        ``largest``: squared error of a collapse.
-        """
+        """Collapse edges until ``goal`` triangles remain. Returns whether any edge could be collapsed.
+        ``largest``: squared error of a collapse."""
         count = self.poses.shape[1]
         gone, kept, sides, neighbours = self._edges()
         if not len(gone):
@@ -225,7 +227,7 @@ class _Collapsing:
         bad = self._is_bad(gone[best], kept[best], neighbours)
         self._refused = np.append(self._refused, gone[best[bad]] * count + kept[best[bad]])
         best = best[~bad]
-        # those that are the cheapest of all around the neighbours of their vertex
+        # edges that are the cheapest of all around the neighbours of their vertex
         rank = np.full(count, count)
         rank[gone[best]] = np.argsort(np.argsort(cost[best], kind="stable"), kind="stable")
         pairs = neighbours.tocoo()
@@ -240,9 +242,9 @@ class _Collapsing:
         return True
 
     def _edges(self) -> tuple[Indices, Indices, Indices, csr_matrix]:
-        """Vertices that may go (E,), vertices that they may go to, their texture coordinates on both sides
-        (4, E): of one and of the other on one side, and on the other; and all neighbours (V, V).
-        """
+        """Edges that may collapse, as the vertices that go (E,) and the vertices that stay (E,). Returns also
+        their texture coordinates (4, E): of both vertices on one side of the edge, then on the other side;
+        and all pairs of neighbours (V, V)."""
         count = self.poses.shape[1]
         start, end = self.triangles.ravel(), self.triangles[:, [1, 2, 0]].ravel()
         first, second = self.coordinates.ravel(), self.coordinates[:, [1, 2, 0]].ravel()
@@ -274,7 +276,8 @@ class _Collapsing:
         return gone[free], kept[free], sides[:, free], neighbours
 
     def _is_bad(self, gone: Indices, kept: Indices, neighbours: csr_matrix) -> NDArray[np.bool_]:
-        """(M,) whether a collapse would make edges of more than two triangles, or turn a triangle over."""
+        """(M,) whether a collapse would make an edge with more than two triangles, or turn a triangle
+        over."""
         common = neighbours[gone].multiply(neighbours[kept]).sum(axis=1)
         around = _incidence(self.triangles, self.poses.shape[1])
         which, triangle = _rows(around, gone)
@@ -310,7 +313,7 @@ def _without_degenerate(triangles: Indices, coordinates: Indices) -> _Triangles:
 
 
 def _followed(parents: Indices, stays: NDArray[np.bool_]) -> Indices:
-    """(V,) first of the parents of each that stays."""
+    """(V,) follow the parents of each vertex up to the first one that stays."""
     found = np.where(stays, np.arange(len(parents)), parents)
     while not stays[found].all() and not np.array_equal(
         further := np.where(stays[found], found, parents[found]), found
@@ -326,7 +329,7 @@ def _incidence(triangles: Indices, count: int) -> csr_matrix:
 
 
 def _rows(matrix: csr_matrix, rows: Indices) -> tuple[Indices, Indices]:
-    """Entries of some rows of a matrix: the number of the row among them, and the column, (M,) each."""
+    """Entries (M,) of some rows of a matrix: the position of the row in ``rows``, and the column."""
     sizes = np.diff(matrix.indptr)[rows]
     which = np.repeat(np.arange(len(rows)), sizes)
     offsets = np.arange(len(which)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -341,12 +344,13 @@ def _area_vectors(corners: Array) -> Array:
 def _deviations(poses: Array, triangles: Indices, vertices: Indices) -> Array:
     """(V,) largest distance of each vertex from a simplified surface, in all poses.
 
-    Distances are to the triangles near the vertex that it has become, so that they are never too small.
+    Distances are measured to triangles around the vertex that stands for it, so that they are never too
+    small.
 
     Args:
         poses: All vertices, (P, V, 3).
         triangles: The surface, (N, 3).
-        vertices: (V,) vertex that each vertex has become.
+        vertices: (V,) remaining vertex that stands for each vertex.
     """
     removed = np.flatnonzero(vertices != np.arange(len(vertices)))
     around = _incidence(triangles, len(vertices))
@@ -383,6 +387,6 @@ def _dot(left: Array, right: Array) -> Array:
 
 
 def compact(triangles: Indices) -> tuple[Indices, NDArray[np.int32]]:
-    """Vertices that triangles use (v,), and the triangles (N, 3) with numbers among them."""
+    """Vertices (v,) that triangles use, and the triangles (N, 3) as indices into these vertices."""
     kept, inverse = np.unique(triangles, return_inverse=True)
     return kept, inverse.reshape(-1, 3).astype(np.int32)

@@ -1,6 +1,7 @@
-"""Texels of a mesh: the triangle, and the place in it, at the centre of each texel of a texture.
+"""Texels of a mesh: for each texel of a texture, the triangle at its centre, and the place in it.
 
-Also atlases, which hold the images of several materials in one texture, and division of triangles into four.
+The module also makes atlases, which hold the images of several materials in one texture, and divides
+triangles into four.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from humansim_ros.mesh.mesh import FaceIndices, Mesh, padded
 from humansim_ros.types import Array, Indices
 
-#: Side of a plain colour tile, and maximum side of the atlas, texels.
+#: Side of a tile of one colour, and largest side of the atlas, texels.
 PLAIN, _MAX_SIDE = 8, 4096
 
 
@@ -67,7 +68,7 @@ def atlas_mesh(
 def pack_images(
     tiles: Sequence[NDArray[np.uint8]],
 ) -> tuple[NDArray[np.uint8], list[tuple[int, int, int, int]]]:
-    """Put images into one, in rows, smaller if they are too large for one texture.
+    """Put images in rows into one image. They are made smaller if they are too large for one texture.
 
     Args:
         tiles: Images (H, W, 3), at least one.
@@ -100,12 +101,12 @@ def pack_images(
 
 @dataclass(frozen=True, eq=False)
 class Subdivision:
-    """A mesh of triangles made of another one.
+    """A mesh of triangles that was made by dividing another mesh.
 
     Attributes:
-        mesh: The finer mesh, whose faces are triangles.
-        owner: (N,) triangle of the first mesh of each of its triangles.
-        edges: For each round, pairs of vertices (E, 2) between which it adds vertices.
+        mesh: The finer mesh. Its faces are triangles.
+        owner: (N,) triangle of the first mesh that contains each triangle of the finer mesh.
+        edges: For each round, pairs of vertices (E, 2). A new vertex lies between each pair.
     """
 
     mesh: Mesh
@@ -113,14 +114,14 @@ class Subdivision:
     edges: tuple[Indices, ...]
 
     def points(self, points: Array) -> Array:
-        """Vertices of the finer mesh from vertices (V, 3) of the first mesh, also in a pose."""
+        """Vertices of the finer mesh from vertices (V, 3) of the first mesh, which may be posed."""
         for pairs in self.edges:
             points = np.concatenate([points, points[pairs].mean(axis=1)])
         return points
 
 
 def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
-    """Divide each triangle into four, ``rounds`` times; texture coordinates follow.
+    """Divide each triangle into four, ``rounds`` times. Texture coordinates are divided, too.
 
     Raises:
         MeshError: The mesh cannot be made.
@@ -152,7 +153,7 @@ def subdivide(mesh: Mesh, rounds: int) -> Subdivision:
 
 
 def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
-    """Triangles (4 N, 3), and the pairs (E, 2) of the ``count`` points between which new points are."""
+    """Triangles (4 N, 3), and pairs (E, 2) of the ``count`` points. A new point lies between each pair."""
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     pairs, number = np.unique(sides, axis=0, return_inverse=True)
     ab, bc, ca = (count + number.reshape(-1, 3)).T
@@ -161,7 +162,7 @@ def _divided(triangles: Indices, count: int) -> tuple[Indices, Indices]:
     return np.concatenate([np.stack(part, axis=1) for part in parts]), pairs
 
 
-#: Texels that are computed at once.
+#: Number of texels that are computed at once.
 _CHUNK = 50_000
 #: Tolerance of barycentric coordinates, so that no texel is lost between triangles.
 _INSIDE = 1e-9
@@ -191,7 +192,8 @@ class SurfaceTexels:
         )
 
     def mix(self, values: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.floating]:
-        """Values of corners (T, ...) at the texels (M, ...). ``triangles``: (N, 3), indices of corners."""
+        """Interpolate values of corners (T, ...) at the texels (M, ...). ``triangles``: (N, 3), indices of
+        corners."""
         corners = triangles[self.triangle]
         out = values[corners[:, 0]] * _column(self.weights[:, 0], values)
         out += values[corners[:, 1]] * _column(self.weights[:, 1], values)
@@ -204,7 +206,7 @@ def _column(weights: Array, values: NDArray[np.floating]) -> NDArray[np.floating
 
 
 def rasterise_uv(uv: Array, triangles: NDArray[np.integer], size: int) -> SurfaceTexels:
-    """Find the triangle at the centre of each texel; of triangles that overlap, the last one.
+    """Find the triangle at the centre of each texel. Where triangles overlap, the last one counts.
 
     Args:
         uv: Texture coordinates (T, 2), v up.
@@ -238,7 +240,7 @@ def rasterise_uv(uv: Array, triangles: NDArray[np.integer], size: int) -> Surfac
         wc = (bx[number] * dy - by[number] * dx) / area[number]
         inside = np.flatnonzero((wb >= -_INSIDE) & (wc >= -_INSIDE) & (wb + wc <= 1 + _INSIDE))
         at = y[inside] * size + x[inside]
-        owner[at] = number[inside]  # of repeated places, the last one stays
+        owner[at] = number[inside]  # if a texel comes more than once, the last triangle stays
         wb, wc = wb[inside], wc[inside]
         weights[at] = np.stack([1 - wb - wc, wb, wc], axis=-1)
         start = stop

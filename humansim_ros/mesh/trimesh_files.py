@@ -1,7 +1,7 @@
 """PLY, STL, OFF, COLLADA and 3MF files, read by trimesh.
 
 Files are untrusted. Sizes and counts are checked before trimesh sees them, and no further file is opened. XML
-can refer to its own parts again and again, so COLLADA and 3MF are read by another process with limits.
+can refer to its own parts again and again, so another process with limits reads COLLADA and 3MF.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from humansim_ros.mesh.mesh import Mesh, MeshFormat, padded
 from humansim_ros.types import Array
 
 _MAX_VERTICES = 5_000_000
-#: Largest decompressed 3MF file and COLLADA file; memory and time of the process that reads them.
+#: Largest COLLADA file and largest decompressed 3MF file, bytes; most entries of a 3MF archive.
 _MAX_XML, _MAX_ENTRIES = 1 << 28, 10_000
 _MEMORY, _CPU_SECONDS, _SECONDS = 4 << 30, 60, 300
 #: Metres per unit of 3MF files.
@@ -44,13 +44,14 @@ _PACKAGES = {"dae": "pycollada lxml", "3mf": "lxml networkx"}
 _ZIP_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, ValueError, OSError, NotImplementedError, RuntimeError, EOFError),
 )
-#: Encodings in which a document type cannot hide.
+#: Encodings that cannot hide a document type.
 _ENCODINGS = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1")
 
 
 @dataclass(frozen=True)
 class ForeignMesh:
-    """Mesh in the units and axes of its file. ``up``: x, y or z. ``unit``: metres; 1 if it has none."""
+    """Mesh in the units and axes of its file. ``up``: x, y or z. ``unit``: metres per unit; 1 if the file
+    states no unit."""
 
     mesh: Mesh
     up: str = "z"
@@ -58,7 +59,7 @@ class ForeignMesh:
 
 
 def read_foreign(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) -> ForeignMesh:
-    """Read a PLY, STL, OFF, COLLADA or 3MF file as one mesh with vertex colours, if it has any.
+    """Read a PLY, STL, OFF, COLLADA or 3MF file as one mesh. It has vertex colours if the file has.
 
     Args:
         path: Path of the file, for messages.
@@ -82,10 +83,8 @@ def read_foreign(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) ->
 
 
 def parse(kind: str, data: bytes) -> dict[str, Any]:
-    """Arrays of a file: ``vertices``, ``faces`` (N, 3), ``colors``, ``up``, ``unit``, ``textured``.
-
-    Raises MeshError; also for each error of trimesh, whose parsers raise all kinds of exceptions.
-    """
+    """Arrays of a file: ``vertices``, ``faces`` (N, 3), ``colors``, ``up``, ``unit``, ``textured``. Raises
+    MeshError, also for each of the many exceptions that the parsers of trimesh raise."""
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
@@ -119,7 +118,7 @@ def _require(kind: str) -> None:
 
 
 def _arrays(kind: str, data: bytes, loaded: Any) -> dict[str, Any]:
-    """One mesh from all parts of a file, as they are placed."""
+    """Join all parts of a file to one mesh, each at its place."""
     import trimesh
 
     parts: list[tuple[Any, Array]] = []
@@ -169,7 +168,8 @@ def _arrays(kind: str, data: bytes, loaded: Any) -> dict[str, Any]:
 
 
 def _part(part: Any) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8] | None]:
-    """Vertices, triangles and vertex colours (V, 3) of a part. Faces with own colours have own vertices."""
+    """Vertices, triangles and vertex colours (V, 3) of a part. If faces have colours, each has its own
+    vertices."""
     points, corners = np.asarray(part.vertices, float), np.asarray(part.faces, np.int64)
     visual = part.visual
     if visual.kind == "face":
@@ -190,7 +190,7 @@ def _has_texture(part: Any) -> bool:
 
 
 def _welded(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Join vertices at the same position, in the order of their first use; drop faces without area."""
+    """Join vertices at the same position, in the order of first use. Faces without area are removed."""
     _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.argsort(order)
@@ -205,7 +205,7 @@ def _collada_up(data: bytes) -> str:
 
 
 def _metres(unit: str) -> float:
-    """Metres of a unit as trimesh names it."""
+    """Metres of a unit, with the name that trimesh uses."""
     if unit in _UNITS:
         return _UNITS[unit]
     found = re.fullmatch(r"([0-9.eE+-]+) \* meters", unit)
@@ -220,7 +220,7 @@ def _metres(unit: str) -> float:
 
 
 def _check_counts(kind: str, data: bytes) -> None:
-    """Raise MeshError if a header promises more than the file can have."""
+    """Raise MeshError if a header promises more than the file can contain."""
     if kind == "ply":
         header = data[: max(data.find(b"end_header"), 0) or 65536]
         counts = re.findall(rb"^\s*element\s+\w+\s+(\d+)", header, re.MULTILINE)
@@ -234,7 +234,7 @@ def _check_counts(kind: str, data: bytes) -> None:
 
 
 def _check_xml(kind: str, data: bytes) -> None:
-    """Raise MeshError for archives that grow too much, and for XML with a document type."""
+    """Raise MeshError for archives that become too large, and for XML with a document type."""
     texts = [data]
     if kind == "3mf":
         try:
@@ -262,7 +262,7 @@ def _check_xml(kind: str, data: bytes) -> None:
 
 
 def _parse_in_process(kind: str, data: bytes) -> dict[str, Any]:
-    """:func:`parse` in a process with limited memory and time."""
+    """Run :func:`parse` in a process with limited memory and time."""
     path = os.pathsep.join(entry for entry in sys.path if entry)
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "humansim_ros.mesh.trimesh_files", kind]
@@ -288,7 +288,7 @@ def _parse_in_process(kind: str, data: bytes) -> dict[str, Any]:
     )
 
 
-#: Exit code of the process for a file that cannot be read.
+#: Exit code of the process if the file cannot be read.
 _REFUSED = 3
 
 

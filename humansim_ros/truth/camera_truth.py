@@ -20,9 +20,9 @@ from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels
 from humansim_ros.render.renderer import Kind
 from humansim_ros.types import Array, Float32Array, Indices
 
-#: Visibility of a joint: outside the image (or behind the camera), occluded, or visible.
+#: Visibility of a joint: outside the image or behind the camera, occluded, visible.
 OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
-#: Occluder of a joint: none, another part of the same person, another person, an object or the room.
+#: Occluder of a joint: none, the same person, another person, an object or the room.
 NOTHING, SELF, PERSON, THING = 0, 1, 2, 3
 
 
@@ -32,12 +32,13 @@ class JointView:
 
     Attributes:
         optical: Positions (J, 3) in the optical frame, metres.
-        pixels: Projections (J, 2); NaN behind the camera and outside the field of view of the lens.
+        pixels: Projections (J, 2). NaN behind the camera and outside the field of view of the lens.
         visible: OUTSIDE, OCCLUDED or VISIBLE, (J,).
         occluder: SELF, PERSON or THING of an occluded joint, else NOTHING, (J,).
-        by: Instance label of the occluder (J,), the human's own for SELF; 0 without label or occluder.
-        behind: Metres along z from the first surface at the joint's pixel to the joint, (J,); -inf without
-            surface, NaN outside the image.
+        by: Instance label of the occluder (J,); for SELF, that of the human. 0 if there is no occluder, or if
+            it has no label.
+        behind: Metres along z from the first surface at the joint's pixel to the joint, (J,). -inf if the
+            pixel shows no surface, NaN outside the image.
     """
 
     optical: Array
@@ -62,8 +63,9 @@ def view_joints(
 ) -> JointView:
     """Compute visibility and occluders of the joints of a human.
 
-    A joint lies inside the body. It is visible if the first surface at its pixel is skin around that joint,
-    or if no surface is in front of it: the end of a limb may project beside the pixels of its skin.
+    A joint lies inside the body. It is visible if the first surface at its pixel is skin around that joint.
+    It is also visible if no surface is in front of it, since the end of a limb may project next to the pixels
+    of its skin.
 
     Args:
         camera: Camera of the view.
@@ -99,10 +101,10 @@ def view_joints(
 def nearest_pixels(
     pixels: Array, size: tuple[int, int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
-    """Find the nearest pixels of points (N, 2) in an image of a size (width, height).
+    """Find the nearest pixels of points (N, 2) in an image. ``size``: (width, height).
 
     Returns:
-        Mask (N,) of the points inside the image, and row and column (N,) of their pixels; 0, 0 outside.
+        Mask (N,) of the points inside the image, and row and column (N,) of their pixels. Both are 0 outside.
     """
     inside = np.all((pixels > -0.5) & (pixels < np.array(size) - 0.5), axis=-1)  # false for NaN
     column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.intp).T
@@ -114,12 +116,15 @@ class BodyBox:
     """Boxes of a human or labelled object in an image. A box is (4,): left, top, right, bottom, in pixels.
 
     Attributes:
-        visible: Box of the visible pixels, areas included: one pixel (x, y) has x - 0.5, y - 0.5, x + 0.5,
-            y + 0.5. NaN without visible pixels.
-        whole: Box of the projection of the whole body, also outside the image and behind occluders. NaN if
-            nothing of the body is in front of the camera.
-        truncation: Share of the area of the whole box outside the image, 0 to 1; 1 if there is no whole box.
-        visible_fraction: Visible pixels as a share of the amodal mask; NaN if the mask is empty.
+        visible: Box around the areas of the visible pixels. The box of a single pixel (x, y) is x - 0.5, y -
+            0.5, x + 0.5, y + 0.5. NaN if no pixel is visible.
+
+        whole: Box of the projection of the whole body, including what is outside the image or occluded. NaN
+            if nothing of the body is in front of the camera.
+
+        truncation: Share of the area of the whole box that is outside the image, 0 to 1. It is 1 if there is
+            no whole box.
+        visible_fraction: Visible pixels as a share of the amodal mask. NaN if the mask is empty.
         pixels: Number of visible pixels.
         kind: Human or object.
     """
@@ -156,11 +161,9 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
 
 
 def whole_box(camera: Camera, body: Body) -> Array:
-    """Box (4,) of the projection of a whole body, also of its occluded parts; NaN if nothing is projected.
-
-    The body is cut at the near plane of the renderer (5 cm along the axis, 5 mm for wide fisheyes). Points
-    outside the field of view of the lens are left out.
-    """
+    """Box (4,) of the projection of a whole body, including occluded parts. NaN if nothing is projected. The
+    body is cut at the near plane of the renderer (5 cm along the axis, 5 mm for wide fisheyes). Points
+    outside the field of view of the lens are left out."""
     points, plane = camera.to_optical(body.vertices), near_plane(camera)
     near = points[:, 2] < plane
     if near.any():
@@ -173,9 +176,8 @@ def whole_box(camera: Camera, body: Body) -> Array:
 
 
 def truncation(whole: Array, size: tuple[int, int]) -> float:
-    """Share of the area of a box outside an image of a size (width, height), as "truncated" in KITTI
-    [Geiger 2012].
-    """
+    """Share of the area of a box that is outside an image: "truncated" in KITTI [Geiger 2012]. ``size``:
+    (width, height) of the image."""
     if not np.isfinite(whole).all():
         return 1.0
     inside = np.clip(whole.reshape(2, 2), -0.5, np.array(size) - 0.5)
@@ -186,7 +188,8 @@ def truncation(whole: Array, size: tuple[int, int]) -> float:
 
 
 def _box_of(mask: NDArray[np.bool_]) -> tuple[Array, int]:
-    """Box (4,) and number of the pixels of a mask (H, W); the box is NaN without pixels."""
+    """Box (4,) around the pixels of a mask (H, W), and their number. The box is NaN if there are no
+    pixels."""
     image = mask.view(np.uint8)
     pixels = cv2.countNonZero(image)
     if not pixels:
@@ -207,16 +210,17 @@ def _crossings(points: Array, triangles: NDArray[np.integer], plane: float) -> A
 _HIDDEN_BEHIND_ALL = 0.05
 #: A vertex is hidden if it is this far (metres) behind the room or an unlabelled object at its pixel.
 _HIDDEN_BEHIND_SCENE = 0.01
-#: Share of a vertex's distance by which a triangle must be nearer to hide it.
+#: A triangle hides a vertex only if it is nearer by this share of the vertex's distance.
 _MIN_GAP = 1e-5
 
 
 def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, NDArray[np.bool_]]:
     """Compute masks (V,) of the visible vertices of all labelled bodies, by instance label.
 
-    A vertex is visible if it is inside the image and beyond the near plane (5 cm along the axis, 5 mm for
-    wide fisheyes), no triangle of a labelled body intersects the ray to it, and neither the room nor an
-    unlabelled object at its pixel is in front of it. ``view`` must have the channels depth and instance.
+    A vertex is visible if three conditions hold. It is inside the image and beyond the near plane (5 cm along
+    the axis, 5 mm for wide fisheyes). No triangle of a labelled body intersects the ray to the vertex.
+    Neither the room nor an unlabelled object is in front of the vertex at its pixel. ``view`` must have the
+    channels depth and instance.
     """
     bodies = [body for body in bodies if body.instance]
     if not bodies:
@@ -231,7 +235,7 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
 
 
 def visible_points(camera: Camera, bodies: Sequence[Body], points: Array, view: View) -> NDArray[np.bool_]:
-    """Compute a mask (N,) of the visible points (N, 3) of ``map``, by the rule of :func:`visible_vertices`.
+    """Compute a mask (N,) of the visible points (N, 3) of ``map``, with the rule of :func:`visible_vertices`.
 
     A triangle that the point lies on does not hide it.
 
@@ -251,10 +255,8 @@ def visible_points(camera: Camera, bodies: Sequence[Body], points: Array, view: 
 def _visible(
     camera: Camera, bodies: Sequence[Body], points: Array, asked: Indices, view: View
 ) -> NDArray[np.bool_]:
-    """Mask (P,) of the visible ones of points (P, 3) in ``map``, the vertices of the bodies first.
-
-    ``asked``: indices of the points to test.
-    """
+    """Mask (P,) of the visible points (P, 3) in ``map``. The vertices of the bodies come first. ``asked``:
+    indices of the points to test."""
     optical, near = camera.to_optical(points), near_plane(camera)
     offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
     triangles = [
@@ -271,7 +273,7 @@ def _visible(
 def _candidates(
     camera: Camera, points: Array, depth_image: NDArray[np.float32], labels: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
-    """Mask (V,) of points (V, 3) of the optical frame inside the image that may be visible."""
+    """Mask (V,) of points (V, 3) of the optical frame that are inside the image and may be visible."""
     pixels, depth = camera.project_optical(points)
     inside, row, column = nearest_pixels(pixels, camera.size)
     farthest = cv2.dilate(depth_image, np.ones((3, 3), np.uint8))
@@ -282,11 +284,8 @@ def _candidates(
 
 def _occluding_triangles(body: Body, points: Array, near: float) -> Indices:
     """Triangles (N, 3) of a body that can hide a vertex. ``points``: its vertices (V, 3) in the optical
-    frame.
-
-    Triangles within ``near`` are left out, and back faces of a closed surface that is seen from outside:
-    a front face hides the same vertices.
-    """
+    frame. Triangles within ``near`` are left out. So are back faces of a closed surface that is seen from
+    outside, since a front face hides the same vertices."""
     triangles = body.mesh.triangles.astype(np.intp)
     if not body.mesh.closed or points[:, 2].min() < 2 * NEAR:
         far = points[:, 2] >= near
@@ -315,7 +314,8 @@ def _unoccluded(points: Array, candidates: Indices, triangles: Indices, near: fl
 def _overlapping(
     points: Array, candidates: Indices, triangles: Indices, near: float
 ) -> tuple[Indices, Indices]:
-    """Pairs (K,), (K,) of candidates (indices of points) and triangles with the candidate in their bounds."""
+    """Pairs (K,), (K,) of candidates (indices of points) and triangles with the candidate within their
+    bounds."""
     plane = points[:, :2] / np.maximum(points[:, 2:], near)
     corners = plane.T[:, triangles.T]
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -348,7 +348,7 @@ def _overlapping(
 
 
 def _ranges(start: Indices, end: Indices) -> tuple[Indices, Indices]:
-    """Index of the range, and number, for all numbers of the ranges start to end - 1."""
+    """All numbers from start to end - 1 of each range, with the index of the range."""
     lengths = np.maximum(end - start, 0)
     which = np.repeat(np.arange(len(start)), lengths)
     firsts = np.cumsum(lengths) - lengths
@@ -356,18 +356,14 @@ def _ranges(start: Indices, end: Indices) -> tuple[Indices, Indices]:
 
 
 def part_u_v(view: View) -> Float32Array:
-    """Part label and texture coordinates (H, W, 3), v up, of each pixel; 0, NaN, NaN where no body is.
-
-    ``view`` must have the channels part and uv.
-    """
+    """Part label and texture coordinates (H, W, 3), v up, of each pixel; 0, NaN, NaN for no body. ``view``
+    must have the channels part and uv."""
     return np.dstack([view.part.astype(np.float32), view.uv])
 
 
 def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Float32Array:
-    """Points (H, W, 3) of the rest mesh that each pixel shows; NaN where no labelled body is.
-
-    Points of humans are in body space, metres. ``view`` must have the channels instance and face.
-    """
+    """Points (H, W, 3) of the rest mesh that the pixels show. NaN where no labelled body is. Points of humans
+    are in body space, metres. ``view`` must have the channels instance and face."""
     labelled = [body for body in bodies if body.instance]
     owners = np.full(65536, -1)
     owners[[body.instance for body in labelled]] = np.arange(len(labelled))
@@ -404,7 +400,7 @@ class CameraTruth:
         bodies: All bodies at the stamp.
         labels: Instance labels of humans and labelled objects, by name.
         joint_surfaces: Part labels around joints by human, from :func:`~humansim_ros.truth.joint_surfaces`.
-        joint_positions: Returns the joints (J, 3) of a human in ``map``, metres.
+        joint_positions: Function that returns the joints (J, 3) of a human in ``map``, metres.
         humans: Humans by name, for keypoints.
     """
 
@@ -426,13 +422,13 @@ class CameraTruth:
         return set(REQUIRED_CHANNELS[kind]) <= set(self.view.channels)
 
     def _require(self, kind: str) -> None:
-        """Raise ChannelError if the view has not the channels for a property."""
+        """Raise ChannelError if the view lacks channels that a property needs."""
         if not self.has(kind):
             raise missing_channels(kind, REQUIRED_CHANNELS[kind], self.view.channels)
 
     @cached_property
     def joints(self) -> dict[str, JointView]:
-        """Joints by human. The view must have depth, instance and part; raises ChannelError otherwise."""
+        """Joints by human. Raises ChannelError unless the view has depth, instance and part."""
         self._require("joints")
         return {
             name: view_joints(
@@ -443,10 +439,10 @@ class CameraTruth:
         }
 
     def keypoints(self, set_name: str) -> dict[str, KeypointView]:
-        """Keypoints of a set by human, by the same rule as :attr:`joints`.
+        """Keypoints of a set by human, with the same rule as :attr:`joints`.
 
         Raises:
-            ChannelError: The view has not the channels depth, instance and part.
+            ChannelError: The view lacks the channels depth, instance or part.
             KeypointError: There is no such set.
         """
         self._require("joints")
@@ -464,16 +460,15 @@ class CameraTruth:
 
     @cached_property
     def boxes(self) -> dict[str, BodyBox]:
-        """Boxes by human or object. The view must have instance and amodal; raises ChannelError otherwise."""
+        """Boxes by human or object. Raises ChannelError unless the view has instance and amodal."""
         self._require("boxes")
         boxes = view_boxes(self.camera, self.bodies, self.view)
         return {self._names[label]: box for label, box in boxes.items()}
 
     @cached_property
     def visible_vertices(self) -> dict[str, NDArray[np.bool_]]:
-        """Masks (V,) of visible vertices by human or object. The view must have depth and instance; raises
-        ChannelError otherwise.
-        """
+        """Masks (V,) of visible vertices by human or object. Raises ChannelError unless the view has depth
+        and instance."""
         self._require("visible_vertices")
         masks = visible_vertices(self.camera, self.bodies, self.view)
         return {self._names[label]: mask for label, mask in masks.items()}
@@ -494,7 +489,7 @@ class KeypointView(JointView):
 
     Attributes:
         positions: (K, 3) in ``map``, metres.
-        certain: (K,) the place on the body is known, not fitted.
+        certain: (K,) whether the place on the body is known exactly, not fitted.
     """
 
     positions: Array
@@ -512,8 +507,8 @@ def view_keypoints(
     """Compute visibility and occluders of the keypoints of all humans, by instance label.
 
     Keypoints inside the body follow the rule of :func:`~humansim_ros.truth.view_joints`. A keypoint on the
-    skin is visible where a vertex would be, by :func:`~humansim_ros.truth.visible_vertices`; skin that faces
-    away from the camera is occluded by the person.
+    skin is visible if a vertex at its place would be (:func:`~humansim_ros.truth.visible_vertices`). Skin
+    that faces away from the camera is occluded by the person.
 
     Args:
         camera: Camera of the view.
@@ -539,12 +534,13 @@ def view_keypoints(
 def _on_skin(
     view: JointView, label: int, mask: NDArray[np.bool_], seen: NDArray[np.bool_]
 ) -> dict[str, NDArray[np.generic]]:
-    """Fields of a view in which the keypoints of ``mask`` (K,) are on the skin and ``seen``."""
+    """Fields of a view for the keypoints of ``mask`` (K,), which are on the skin. ``seen``: which of them are
+    visible."""
     visible, occluder, by = view.visible.copy(), view.occluder.copy(), view.by.copy()
     inside = mask & (visible != OUTSIDE)
     visible[inside] = np.where(seen[inside[mask]], VISIBLE, OCCLUDED)
     occluder[inside & (visible == VISIBLE)], by[inside & (visible == VISIBLE)] = NOTHING, 0
-    # nothing else is in front of it: it faces away, or hides behind a thin edge of the person
+    # nothing else is in front of it, so it faces away, or hides behind a thin edge of the person
     turned = inside & (visible == OCCLUDED) & ((view.occluder == NOTHING) | ~(view.behind > 0))
     occluder[turned], by[turned] = SELF, label
     return {"visible": visible, "occluder": occluder, "by": by}

@@ -1,4 +1,4 @@
-"""Upright boxes of bodies in ``map``, as benchmarks of 3D detection have them."""
+"""Upright boxes of bodies in ``map``, as benchmarks of 3D detection use them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from humansim_ros.types import Array, Float32Array
 
 @dataclass(frozen=True)
 class UprightBox:
-    """A box whose height is along z of ``map``.
+    """An upright box: its height is along z of ``map``.
 
     Attributes:
         center: Centre (3,) in ``map``, metres.
-        size: Length ahead, width from side to side and height (3,), metres.
+        size: Length from back to front, width from side to side, and height (3,), metres.
         yaw: Angle of the direction ahead, radians from x to y.
     """
 
@@ -37,11 +37,11 @@ class UprightBox:
 
 
 def upright_box(vertices: Array | Float32Array, joint_names: Sequence[str], positions: Array) -> UprightBox:
-    """Smallest upright box of a body, along the direction that the hips face.
+    """Smallest upright box of a body, aligned with the direction that the hips face.
 
     Args:
         vertices: (V, 3) in ``map``, metres.
-        joint_names: Names of J joints; ``l_hip`` and ``r_hip`` are among them.
+        joint_names: Names of J joints. They include ``l_hip`` and ``r_hip``.
         positions: (J, 3) of the joints in ``map``, metres.
     """
     left, right = (positions[joint_names.index(name)] for name in ("l_hip", "r_hip"))

@@ -521,7 +521,7 @@ def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
     names = ("first.motion", "first.mirror", "first.start", "second.loop", "rate", "seek")
     values_before = player.get(*names)
     for values, reason in (
-        ({"motion": "nothing"}, "no 'nothing'; the built-in motions are"),
+        ({"motion": "nothing"}, "no built-in motion and no file 'nothing'; there are"),
         ({"first.motion": str(tmp_path / "gone.bvh")}, "gone.bvh"),
         ({"first.motion": str(tmp_path / "broken.bvh")}, "broken.bvh"),
         ({"motion": str(tmp_path / "chain.bvh")}, "chain.bvh"),

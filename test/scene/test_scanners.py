@@ -194,7 +194,7 @@ def test_a_person_who_jumps_to_the_start_of_its_motion_is_not_smeared() -> None:
         }
     )
     with simulation(loaded) as played:
-        places = [played._states.at(i).vertices["anna"].mean(axis=0) for i in range(20)]
+        places = [played._states.at(i).humans["anna"].vertices.mean(axis=0) for i in range(20)]
         (jump,) = np.flatnonzero(np.linalg.norm(np.diff(places, axis=0), axis=1) > 1).tolist()
         seen = sweep(played, jump + 1)
     found = seen.true_points[seen.instances == 1] + (0.6, 2.5, 0.8)

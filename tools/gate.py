@@ -43,8 +43,12 @@ FEWER_FRAMES = {"crowd": 2}
 NOT_REPEATED = ("rerun",)
 #: Formats that the scene with every feature is exported to: those that can hold moving cameras.
 EXPORTS_OF_ALL = ("images", "coco", "nuscenes", "foxglove", "bvh", "glb", "usd", "mujoco", "trc")
-#: Fields of files that name the moment or the version of a run.
-_VOLATILE = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d[^\"'<]*")
+#: Text of files that differs from run to run: the moment, temporary folders, and the hash of a scene with them.
+_VOLATILE = re.compile(
+    rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d[^\"'<]*|"
+    + re.escape(tempfile.gettempdir()).encode()
+    + rb"/tmp\w+|(?<=\"scene\": \")[0-9a-f]{64}"
+)
 
 Section = dict[str, str]
 
@@ -150,7 +154,7 @@ def scenes() -> Section:
 
 
 def file_hashes(folder: Path) -> Section:
-    """Hash of each file of a folder, without times and versions of the run."""
+    """Hash of each file of a folder, without what differs from run to run."""
     return {
         str(path.relative_to(folder)): sha(_VOLATILE.sub(b"", path.read_bytes()))
         for path in sorted(folder.rglob("*"))

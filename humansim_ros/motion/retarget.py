@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel
 
 from humansim_ros.body.hands import FINGER_BONES
 from humansim_ros.body.skeleton import Skeleton
@@ -281,6 +282,28 @@ _LOWEST_JOINT = 0.15
 _MAX_FITTED = 400
 
 
+class _Constants(BaseModel):
+    """Constants of a retargeter, with the names and in the order of their JSON."""
+
+    table: str
+    by: Literal["names", "shape", "given"]
+    confidence: float
+    parallel: dict[str, tuple[int, int]]
+    difference: dict[str, int]
+    roles: dict[str, int]
+    missing: tuple[str, ...]
+    own: dict[str, int] = {}
+    mode: RetargetMode
+    scale: float
+    origin: tuple[float, float]
+    lift: float
+    rest: list[list[list[float]]] | None
+    positions_only: bool = False
+    clamp: bool = False
+    loose: tuple[str, ...] = ()
+    rest_links: dict[str, tuple[float, float, float]] = {}
+
+
 @dataclass(frozen=True)
 class Retargeter:
     """Computes poses of a skeleton from joint poses in ``map``. It holds constants only.
@@ -344,23 +367,22 @@ class Retargeter:
         times = motion.frame_times
         times = times[:: len(times) // _MAX_FITTED + 1]
         poses = replace(motion, loop="none", speed=1.0).sample(np.minimum(times, motion.cycle_length))
-        position = motion.placement.position
+        x, y = motion.placement.position
         scale = _root_scale(poses, motion, skeleton, root_scale)
         match = motion.match.with_extra_bones(skeleton.names, motion.names)
-        fitted = cls(skeleton, match, scale, (float(position[0]), float(position[1])), mode=mode)
-        fitted = replace(fitted, clamp=clamp)
+        fitted = cls(skeleton, match, scale, (float(x), float(y)), mode=mode, clamp=clamp)
         if mode == "full":
-            fitted = replace(fitted, loose=loose_bones(poses, match, standing=True))
-            rest = shared_rest(fitted._drivers, poses)
+            loose = loose_bones(poses, match, standing=True)
+            drivers = BoneDrivers(skeleton, match, loose=loose)
+            rest = shared_rest(drivers, poses)
             if not motion.frame.offsets_stand:
                 # a rest pose that is a frame of the motion has unknown twist: hinges and feet measure it
-                rest = align_feet(fitted._drivers, align_hinges(fitted._drivers, rest, poses), poses)
-            links = collar_directions(poses, match, fitted.loose)
-            fitted = replace(fitted, rest=rest, rest_links=collar_links(skeleton, links))
+                rest = align_feet(drivers, align_hinges(drivers, rest, poses), poses)
+            links = collar_links(skeleton, collar_directions(poses, match, loose))
+            fitted = replace(fitted, rest=rest, loose=loose, rest_links=links)
             rest = align_trunk(fitted._drivers, rest, poses, fitted.pose(poses))
-            fitted = replace(fitted, rest=rest)
-        lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
-        return replace(fitted, lift=-floor_height(lowest))
+            fitted = fitted._with(rest=rest)
+        return fitted._with(lift=-floor_height(sole_heights(skeleton, fitted.pose(poses)).min(-1)))
 
     @classmethod
     def fit_live(cls, poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> Retargeter:
@@ -375,44 +397,40 @@ class Retargeter:
             MotionError: The legs have no length.
         """
         match = match.with_extra_bones(skeleton.names, poses.names)
-        fitted = cls(skeleton, match, _leg_scale(poses, match, skeleton))
+        scale = _leg_scale(poses, match, skeleton)
         if has_rotations(poses):
             standing = is_standing_at_rest(poses, match)
-            fitted = replace(fitted, mode="full", loose=loose_bones(poses, match, standing))
-            rest = (shared_rest if standing else rest_from_first_pose)(fitted._drivers, poses)
-            links = collar_directions(poses, match, fitted.loose if standing else COLLARS)
-            fitted = replace(fitted, rest=rest)
+            loose = loose_bones(poses, match, standing)
+            drivers = BoneDrivers(skeleton, match, loose=loose)
+            rest = (shared_rest if standing else rest_from_first_pose)(drivers, poses)
+            fitted = cls(skeleton, match, scale, mode="full", rest=rest, loose=loose)
+            links = collar_directions(poses, match, loose if standing else COLLARS)
         else:
+            fitted = cls(skeleton, match, scale, positions_only=True)
             links = collar_directions(poses, match, COLLARS)
-            fitted = replace(fitted, positions_only=True)
         fitted = replace(fitted, rest_links=collar_links(skeleton, links))
         lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
         # a person who starts with a jump is in the air, not on the floor
         above = np.maximum(poses.positions[..., 2].min(-1) - _LOWEST_JOINT, 0.0)
-        return replace(fitted, lift=-floor_height(lowest - fitted.scale * above))
+        return fitted._with(lift=-floor_height(lowest - scale * above))
+
+    def placed_about(self, x: float, y: float) -> Retargeter:
+        """The same retargeter, which scales the movement of the root about another point of the floor."""
+        return self._with(origin=(float(x), float(y)))
+
+    def _with(self, **changes: Any) -> Retargeter:
+        """The same retargeter with changes of what its drivers do not depend on: they are built once."""
+        changed = replace(self, **changes)
+        for name in ("_drivers", "_limits", "_free_fingers"):
+            if name in self.__dict__:
+                changed.__dict__[name] = self.__dict__[name]
+        return changed
 
     def to_dict(self) -> dict[str, Any]:
         """All constants but the skeleton, as JSON types, for :meth:`from_dict`."""
-        match = self.match
-        return {
-            "table": match.table,
-            "by": match.by,
-            "confidence": match.confidence,
-            "parallel": {bone: [int(j) for j in link] for bone, link in match.parallel.items()},
-            "difference": {bone: int(joint) for bone, joint in match.difference.items()},
-            "roles": {role: int(joint) for role, joint in match.roles.items()},
-            "missing": list(match.missing),
-            "own": {bone: int(joint) for bone, joint in match.extra.items()},
-            "mode": self.mode,
-            "scale": self.scale,
-            "origin": list(self.origin),
-            "lift": self.lift,
-            "rest": None if self.rest is None else self.rest.tolist(),
-            "positions_only": self.positions_only,
-            "clamp": self.clamp,
-            "loose": list(self.loose),
-            "rest_links": {bone: list(link) for bone, link in self.rest_links.items()},
-        }
+        rest = None if self.rest is None else self.rest.tolist()
+        values = {**vars(self.match), "own": self.match.extra, **vars(self), "rest": rest}
+        return _Constants.model_validate(values).model_dump(mode="json")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], skeleton: Skeleton) -> Retargeter:
@@ -422,44 +440,24 @@ class Retargeter:
             MotionError: The constants are incomplete or belong to another skeleton.
         """
         try:
-            match = JointMatch(
-                table=str(data["table"]),
-                parallel={str(b): (int(s), int(e)) for b, (s, e) in data["parallel"].items()},
-                difference={str(b): int(j) for b, j in data["difference"].items()},
-                roles={str(r): int(j) for r, j in data["roles"].items()},
-                missing=tuple(data["missing"]),
-                by=data["by"],
-                confidence=float(data["confidence"]),
-                extra={str(b): int(j) for b, j in data.get("own", {}).items()},
-            )
-            rest = None if data["rest"] is None else np.array(data["rest"], dtype=float)
-            x, y = data["origin"]
-            placed = float(data["scale"]), float(x), float(y), float(data["lift"])
-            mode: RetargetMode = data["mode"]
-            loose = tuple(str(bone) for bone in data.get("loose", ()))
-            links = {
-                str(b): (float(x), float(y), float(z)) for b, (x, y, z) in data.get("rest_links", {}).items()
-            }
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as reason:
-            raise MotionError(f"these are not the constants of a retargeter: {reason!r}") from None
+            read = _Constants.model_validate(data)
+            rest = None if read.rest is None else np.array(read.rest)
+        except ValueError as reason:  # of pydantic, or of rows of several lengths
+            why = " ".join(str(reason).splitlines()[1:3]) or reason
+            raise MotionError(f"these are not the constants of a retargeter: {why}") from None
         fits = rest is None or (rest.shape == (len(skeleton), 3, 3) and are_rotations(rest))
-        numbers = [*placed, match.confidence, *(number for link in links.values() for number in link)]
-        known = {*loose, *links} <= {*skeleton.names}
-        scale, x, y, lift = placed
-        if mode not in ("full", "thesis") or not (within_bounds(numbers) and scale > 0 and fits and known):
+        numbers = [read.scale, *read.origin, read.lift, read.confidence]
+        numbers += [number for link in read.rest_links.values() for number in link]
+        known = {*read.loose, *read.rest_links} <= {*skeleton.names}
+        if not (within_bounds(numbers) and read.scale > 0 and fits and known):
             raise MotionError("these are not the constants of a retargeter for this skeleton")
+        match = JointMatch(
+            *(read.table, read.parallel, read.difference, read.roles),
+            *(read.missing, read.by, read.confidence, read.own),
+        )
         return cls(
-            skeleton,
-            match,
-            scale,
-            (x, y),
-            lift,
-            mode,
-            rest,
-            bool(data.get("positions_only")),
-            bool(data.get("clamp")),
-            loose,
-            links,
+            *(skeleton, match, read.scale, read.origin, read.lift, read.mode, rest),
+            *(read.positions_only, read.clamp, read.loose, read.rest_links),
         )
 
     def apply(self, poses: JointPoses, hands: Mapping[str, Array] = NO_HANDS) -> tuple[Array, Array]:

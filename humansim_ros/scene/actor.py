@@ -235,8 +235,7 @@ class Actor:
 
         placed = {"position", "yaw_deg", "offset", "speed", "pin_feet", "floor", "hands"}
         fitted = source.once(fit, "fit", id(human.skeleton), config.model_dump_json(exclude=placed))
-        x, y = world.placement.position
-        return replace(fitted, origin=(float(x), float(y)))
+        return fitted.placed_about(*world.placement.position)
 
     def _along(self, path: FloorPath, config: MotionConfig, source: SceneSource) -> Actor:
         """The same human whose walk follows a path on the floor."""

@@ -16,6 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from humansim_ros.body.joint_names import body_joints
+from humansim_ros.geometry import segments_crossing
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.objects import SceneObject
@@ -26,7 +27,7 @@ from humansim_ros.types import Array, Indices
 
 #: Vertices closer than this share of the size of a mesh are one vertex.
 _SAME_VERTEX = 1e-6
-#: Point-triangle or segment-triangle pairs that are computed at once.
+#: Point-triangle pairs that are computed at once.
 _BATCH = 200_000
 
 
@@ -89,41 +90,6 @@ def _winding_numbers(points: Array, corners: Array) -> Array:
     ab, bc, ca = dots
     angles = 2 * np.arctan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
     return np.asarray(angles.sum(axis=1) / (4 * np.pi))
-
-
-def segments_crossing(starts: Array, ends: Array, corners: Array) -> NDArray[np.bool_]:
-    """Whether segments (N, 3) to (N, 3) cross a triangle of a surface (T, 3, 3) [Moller 1997]."""
-    crossing = np.zeros(len(starts), bool)
-    if not len(corners) or not len(starts):
-        return crossing
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    t_low, t_high = corners.min(axis=1), corners.max(axis=1)
-    near = ((t_high >= low.min(axis=0)) & (t_low <= high.max(axis=0))).all(axis=1)
-    corners, t_low, t_high = corners[near], t_low[near], t_high[near]
-    if not len(corners):
-        return crossing
-    candidates = np.flatnonzero(((high >= t_low.min(axis=0)) & (low <= t_high.max(axis=0))).all(axis=1))
-    for chunk in np.array_split(candidates, max(1, len(candidates) * len(corners) // _BATCH)):
-        boxes = ((high[chunk, None] >= t_low) & (low[chunk, None] <= t_high)).all(axis=-1)
-        segment, triangle = np.nonzero(boxes)
-        segment = chunk[segment]
-        hits = _crosses(starts[segment], ends[segment] - starts[segment], corners[triangle])
-        crossing[segment[hits]] = True
-    return crossing
-
-
-def _crosses(origin: Array, direction: Array, corners: Array) -> NDArray[np.bool_]:
-    """Whether each segment (N, 3) crosses its triangle (N, 3, 3)."""
-    side_1, side_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    across = np.cross(direction, side_2)
-    determinant = np.einsum("ij,ij->i", side_1, across)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        offset = origin - corners[:, 0]
-        u = np.einsum("ij,ij->i", offset, across) / determinant
-        other = np.cross(offset, side_1)
-        v = np.einsum("ij,ij->i", direction, other) / determinant
-        t = np.einsum("ij,ij->i", side_2, other) / determinant
-        return np.asarray((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1))
 
 
 Severity = Literal["error", "warning"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.geometry import segments_crossing
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.activity import needs_table
 from humansim_ros.motion.path_motion import PathMotion
@@ -112,35 +113,16 @@ def _leg_lengths(joints: Array, names: Sequence[str]) -> Array:
     return np.asarray(length.mean(axis=1))
 
 
-def surface_below(point: Array, meshes: Sequence[Mesh]) -> float | None:
-    """Height in metres of the highest surface below hips (3,), from 0.02 to 0.28 m; None without.
+def is_above(point: Array, meshes: Sequence[Mesh]) -> bool:
+    """Whether a surface is below hips, from 0.02 to 0.28 m.
 
     Args:
         point: Middle of the hips, (3,) in the axes of the meshes.
         meshes: Things that somebody may sit on.
     """
-    highest = None
-    for mesh in meshes:
-        corners = np.asarray(mesh.vertices, dtype=float)[mesh.triangles]
-        near = (corners[..., :2].min(axis=1) <= point[:2]) & (corners[..., :2].max(axis=1) >= point[:2])
-        corners = corners[near.all(axis=1)]
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        area = _cross(b - a, c - a)
-        corners, area = corners[np.abs(area) > 1e-12], area[np.abs(area) > 1e-12]
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        v, w = _cross(point - a, c - a) / area, _cross(b - a, point - a) / area
-        inside = (v >= 0) & (w >= 0) & (v + w <= 1)
-        heights = (a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])[inside]
-        depth = point[2] - heights
-        heights = heights[(depth > _BELOW[0]) & (depth < _BELOW[1])]
-        if len(heights) and (highest is None or heights.max() > highest):
-            highest = float(heights.max())
-    return highest
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products (...) of the first two components."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    start, end = (point[None] - (0.0, 0.0, below) for below in _BELOW)
+    corners = (np.asarray(mesh.vertices, dtype=float)[mesh.triangles] for mesh in meshes)
+    return any(segments_crossing(start, end, each)[0] for each in corners)
 
 
 @dataclass(frozen=True)
@@ -160,12 +142,12 @@ class Seats:
     def below(self, sitting: Sitting) -> bool:
         """Whether something is below a person who sits: an object, a mesh, or furniture of the room."""
         static = [item.static_mesh() for item in self.objects.values() if not item.moves]
-        if surface_below(sitting.hips, [*self.meshes, *static]) is not None:
+        if is_above(sitting.hips, [*self.meshes, *static]):
             return True
         for item in self.objects.values():
             if item.moves:
                 point = item.to_mesh(sitting.hips[None, None], np.array([sitting.time]))[0, 0]
-                if surface_below(point * item.initial_pose.size, [_sized(item)]) is not None:
+                if is_above(point * item.initial_pose.size, [_sized(item)]):
                     return True
         if self.config.room is None:
             return False

@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera, Trajectory, write_calibration
 from humansim_ros.cli import main as cli
+from humansim_ros.geometry import segments_crossing
 from humansim_ros.scene import Finding, Scene, check_scene, source
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.findings import closed_parts, points_inside, segments_crossing, volume
+from humansim_ros.scene.findings import closed_parts, points_inside, volume
 from humansim_ros.types import Array
 
 #: A scene without findings: one camera, one human, a room.

@@ -251,7 +251,7 @@ def test_they_are_simulated(tmp_path: Path) -> None:
     ("variety", "key", "message"),
     [
         ({"count": 50, "area": [0, 0, 1, 1]}, "variety.count", "larger area"),
-        ({"count": 1, "bodies": ["giant"]}, "variety.bodies", "no 'giant'"),
+        ({"count": 1, "bodies": ["giant"]}, "variety.bodies", "no file 'giant'"),
         ({"count": 1, "bodies": []}, "variety.bodies", "at least one"),
         ({"count": -1}, "variety.count", "from 0 to 1000 .*found -1"),
         ({"count": 10**9}, "variety.count", "from 0 to 1000"),

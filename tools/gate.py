@@ -43,7 +43,7 @@ FEWER_FRAMES = {"crowd": 2}
 NOT_REPEATED = ("rerun",)
 #: Formats that the scene with every feature is exported to: those that can hold moving cameras.
 EXPORTS_OF_ALL = ("images", "coco", "nuscenes", "foxglove", "bvh", "glb", "usd", "mujoco", "trc")
-#: Text of files that differs from run to run: the moment, temporary folders, and the hash of a scene with them.
+#: Text that differs from run to run: the moment, temporary folders, and the hash of a scene with their names.
 _VOLATILE = re.compile(
     rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d[^\"'<]*|"
     + re.escape(tempfile.gettempdir()).encode()

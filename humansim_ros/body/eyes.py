@@ -1,8 +1,8 @@
 """Eyeballs of a skeleton: directions of gaze, and the actions of the lids that go with them.
 
-Angles are yaw to the person's left and pitch upwards, from the direction at rest, in the axes of the head.
-An action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. These actions say where
-the eyes look, and move the skin around them: lids follow the eyes up and down [Leigh 2015].
+Angles are yaw to the person's left and pitch upwards, from the direction at rest, in the axes of the head. An
+action such as ``eyeLookUpLeft`` has the weight 1 where the eye is at its limit. These actions state where the
+eyes look, and move the skin around the eyes, since lids follow the eyes up and down [Leigh 2015].
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from humansim_ros.types import Array, Indices
 #: The eyes, left first.
 EYE_BONES = ("l_eyeball_joint", "r_eyeball_joint")
 _HEAD, _TRUNK = "vt3", "vl5"
-#: Below this angle the eyes turn alone, degrees, and share of the angle beyond it by which the head turns
-#: [Stahl 1999]; half of the width of the bend between both.
+#: Below this angle the eyes turn without the head, degrees. Beyond it, the head turns by this share of the
+#: rest [Stahl 1999]. Half of the width of the smooth bend between both.
 _EYES_ALONE, _HEAD_SHARE, _BEND = 18.0, 0.77, 10.0
-#: Yaw at which the head begins to turn back, since nobody looks behind, and at which it is ahead again;
-#: pitch at which it begins to turn no more to the side, and does not; degrees.
+#: Yaw at which the head begins to turn back, since nobody looks behind, and yaw at which it is straight
+#: again. Pitch at which the head begins to turn less to the side, and pitch at which it no longer does.
+#: Degrees.
 _TURNS_BACK, _STEEP = (150.0, 180.0), (45.0, 75.0)
 #: Limits of the neck to the sides, downwards and upwards, radians: ``vt3`` of joint_limits/normal.yaml.
 NECK_LIMITS: Array = np.radians([[-80.0, -50.0], [80.0, 60.0]])
-#: (2, 2, 2) numbers of the actions of the left and of the right eye: yaw to the left and to the right, pitch
-#: up and down.
+#: (2, 2, 2) numbers of the actions of the left and right eye: yaw to the left and right, pitch up and down.
 LOOKS: Indices = np.array(
     [
         [[ACTIONS.index(f"eyeLook{way}{side}") for way in ways] for ways in (yaw, ("Up", "Down"))]
@@ -48,29 +48,27 @@ LIMITS: Array = np.radians(
 
 
 def looked_angles(weights: Array) -> Array:
-    """Angles (N, 2, 2) radians of weights (N, 52): yaw and pitch of both eyes."""
+    """Angles (N, 2, 2) that weights (N, 52) stand for: yaw and pitch of both eyes, radians."""
     towards, away = np.moveaxis(weights[:, LOOKS] * LIMITS, -1, 0)
     return np.asarray(towards - away)
 
 
 def with_looks(weights: Array, angles: Array) -> Array:
-    """Weights (N, 52) whose actions of the eyes are those of angles (N, 2, 2), at most 1."""
+    """Weights (N, 52) with the actions of the eyes set for angles (N, 2, 2). They are at most 1."""
     out = np.array(weights)
     out[:, LOOKS] = np.clip(np.stack([angles, -angles], axis=-1) / LIMITS, 0.0, 1.0)
     return out
 
 
 def within_limits(angles: Array) -> Array:
-    """Angles (N, 2, 2) radians that eyes reach."""
+    """Limit angles (N, 2, 2), radians, to those that eyes reach."""
     return np.clip(angles, -LIMITS[..., 1], LIMITS[..., 0])
 
 
 def head_turn(angles: Array) -> Array:
-    """Yaw and pitch (N, 2) by which the head turns with eyes that look to angles (N, 2), all radians.
-
-    Eyes turn alone to near points. Beyond, people turn the head by a share of the rest [Stahl 1999], as
-    monkeys do [Freedman 1997]; the bend between both is smooth.
-    """
+    """Yaw and pitch (N, 2) by which the head turns when the eyes look to angles (N, 2), all radians. For
+    small angles, only the eyes turn. Beyond, people turn the head by a share of the rest [Stahl 1999], as
+    monkeys do [Freedman 1997]. The transition is smooth."""
     away = np.degrees(np.linalg.norm(angles, axis=-1))
     beyond = away - _EYES_ALONE
     bent = np.where(beyond > _BEND, beyond, np.clip(beyond + _BEND, 0.0, None) ** 2 / (4 * _BEND))
@@ -105,7 +103,7 @@ class Eyes:
 
     @classmethod
     def of(cls, skeleton: Skeleton) -> Eyes | None:
-        """Eyes of a skeleton; None without bones for them."""
+        """Eyes of a skeleton; None if the skeleton has no bones of eyes."""
         if not {_HEAD, _TRUNK, *EYE_BONES} <= set(skeleton.names):
             return None
         head, bones = skeleton.bone(_HEAD), np.array([skeleton.bone(name) for name in EYE_BONES])
@@ -115,23 +113,21 @@ class Eyes:
         return cls(skeleton, head, bones, ends, rest[head], rest[bones])
 
     def rays(self, joints: Array) -> tuple[Array, Array]:
-        """Middle of the eyes (N, 3), and the direction (N, 3) of eyes at rest, of joints (N, J, 4, 4)."""
+        """Middle of the eyes (N, 3), and the direction (N, 3) of eyes at rest. ``joints``: (N, J, 4, 4)."""
         ahead = self.rest[:, :, 1].mean(0)
         head = joints[:, self.head, :3, :3] @ self.head_rest.T
         return _positions(joints)[:, self.bones].mean(1), unit_vectors(head @ ahead)
 
     def angles_to(self, joints: Array, points: Array) -> Array:
-        """Angles (N, 2, 2) of eyes that look at points (N, 3), of joints (N, J, 4, 4)."""
+        """Angles (N, 2, 2) of eyes that look at points (N, 3). ``joints``: (N, J, 4, 4)."""
         head = joints[:, self.head, :3, :3] @ self.head_rest.T
         lines = points[:, None] - _positions(joints)[:, self.bones]
         return gaze_angles((head.swapaxes(-1, -2)[:, None] @ lines[..., None])[..., 0]) - self._rest_angles
 
     def turn_head(self, joints: Array, points: Array, shares: Array) -> None:
-        """Turn the head of joints (N, J, 4, 4), with all it carries, by shares (N,) to points (N, 3).
-
-        It turns to the side first, then up or down, within the limits of the neck: it keeps what a motion
-        has beyond them.
-        """
+        """Turn the head of joints (N, J, 4, 4) towards points (N, 3), by shares (N,) of the angle. All that
+        it carries turns too. The head turns to the side first, then up or down, within the limits of the
+        neck. If a motion exceeds them already, its angle is kept."""
         head = joints[:, self.head, :3, :3] @ self.head_rest.T
         line = points - _positions(joints)[:, self.bones].mean(axis=1)
         angles = gaze_angles(rotate(head.swapaxes(-1, -2), line)) - self._rest_angles.mean(axis=0)
@@ -149,7 +145,7 @@ class Eyes:
 
     @cached_property
     def _carried(self) -> Indices:
-        """Numbers of the joints that the head carries, and its own."""
+        """Numbers of the joints that the head carries, including its own joint."""
         bones = {self.head}
         for bone, parent in enumerate(self.skeleton.parents.tolist()):
             if parent in bones:
@@ -184,7 +180,7 @@ def gaze_angles(lines: Array) -> Array:
 
 
 def _turns(angles: Array) -> Array:
-    """Rotations (..., 3, 3) that take the z axis of body space to yaw and pitch (..., 2)."""
+    """Rotations (..., 3, 3) that turn the z axis of body space to yaw and pitch (..., 2)."""
     (a, b), (c, d) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
     out = np.zeros((*angles.shape[:-1], 3, 3))
     out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = c, -a * b, a * d

@@ -1,4 +1,5 @@
-"""Actions of the face in the names of Apple's ARKit, which MakeHuman's faces and face trackers share."""
+"""Actions of the face, with the names of Apple's ARKit. MakeHuman's faces and face trackers share these
+names."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ _NUMBERS = {name: number for number, name in enumerate(ACTIONS)}
 
 
 def both_sides(weights: Mapping[str, float]) -> dict[str, float]:
-    """Weights by action, of weights whose names may lack their side.
+    """Weights by action. Names without a side stand for both sides.
 
     Example:
         >>> both_sides({"mouthSmile": 0.5, "jawOpen": 0.2})
@@ -40,7 +41,7 @@ def both_sides(weights: Mapping[str, float]) -> dict[str, float]:
 
 
 def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -> Array:
-    """Weights (S,) in the order of ``names`` from weights by name; others are 0.
+    """Weights (S,) in the order of ``names``, from weights by name. Actions without a weight get 0.
 
     Raises:
         MotionError: There is no such action, or a weight is not from 0 to 1.
@@ -61,10 +62,10 @@ def face_weights(weights: Mapping[str, float], names: Iterable[str] = ACTIONS) -
     return out
 
 
-#: Actions of the action units of FACS [Ekman 1978], without their sides.
+#: Actions for each action unit of FACS [Ekman 1978], without their sides.
 _UNITS: dict[int, str] = {int(unit): action for unit, action in _TABLE["units"].items()}
 ExpressionName = Literal["neutral", "happiness", "sadness", "surprise", "fear", "anger", "disgust"]
-#: Action units of the six basic emotions [Friesen 1983]; the weights look natural on the built-in humans.
+#: Action units of the six basic emotions [Friesen 1983]. The weights look natural on the built-in humans.
 EXPRESSIONS: dict[str, dict[int, float]] = {
     name: {int(unit): weight for unit, weight in units.items()}
     for name, units in _TABLE["expressions"].items()
@@ -73,7 +74,7 @@ assert tuple(EXPRESSIONS) == get_args(ExpressionName)
 
 
 def expression(name: str) -> Mapping[str, float]:
-    """Weights by action of an expression at full strength: ``neutral`` or one of the six basic emotions.
+    """Weights by action for an expression at full strength: ``neutral`` or one of the six basic emotions.
 
     Raises:
         MotionError: There is no such expression.

@@ -19,15 +19,15 @@ from humansim_ros.geometry import nearest_axis
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
-#: Samples of a surface: their mean distance is 1 % of a person's height.
+#: Number of samples of a surface. Their mean distance is 1 % of a person's height.
 _SAMPLES = 12_000
-#: Least ratio of the mirror errors of another axis and of the left-right axis.
+#: The mirror error of every other axis is larger than that of the left-right axis by at least this factor.
 _SYMMETRY = 1.6
 #: Least ratio of height to depth of a standing person.
 _SLENDER = 1.4
-#: Heights of body parts as shares of the body height: head and feet; shins; soles; top of the head.
+#: Ranges of heights of body parts as shares of the body height: head and feet; shins; soles; top of the head.
 _END, _SHINS, _FEET, _CROWN = 0.12, (0.08, 0.16), 0.05, 0.06
-#: Gap between the body and a part that no bone moves, as a share of the body's size.
+#: A part is far from the body if the gap between them exceeds this share of the body's size.
 _FAR_PART = 0.15
 _POSE = "a mesh must hold one person, standing in a T or A pose"
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -37,8 +37,8 @@ def body_from_file(mesh: Mesh, up: str | None = None, facing: str | None = None)
     """Rotation (3, 3), a permutation of axes, from the space of the mesh to y up, facing +z, x to the left.
 
     ``up``, ``facing``: axes of the file, such as ``z`` or ``-y``. Missing axes are detected: a person is
-    symmetric left-right, taller than deep, with the head over the middle, the feet beside the middle, and
-    the toes in front of the shins. Raises MeshError, which says how to solve it, if the detection fails.
+    symmetric left-right and taller than deep, the head is over the middle, the feet are left and right of the
+    middle, and the toes in front of the shins. If the detection fails, MeshError says what to do.
     """
     upward, forward = _axis(up, "up"), _axis(facing, "facing")
     if upward is not None and forward is not None:
@@ -80,7 +80,7 @@ def check_one_person(points: Array) -> None:
 
 
 def check_parts(mesh: Mesh) -> None:
-    """Raise MeshError with place and size of a part that is far from the body, if there is one."""
+    """Raise MeshError, with place and size, if a part is far from the body."""
     samples, vertices = surface_samples(mesh), used_vertices(mesh)
     points = np.concatenate([samples, vertices])
     size = float(np.ptp(points, axis=0).max())
@@ -160,7 +160,8 @@ def _side(points: Array, upward: Array | None, forward: Array | None) -> int:
 
 
 def _up_sign(high: Array, side: Array) -> float:
-    """1 if the head is at the large values of ``high``: it is over the middle, the feet are beside it."""
+    """1 if the head is at the large values of ``high``, else -1. The head is over the middle, feet are at
+    both sides."""
     low, top = high.min(), high.max()
     reach = _END * (top - low)
     head, feet = np.abs(side[high > top - reach]), np.abs(side[high < low + reach])
@@ -175,7 +176,7 @@ def _up_sign(high: Array, side: Array) -> float:
 
 
 def _forward_sign(high: Array, deep: Array) -> float:
-    """1 if the toes are at the large values of ``deep``."""
+    """1 if the toes are at the large values of ``deep``, else -1."""
     share = (high - high.min()) / np.ptp(high)
     feet, shins = deep[share < _FEET], deep[(share > _SHINS[0]) & (share < _SHINS[1])]
     if not len(feet) or not len(shins):
@@ -187,21 +188,21 @@ def _forward_sign(high: Array, deep: Array) -> float:
 
 
 def used_vertices(mesh: Mesh) -> NDArray[np.float64]:
-    """Vertices (U, 3) that faces use; others do not count for the size."""
+    """Vertices (U, 3) that faces use. Unused vertices must not count for the size."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.faces[mesh.faces >= 0]] = True
     return mesh.vertices[used]
 
 
-#: Joints detected in the mesh, or joints of the general skeleton.
+#: ``fitted`` detects the joints in the mesh. ``general`` takes the joints of the general skeleton.
 JointMethod = Literal["fitted", "general"]
 MAX_VERTICES = 2_000_000
 #: Valid statures, metres.
 _STATURES = (0.3, 3.0)
 #: Heights of the slice at the ankles, as shares of the body height.
 _ANKLES = (0.03, 0.08)
-#: Distance of the head from the middle of the bounding box, as a share of the height, if the arms are
-#: not symmetric.
+#: Distance of the head from the middle of the bounding box, as a share of the height, above which the arms
+#: are not symmetric.
 _ASYMMETRY = 0.01
 
 
@@ -220,19 +221,20 @@ def fit_skeleton(
 
     Args:
         mesh: Mesh of a person.
-        joints: ``fitted`` detects the joints: by vertex for MakeHuman bodies, else from the surface
-            (:mod:`humansim_ros.body.landmarks`). ``general`` scales the general skeleton to the stature
-            [thesis §4].
-        up: Up axis of the file, such as ``z`` or ``-y``; detected if absent.
-        facing: Axis of the file that the person faces; detected if absent.
+        joints: ``fitted`` detects the joints: from vertices for MakeHuman bodies, from the surface for other
+            bodies (:mod:`humansim_ros.body.landmarks`). ``general`` scales the general skeleton to the
+            stature [thesis §4].
+
+        up: Up axis of the file, such as ``z`` or ``-y``. If None, it is detected.
+        facing: Axis of the file that the person faces. If None, it is detected.
         unit: Metres per unit of the file.
-        stature: Height of the person in metres. Without unit and stature, the general skeleton's height.
+        stature: Height of the person in metres. Without unit and stature, that of the general skeleton.
 
     Returns:
         The mesh in body space, and its skeleton.
 
     Raises:
-        MeshError: No such person can be detected in the mesh; the message says what to do.
+        MeshError: No such person can be detected in the mesh. The message says what to do.
     """
     general = hanim_skeleton()
     default = float(general.tails[:, 1].max())
@@ -277,8 +279,8 @@ def fit_to_skeleton(mesh: Mesh, skeleton: Skeleton, up: str | None = None, facin
     Args:
         mesh: Mesh of a standing person.
         skeleton: Skeleton in body space.
-        up: Up axis of the file; detected if absent.
-        facing: Axis of the file that the person faces; detected if absent.
+        up: Up axis of the file. If None, it is detected.
+        facing: Axis of the file that the person faces. If None, it is detected.
 
     Raises:
         MeshError: No standing person can be detected in the mesh.
@@ -291,10 +293,8 @@ def fit_to_skeleton(mesh: Mesh, skeleton: Skeleton, up: str | None = None, facin
 
 
 def skeleton_at(joints: dict[str, Array]) -> Skeleton:
-    """Create the bones of the general skeleton between joints (3,).
-
-    Keys are the bone whose head the joint is, and ``<bone>_end`` for leaves.
-    """
+    """Create the bones of the general skeleton from its joints (3,). The key of a joint is the name of the
+    bone that begins there, or ``<bone>_end`` for the end of a leaf."""
     general = hanim_skeleton()
     first_child: dict[int, int] = {}
     for bone, parent in enumerate(general.parents):
@@ -317,10 +317,8 @@ def skeleton_at(joints: dict[str, Array]) -> Skeleton:
 
 
 def joints_of(skeleton: Skeleton) -> dict[str, Array]:
-    """Joints (3,) of a general skeleton, by the bone whose head they are, and ``<bone>_end`` of leaves.
-
-    :func:`skeleton_at` makes the skeleton of them again.
-    """
+    """Joints (3,) of a general skeleton. The key is the bone that begins there, or ``<bone>_end`` at a leaf.
+    :func:`skeleton_at` is the inverse."""
     heads = {
         name: head.copy()
         for name, head in zip(skeleton.names, skeleton.heads, strict=True)
@@ -337,7 +335,7 @@ def _rotation_of_joints(joints: dict[str, Array]) -> Array:
 
 
 def _stature(height: float, unit: float | None, stature: float | None) -> float | None:
-    """Stature in metres from the options; None without options."""
+    """Stature in metres from the options; None if no option states it."""
     if unit is not None and stature is not None:
         raise MeshError("give unit or stature, not both")
     size = stature if unit is None else unit * height
@@ -350,7 +348,8 @@ def _stature(height: float, unit: float | None, stature: float | None) -> float 
 
 
 def _middle(points: Array, low: float, height: float) -> float:
-    """x of the symmetry plane: middle of the bounding box, or of the head if the arms are not symmetric."""
+    """x of the symmetry plane: middle of the bounding box. If the arms are not symmetric, middle of the
+    head."""
     box = float(points[:, 0].min() + points[:, 0].max()) / 2
     head = points[points[:, 1] > low + 0.9 * height, 0]
     of_head = float(head.min() + head.max()) / 2

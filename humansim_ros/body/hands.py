@@ -1,9 +1,9 @@
 """Anatomy of the fingers of a skeleton: flexion and spread from a straight hand, and bone rotations for them.
 
 The x axis of a finger bone is its axis of flexion, and a positive rotation bends to the palm, on both sides.
-A finger is straight at flexion 0: its first bone continues the line from the wrist to the knuckle, seen along
-the axis of flexion, and each other bone continues the bone before it. The ball of the thumb has no straight
-position: its angles count from the rest pose.
+A finger is straight at flexion 0. Its first bone then continues the line from the wrist to the knuckle, seen
+along the axis of flexion, and each other bone continues the previous bone. The ball of the thumb has no
+straight position, so its angles are measured from the rest pose.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from humansim_ros.types import Array, Indices
 FINGER_BONES = (*finger_bones("l"), *finger_bones("r"))
 #: Number of finger bones of a hand.
 PER_HAND = len(FINGERS) * 3
-#: The rest pose is a relaxed hand if its fingers, without thumbs, are bent by this mean angle (degrees).
+#: The rest pose is a relaxed hand if its fingers (without thumbs) are bent by more than this mean angle,
+#: degrees.
 _RELAXED = 15.0
-#: Sum of the sines of the bends of a finger above which they have a plane.
+#: A finger is bent enough to define a plane if the sum of the sines of its bends is above this.
 _BENT = 0.35
-#: The knuckles of the little finger are nearer to the wrist: slope of their line.
+#: Slope of the line of the knuckles, since those of the little finger are nearer to the wrist.
 _SLANT = 0.17
 _IS_THUMB = np.array([name[2:].startswith("thumb") for name in FINGER_BONES])
 
@@ -39,8 +40,8 @@ class HandAnatomy:
     """The finger bones of a skeleton.
 
     Attributes:
-        bones: (30,) indices of the bones, in the order of :data:`FINGER_BONES`; -1 without a bone.
-        rest: (30,) flexion in the rest pose, radians; 0 without a bone.
+        bones: (30,) indices of the bones, in the order of :data:`FINGER_BONES`. -1 for a missing bone.
+        rest: (30,) flexion in the rest pose, radians. 0 for a missing bone.
     """
 
     bones: Indices
@@ -48,7 +49,7 @@ class HandAnatomy:
 
     @classmethod
     def of(cls, skeleton: Skeleton) -> HandAnatomy | None:
-        """Anatomy of a skeleton; None if it has no finger bones."""
+        """Anatomy of a skeleton; None if the skeleton has no finger bones."""
         number = {name: bone for bone, name in enumerate(skeleton.names)}
         bones = np.array([number.get(name, -1) for name in FINGER_BONES])
         if (bones < 0).all():
@@ -64,7 +65,7 @@ class HandAnatomy:
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
-        """(30,) whether the skeleton has a bone."""
+        """(30,) whether the skeleton has each bone."""
         return np.asarray(self.bones >= 0)
 
     @property
@@ -77,9 +78,9 @@ class HandAnatomy:
         """Bone rotations for flexion, spread and twist.
 
         Args:
-            angles: (..., 30, 3) radians. Flexion from a straight finger; spread from the rest pose, to the
-                side of the thumb, about the normal of the palm; and twist about the bone, inwards as the
-                thumb turns to meet the fingers.
+            angles: (..., 30, 3) radians: flexion, spread and twist. Flexion is measured from a straight
+                finger. Spread is measured from the rest pose, about the normal of the palm, positive towards
+                the thumb. Twist is about the bone, positive inwards, as the thumb turns to meet the fingers.
 
         Returns:
             Quaternions (..., 30, 4) xyzw in bone space.
@@ -96,17 +97,18 @@ class HandAnatomy:
 def finger_hinges(side: str, bones: Mapping[str, tuple[Array, Array]], wrist: Array) -> dict[str, Array]:
     """Axes about which the finger bones of a hand flex to the palm.
 
-    The palm lies between the wrist and the knuckles. With one finger beside the thumb, the base of the thumb
-    shows the side of the palm; with none, the thumb's side is forwards, as in a T or A pose. A finger that is
-    bent at rest flexes in the plane in which it is bent.
+    The palm lies between the wrist and the knuckles. If only one finger besides the thumb is known, the base
+    of the thumb shows the side of the palm. If none is known, the thumb's side is forwards, as in a T or A
+    pose. A finger that is bent at rest flexes in the plane of its bend.
+
 
     Args:
         side: l or r.
-        bones: Finger bone -> its head and tail, (3,) each in body space; any of :data:`FINGER_BONES`.
+        bones: Head and tail of each finger bone, (3,) each in body space. Any of :data:`FINGER_BONES`.
         wrist: (3,) head of the bone of the hand.
 
     Returns:
-        Bone -> unit vector (3,), the x axis of the bone.
+        By bone: unit vector (3,), the x axis of the bone.
     """
     chains = {
         finger: [bones[name] for number in (1, 2, 3) if (name := f"{side}_{finger}{number}") in bones]
@@ -141,15 +143,13 @@ def _beside(across: Array, along: Array) -> Array:
 
 
 def _axis_of_chord(joints: Array, goal: Array) -> Array:
-    """Axis (3,) about which a finger with joints (N, 3) turns to ``goal``; zero without joints."""
+    """Axis (3,) about which a finger with joints (N, 3) turns to ``goal``. Zero if there are no joints."""
     return unit_vectors(np.cross(joints[-1] - joints[0], goal)) if len(joints) else np.zeros(3)
 
 
 def _axis_of_finger(joints: Array, palm: Array) -> Array:
-    """Axis (3,) about which a finger flexes: of its bends, or towards the palm if it is nearly straight.
-
-    ``joints``: (2 S, 3) heads and tails of its S segments.
-    """
+    """Axis (3,) of flexion of a finger, from its bends. If it is nearly straight, it flexes towards the palm.
+    ``joints``: (2 S, 3) heads and tails of its S segments."""
     axis = _axis_of_chord(joints, palm)
     if not len(joints):
         return axis

@@ -18,7 +18,8 @@ from humansim_ros.types import Array
 
 #: Heat transfer from bone to skin relative to diffusion; larger values give sharper joints.
 CONDUCTION = 3.0
-#: Lengths are shares of the body height. Maximum distance in the heat transfer: trunks are wide.
+#: Largest distance in the heat transfer, since trunks are wide. (All lengths here are shares of the body
+#: height.)
 _FAR = 0.04
 #: Offset of thighs beyond the planes at the hips, and width of the transition.
 _GROIN, _SOFT = 0.025, 0.03
@@ -28,37 +29,41 @@ _SHOULDER = 0.04
 _PELVIS, _SHARP = 0.01, 0.01
 #: Distance below which vertices are welded, so that heat crosses seams.
 _WELD = 1e-5
-#: Above this count of points, diffusion uses a coarser surface with this spacing.
+#: A mesh with more points than this uses a coarser surface with this spacing for diffusion.
 _MAX_POINTS, _COARSE = 100_000, 0.005
-#: A mesh with more points and more long faces than this is solved iteratively; and the most steps of that.
+#: A mesh with more points than ``_FINE`` and more than ``_MANY`` faces longer than ``_LONG`` is solved
+#: iteratively, with at most ``_STEPS`` steps.
 _FINE, _MANY, _LONG, _STEPS = 5000, 100, 0.15, 400
-#: Width over which bones of the other side of the body fade out.
+#: Bones of the other side of the body fade out over this width.
 _MIDDLE = 0.03
 #: Smaller weights are removed.
 _LEAST = 0.005
-#: A bone outside the skin (cosine of its direction to the normal above this) counts less by this factor.
+#: A bone outside the skin counts less by the factor ``_OUTSIDE``. It is outside if the cosine of its
+#: direction to the normal is above ``_OVER``.
 _OVER, _OUTSIDE = 0.3, 0.7
-#: A bone does not heat skin that is so many times farther than from the nearest bone, plus this distance.
+#: A bone does not heat skin that is farther from it than this factor times the distance to the nearest bone,
+#: plus this distance.
 _BEHIND, _NEAR = 1.5, 0.05
-#: Nor through more air than this (arms beside the belly); samples on the way; bones tried.
+#: A bone does not heat skin through more air than this, such as arms next to the belly; samples on the way;
+#: number of bones that are tried.
 _AIR, _SAMPLES, _TRIES = 0.025, 20, 4
 #: Height of the body in voxels.
 _VOXELS = 160
-#: A piece with a smaller share of the vertices (an eye, a button) moves with the surface it touches.
+#: A piece with a smaller share of the vertices (an eye, a button) moves with the surface that it touches.
 _SMALL = 0.1
-#: Share of a limb's bone that is in the box of a piece around the bone.
+#: A piece is around a bone of a limb if its box contains this share of the bone.
 _AROUND = 0.6
 _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
 
 
 def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
-    """Compute weights (V, B) of a mesh in the rest pose; at most four bones a vertex, rows sum to one.
+    """Compute weights (V, B) of a mesh in the rest pose. A vertex has at most four bones. Rows sum to one.
 
     Solves ``(L + M H) w_b = M H p_b`` for each bone: L is the cotangent Laplacian, M the vertex areas, H the
-    heat transfer (inverse square of the distance), p_b 1 where bone b is the heat source. [Baran 2007] takes
-    the nearest bone as source. Here it is the bone with the largest viewing angle [thesis §5] that is on the
-    right side of planes through hips, shoulders and trunk joints, and under the skin. The mesh may be open,
-    non-manifold, or in many pieces.
+    heat transfer (inverse square of the distance), p_b 1 where bone b is the heat source. In [Baran 2007] the
+    nearest bone is the source. Here the source is the bone with the largest viewing angle [thesis §5] that is
+    on the right side of planes through hips, shoulders and trunk joints, and under the skin. The mesh may be
+    open, non-manifold, or in many pieces.
     """
     height = float(np.ptp(mesh.vertices[:, 1]))
     if not height > 0:
@@ -90,11 +95,8 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
 
 
 def _welded(mesh: Mesh, size: float) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Weld vertices on a grid of ``size``: points (P, 3), triangles (N, 3), and the point of each vertex
-    (V,).
-
-    Vertices left and right of the middle are not welded.
-    """
+    """Weld vertices on a grid of ``size``. Returns points (P, 3), triangles (N, 3), and the point of each
+    vertex (V,). Vertices left and right of the middle are not welded."""
     cells = np.round(mesh.vertices / size).astype(np.int64)
     cells -= cells.min(axis=0)
     extent = cells.max(axis=0) + 1
@@ -111,7 +113,7 @@ def _welded(mesh: Mesh, size: float) -> tuple[Array, NDArray[np.intp], NDArray[n
 
 
 def _normals(points: Array, triangles: NDArray[np.intp]) -> Array:
-    """Outward unit normals (P, 3): each piece of the surface is oriented to have a positive volume."""
+    """Outward unit normals (P, 3). Each piece of the surface is oriented so that its volume is positive."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     area = np.asarray(np.cross(b - a, c - a), dtype=float)
     _, piece = _pieces(len(points), triangles)
@@ -181,7 +183,7 @@ def _sources(
 def _first_visible(
     points: Array, score: Array, skeleton: Skeleton, volume: Volume, most_air: float
 ) -> NDArray[np.intp]:
-    """Bone (P,) with the highest score among the bones whose way to a point is inside the body.
+    """Bone (P,) with the highest score, among the bones with a straight line to the point inside the body.
 
     Args:
         points: Points on the skin, (P, 3) metres in body space.
@@ -207,7 +209,8 @@ def _first_visible(
 
 
 def _air_between(points: Array, bones: NDArray[np.intp], skeleton: Skeleton, volume: Volume) -> Array:
-    """Length (P,) outside the body of the straight line from each point to the nearest point of its bone."""
+    """For the straight line from each point to the nearest point of its bone: the length (P,) that is outside
+    the body."""
     head, step = skeleton.heads[bones], (skeleton.tails - skeleton.heads)[bones]
     place = np.einsum("ij,ij->i", points - head, step) / skeleton.lengths[bones] ** 2
     way = head + np.clip(place, 0.0, 1.0)[:, None] * step - points
@@ -241,7 +244,8 @@ def _laplacian(points: Array, triangles: NDArray[np.intp]) -> tuple[sparse.csr_m
 
 
 def _has_long_faces(points: Array, triangles: NDArray[np.intp], height: float) -> bool:
-    """Whether long faces connect distant parts of a fine mesh: its matrix would have no sparse factors."""
+    """Whether long faces connect distant parts of a fine mesh, so that its matrix would have no sparse
+    factors."""
     corners = points[triangles]
     longest = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
     return len(points) > _FINE and int((longest > _LONG * height).sum()) > _MANY
@@ -302,10 +306,8 @@ def _pieces(count: int, triangles: NDArray[np.intp]) -> tuple[int, NDArray[np.in
 
 
 def _small_pieces(weights: Array, points: Array, triangles: NDArray[np.intp], skeleton: Skeleton) -> Array:
-    """Give each small piece of the surface the mean weights (B,) of the nearest points of the body.
-
-    A piece around a bone of a limb, such as an arm or a sleeve, is no small piece.
-    """
+    """Give each small piece of the surface the mean weights (B,) of the nearest points of the body. A piece
+    around a bone of a limb, such as an arm or a sleeve, does not count as small."""
     number, piece = _pieces(len(points), triangles)
     size = np.bincount(piece, minlength=number)
     small = size < _SMALL * size.max()

@@ -1,7 +1,7 @@
 """The jaw of a body: how actions of the face turn and slide the bone ``temporomandibular``.
 
-The actions move the skin themselves, as their artists drew it; so the bone does not move the skin with them.
-Its motion is the rigid one that fits the lower teeth best [Umeyama 1991].
+The actions move the skin themselves, as their artists drew it, so the bone does not move the skin. The bone
+gets the rigid motion that fits the lower teeth best [Umeyama 1991].
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Jaw:
         rest: Frame (4, 4) of the bone at rest.
         actions: (A,) numbers of the actions.
         teeth: (K, 3) vertices of the lower teeth at rest, metres.
-        offsets: (A, K, 3) of them by each action at weight 1.
+        offsets: (A, K, 3) offsets of the teeth by each action at weight 1.
     """
 
     bone: int
@@ -51,11 +51,12 @@ class Jaw:
         )
 
     def moves(self, weights: Array) -> bool:
-        """Whether weights (..., 52) of the actions move it."""
+        """Whether weights (..., 52) of the actions move the jaw."""
         return bool(weights[..., self.actions].any())
 
     def motions(self, weights: Array) -> tuple[Array, Array]:
-        """Rotations (N, 3, 3) and shifts (N, 3), metres, in the frame of the bone, by weights (N, 52)."""
+        """Rotations (N, 3, 3) and shifts (N, 3), metres, of the jaw in the frame of its bone, from weights
+        (N, 52)."""
         goals = self.teeth + np.einsum("na,aki->nki", weights[:, self.actions], self.offsets)
         teeth = np.broadcast_to(self.teeth, goals.shape)
         _, rotations, translations = fit_similarity(teeth, goals, scale=1.0)
@@ -64,7 +65,7 @@ class Jaw:
         return np.asarray(axes.T @ rotations @ axes), shifts @ axes
 
     def open(self, joints: Array, weights: Array, sizes: Array) -> Array:
-        """Frames (N, J, 4, 4) with the jaw moved by weights (N, 52). ``sizes``: (N,) of the body."""
+        """Frames (N, J, 4, 4) with the jaw moved by weights (N, 52). ``sizes``: (N,) scale of the body."""
         if not self.moves(weights):
             return joints
         turns, shifts = self.motions(weights)
@@ -77,7 +78,8 @@ class Jaw:
         return out
 
     def closed(self, bone: Array, weights: Array, size: float) -> Array:
-        """Frame (4, 4) of the bone without the motion by weights (52,); ``size``: of the body."""
+        """Frame (4, 4) of the bone as it is without the motion by weights (52,). ``size``: scale of the
+        body."""
         (turn,), (shift,) = self.motions(weights[None])
         out = bone.copy()
         out[:3, :3] = bone[:3, :3] @ turn.T

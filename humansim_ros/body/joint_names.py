@@ -2,8 +2,8 @@
 
 All humans have the joints of the general skeleton; the built-in humans also have :data:`DETAIL_BONES`. One
 table for code, commands and documents (config/joints.json, docs/joints.md). A joint of another set is the
-same anatomical joint, or only the nearest one: the second kind is listed in ``near``, and its place differs
-by centimetres.
+same anatomical joint, or only the nearest one. The second kind is listed in ``near``. Its place differs by
+centimetres.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
 def finger_bones(side: str) -> tuple[str, ...]:
-    """Names of the 15 finger bones of a hand, three for each of :data:`FINGERS`; ``side`` is l or r.
+    """Names of the 15 finger bones of a hand, three for each of :data:`FINGERS`. ``side``: l or r.
 
     Example:
         >>> finger_bones("l")[:4]
@@ -55,13 +55,13 @@ def _detail_parents() -> dict[str, str]:
     return parents | dict.fromkeys(("temporomandibular", "l_eyeball_joint", "r_eyeball_joint"), "vt3")
 
 
-#: Parent by name of the bones that the built-in humans have after those of the general skeleton, in their
-#: order: 15 fingers of the left hand and of the right hand, toes, jaw and eyes (H-Anim 1.1).
+#: Parents, by name, of the bones that the built-in humans have after those of the general skeleton, in their
+#: order: 15 fingers of the left and of the right hand, toes, jaw and eyes (H-Anim 1.1).
 DETAIL_BONES: Mapping[str, str] = _detail_parents()
 
 
 def body_joints(names: Sequence[str]) -> list[int]:
-    """Numbers of the joints that are not of :data:`DETAIL_BONES`: what counts joints is not to count hands.
+    """Numbers of the joints without those of :data:`DETAIL_BONES`, for uses that must not count fingers.
 
     Example:
         >>> body_joints(["l_wrist", "l_index1", "l_index3_end", "l_wrist_end"])
@@ -81,13 +81,14 @@ class JointName:
     Attributes:
         name: Name in this package (H-Anim 1.1).
         place: Place in the body, in plain words.
-        bone: The part of the body that the bone of this name spans, which turns about the joint; empty for
-            the end of a bone.
-        hanim2: Name in H-Anim 2 (ISO/IEC 19774-1:2019), of a joint or of a site; None without one.
-        smpl: Name in SMPL, of fingers, jaw and eyes in SMPL-X; None without one.
-        coco: Name in the 17 keypoints of COCO; None without one.
-        body_25: Name in BODY_25 of OpenPose; None without one.
-        near: Fields of the sets whose joint is only the nearest one.
+        bone: Part of the body that turns about the joint: that of the bone with this name. Empty for the end
+            of a bone.
+
+        hanim2: Name of a joint or site in H-Anim 2 (ISO/IEC 19774-1:2019), or None.
+        smpl: Name in SMPL (in SMPL-X for fingers, jaw and eyes), or None.
+        coco: Name in the 17 keypoints of COCO, or None.
+        body_25: Name in BODY_25 of OpenPose, or None.
+        near: Fields of the sets that have only a nearest joint.
     """
 
     name: str
@@ -100,7 +101,8 @@ class JointName:
     near: tuple[str, ...] = ()
 
     def in_set(self, column: str) -> str:
-        """Name in another set (a key of :data:`SETS`), with ``~`` before the nearest one; empty if none."""
+        """Name in another set (a key of :data:`SETS`). ``~`` stands before a nearest joint. Empty for no
+        joint."""
         name = getattr(self, column)
         return "" if name is None else f"~{name}" if column in self.near else name
 

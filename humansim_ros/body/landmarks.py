@@ -1,6 +1,6 @@
 """Estimate the joints of a person from the volume of its mesh: limb centres, groin, neck, armpits.
 
-MakeHuman bodies are recognised by their topology; their joints come from a table.
+MakeHuman bodies are recognised by their topology. Their joints come from a table.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from humansim_ros.io.assets import read_table
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
-#: Limit for all voxels; a person of 160 voxels' height has a twentieth of it.
+#: Most voxels of a grid. A person of 160 voxels' height needs a twentieth of them.
 _MAX_VOXELS = 20_000_000
-#: Directions out of six in which an inner voxel must have surface.
+#: An inner voxel must have surface in at least this many of six directions.
 _SIDES = 5
 
 
@@ -52,8 +52,8 @@ def solid(mesh: Mesh, spacing: float) -> Volume:
     """Fill a mesh with voxels of edge length ``spacing``.
 
     A voxel is inside if the surface encloses it in a slice across at least one axis, and if there is surface
-    in at least five of the six axis directions. So holes (an open neck, an empty sleeve) do not empty the
-    body. Raises MeshError if there would be too many voxels.
+    in at least five of the six axis directions. So the body stays filled in spite of holes (an open neck, an
+    empty sleeve). Raises MeshError if there would be too many voxels.
     """
     points = surface_points(mesh, 0.7 * spacing)
     low = spacing * (np.floor(points.min(0) / spacing) - 2)  # same grid left and right
@@ -102,21 +102,21 @@ def surface_points(mesh: Mesh, spacing: float) -> Array:
 
 #: Height of a person in voxels.
 _VOXELS = 160
-#: Separate parts: most that are joined; smallest, as a share of the largest part; longest gap, and distance
-#: of the middles of mirror images, as shares of the height.
+#: For separate parts: most that are joined; smallest, as a share of the largest part; longest gap, and
+#: distance of the middles of mirror images, as shares of the height.
 _MOST_PARTS, _LEAST_PART, _LONGEST_GAP, _MIRRORED = 20, 2e-3, 0.12, 0.08
 _NO_LIMB = "no limb where a T or A pose has one: the mesh must stand upright with the arms out or down"
 #: Lengths are shares of the height. Search ranges of groin and neck; half width of the middle slice.
 _GROIN, _NECK, _CORE = (0.3, 0.65), (0.72, 0.93), 0.03
 #: Maximum distance of the legs from the middle.
 _LEGS = 0.2
-#: Width of bands of equal distance from the finger tip, and the maximum distance.
+#: Width of bands of equal distance from the finger tip, and largest distance.
 _BAND, _REACH = 0.01, 0.56
-#: Distances from the finger tip: ranges of the wrist and the forearm, minimum of the armpit.
+#: Distances from the finger tip: ranges of the wrist and of the forearm, and smallest for the armpit.
 _WRIST, _FOREARM, _ARMPIT = (0.08, 0.17), (0.2, 0.3), 0.3
 #: Ratio of the sections of trunk and forearm.
 _TRUNK_RATIO = 3.0
-#: Range of the groin, maximum width of the neck; outside, a skirt or hair hides them.
+#: Plausible range of the groin, and largest width of the neck. Outside these, a skirt or hair hides them.
 _PLAUSIBLE_GROIN, _PLAUSIBLE_NECK = (0.36, 0.56), 0.8
 
 
@@ -154,9 +154,9 @@ class Arm:
 class Measures:
     """Measurements of a body of height 1, y up, facing +z, soles at height 0, middle at x = 0.
 
-    ``groin``, ``neck``: heights. ``heights``: (Y,) of slices. ``front``, ``back``: (Y,) z of the trunk in
-    each slice. ``legs``: (2, Y, 2) centres of the left and right leg, distance from the middle and z. NaN
-    where a slice is empty. ``arms``: left, right. ``crown``: (3,) middle of the top of the head.
+    ``groin``, ``neck``: heights. ``heights``: (Y,) heights of slices. ``front``, ``back``: (Y,) z of the
+    trunk in each slice. ``legs``: (2, Y, 2) centres of the left and right leg, as distance from the middle
+    and z; NaN where a slice is empty. ``arms``: left, right. ``crown``: (3,) middle of the top of the head.
     """
 
     groin: float
@@ -198,10 +198,8 @@ class Measures:
 
 
 def measure(mesh: Mesh) -> Measures:
-    """Measure a mesh of height 1, y up, facing +z, soles at 0. Raises MeshError if it has no limbs.
-
-    Limbs that do not touch the trunk are joined to it, with a warning; other separate parts do not count.
-    """
+    """Measure a mesh of height 1, y up, facing +z, soles at 0. Raises MeshError if it has no limbs. Limbs
+    that do not touch the trunk are joined to it, with a warning. Other separate parts are ignored."""
     whole = solid(mesh, 1 / _VOXELS)
     volume, gaps = joined_parts(whole, pairs_only=True)
     try:
@@ -224,11 +222,11 @@ def measure(mesh: Mesh) -> Measures:
 
 
 def joined_parts(volume: Volume, *, pairs_only: bool) -> tuple[Volume, list[float]]:
-    """The largest part of a volume, and the parts that belong to it over short gaps, with bridges to them.
+    """The largest part of a volume, joined by bridges to parts that belong to it and are near.
 
     Args:
-        volume: Volume of a body of height 1, whose middle is at x = 0.
-        pairs_only: Join parts only that are in the middle or have a mirror image, as limbs have, not a sword.
+        volume: Volume of a body of height 1 with its middle at x = 0.
+        pairs_only: Join only parts in the middle or with a mirror image. Limbs have one, a sword has none.
 
     Returns:
         One connected volume, and the length of each bridge.
@@ -303,12 +301,9 @@ def _measure(mesh: Mesh, whole: Volume, volume: Volume) -> Measures:
 
 
 def joint_positions(measures: Measures) -> dict[str, Array]:
-    """Joint positions (3,) of a body of height 1, by the bone whose head they are, and ``<bone>_end`` of
-    leaves.
-
-    Linear functions of the measurements, fitted to MakeHuman bodies (config/body_joints.json);
-    docs/rigging.md lists the errors.
-    """
+    """Joint positions (3,) of a body of height 1. The key is the bone that begins there, or ``<bone>_end`` at
+    a leaf. They are linear functions of the measurements, fitted to MakeHuman bodies
+    (config/body_joints.json). docs/rigging.md lists the errors."""
     m = measures
     joints: dict[str, Array] = {}
 
@@ -367,7 +362,7 @@ def predict(what: str, *measurements: float) -> float:
 
 
 def _groin(depth: NDArray[np.integer], xs: Array, heights: Array, size: float) -> float:
-    """Height below which the middle is empty, or thinner than the legs beside it, because legs may touch.
+    """Height below which the middle is empty, or thinner than the legs at its sides (since legs may touch).
 
     Args:
         depth: Number of voxels inside the body from front to back, (X, Y).
@@ -444,10 +439,8 @@ def _toes(vertices: Array, sign: float) -> Array:
 
 
 def _arm(volume: Volume, sign: float) -> Arm:
-    """Measure an arm in any direction, in bands of equal distance through the body from the finger tip.
-
-    Bands contain only the arm; planes across the arm would cut the trunk too.
-    """
+    """Measure an arm in any direction, in bands of equal distance through the body from the finger tip. A
+    band contains only the arm. A plane across the arm would cut the trunk too."""
     voxels, graph = _half(volume, sign)
     points = volume.centres(voxels)
     if not len(points):
@@ -515,17 +508,17 @@ def _half(volume: Volume, sign: float) -> tuple[NDArray[np.intp], csr_matrix]:
     return voxels, csr_matrix(entries, shape=(len(voxels), len(voxels)))
 
 
-#: Number of vertices of the skin of MakeHuman's base mesh; eyes, clothes and helpers follow.
+#: Number of vertices of the skin of MakeHuman's base mesh. Eyes, clothes and helpers come after them.
 SKIN_VERTICES = 13380
 
 
 def known_joints(mesh: Mesh) -> dict[str, Array] | None:
-    """Joint centres (3,) in the space of the mesh, or None if the mesh is not a MakeHuman body.
+    """Joint centres (3,) in the space of the mesh; None if the mesh is no MakeHuman body.
 
-    Keys are the bone whose head the joint is, and ``<bone>_end`` for leaves. A mesh is a MakeHuman body if
-    its first 13380 vertices have the faces of MakeHuman (eyes, clothes and helpers may follow). Each joint is
-    a weighted mean of skin vertices around it, valid for every shape and every pose of the limbs
-    (tools/assets/fit_joint_places.py).
+    The key of a joint is the name of the bone that begins there, or ``<bone>_end`` for the end of a leaf. A
+    mesh is a MakeHuman body if its first 13380 vertices have the faces of MakeHuman (eyes, clothes and
+    helpers may follow). Each joint is a weighted mean of skin vertices around it, valid for every shape and
+    every pose of the limbs (tools/assets/fit_joint_places.py).
     """
     if not is_makehuman(mesh):
         return None
@@ -546,7 +539,7 @@ def is_makehuman(mesh: Mesh) -> bool:
 
 
 def topology(faces: NDArray[np.integer]) -> str:
-    """Digest of quads (F, 4), independent of their order and of their first corners."""
+    """Digest of quads (F, 4). It does not depend on their order and their first corners."""
     start = np.argmin(faces, axis=1)
     order = (start[:, None] + np.arange(4)) % 4
     turned = np.take_along_axis(faces, order, axis=1).astype("<i4")

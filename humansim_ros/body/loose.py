@@ -1,7 +1,7 @@
-"""Loose parts of a human: skirts, hems of coats and hanging hair, whose lower ends swing.
+"""Loose parts of a human: skirts, hems of coats and hanging hair. Their lower ends swing.
 
-They follow the bones as all skin does; a swing is added to the vertices in ``map``. Cloth around the thighs
-is gathered when its wearer sits.
+Like all skin, they follow the bones. A swing is added to the vertices in ``map``. Cloth around the thighs is
+gathered when its wearer sits.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from humansim_ros.errors import MeshError
 from humansim_ros.geometry import smooth_step
 from humansim_ros.types import Array
 
-#: Kinds of loose parts: the numbers in a file.
+#: Kinds of loose parts. The numbers are used in files.
 CLOTH, HAIR = range(2)
-#: Most ends of a human: each is a joint of its motion.
+#: Most ends of a human, since each is a joint of its motion.
 MAX_ENDS = 64
-#: Angle of a thigh at which cloth begins to be gathered, and at which it is, radians.
+#: Angle of a thigh at which cloth begins to gather, and at which it is gathered, radians.
 _GATHERED = (np.radians(50.0), np.radians(85.0))
 _LEGS = ("l_hip", "r_hip")
 _SHINS = ("l_knee", "r_knee")
-#: Distance from the bone of a leg beyond which cloth is free, as a share of the length of the thigh.
+#: Cloth farther from the bone of a leg than this is free, as a share of the length of the thigh.
 _FREE = 0.3
-#: Metres that cloth may come nearer to one bone of a leg where another one holds it off.
+#: Cloth that is held off one bone may come nearer to another bone of a leg by at most this, metres.
 _NEARER = 0.01
 _ARRAYS = ("kinds", "ends", "outwards", "rows", "nodes", "shares", "gather", "left")
 
@@ -44,10 +44,10 @@ class LooseParts:
         ends: (K, 2) vertices: where a part hangs from, and its lower end.
         outwards: (K, 3) unit direction away from the body at each end, at rest.
         rows: (M,) vertices that follow, each once.
-        nodes: (M, 2) two ends that a vertex follows.
-        shares: (M, 2) share of the swing of each.
-        gather: (M, 3) metres at rest by which cloth moves if its wearer sits.
-        left: (M,) share of the left leg in it; the rest is that of the right leg.
+        nodes: (M, 2) the two ends that each vertex follows.
+        shares: (M, 2) shares of the swing of these two ends.
+        gather: (M, 3) metres by which cloth moves when its wearer sits, in the rest pose.
+        left: (M,) share of ``gather`` that follows the left leg. The rest follows the right leg.
     """
 
     kinds: NDArray[np.uint8]
@@ -61,13 +61,13 @@ class LooseParts:
 
     @cached_property
     def _cloth(self) -> NDArray[np.intp]:
-        """Places among the M vertices of cloth that swings."""
+        """Indices, among the M vertices, of cloth that swings."""
         return np.flatnonzero((self.kinds[self.nodes[:, 0]] == CLOTH) & (self.shares > 0).any(axis=1))
 
     def swung(
         self, points: NDArray[np.float32], swing: Array, skeleton: Skeleton, transforms: Array
     ) -> NDArray[np.float32]:
-        """Vertices (M, 3) that a swing has moved, where cloth comes no nearer to the bones of the legs.
+        """Vertices (M, 3) moved by a swing. Cloth comes no nearer to the bones of the legs.
 
         Args:
             points: Vertices (M, 3) without swing.
@@ -90,7 +90,7 @@ class LooseParts:
             factor = before / np.maximum(distance, 1e-6)
             held = np.flatnonzero(factor > 1)
             cloth[held] = nearest[held] + factor[held, None] * (cloth[held] - nearest[held])
-        # held off one bone, it may have come nearer to another: there it does not swing
+        # where cloth pushed off one bone nears another, cancel the swing
         nearer = [
             before - _to_segment(cloth, start, end)[0]
             for (start, end, _), before in zip(legs, least, strict=True)
@@ -100,10 +100,8 @@ class LooseParts:
         return np.asarray(moved)
 
     def gathered(self, skeleton: Skeleton, transforms: Array) -> NDArray[np.float32] | None:
-        """Offsets (M, 3) at rest with which cloth lies on the thighs; None if no thigh is raised.
-
-        ``transforms``: rest-to-posed transforms (B, 4, 4) of the bones.
-        """
+        """Offsets (M, 3) in the rest pose that lay cloth on the thighs; None if no thigh is raised.
+        ``transforms``: rest-to-posed transforms (B, 4, 4) of the bones."""
         if not set(_LEGS) <= set(skeleton.names):
             return None
         low, high = _GATHERED
@@ -119,7 +117,7 @@ class LooseParts:
 
 
 def _legs(skeleton: Skeleton, transforms: Array) -> Iterator[tuple[Array, Array, float]]:
-    """Ends (3,) of the bones of both legs, and the distance from them in which cloth is held off."""
+    """Ends (3,) of the bones of both legs, and the distance that cloth keeps from each."""
     for name in (*_LEGS, *_SHINS):
         bone = skeleton.bone(name)
         turn, shift = transforms[bone, :3, :3], transforms[bone, :3, 3]
@@ -139,7 +137,7 @@ def _to_segment(
 
 
 def swing_at_rest(count: int) -> Rated:
-    """Offsets (K, 3) of loose ends that hang still, metres in ``map``."""
+    """Offsets (K, 3) of loose ends that hang still, metres in ``map``. All are zero."""
     return Rated.at_rest(tuple(f"{number}/{axis}" for number in range(count) for axis in "xyz"), (count, 3))
 
 
@@ -149,16 +147,14 @@ def loose_arrays(parts: LooseParts) -> dict[str, NDArray[Any]]:
 
 
 def read_loose(arrays: Mapping[str, NDArray[Any]], vertices: int) -> LooseParts | None:
-    """Loose parts of the arrays of a human file; None if it has none.
-
-    ``vertices``: number of vertices of the mesh. Raises MeshError, or KeyError for a missing array.
-    """
+    """Loose parts from the arrays of a human file; None if the file has none. ``vertices``: number of
+    vertices of the mesh. Raises MeshError, or KeyError for a missing array."""
     if "loose_kinds" not in arrays:
         return None
     count, rows = len(arrays["loose_kinds"].ravel()), len(arrays["loose_rows"].ravel())
     if not 1 <= count <= MAX_ENDS:
         raise MeshError(f"needs 1 to {MAX_ENDS} ends, not {count}", key="loose_kinds")
-    # dtype, shape, and the number below which whole numbers are
+    # dtype, shape, and the number that whole numbers must be below
     layout: dict[str, tuple[type[np.generic], tuple[int, ...], int]] = {
         "kinds": (np.uint8, (count,), HAIR + 1),
         "ends": (np.int32, (count, 2), vertices),

@@ -1,4 +1,5 @@
-"""Numbers that travel beside the joints of a human, such as the weights of a face, with their rates."""
+"""Values of a human that change over time but are no joints, such as the weights of a face, with their
+rates."""
 
 from __future__ import annotations
 
@@ -38,11 +39,12 @@ class Rated:
         return cls(labels, np.zeros(shape), np.zeros(shape), limits)
 
     def moving(self, values: Array, seconds: float) -> Rated:
-        """These labels with the middle one of three values, whose first and last are some seconds apart."""
+        """Values with these labels at the middle of three times. ``values``: at all three. ``seconds``: from
+        the first to the last."""
         return replace(self, values=values[1], rates=(values[2] - values[0]) / seconds)
 
     def after(self, seconds: float) -> Array:
-        """Values some time later, at constant rates."""
+        """Values after some time, if the rates stay constant."""
         return np.clip(self.values + seconds * self.rates, *self.limits)
 
     def stopped(self) -> Rated:

@@ -21,7 +21,7 @@ _BLOCK = 16_384
 
 
 def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
-    """Compute skinning weights (V, B) of a mesh in the rest pose of a skeleton; rows sum to one.
+    """Compute skinning weights (V, B) of a mesh in the rest pose of a skeleton. Rows sum to one.
 
     ``rule``:
 
@@ -34,7 +34,7 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
       thesis contradict the pseudo-code ("the weight factor is decreased for vertices with larger angle").
 
     Raises:
-        MeshError: The skeleton has no bone on a side of the mesh, or for ``heat`` not the bones of a human.
+        MeshError: The skeleton has no bone on a side of the mesh, or (for ``heat``) lacks bones of a human.
 
     Example:
         >>> from humansim_ros import load_human

@@ -3,8 +3,8 @@
 At the angles zero of the model a person stands with hanging arms, and all links have the axes of the body: x
 forward, y to the person's left, z up. Links, joints and axes of rotation are those of the package
 human_description of ROS4HRI; the lengths are those of the skeleton. The model has one joint in the spine, no
-clavicles, and fixed wrists and ankles. Hence its angles are the nearest to a pose, while the poses of
-:meth:`HriLinks.poses` are exact.
+clavicles, and fixed wrists and ankles. So the angles of the model are only the nearest to a pose, but the
+poses of :meth:`HriLinks.poses` are exact.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class UrdfJoint(NamedTuple):
 
 
 def _arm(side: str) -> tuple[UrdfJoint, ...]:
-    """Joints of an arm. Axes of the right side are mirrored as human_description has them."""
+    """Joints of an arm. Axes of the right side are mirrored, as in human_description."""
     out = 1 if side == "l" else -1
     return (
         UrdfJoint(f"{side}_y_shoulder", "torso", f"{side}_y_shoulder", (0, 0, -out)),
@@ -83,7 +83,7 @@ _AXES = {joint.name: np.array(joint.axis, float) for joint in URDF_JOINTS if joi
 #: Axes of the body at rest, as columns, in body space: forward, left, up.
 _UPRIGHT: Array = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 _DOWN: Array = np.array([0.0, -1.0, 0.0])
-#: Bone whose pose gives the pose of a link.
+#: Bone with the pose that a link has.
 _BONES = {
     "body": "HumanoidRoot",
     "waist": "vl5",
@@ -95,7 +95,7 @@ _BONES = {
 
 
 class _Limb(NamedTuple):
-    """Links of a limb. ``bend``: 1 where it bends forward as an elbow, -1 for a knee."""
+    """Links of a limb. ``bend``: 1 if the limb bends forward like an elbow, -1 if it bends like a knee."""
 
     upper: str
     lower: str
@@ -105,7 +105,7 @@ class _Limb(NamedTuple):
 
 
 class _Ball(NamedTuple):
-    """Joints with three axes: their names, the link in which they turn, and the link that they turn."""
+    """Joint with three axes: their names, the link that they turn in, and the link that they turn."""
 
     names: tuple[str, str, str]
     parent: str
@@ -124,13 +124,15 @@ _BALLS = (
         for name, parent in (("shoulder", "torso"), ("hip", "body"))
     ),
 )
-#: Below this sine of the angle between both parts of a limb, the bone tells its twist, not the bend.
+#: If the sine of the angle between both parts of a limb is below this, the twist comes from the bone, not
+#: from the bend.
 _STRAIGHT = 0.1
 #: Radius of limbs and head of the picture, metres.
 _LIMB_RADIUS, _HEAD_RADIUS = 0.03, 0.1
-#: In place of the id of a body.
+#: Placeholder for the id of a body.
 _ID = "@"
-#: Origin of the head's link without eyes: share of the way from the base of the neck to the top of the head.
+#: Origin of the head's link without eyes, as a share of the way from the base of the neck to the top of the
+#: head.
 _EYE_HEIGHT = 0.55
 
 
@@ -142,15 +144,13 @@ class HriLinks:
 
     @classmethod
     def of(cls, skeleton: Skeleton) -> HriLinks | None:
-        """Links of a skeleton; None without bones for them."""
+        """Links of a skeleton; None if the skeleton lacks bones that ROS4HRI needs."""
         return cls(skeleton) if set(_BONES.values()) <= set(skeleton.names) else None
 
     def poses(self, joints: Array) -> dict[str, Array]:
-        """True poses (4, 4) of all links in ``map`` by name, from joints (J, 4, 4) of the skeleton.
-
-        A link is at its joint. The links between the three axes of neck, shoulder or hip are there, too: they
-        turn by the angles that lead to the next link.
-        """
+        """True poses (4, 4) of all links in ``map`` by name, from joints (J, 4, 4) of the skeleton. The
+        origin of a link is its joint. The links between the three axes of neck, shoulder or hip are included.
+        They turn by the angles that lead to the next link."""
         size = self.size(joints)
         rotations = {link: joints[self._bone[link], :3, :3] @ self._turns[link] for link in _BONES}
         places = {link: joints[self._bone[link], :3, 3] for link in _BONES}
@@ -167,7 +167,8 @@ class HriLinks:
         return {link: transform(rotations[link], places[link]) for link in LINKS}
 
     def angles(self, joints: Array) -> Array:
-        """Angles (20,) in the order of :data:`JOINTS`, radians, nearest to the joints (J, 4, 4) of a pose.
+        """Angles (20,) in the order of :data:`JOINTS`, radians: those that come nearest to the joints (J, 4,
+        4) of a pose.
 
         The model stands at the true pose of ``body``. The waist turns so that neck and shoulders are nearest
         in the sum of squares; head and limbs then have their true directions, and elbows and knees their true
@@ -197,10 +198,8 @@ class HriLinks:
         return np.array([found[name] for name in JOINTS])
 
     def gaze(self, joints: Array) -> Array:
-        """Rotation (3, 3) in ``map`` of the gaze: z along the mean of both eyes, x right, y down.
-
-        Without bones of eyes, z is the x axis of the head.
-        """
+        """Rotation (3, 3) in ``map`` of the gaze: z along the mean direction of both eyes, x right, y down.
+        If there are no bones of eyes, z is the x axis of the head."""
         head = joints[self._bone["head"], :3, :3] @ self._turns["head"]
         ahead = head[:, 0]
         if set(EYE_BONES) <= set(self.skeleton.names):
@@ -210,7 +209,8 @@ class HriLinks:
 
     @cached_property
     def origins(self) -> dict[str, Array]:
-        """Origin (3,) of each link but the root in the axes of its parent at the angles zero, metres."""
+        """Origin (3,) of each link, except the root, in the axes of its parent when all angles are zero,
+        metres."""
         own = self._rest_places
         shoulders = (own["l_shoulder"] + own["r_shoulder"]) / 2
         neck, middle = own["head"], (own["l_hip"] + own["r_hip"]) / 2
@@ -234,7 +234,7 @@ class HriLinks:
     def urdf(self, body: str, size: float = 1.0) -> str:
         """URDF of the person with the suffix ``_<body>`` on all links and joints.
 
-        Its lengths are the true ones. Limits of the joints are half a turn, so that each pose is within them.
+        Lengths are the true ones. The limits of joints are half a turn, so that every pose is within them.
 
         Args:
             body: Id of the body.
@@ -248,7 +248,7 @@ class HriLinks:
         return self._urdf_of(1.0)
 
     def _urdf_of(self, size: float) -> str:
-        """URDF of a scale, with :data:`_ID` in place of the id."""
+        """URDF for a scale. :data:`_ID` stands for the id."""
         add, robot = ElementTree.SubElement, ElementTree.Element("robot", name=f"human_{_ID}")
         add(add(robot, "material", name="skin"), "color", rgba="0.9 0.65 0.5 1")
         for link in LINKS:
@@ -306,11 +306,8 @@ class HriLinks:
 
 
 def _ball_angles(names: tuple[str, str, str], turn: Array) -> tuple[float, float, float]:
-    """Angles of three successive axes from their rotation (3, 3).
-
-    Shoulders turn about z, x, z, with an angle from 0 to half a turn about x; hips about z, x, y; the head
-    about x, z, y.
-    """
+    """Angles of three successive axes that make a rotation (3, 3). Shoulders turn about z, x, z, with an
+    angle from 0 to half a turn about x. Hips turn about z, x, y, the head about x, z, y."""
     signs = [_AXES[name].sum() for name in names]
     if names[0].endswith("shoulder"):
         away = math.hypot(turn[2, 0], turn[2, 1])
@@ -332,12 +329,12 @@ def _ball_angles(names: tuple[str, str, str], turn: Array) -> tuple[float, float
 
 
 def _hinged(along: Array, bend: Array, ahead: Array) -> Array:
-    """Rotation (3, 3) of an upper arm or thigh whose hinge can reach the lower part of the limb.
+    """Rotation (3, 3) of an upper arm or thigh with a hinge that can reach the lower part of the limb.
 
     Args:
         along: Direction (3,) of the upper part, from which z points away.
-        bend: Direction (3,) to which the limb bends, as long as the sine of the angle.
-        ahead: x axis (3,) of the bone, which counts where the limb is nearly straight.
+        bend: Direction (3,) that the limb bends to. Its length is the sine of the angle.
+        ahead: x axis (3,) of the bone, used if the limb is nearly straight.
     """
     weight = _STRAIGHT * math.exp(-float(bend @ bend) / _STRAIGHT**2)
     x = unit_vectors(perpendicular(bend + weight * ahead, along))

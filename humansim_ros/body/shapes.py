@@ -1,4 +1,5 @@
-"""Shapes of a mesh: offsets of some vertices at rest, which weights from 0 to 1 add (morph targets)."""
+"""Shapes of a mesh (morph targets): offsets of some vertices in the rest pose. Weights from 0 to 1 add
+them."""
 
 from __future__ import annotations
 
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MeshError
 from humansim_ros.types import Array
 
-#: Unit of offsets in files of a body that is not scaled, metres. Targets of MakeHuman are multiples of 80 of
-#: it; the largest offset is 0.0343 m, and 16 bits hold 0.041 m.
+#: Unit of offsets in the file of a body that is not scaled, metres. Targets of MakeHuman are multiples of 80
+#: units. The largest offset is 0.0343 m, and 16 bits hold 0.041 m.
 FILE_UNIT = 1.25e-6
-#: Shapes with larger offsets than this are not of a person, metres.
+#: Largest plausible offset of a shape, metres.
 _MAX_OFFSET = 10.0
 #: Most shapes of a human.
 MAX_SHAPES = 1024
@@ -53,11 +54,11 @@ class Shapes:
 
     @cached_property
     def _places(self) -> NDArray[np.intp]:
-        """(K,) number of each row in ``moved``."""
+        """(K,) index in ``moved`` of each row."""
         return np.searchsorted(self.moved, self.rows)
 
     def at(self, weights: Array) -> NDArray[np.float32]:
-        """Sum of the weighted offsets (M, 3) of the vertices ``moved``; costs only shapes with a weight."""
+        """Sum of the weighted offsets (M, 3) of the vertices ``moved``. Shapes with weight 0 cost no time."""
         out = np.zeros((len(self.moved), 3), dtype=np.float32)
         for number in np.flatnonzero(weights):
             some = slice(self.starts[number], self.starts[number + 1])
@@ -66,10 +67,9 @@ class Shapes:
 
 
 def shape_arrays(shapes: Shapes, scale: float = 1.0) -> dict[str, NDArray[Any]]:
-    """Arrays of a human file with shapes; offsets are rounded to half of the unit, 0.6 micrometres.
-
-    ``scale``: factor of a scaled body. Larger offsets than 16 bits hold get a larger unit.
-    """
+    """Arrays of a human file with shapes. The rounding error of offsets is at most half of the unit, 0.6
+    micrometres. ``scale``: factor of a scaled body. If offsets are too large for 16 bits, the unit is
+    larger."""
     largest = float(np.abs(shapes.offsets).max(initial=0.0))
     unit = FILE_UNIT * scale
     if largest > 32767 * unit:
@@ -84,10 +84,8 @@ def shape_arrays(shapes: Shapes, scale: float = 1.0) -> dict[str, NDArray[Any]]:
 
 
 def read_shapes(arrays: Mapping[str, NDArray[Any]], vertices: int) -> Shapes | None:
-    """Shapes of the arrays of a human file; None if it has none.
-
-    ``vertices``: number of vertices of the mesh. Raises MeshError, or KeyError for a missing array.
-    """
+    """Shapes from the arrays of a human file; None if the file has none. ``vertices``: number of vertices of
+    the mesh. Raises MeshError, or KeyError for a missing array."""
     if "shape_names" not in arrays:
         return None
     names, starts, rows, offsets, unit = (arrays[key] for key in _ARRAYS)

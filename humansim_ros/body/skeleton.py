@@ -21,7 +21,7 @@ class Skeleton:
     """Bones in body space (metres, y up, faces +z, +x is the person's left), parents before children.
 
     ``names``: B names. ``parents``: (B,) parent index or -1. ``heads``, ``tails``: (B, 3). ``rolls``: (B,)
-    radians, rotation of the bone frame about its y axis, as in Blender. Raises MeshError if they are not a
+    radians, rotation of the bone frame about its y axis, as in Blender. Raises MeshError if the bones are no
     tree.
     """
 
@@ -83,17 +83,15 @@ class Skeleton:
 
     @cached_property
     def rest_in_parent(self) -> Array:
-        """Each bone's rest frame in its parent's rest frame (B, 4, 4); a root's in body space."""
+        """Rest frame of each bone in the rest frame of its parent (B, 4, 4). That of a root is in body
+        space."""
         parent = np.where((self.parents < 0)[:, None, None], np.eye(4), self.rest_inverse[self.parents])
         return parent @ self.rest
 
     def pose(self, rotations: NDArray[np.float64], root: NDArray[np.float64] | None = None) -> Array:
-        """Posed bone frames (..., B, 4, 4).
-
-        ``rotations``: (..., B, 4) quaternions xyzw in bone space. ``root``: (..., 4, 4) transform of body
-        space, such as world-from-body; identity if absent.
-        ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` [thesis §9.5], as Blender's armatures.
-        """
+        """Posed bone frames (..., B, 4, 4). ``rotations``: (..., B, 4) quaternions xyzw in bone space.
+        ``root``: (..., 4, 4) transform of body space, such as world-from-body. If None, the identity.
+        ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` [thesis §9.5], as Blender's armatures."""
         local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
         first, *rest = self.levels
         if root is None:
@@ -110,10 +108,8 @@ class Skeleton:
         return out
 
     def size_of(self, heads: Array, but: int = -1) -> float:
-        """Scale of a body relative to the rest pose, from the heads (B, 3) of its bones in any pose.
-
-        ``but``: number of a bone that is left out.
-        """
+        """Scale of a body in any pose, relative to the rest pose. ``heads``: (B, 3) heads of the posed bones.
+        ``but``: number of a bone that is left out."""
         child = np.flatnonzero(self.parents >= 0)
         child = child[child != but]
         above = self.parents[child]
@@ -133,18 +129,17 @@ class Skeleton:
 
     @cached_property
     def ends(self) -> tuple[int, ...]:
-        """Bones whose tails are joints, too: those without children; and head, hands and feet, with bones
-        of fingers, toes, jaw and eyes or without (top of the head, tips of the straight hand and foot).
-        """
+        """Bones with tails that are joints, too. They are bones without children, and head, hands and feet
+        even if these have bones of fingers, toes, jaw and eyes (top of the head, tips of the straight hand
+        and foot)."""
         return tuple(
             sorted({*self.leaves, *(n for n, name in enumerate(self.names) if name in _EXTREMITIES)})
         )
 
     @cached_property
     def wholes(self) -> NDArray[np.intp]:
-        """(B,) bone of which each bone is a detail: hand, foot or head of fingers, toes, jaw and eyes, by
-        their names, and of bones that these carry; other bones themselves.
-        """
+        """(B,) bone that each bone is a detail of. A bone that is no detail has its own number. Fingers,
+        toes, jaw and eyes (by name), and bones that these carry, are details of hand, foot or head."""
         wholes = np.arange(len(self))
         for bone, parent in enumerate(self.parents.tolist()):
             if parent < 0:
@@ -158,12 +153,13 @@ class Skeleton:
 
     @cached_property
     def detail_levels(self) -> tuple[NDArray[np.intp], ...]:
-        """Fingers, toes, jaw and eyes by depth in the tree, those at hand, foot and head first."""
+        """Fingers, toes, jaw and eyes by depth in the tree. Those directly at hand, foot and head come
+        first."""
         details = (level[self.wholes[level] != level] for level in self.levels)
         return tuple(level for level in details if len(level))
 
     def part(self, bones: NDArray[np.intp]) -> Skeleton:
-        """Skeleton of some bones (b,), in order, with the parents of each of them."""
+        """Skeleton of some bones (b,), in order. The parent of each of these bones must be among them."""
         place = np.full(len(self) + 1, -1)
         place[bones] = np.arange(len(bones))
         rows = (self.heads[bones], self.tails[bones], self.rolls[bones])
@@ -193,27 +189,29 @@ class Skeleton:
         return np.concatenate([posed, ends], axis=-3)
 
 
-#: Bones whose tail is a joint although they may have children.
+#: Bones with a tail that is a joint although they may have children.
 _EXTREMITIES = (
     DETAIL_BONES.keys() - set(DETAIL_BONES.values()) | set(DETAIL_BONES.values()) - DETAIL_BONES.keys()
 )
 
 
 def side_of(name: str) -> int:
-    """Side of the body of a bone or joint by its H-Anim name: 1 left, -1 right, 0 neither."""
+    """Side of the body of a bone or joint, from its H-Anim name: 1 left, -1 right, 0 neither."""
     if name.startswith("l_") or "_l_" in name:
         return 1
     return -1 if name.startswith("r_") or "_r_" in name else 0
 
 
 def hanim_skeleton() -> Skeleton:
-    """Create the general skeleton of 22 bones in T pose [thesis table 4.1], with the shoulders' parents
-    corrected (config/skeleton.json). The right collar joint is not the mirror image of the left one.
+    """Create the general skeleton of 22 bones in T pose [thesis table 4.1].
+
+    The shoulders' parents are corrected (config/skeleton.json). The right collar joint is not the mirror
+    image of the left one.
+
 
     Example:
         >>> skeleton = hanim_skeleton()
-        >>> len(skeleton), skeleton.names[0]
-        (22, 'HumanoidRoot')
+        >>> len(skeleton), skeleton.names[0] (22, 'HumanoidRoot')
     """
     table = read_table("skeleton")
     names = tuple(row["name"] for row in table)

@@ -18,14 +18,15 @@ from humansim_ros.geometry import cross, matrix_to_quaternion
 from humansim_ros.mesh.mesh import normalise_weights
 from humansim_ros.types import Array, FloatArray
 
-#: Usual limit of game engines.
+#: Usual limit in game engines.
 MAX_BONES_PER_VERTEX = 4
-#: Rows of weights that are made dense at once.
+#: Number of rows of weights that are made dense at once.
 _ROWS = 16_384
 
 
 def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_matrix:
-    """Keep the ``most`` largest weights of each row of (V, B), and scale them to the previous row sum."""
+    """Keep the ``most`` largest weights of each row of (V, B). They are scaled to the previous sum of the
+    row."""
     weights = csr_matrix(weights, copy=True)
     weights.sum_duplicates()
     counts = np.diff(weights.indptr)
@@ -46,42 +47,41 @@ def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
 
 
 def without_details(weights: csr_matrix, skeleton: Skeleton) -> csr_matrix:
-    """Weights (V, B) in which fingers, toes, jaw and eyes give theirs to hand, foot and head."""
+    """Weights (V, B) with the weights of fingers, toes, jaw and eyes added to those of hand, foot and
+    head."""
     bones = len(skeleton)
     sums = csr_matrix((np.ones(bones), (np.arange(bones), skeleton.wholes)), shape=(bones, bones))
     return csr_matrix(weights @ sums)
 
 
 def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:
-    """Bone (N,) with the largest weight of each triangle, summed over its corners: its part label minus 1."""
+    """Bone (N,) with the largest weight of each triangle, summed over its corners. The part label is one
+    more."""
     total = weights[triangles[:, 0]] + weights[triangles[:, 1]] + weights[triangles[:, 2]]
     return _largest(total).astype(np.uint8)
 
 
 def _largest(values: csr_matrix) -> NDArray[np.intp]:
-    """Column (N,) of the largest value of each row, the first of equal ones.
-
-    SciPy's ``argmax`` of sparse matrices takes a hundred times longer: it visits the rows one by one.
-    """
+    """Column (N,) of the largest value of each row. Of equal values, the first counts. SciPy's ``argmax`` of
+    sparse matrices takes a hundred times longer: it visits the rows one by one."""
     blocks = range(0, values.shape[0], _ROWS)
     columns = [values[start : start + _ROWS].toarray().argmax(axis=1) for start in blocks]
     return np.concatenate([np.zeros(0, np.intp), *columns])
 
 
-#: Frames in one sparse product; more frames need memory and are not faster.
+#: Number of frames in one sparse product. More frames need more memory and are not faster.
 _FRAMES_AT_ONCE = 16
 #: Tolerance of R^T R - 1 for rotations.
 _RIGID = 1e-4
 
 
 class SkinningFunction(Protocol):
-    """Function that moves the vertices of one mesh with its bones."""
+    """A function that moves the vertices of one mesh with its bones."""
 
     def __call__(self, transforms: FloatArray) -> FloatArray:
-        """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4), in its precision.
-
-        Raises MeshError for transforms with a wrong shape, that are not finite, or that cannot be blended.
-        """
+        """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4), in the precision of the
+        function. Raises MeshError for transforms that have a wrong shape, are not finite, or cannot be
+        blended."""
 
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, rotated with the bones from ``rest`` (V, 3).
@@ -91,7 +91,8 @@ class SkinningFunction(Protocol):
         """
 
     def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """How far the posed vertices move, (..., V, 3), if those at rest move by ``rest`` (V, 3) first."""
+        """Displacements (..., V, 3) of posed vertices when the vertices in the rest pose move by ``rest`` (V,
+        3)."""
 
 
 def make_skinner(
@@ -102,7 +103,7 @@ def make_skinner(
     Args:
         method: ``linear`` or ``dual_quaternion``.
         vertices: Vertices at rest, (V, 3).
-        weights: Sparse weights (V, B); rows are scaled to sum one.
+        weights: Sparse weights (V, B). Each row is scaled to a sum of one.
         dtype: Precision of the results.
 
     Raises:
@@ -185,7 +186,8 @@ class LinearBlend:
         return vertices.reshape(*shape, *vertices.shape[1:])
 
     def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """How far the posed vertices move, (..., V, 3), if those at rest move by ``rest`` (V, 3) first."""
+        """Displacements (..., V, 3) of posed vertices when the vertices in the rest pose move by ``rest`` (V,
+        3)."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
         x, y, z = _checked_directions(rest, self.weights)
         out = np.empty((len(batch), len(x), 3), dtype=self.weights.dtype)
@@ -216,8 +218,9 @@ class LinearBlend:
 class DualQuaternion:
     """Dual quaternion linear blending [Kavan 2008]: bent and twisted limbs keep their thickness.
 
-    T must be rigid, up to one scale that all bones of a frame share. Of the two quaternions q and -q of each
-    bone, a vertex takes the one on the side of the bone with its largest weight (the first of equals).
+    T must be rigid, up to one scale that all bones of a frame share. Each bone has two quaternions, q and -q.
+    A vertex takes the one nearer to that of the bone with its largest weight (the first bone, if weights are
+    equal).
     """
 
     vertices: FloatArray
@@ -270,7 +273,8 @@ class DualQuaternion:
         return out.reshape(*shape, *out.shape[1:])
 
     def offsets(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """How far the posed vertices move, (..., V, 3), if those at rest move by ``rest`` (V, 3) first."""
+        """Displacements (..., V, 3) of posed vertices when the vertices in the rest pose move by ``rest`` (V,
+        3)."""
         batch, shape = _checked_transforms(transforms, self.bones)
         sizes = self._rigid(batch)[2].reshape(*shape, 1, 1)
         lengths = sizes * np.linalg.norm(rest, axis=1, keepdims=True)
@@ -292,7 +296,7 @@ class DualQuaternion:
         return out.reshape(*shape, *out.shape[1:])
 
     def _blend(self, quaternions: Array) -> FloatArray:
-        """Weighted sums (Q, V) of (B, Q), whose first columns are quaternions, with consistent signs."""
+        """Weighted sums (Q, V) of (B, Q). The first columns are quaternions, with consistent signs."""
         q = quaternions[:, :4]
         signs = np.where(q @ q.T < 0, -1, 1).astype(self.weights.dtype)
         weights = self.weights
@@ -340,7 +344,7 @@ def _checked_body(vertices: FloatArray, weights: csr_matrix) -> tuple[Array, csr
 
 
 def _checked_transforms(transforms: FloatArray, bones: int) -> tuple[Array, tuple[int, ...]]:
-    """Reshape transforms to (F, B, 4, 4); also return the original shape of the F frames."""
+    """Reshape transforms to (F, B, 4, 4). Returns also the original shape of the F frames."""
     given: Array = np.asarray(transforms, dtype=float)
     if given.ndim < 3 or given.shape[-3:] != (bones, 4, 4):
         raise MeshError(f"transforms of shape {given.shape} do not fit {bones} bones: (..., {bones}, 4, 4)")

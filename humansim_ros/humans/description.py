@@ -22,7 +22,7 @@ OutfitName = Annotated[
 
 
 class Clothes(Section):
-    """Outfit of a mesh: a texture, or colours of skin, hair, shirt, trousers and shoes."""
+    """Outfit of a mesh: a texture, or the colours of skin, hair, shirt, trousers and shoes."""
 
     texture: str | None = Field(default=None, description="a PNG or JPEG file, from the folder of this file")
     skin: ByteColor = (208, 158, 130)
@@ -36,7 +36,7 @@ _Metres = Annotated[float, Field(ge=-10, le=10)]
 #: Point in body space: x to the person's left, y up, z forward, metres.
 BodyPoint = tuple[_Metres, _Metres, _Metres]
 
-#: Outfits of a mesh without colours, so that person detectors recognise it.
+#: Outfits for a mesh without colours. With them, person detectors recognise it.
 DEFAULT_OUTFITS = {
     "blue": Clothes(),
     "red": Clothes(

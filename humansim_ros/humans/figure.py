@@ -25,26 +25,27 @@ from humansim_ros.motion.joint_matching import LIMBS, match_motion
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array
 
-#: Range of statures, metres; a mesh of another size has another unit.
+#: Range of plausible statures, metres. A mesh of another size has another unit.
 PLAUSIBLE_STATURE = (0.4, 2.6)
-#: Length of bones without a child or skin, metres.
+#: Length that is assumed for a bone without a child or skin, metres.
 _STUB = 0.03
-#: Trunk, from below. A bone points to the next one, through all joints between them.
+#: Bones of the trunk, from below. A bone points to the next one, through all joints between them.
 _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5", "vt3")
-#: Directions of chest and head at rest: degrees forwards from straight up, and most degrees from there.
-#: Motions put these bones along their own links, which rise like the built-in bodies' bones; a bone that
-#: rises in another way would stoop or look up.
+#: Directions of chest and head in the rest pose: degrees forwards from straight up, and most degrees from
+#: that direction. Motions turn these bones along their own links, which rise like the bones of the built-in
+#: bodies. A bone with another direction would stoop or look up.
 _UPRIGHT = {"vl5": (5.0, 7.0), "vt3": (7.5, 7.0)}
-#: The skin of the head's joint is the head, without hats, if it is this share of the height of all that the
+#: The skin of the head's joint is the head (without hats) if it has this share of the height of all that the
 #: joint carries.
 _SKULL = 0.5
-#: Largest distance of a foot from the end of its shin, as a share of the length of the thigh; so of a hand.
+#: Largest distance of a foot from the end of its shin, as a share of the length of the thigh. The same holds
+#: for a hand.
 _FOOT_GAP = 0.25
 _HAND = re.compile(r"hand|wrist|palm|fist", re.IGNORECASE)
-#: Bones at the ends of limbs. Without a joint of their own they begin where the bone before them ends.
+#: Bones at the ends of limbs. If such a bone has no joint, it begins where the previous bone ends.
 _ENDS = ("l_wrist", "r_wrist", "l_ankle", "r_ankle")
 
-#: Directions of bones without a child that do not continue the bone above them.
+#: Directions of bones without a child that do not continue their parent.
 _ALONG = {
     **dict.fromkeys(("l_ankle", "r_ankle", "l_metatarsal", "r_metatarsal"), (0.0, 0.0, 1.0)),
     **dict.fromkeys(("l_eyeball_joint", "r_eyeball_joint"), (0.0, 0.0, 1.0)),
@@ -58,15 +59,16 @@ def to_body_space(
 ) -> tuple[Mesh, Skeleton, csr_matrix]:
     """Move a skinned mesh into body space, and name its bones as in the general skeleton.
 
-    Joints are matched by name and hierarchy, or by the shape of the skeleton; fingers, toes, jaw and eyes by
-    their names. Other joints keep their names. Bones of the general skeleton without a joint are inserted
+    Joints are matched by name and hierarchy, or by the shape of the skeleton. Fingers, toes, jaw and eyes are
+    matched by name. Other joints keep their names. Bones of the general skeleton without a joint are inserted
     without skin.
+
 
     Args:
         figure: Skinned mesh of a person.
-        unit: Metres per unit of the file; guessed from the stature if absent.
-        up: Up axis of the file; detected if absent.
-        facing: Axis of the file that the person faces; detected if absent.
+        unit: Metres per unit of the file. If None, it is guessed from the stature.
+        up: Up axis of the file. If None, it is detected.
+        facing: Axis of the file that the person faces. If None, it is detected.
 
     Returns:
         Mesh in body space (metres, y up, facing +z, soles at height 0), skeleton, and weights (V, B).
@@ -114,10 +116,8 @@ def to_body_space(
 
 
 def _attach_ends(figure: SkinnedMesh, match: JointMatch) -> SkinnedMesh | None:
-    """Figure whose feet and hands follow their limbs, where they are children of the root.
-
-    None if no foot and no hand is apart from its limb.
-    """
+    """Return a figure with feet and hands that follow their limbs, where these are children of the root.
+    Returns None if every foot and hand is attached to its limb already."""
     heaviest, parents = dominant_bones(figure.weights), np.array(figure.parents)
     for side, (upper, lower, last) in product(("Left", "Right"), LIMBS):
         hip, knee = (match.roles.get(side + part) for part in (upper, lower))
@@ -174,7 +174,7 @@ def _rest_motion(figure: SkinnedMesh) -> Motion:
 
 
 def joints_of_bones(match: JointMatch) -> dict[str, int]:
-    """Joint at the head of each general bone; each joint once, for the bone nearest the root."""
+    """Joint at the head of each general bone. Each joint occurs once, for the bone nearest the root."""
     skeleton = hanim_skeleton()
     joints: dict[str, int] = {}
     for bone in skeleton.names:
@@ -185,12 +185,10 @@ def joints_of_bones(match: JointMatch) -> dict[str, int]:
 
 
 def _details(figure: SkinnedMesh, match: JointMatch, matched: Mapping[str, int]) -> dict[str, int]:
-    """Joint at the head of each bone of fingers, toes, jaw and eyes, where it is below hand, foot or head.
-
-    ``matched``: joints of the general bones.
-    """
+    """Joint at the head of each bone of fingers, toes, jaw and eyes, if it is below hand, foot or head.
+    ``matched``: joints of the general bones."""
     joints: dict[str, int] = {}
-    for bone, above in DETAIL_BONES.items():  # each after the bone above it
+    for bone, above in DETAIL_BONES.items():  # the bone above comes first
         joint = match.details.get(bone, (-1,))[0]
         over = joints.get(above, matched.get(above))
         taken = (*matched.values(), *joints.values())
@@ -245,7 +243,7 @@ def _skeleton(
                 above = name
             add(bone, above, joints[joint])
         name_of[joint] = bone
-    for name in general.names:  # remaining bones, without joints
+    for name in general.names:  # remaining bones, which have no joints
         if name not in names:
             parent = parent_of[name]
             add(name, parent, heads[names.index(parent)] if parent is not None else joints[0])
@@ -258,7 +256,7 @@ def _skeleton(
 
 
 def _hinges(names: list[str], heads: list[Array], tails: Array) -> Array:
-    """Axes (B, 3) about which fingers flex and toes bend down; zero for other bones."""
+    """Axes (B, 3) about which fingers flex and toes bend down. Zero for other bones."""
     hinges = np.zeros((len(names), 3))
     for side in "lr":
         bones = {name: names.index(name) for name in finger_bones(side) if name in names}
@@ -284,8 +282,9 @@ def _tails(
 ) -> Array:
     """Tails (B, 3) of the bones.
 
-    A tail is at the end of the link, at the only child (or next bone of the general skeleton), or at the end
-    of the skin. The chest points to the head's joint, and the head to its top, both about upright.
+    A tail is at the end of the link, at the only child (or the next bone of the general skeleton), or at the
+    end of the skin. The chest points to the head's joint, the head to the top of the head. Both are nearly
+    upright.
 
     Args:
         figure: Skinned mesh.
@@ -305,7 +304,7 @@ def _tails(
     for number, name in enumerate(names):
         children = [i for i, parent in enumerate(parents) if parent == name]
         named = [i for i in children if names[i] in general.names]
-        if len(children) > len(named):  # a hand or a foot without a joint has no place of its own
+        if len(children) > len(named):  # a hand or a foot without a joint has no place in the file
             named = [i for i in named if names[i] in joint_of or names[i] not in _ENDS]
         if name in _ENDS and name not in joint_of and parents[number] is not None:
             heads[number] = tails[names.index(str(parents[number]))]
@@ -368,9 +367,9 @@ def _top_of_head(
     heaviest: NDArray[np.intp],
     head: Array,
 ) -> Array:
-    """Top of the head (3,): the joint that is there, or else as high as the skin.
+    """Top of the head (3,): the joint that is there, or else a point at the height of the top of the skin.
 
-    Eyes, hair and hats have joints at any side of the head, which do not show its direction.
+    Joints of eyes, hair and hats may lie at any side of the head, so that they do not show its direction.
 
     Args:
         figure: Skinned mesh.
@@ -398,12 +397,13 @@ def _top_of_head(
 
 
 def _direction(degrees: float) -> Array:
-    """Unit vector (3,) that leans forwards from straight up."""
+    """Unit vector (3,), ``degrees`` forwards from straight up."""
     return np.array([0.0, np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
 
 
 def _upright(name: str, along: Array) -> Array:
-    """``along`` (3,); of chest and head turned to where it is as upright as people stand."""
+    """Direction ``along`` (3,) of a bone. That of chest and head is turned until it is as upright as a
+    standing person's."""
     if name not in _UPRIGHT:
         return along
     lean, most = _UPRIGHT[name]
@@ -416,7 +416,7 @@ def _upright(name: str, along: Array) -> Array:
 
 
 def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
-    """Unit direction (3,) of a bone without a child: its parent's direction, but of :data:`_ALONG`."""
+    """Unit direction (3,) of a bone without a child: that of :data:`_ALONG`, or else that of its parent."""
     if names[number] in _ALONG:
         return np.array(_ALONG[names[number]])
     parent = parents[number]

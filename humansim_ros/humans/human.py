@@ -31,7 +31,7 @@ DEFAULT_OUTFIT = "default"
 #: Skinning method.
 Skinning = Literal["linear", "dual_quaternion"]
 _OUTFIT_PREFIX = "texture_"
-#: Arrays of a file with the weights of triangles in vertex normals: sparse rows (CSR).
+#: Arrays of a human file with the weights of triangles in vertex normals, as sparse rows (CSR).
 _SHADING = ("shading_values", "shading_triangles", "shading_starts")
 
 
@@ -42,8 +42,8 @@ class Human(Pictured):
     ``weights``: (V, B), rows sum to one. ``looks``: outfits by name, each a PNG or JPEG texture as (N,) bytes
     or vertex colours (V, 3) uint8 sRGB. ``outfit``: name of the outfit of ``mesh``. ``notes``: ``license``
     and ``source``. ``shapes``: actions of the face (docs/faces.md); None for a stiff face. ``loose``: cloth
-    and hair that swing; None without. ``mouth``: (M, 3) positions at rest of teeth and tongue, which
-    the mesh does not show (``humans/makehuman/mouth.py``); None without.
+    and hair that swing, or None. ``mouth``: (M, 3) positions of teeth and tongue in the rest pose, or None.
+    The mesh does not show them (``humans/makehuman/mouth.py``).
     """
 
     name: str
@@ -69,7 +69,7 @@ class Human(Pictured):
 
     @property
     def license(self) -> str:
-        """Licence of the body, such as ``CC0-1.0``; empty if it is not known."""
+        """Licence of the body, such as ``CC0-1.0``. Empty if unknown."""
         return self.notes.get("license", "").strip()
 
     def wearing(self, outfit: str) -> Human:
@@ -86,7 +86,8 @@ class Human(Pictured):
         return replace(self, mesh=mesh, outfit=outfit)
 
     def without_details(self) -> Human:
-        """The same human without bones of fingers, toes, jaw and eyes, whose skin moves as before."""
+        """The same human without bones of fingers, toes, jaw and eyes. Hand, foot and head move their
+        skin."""
         kept = np.flatnonzero(self.skeleton.wholes == np.arange(len(self.skeleton)))
         if len(kept) == len(self.skeleton):
             return self
@@ -105,7 +106,7 @@ class Human(Pictured):
 
     @cached_property
     def _face_skinner(self) -> SkinningFunction:
-        """Skinning function of the vertices that shapes move."""
+        """Skinning function of the vertices that shapes of the face move."""
         assert self.shapes is not None
         moved = self.shapes.moved
         return make_skinner(self.skinning, self.mesh.vertices[moved], self.weights[moved])
@@ -119,16 +120,14 @@ class Human(Pictured):
 
     @cached_property
     def _end_skinner(self) -> SkinningFunction:
-        """Skinning function of the ends of loose parts: all upper ones, then all lower ones."""
+        """Skinning function of the ends of loose parts: first all upper ends, then all lower ends."""
         assert self.loose is not None
         rows = self.loose.ends.T.ravel()
         return make_skinner(self.skinning, self.mesh.vertices[rows], self.weights[rows], np.float64)
 
     def loose_ends(self, posed: Array) -> tuple[Array, Array, Array]:
-        """Upper ends, lower ends and directions outwards (N, K, 3) of loose parts that do not swing.
-
-        ``posed``: bone frames (N, B, 4, 4). The human must have loose parts.
-        """
+        """Upper ends, lower ends and outward directions (N, K, 3) of loose parts, as they are without swing.
+        ``posed``: bone frames (N, B, 4, 4). The human must have loose parts."""
         assert self.loose is not None
         transforms, count = posed @ self.skeleton.rest_inverse, len(self.loose.kinds)
         ends = np.asarray(self._end_skinner(transforms), dtype=float)
@@ -137,17 +136,16 @@ class Human(Pictured):
         return ends[:, :count], ends[:, count:], turned[:, count:]
 
     def face_weights(self, face: Mapping[str, float]) -> Array:
-        """Weights (S,) of the shapes from weights by name; others are 0. Raises MotionError for a wrong one.
-
-        A human without shapes has no weights.
-        """
+        """Weights (S,) of the shapes from weights by name. Shapes without a name here get 0. A human without
+        shapes has no weights. Raises MotionError for a wrong name or weight."""
         if self.shapes is None:
             return np.zeros(0)
         return face_weights(face, self.shapes.names)
 
     @cached_property
     def _action_shapes(self) -> NDArray[np.intp]:
-        """(S,) number of the action that moves each shape; the number of actions for other shapes."""
+        """(S,) number of the action that moves each shape. A shape that no action moves has the number of
+        actions."""
         numbers = {name: number for number, name in enumerate(ACTIONS)}
         names = () if self.shapes is None else self.shapes.names
         return np.array([numbers.get(name, len(ACTIONS)) for name in names], dtype=np.intp)
@@ -161,9 +159,10 @@ class Human(Pictured):
     ) -> NDArray[np.float32]:
         """Pose the human: vertices (V, 3) float32, in the space of the posed bone frames (B, 4, 4).
 
-        ``face``: weights of actions of the face, by name or (S,) in the order of ``shapes``; they move the
-        skin at rest before the bones do. Eyeballs turn with their bones only. ``swing``: (K, 3) offsets of
-        the lower ends of loose parts, in the space of the frames. Cloth is gathered below raised thighs.
+        ``face``: weights of actions of the face, by name or (S,) in the order of ``shapes``. They move the
+        skin in the rest pose, before the bones do. Eyeballs turn only with their bones. ``swing``: (K, 3)
+        offsets of the lower ends of loose parts, in the space of the bone frames. Cloth around raised thighs
+        is gathered.
 
         Raises MotionError for an unknown action, or a weight that is not from 0 to 1.
 
@@ -201,14 +200,15 @@ class Human(Pictured):
                 one[rows] = self.loose.swung(one[rows], swing, self.skeleton, bones)
 
 
-#: Part labels have 8 bits, and 0 is the background.
+#: Most bones, since part labels have 8 bits and 0 is the background.
 MAX_BONES = 255
 _SKELETON = ("bone_names", "bone_parents", "bone_heads", "bone_tails", "bone_rolls")
 _REQUIRED = ("vertices", "faces", *_SKELETON, "weight_bones", "weight_values")
 
 
 def read_human(path: str | os.PathLike[str]) -> Human:
-    """Read a human file (docs/humans.md lists the arrays). Raises MeshError with the file and the array."""
+    """Read a human file (docs/humans.md lists the arrays). Raises MeshError, which names the file and the
+    array."""
     arrays = read_npz(path, MeshError, "human")
     missing = [key for key in _REQUIRED if key not in arrays]
     if missing:
@@ -224,12 +224,13 @@ def read_human(path: str | os.PathLike[str]) -> Human:
 
 
 def write_human(path: str | os.PathLike[str], human: Human, level: int = BEST) -> None:
-    """Write a human file atomically; equal humans give equal bytes. ``level``: of compression, 1 to 9."""
+    """Write a human file atomically. Equal humans give equal bytes. ``level``: level of compression, 1 to
+    9."""
     write_npz(path, _arrays(human), level)
 
 
 def as_written(human: Human) -> Human:
-    """The human with the rounded numbers of its file, as :func:`read_human` reads it."""
+    """The human with numbers rounded as in its file, as :func:`read_human` would read it."""
     return human_from_arrays(_arrays(human), human.name)
 
 
@@ -284,7 +285,7 @@ def _arrays(human: Human) -> dict[str, NDArray[Any]]:
 
 
 def _shading(arrays: dict[str, NDArray[Any]], mesh: Mesh) -> csr_matrix | None:
-    """Weights (V, N) of triangles in vertex normals; None if a file has none."""
+    """Weights (V, N) of triangles in vertex normals; None if the file has none."""
     if _SHADING[0] not in arrays:
         return None
     with np.errstate(over="ignore"):
@@ -298,7 +299,7 @@ def _shading(arrays: dict[str, NDArray[Any]], mesh: Mesh) -> csr_matrix | None:
 
 
 def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
-    """Make a human of the arrays of a file. Raises MeshError, KeyError or ValueError if they are wrong."""
+    """Make a human from the arrays of a file. Raises MeshError, KeyError or ValueError if they are wrong."""
     vertices = _numbers(arrays, "vertices")
     has_uv = "uv" in arrays
     mesh = Mesh(
@@ -362,7 +363,7 @@ def _numbers(arrays: dict[str, NDArray[Any]], key: str) -> Array:
     array = arrays[key]
     if array.dtype.kind not in "iuf":
         raise MeshError(f"must be numbers, not {array.dtype}", key=key)
-    with np.errstate(over="ignore"):  # of longer numbers: infinite, and refused where they are used
+    with np.errstate(over="ignore"):  # longer numbers become infinite, and are refused where they are used
         return array.astype(float)
 
 
@@ -405,7 +406,7 @@ def _materials(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
 
 
 def _off_body(arrays: dict[str, NDArray[Any]]) -> NDArray[np.bool_] | None:
-    """Whether each face is part of a surface beside the body."""
+    """Whether each face belongs to an off-body surface."""
     beside = arrays.get("off_body")
     if beside is not None and (beside.dtype != np.bool_ or beside.shape != (len(arrays["faces"]),)):
         raise MeshError(f"must be (F,) bool, not {beside.shape} {beside.dtype}", key="off_body")
@@ -430,7 +431,7 @@ def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArra
 
 
 def joint_surfaces(human: Human) -> NDArray[np.bool_]:
-    """Part labels (J, 256) that are skin around each joint: the bones that meet there."""
+    """Part labels (J, 256) of the skin around each joint: those of the bones that meet at the joint."""
     skeleton = human.skeleton
     with_skin = set((human.triangle_parts - 1).tolist())
     bones_of_joints: list[set[int]] = []
@@ -444,13 +445,14 @@ def joint_surfaces(human: Human) -> NDArray[np.bool_]:
             meeting.add(int(skeleton.parents[bone]))
         if skeleton.parents[bone] < 0:
             meeting |= set(np.flatnonzero(skeleton.parents == bone).tolist())
-        # a connector bone has no skin: the bones that it connects meet here
+        # a connector bone has no skin, so the bones that it connects meet here
         for bare in meeting - with_skin:
             parent = int(skeleton.parents[bare])
             meeting |= {parent, *np.flatnonzero(skeleton.parents == bare).tolist()}
-            if parent >= 0 and skeleton.parents[parent] < 0:  # the pelvis is beside the connectors of thighs
+            # the pelvis lies next to the connectors of thighs
+            if parent >= 0 and skeleton.parents[parent] < 0:
                 meeting |= set(_siblings(skeleton.parents, skeleton.heads, bare))
-        # hands with their fingers, feet with their toes, the head with jaw and eyes
+        # hands count with their fingers, feet with their toes, the head with jaw and eyes
         bones_of_joints.append(set(np.flatnonzero(np.isin(skeleton.wholes, list(meeting))).tolist()))
     table = np.zeros((len(bones_of_joints), 256), dtype=bool)
     for joint, bones in enumerate(bones_of_joints):

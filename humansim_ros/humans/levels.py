@@ -1,10 +1,11 @@
-"""Levels of detail of humans: of those of the package from its files, of others from the cache on disk.
+"""Levels of detail of humans. Those of humans of the package come from files, those of others from a cache on
+disk.
 
-Drawn people share them. The surface of a drawn person is a number of patches: between the hems of its
-clothes, and of each thing that is worn. Each patch is simplified apart, once for all people who have it, and
-the levels of a person are put together from those of its patches. The body is that of an average man: its
-patches in the plainest clothes that are cut like those of the person, what is worn as the person wears it.
-The error is measured on the average man in the clothes of the person.
+Drawn people (made by a seed) share levels. The surface of a drawn person consists of patches, which end at
+the hems of its clothes; each thing that is worn is a patch. Each patch is simplified separately, once for all
+people who have it. The levels of a person are put together from those of its patches. A patch is taken from
+an average man in plain clothes of the same cut, with the same worn things. The error is measured on the
+average man in the clothes of the person.
 """
 
 from __future__ import annotations
@@ -44,27 +45,27 @@ from humansim_ros.mesh.simplification import (
 )
 from humansim_ros.types import Array, Indices
 
-#: Raise it when the same human gets other levels, and run tools/assets/simplify_humans.py.
+#: Increase it when the same human gets other levels, and run tools/assets/simplify_humans.py.
 VERSION = 1
-#: Number of triangles of each level, as a share of all.
+#: Number of triangles of each level, as a share of all triangles.
 SHARES = (0.5, 0.35, 0.25, 0.18, 0.12, 0.08)
-#: Largest quadric error of each level of drawn people, metres: about the same numbers of triangles.
+#: Largest quadric error of each level of drawn people, metres. The numbers of triangles are about those of
+#: SHARES.
 LIMITS = (0.0007, 0.0013, 0.0020, 0.0030, 0.0046, 0.0070)
 #: Fewest triangles of a patch that is worth simplifying.
 _FEWEST_OF_PATCH = 40
 #: Fewest triangles of a mesh that is worth simplifying.
 _FEWEST = 5000
-#: Poses besides the rest pose, and the angle in radians by which each joint is turned about a random axis.
+#: Number of poses in addition to the rest pose, and the angle (radians) by which each joint turns about a
+#: random axis.
 _POSES, _ANGLE = 3, 0.8
 #: Folder of the levels of the humans of the package.
 FOLDER = "assets/humans/levels"
 
 
 def levels_of(human: Human) -> Simplification | None:
-    """Levels of detail of a human, made once; None for a mesh of few triangles.
-
-    Drawn people have the levels of all people with the same faces.
-    """
+    """Levels of detail of a human. They are made once. None for a mesh with few triangles. Drawn people share
+    the levels of all people with the same faces."""
     if len(human.mesh.triangles) < _FEWEST:
         return None
     if is_person(human.name):
@@ -78,7 +79,7 @@ def levels_of(human: Human) -> Simplification | None:
 
 
 def _kept(key: str, make: Callable[[], Simplification]) -> Simplification:
-    """Levels from the cache on disk, or made and written there."""
+    """Levels from the cache on disk. If they are missing, they are made and written there."""
     folder = cache_folder()
     path = None if folder is None else folder / "levels" / f"{key}.npz"
     if path is not None and path.is_file():
@@ -93,13 +94,13 @@ def _kept(key: str, make: Callable[[], Simplification]) -> Simplification:
 
 
 def _person_key(model: Person) -> str:
-    """Digest of what the levels of a model are made of."""
+    """Digest of everything that decides the levels of a model."""
     parts = (f"levels {VERSION} {LIMITS}", repr(model), people_data().version)
     return content_key(part.encode() for part in parts)
 
 
 def levels_of_person(person: Person) -> Simplification:
-    """Put the levels of a drawn person together from those of its body and of what is worn."""
+    """Join the levels of a drawn person from the levels of its body and of the worn things."""
     model = _Model.of(model_of(person))
     cut_like = cut_model_of(person)
 
@@ -131,14 +132,15 @@ class _Model:
 
     @classmethod
     def of(cls, person: Person) -> _Model:
-        from humansim_ros.humans.makehuman.building import build_unpainted  # slow to import
+        # imported here, since the import is slow
+        from humansim_ros.humans.makehuman.building import build_unpainted
 
         data = people_data()
         arrays, body_count = build_unpainted(data, person_config(data, person))
         return cls(human_from_arrays(arrays, "model"), body_count)
 
     def levels(self, chosen: NDArray[np.bool_]) -> Simplification:
-        """Levels of the chosen triangles (N,), each patch apart; their errors are unknown."""
+        """Levels of the chosen triangles (N,), simplified patch by patch. Their errors are not known."""
         count = self.poses.shape[1]
         parents: Indices = np.arange(count)
         coordinate_parents: Indices = np.arange(int(self.coordinates.max()) + 1)
@@ -159,23 +161,22 @@ class _Model:
         return Simplification(parents, coordinate_parents, removed_at, np.array([0.0, *LIMITS]))
 
     def _patch(self, vertices: Indices, triangles: Indices, coordinates: Indices) -> Simplification:
-        """Levels of a patch, from the cache if anybody has it."""
+        """Levels of a patch. They come from the cache if any person had this patch."""
         poses = self.poses[:, vertices]
         key = _digest(f"patch {VERSION} {LIMITS}", (poses,), (triangles, coordinates))
         return _kept(f"patch-{key}", lambda: simplify_within(poses, triangles, coordinates, LIMITS))
 
 
 def _renumbered(numbers: Indices) -> tuple[Indices, Indices]:
-    """Numbers that occur in rows (N, 3), and the rows with their places among them."""
+    """Numbers that occur in rows (N, 3), and the rows with indices into these numbers."""
     found, inverse = np.unique(numbers, return_inverse=True)
     return found, inverse.reshape(-1, 3).astype(np.intp)
 
 
 def _joined(body: Simplification, worn: Simplification, count: int) -> Indices:
-    """Parents of texture coordinates of a body of some vertices and of what is worn.
-
-    The first coordinate of each vertex has its number; the others come after all vertices.
-    """
+    """Join the parents of texture coordinates of a body and of worn things. ``count``: number of vertices of
+    the body. The first coordinate of each vertex has the number of the vertex. The others come after all
+    vertices."""
     total = len(worn.parents)
     parents = worn.coordinate_parents.copy()
     number = np.arange(len(body.coordinate_parents))
@@ -192,7 +193,7 @@ def make_levels(human: Human) -> Simplification:
 
 
 def _poses(human: Human) -> Array:
-    """(P, V, 3) vertices at rest, and with all joints turned at random."""
+    """(P, V, 3) vertices in the rest pose, and with all joints turned at random."""
     bones = len(human.skeleton)
     axes = np.random.default_rng(0).normal(size=(_POSES, bones, 3))
     axes *= _ANGLE / np.linalg.norm(axes, axis=-1, keepdims=True)
@@ -202,7 +203,7 @@ def _poses(human: Human) -> Array:
 
 
 def _key(human: Human) -> str:
-    """Digest of what levels are made of."""
+    """Digest of everything that decides the levels of a human."""
     mesh, weights = human.mesh, human.weights
     return _digest(
         f"{VERSION} {human.skinning}",
@@ -225,7 +226,7 @@ def path_of(human: Human, folder: Path) -> Path:
 
 
 def read_levels(path: Path) -> Simplification:
-    """Read levels. Raises MeshError for a file that is not one of levels."""
+    """Read levels. Raises MeshError for a file that has no levels."""
     arrays = read_npz(path, MeshError, "file of levels of detail")
     try:
         return Simplification(

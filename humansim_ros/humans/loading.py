@@ -1,6 +1,6 @@
 """Load humans from human files, descriptions, meshes, skinned meshes and SMPL models.
 
-Humans that take long to make are kept in a cache on disk, by the content from which they are made.
+Humans that take long to make are kept in a cache on disk. The key is the content that they are made from.
 """
 
 from __future__ import annotations
@@ -59,20 +59,22 @@ from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import MAX_BYTES, MESH_SUFFIXES, Mesh, SkinnedMesh, has_signature, read_format
 from humansim_ros.mesh.obj import material_files
 
-#: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
+#: Increase it when the same input gives another human. test/humans/test_cache.py notices that.
 CACHE_VERSION = 12
-#: Level of compression in the cache: a tenth of the time of the best one, for files of 1.2 times the size.
+#: Level of compression in the cache. It takes a tenth of the time of the best level, for files of 1.2 times
+#: the size.
 _LEVEL = 1
-#: Seconds that a process waits for another one that makes the same human.
+#: Seconds that a process waits for another process that makes the same human.
 _LONGEST_WAIT = 60.0
-#: Files in the cache, about 1 MB each; the least recently used are deleted.
+#: Most files in the cache, about 1 MB each. The least recently used are deleted.
 MAX_HUMANS = 100
-#: Files that may stay if they were used in the last seconds: a recipe needs the people of its pool again.
+#: Most files that stay if they were used in this time (seconds), since a recipe needs the people of its pool
+#: again.
 MAX_IN_USE, _LATELY = 1000, 86_400.0
 
 
 def content_key(parts: Iterable[bytes]) -> str:
-    """Digest of all content that a human is made of, of the joint data and of CACHE_VERSION."""
+    """Digest of all content that a human is made from, of the joint data and of CACHE_VERSION."""
     digest = hashlib.sha256(str(CACHE_VERSION).encode())
     for part in (resource_path("config/body_joints.json").read_bytes(), *parts):
         digest.update(hashlib.sha256(part).digest())
@@ -82,9 +84,10 @@ def content_key(parts: Iterable[bytes]) -> str:
 def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     """Read a human from the cache, or make it and write it there.
 
-    It has the rounded numbers of its file, also if nothing is cached: it is the same in all processes. A file
-    that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and a
-    warning says so. Of processes that start together, one makes the human, and the others wait for it.
+    The human always has the rounded numbers of its file, even if nothing is cached, so that it is the same in
+    all processes. A file that cannot be read (after a full disk or a crash) is replaced. Without write access
+    nothing is cached, and a warning says so. If several processes start together, one makes the human, and
+    the others wait.
     """
     folder = cache_folder()
     if folder is None:
@@ -98,7 +101,7 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
 
 
 def _read(path: Path) -> Human | None:
-    """Human of a file in the cache; None if there is none that can be read."""
+    """Human from a file in the cache; None if no file can be read."""
     if not path.is_file():
         return None
     try:
@@ -130,7 +133,7 @@ def _made_in(path: Path, make: Callable[[], Human]) -> Human:
 
 
 def _delete_oldest(folder: Path) -> None:
-    """Keep the humans that were used last, and those of a running recipe, which were used lately."""
+    """Delete old humans. Those used last stay, and those that a running recipe has used lately."""
     used: dict[Path, float] = {}
     for file in folder.glob("*.npz"):
         with suppress(FileNotFoundError):  # another process has deleted it
@@ -159,7 +162,7 @@ def find_human(name: str, folder: Path | None = None, error: type[HumansimError]
 
     A drawn person (``person#7-3``) has no file: its name is returned.
 
-    ``folder``: folder that relative paths start from; the current folder if None. Raises ``error``.
+    ``folder``: folder that relative paths start from. If None, the current folder. Raises ``error``.
     """
     return name if is_person(name) else str(find_asset(name, "humans", folder, error))
 
@@ -176,8 +179,8 @@ def load_human(
     Args:
         path: Name of a built-in human (``humansim human list``), name of a drawn person (``person#7-3``), or
             file to read.
-        outfit: Name of the outfit to wear; the default outfit if absent.
-        skinning: ``linear`` or ``dual_quaternion``; as the file says if absent.
+        outfit: Name of the outfit to wear. If None, the default outfit.
+        skinning: ``linear`` or ``dual_quaternion``. If None, the method that the file states.
 
     Raises:
         MeshError: The file is missing or wrong, or there is no such outfit.
@@ -231,7 +234,7 @@ def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
 
 
 def _warn_about_stature(path: str | os.PathLike[str], human: Human, options: MeshHuman) -> None:
-    """Warn about a height that no person has, unless the options give it."""
+    """Warn about a stature that no person has, unless the options state it."""
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
     low, high = _USUAL_STATURE
     if options.stature is None and not low <= stature <= high:
@@ -259,12 +262,12 @@ def make_person(person: Person, name: str) -> Human:
     """Build a person whom :func:`~humansim_ros.humans.makehuman.population.draw_person` has drawn.
 
     Raises:
-        MeshError: No slider gives the stature or weight.
+        MeshError: No slider setting gives the stature or weight.
     """
     data = people_data()
 
     def make() -> Human:
-        from humansim_ros.humans.makehuman.building import build  # slow to import
+        from humansim_ros.humans.makehuman.building import build  # imported here, since the import is slow
 
         config = person_config(data, person)
         return human_from_arrays(build(data, config, {"own": person.outfit}, fine=False), name)
@@ -273,20 +276,18 @@ def make_person(person: Person, name: str) -> Human:
 
 
 def forget_people_data() -> None:
-    """Free the memory of what people are made of, up to half a gigabyte.
-
-    The next person takes as long as the first.
-    """
+    """Free the data that people are made from, up to half a gigabyte. The next person takes as long as the
+    first one."""
     people_data().kept.clear()
     people_data.cache_clear()
 
 
 def _parametric(data: MakeHumanData, description: ParametricHuman, name: str) -> Human:
-    """Human of MakeHuman sliders, from the cache if it is there."""
+    """Make a human from MakeHuman sliders, or read it from the cache."""
     key = content_key([b"makehuman", repr(description).encode(), data.version.encode()])
 
     def make() -> Human:
-        from humansim_ros.humans.makehuman.building import build  # slow to import
+        from humansim_ros.humans.makehuman.building import build  # imported here, since the import is slow
 
         arrays = build(data, description.makehuman, description.outfits)
         human = human_from_arrays(arrays, name)
@@ -319,7 +320,7 @@ def _described(path: Path) -> Human:
 
 
 def _from_mesh(path: Path, mesh: Path, options: MeshHuman) -> Human:
-    """Human of a mesh, from the cache if it is there. ``path``: the file that the human has its name from."""
+    """Make a human from a mesh, or read it from the cache. ``path``: file that the human is named after."""
     key = content_key(_content(mesh, options))
     human = cached(key, path.stem, lambda: replace(_made(mesh, options), name=path.stem))
     _warn_about_stature(path, human, options)
@@ -327,7 +328,7 @@ def _from_mesh(path: Path, mesh: Path, options: MeshHuman) -> Human:
 
 
 def _array_names(path: Path) -> list[str]:
-    """Names of the arrays of an archive; empty if the file is not an archive."""
+    """Names of the arrays of an archive. Empty if the file is no archive."""
     data = read_bytes(path, MeshError, "human", MAX_NPZ_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -344,7 +345,7 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
     if path.suffix.lower() == ".npz":
         return
     if kind == "gltf":
-        from humansim_ros.mesh.gltf_document import Gltf  # slow to import
+        from humansim_ros.mesh.gltf_document import Gltf  # imported here, since the import is slow
 
         yield from Gltf.parse(path, data).external_data()
     elif kind == "obj":
@@ -357,7 +358,8 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
 
 def fit_mesh(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton]:
     """Fit a skeleton to a mesh of a person, with the joints that the options place. Raises MeshError."""
-    from humansim_ros.body.fitting import fit_skeleton, joints_of, skeleton_at  # slow to import
+    # imported here, since the import is slow
+    from humansim_ros.body.fitting import fit_skeleton, joints_of, skeleton_at
 
     fitted, skeleton = fit_skeleton(
         mesh,
@@ -384,7 +386,8 @@ def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skel
 
 
 def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str, NDArray[np.uint8]]:
-    """Outfits of a mesh: by the options, else its own texture or colours, else colours by body part."""
+    """Outfits of a mesh: those of the options, or else its own texture or colours, or else colours by body
+    part."""
     mesh = human.mesh
     if not outfits and mesh.texture is not None:
         return {"default": encode_image(mesh.texture)}
@@ -405,7 +408,7 @@ def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str
 
 
 def _part_colors(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
-    """Vertex colours (V, 3) by the dominant bone, or its nearest ancestor in the general skeleton."""
+    """Vertex colours (V, 3) by the dominant bone, or by its nearest ancestor in the general skeleton."""
     skeleton, general = human.skeleton, set(hanim_skeleton().names)
     palette = np.empty((len(skeleton), 3), np.uint8)
     for bone, parent in enumerate(skeleton.parents):

@@ -1,4 +1,4 @@
-"""SMPL, SMPL+H and SMPL-X models (.npz) [Loper 2015]; users need their own licence and files.
+"""SMPL, SMPL+H and SMPL-X models (.npz) [Loper 2015]. Users need their own licence and files.
 
 The rest shape is the template plus shape directions times betas; joints are a linear function of it.
 Pose-dependent corrections are not applied.
@@ -30,7 +30,8 @@ def is_smpl(names: Sequence[str]) -> bool:
 
 
 def count_betas(path: str | os.PathLike[str]) -> int:
-    """Number of betas that a model takes; 0 for other files, and for models whose joints do not follow them.
+    """Number of betas that a model takes. 0 for other files, and for models with joints that do not follow
+    betas.
 
     Raises:
         MeshError: The file cannot be read.
@@ -45,7 +46,8 @@ def count_betas(path: str | os.PathLike[str]) -> int:
 
 
 def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> SkinnedMesh:
-    """Read a model at rest with the shape ``betas``. Raises MeshError with the file and the array."""
+    """Read a model in the rest pose with the shape ``betas``. Raises MeshError, which names the file and the
+    array."""
     arrays = read_npz(path, MeshError, "SMPL", _ARRAYS)
 
     def get(name: str, *shape: int | None) -> NDArray[Any]:
@@ -76,7 +78,7 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
     weights = get("weights", len(vertices), None).astype(float)
     n = weights.shape[1]
     table = get("kintree_table", 2, n).astype(np.int64)
-    # the parent of the root is -1, also written as the largest unsigned integer
+    # the parent of the root is -1, or the largest unsigned integer
     parents = np.where((table[0] < 0) | (table[0] >= n), -1, table[0]).astype(np.intp)
     if n not in SMPL_MODELS:
         raise MeshError(f"{n} joints; SMPL has 24, SMPL+H 52, SMPL-X 55", path=path, key="kintree_table")

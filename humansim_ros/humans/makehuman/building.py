@@ -1,9 +1,10 @@
 """Build a dressed human from MakeHuman sliders, in three stages.
 
-1. *Choice*: what decides the faces, the layout of the texture and the weights: where clothes are cut, and
-   the raster.
-2. *Topology* of a choice: all that its people have in common. It is made once for a choice, and kept.
-3. *Person*: the sum of targets, the skeleton, cloth and hair over this body, and the paint.
+1. *Choice*: where clothes are cut, and the raster of the texture. It decides the faces, the layout of the
+texture and the weights.
+
+2. *Topology* of a choice: everything that people with this choice have in common. It is made once and kept.
+3. *Person*: the body as a sum of targets, its skeleton, cloth and hair over the body, and the paint.
 """
 
 from __future__ import annotations
@@ -85,19 +86,18 @@ from humansim_ros.humans.makehuman.worn import (
 from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Array
 
-#: Flexion of the three joints of each finger, degrees: thumb to little finger of a hand at rest.
+#: Flexion of the three joints of each finger of a relaxed hand, degrees, from thumb to little finger.
 _FLEXION = ((6, 10, 14), (20, 28, 14), (24, 32, 16), (27, 34, 17), (30, 35, 17))
-#: Share of the angle between a finger and the middle finger by which the finger is turned to it.
+#: A finger is turned towards the middle finger by this share of the angle between them.
 _CLOSING = 0.6
 #: Rotation of the thumb towards the fingers, degrees.
 _THUMB_CLOSING = 14.0
 
 
 def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Transforms (4, 4) of the finger bones to a hand at rest, and axes (3,) there; both by name of the bone.
-
-    ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a bone.
-    """
+    """Transforms (4, 4) of finger bones to a relaxed hand, and their axes (3,) of flexion there, both by name
+    of the bone. ``points``: landmarks (see ``skeleton.landmarks``). A positive angle about its axis flexes a
+    bone."""
     transforms, hinges = {}, {}
     for side in "lr":
         for number, name in enumerate(FINGERS, 1):
@@ -109,10 +109,8 @@ def relaxed_fingers(points: Mapping[str, Array]) -> tuple[dict[str, Array], dict
 
 
 def finger_shares(source: MakeHumanData, count: int) -> Array:
-    """Weights (N, 31) of the artists, of the rest of the body and of the finger bones.
-
-    The order of the bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N.
-    """
+    """Weights (N, 31) of the artists: first the rest of the body, then the finger bones. The order of the
+    bones is the order of :func:`relaxed_fingers`. ``count``: number of vertices N."""
     shares = np.zeros((count, 1 + 2 * 3 * len(FINGERS)))
     names = [f"{side}_{name}{joint}" for side in "lr" for name in FINGERS for joint in (1, 2, 3)]
     for column, name in enumerate(names, 1):
@@ -137,14 +135,15 @@ def relax_hands(shares: Array, vertices: Array, transforms: Mapping[str, Array])
     moved = np.flatnonzero(shares[:, 0] < 1.0)
     out = vertices.copy()
     shares = shares[moved] / shares[moved].sum(axis=1, keepdims=True)
-    # dual quaternions: linear blending would flatten the knuckles
+    # dual quaternions, since linear blending would flatten the knuckles
     motion = np.array([np.eye(4), *transforms.values()])
     out[moved] = skin(vertices[moved], csr_matrix(shares), motion, "dual_quaternion")
     return out
 
 
 def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[Array], Array]:
-    """Transforms (4, 4) of the three segments of a finger, and the axis (3,) about which it flexes before."""
+    """Transforms (4, 4) of the three segments of a finger, and the axis (3,) of flexion before they are
+    applied."""
 
     def joint(number: int, of: int = finger) -> Array:
         return points[f"joint-{side}-finger-{of}-{number}"]
@@ -172,7 +171,7 @@ def _finger(points: Mapping[str, Array], side: str, finger: int) -> tuple[list[A
 
 
 def _closing(palm: Array, joint: object, finger: int) -> Array:
-    """Rotation (3, 3) about the normal of the palm that turns a finger to the middle finger."""
+    """Rotation (3, 3) about the normal of the palm that turns a finger towards the middle finger."""
     assert callable(joint)
     direction, middle = (d - (d @ palm) * palm for d in (joint(3) - joint(1), joint(3, 3) - joint(1, 3)))
     angle = np.arctan2(np.cross(direction, middle) @ palm, direction @ middle)
@@ -188,9 +187,10 @@ def _about(centre: Array, turn: Array) -> Array:
 
 
 JPEG_QUALITY = 92
-#: Distance between bones that share a vertex when sitting (thighs at the crotch), as a share of the height.
+#: When sitting, bones that share a vertex move this far apart (thighs at the crotch), as a share of the
+#: height.
 _PARTING = 0.10
-#: Reference body: clothes are cut and painted on it. All bodies have the same topology.
+#: Reference body. Clothes are cut and painted on it, since all bodies have the same topology.
 ADULT_MAN = MakeHumanConfig(gender=1.0)
 
 
@@ -222,11 +222,8 @@ class _Body:
 
 @dataclass(frozen=True)
 class Choice:
-    """What decides the topology of a person.
-
-    ``raster``: texels of the raster across; twice the size of the texture smooths edges, and takes four times
-    as long to paint.
-    """
+    """What decides the topology of a person. ``raster``: number of texels along a side of the raster. Twice
+    the size of the texture smooths edges, and takes four times as long to paint."""
 
     cut: Cut
     raster: int = 2 * TEXTURE_SIZE
@@ -234,11 +231,11 @@ class Choice:
 
 @dataclass(frozen=True)
 class _Scalp:
-    """What the choices of one hairline have in common.
+    """Data that all choices with the same hairline have in common.
 
     Attributes:
         bare: Body and eyes of the base mesh, on the reference body.
-        rows: (V,) its vertices in the base mesh.
+        rows: (V,) vertices of ``bare`` in the base mesh.
         fingers: (N, 31) see :func:`finger_shares`.
         is_ear: (V,) above 0.5 at the ears.
         man: Reference body.
@@ -267,10 +264,10 @@ class _Scalp:
 
 @dataclass(frozen=True)
 class PersonTopology:
-    """What all people of a choice have in common.
+    """Data that all people with the same choice have in common.
 
     Attributes:
-        scalp: What they have in common with other choices.
+        scalp: Data that they also share with other choices of the same hairline.
         reference: Regions of the reference body.
         cut: The mesh with a finer scalp, cut along the borders of clothes, and the matrix from that mesh.
         ear_cover: (V',) above 0 at the ears, of ``cut``.
@@ -291,7 +288,8 @@ class PersonTopology:
 
     @classmethod
     def of_choice(cls, source: MakeHumanData, choice: Choice) -> PersonTopology:
-        """Cut and lay out the clothes of a choice on the reference body; takes half a second."""
+        """Cut the clothes of a choice on the reference body, and lay out the texture. It takes half a
+        second."""
         key = ("scalp", choice.cut.hair)
         scalp = source.kept.get(key) or _Scalp.of(source, choice)
         assert isinstance(scalp, _Scalp)
@@ -311,7 +309,7 @@ class PersonTopology:
 
     @cached_property
     def texels(self) -> Texels:
-        """Raster of the texture; takes a second."""
+        """Raster of the texture. It takes a second."""
         return rasterise(self.cut[0], self.uv, self.raster)
 
     @cached_property
@@ -326,7 +324,7 @@ class PersonTopology:
         return as_image(self.texels, 255 * skin_share(self.cut[0], self.texels, self.canvas))
 
     def worn_by(self, body: _Body, own: BodyRegions) -> BodySurface:
-        """The mesh on a body, with the body smoothed under clothes, before it is dressed."""
+        """The mesh on a body before it is dressed. The body is smoothed under clothes."""
         refined, into_refined = self.scalp.refined
         cut, into_cut = self.cut
         naked = into_refined @ body.naked
@@ -336,16 +334,16 @@ class PersonTopology:
 
 
 def topology(source: MakeHumanData, choice: Choice) -> PersonTopology:
-    """Topology of a choice; those of the last choices are kept with the source."""
+    """Topology of a choice. Those of the last choices are kept with the source."""
     found = source.kept.pop(choice, None) or PersonTopology.of_choice(source, choice)
     assert isinstance(found, PersonTopology)
-    source.kept[choice] = found  # the last one of the dictionary is the one that was used last
+    source.kept[choice] = found  # the last entry of the dictionary is the one that was used last
     for oldest in [key for key in source.kept if isinstance(key, Choice)][:-_MOST_KEPT]:
         del source.kept[oldest]
     return found
 
 
-#: Topologies that are kept; each takes about 150 MB.
+#: Most topologies that are kept. Each takes about 150 MB.
 _MOST_KEPT = 4
 
 
@@ -354,14 +352,15 @@ def build(
 ) -> dict[str, NDArray[Any]]:
     """Build the arrays of a human file (docs/humans.md) from MakeHuman sliders.
 
-    Clothes are cut and painted on the reference body, and draped over this body; both have the same topology.
+    Clothes are cut and painted on the reference body, and draped over this body. Both have the same topology.
     Equal input gives equal arrays. Raises MeshError if a target is missing or the stature is impossible.
+
 
     Args:
         source: MakeHuman's files.
         config: Sliders.
         outfits: Colours and fabrics by the name of the outfit.
-        fine: Paint a raster of twice the size of the texture.
+        fine: Whether a raster of twice the size of the texture is painted.
     """
     figure = _Figure.of(source, config, Choice(Dress.of(config).cut, TEXTURE_SIZE * (2 if fine else 1)))
     common, parts = figure.common, figure.parts
@@ -387,11 +386,9 @@ def build(
 
 
 def build_unpainted(source: MakeHumanData, config: MakeHumanConfig) -> tuple[dict[str, NDArray[Any]], int]:
-    """Build the arrays of a human file without looks and shapes: surface, bones and weights.
-
-    The bare soles are at height 0, so that a part of the surface does not depend on the shoes. Returns also
-    the number of vertices of body and eyes with the clothes that are cut from them; what is worn comes after.
-    """
+    """Build the arrays of a human file without looks and shapes: surface, bones and weights. The bare soles
+    are at height 0, so that the surface does not depend on the shoes. Returns also the number of vertices of
+    body, eyes and the clothes that are cut from them. Vertices of worn things come after these."""
     choice = Choice(Dress.of(config).cut, TEXTURE_SIZE)
     figure = _Figure.of(source, config, choice, barefoot=True)
     return figure.arrays(np.zeros(3)), len(figure.mesh.vertices)
@@ -406,12 +403,12 @@ class _Figure:
         config: Its sliders, with its stature.
         scale: Size relative to the sliders.
         mesh: Surface of body and clothes.
-        dressed: Its vertices (V, 3) in the T pose.
-        own: Its regions.
+        dressed: Vertices (V, 3) of ``mesh`` in the T pose.
+        own: Regions of this body.
         bones: Its bones.
         offsets: Offsets of the face by the actions, in the T pose.
         mouth: (M, 3) teeth and tongue in the T pose.
-        parts: Parts beside the skin.
+        parts: Off-body parts, such as hats and skirts.
         solid: Arrays of surface and parts, see :func:`add_parts`.
     """
 
@@ -431,11 +428,8 @@ class _Figure:
     def of(
         cls, source: MakeHumanData, config: MakeHumanConfig, choice: Choice, barefoot: bool = False
     ) -> _Figure:
-        """Dress a person.
-
-        ``barefoot``: weights for the height without clothes and hair, so that they do not change the weights
-        of other parts.
-        """
+        """Dress a person. ``barefoot``: compute weights for the height without clothes and hair, so that
+        clothes and hair do not change the weights of other parts."""
         common = topology(source, choice)
         scalp = common.scalp
         config, scale = with_stature(source, config)
@@ -475,13 +469,14 @@ class _Figure:
 
     @property
     def off_body(self) -> dict[str, NDArray[np.bool_]]:
-        """Whether each face belongs to a part beside the skin, if there are parts."""
+        """Whether each face belongs to an off-body part. Empty if there are no such parts."""
         faces = len(self.solid["faces"])
         return {"off_body": np.arange(faces) >= len(self.mesh.faces)} if self.parts else {}
 
     @property
     def hair(self) -> dict[str, NDArray[np.uint8]]:
-        """Share of hair in each texel, if it is not the rest of ``skin``: of people with a beard."""
+        """Share of hair in each texel, for people with a beard. Empty if hair is just the rest of
+        ``skin``."""
         if self.own.dress.beard == BEARDS["none"]:
             return {}
         texels = self.common.texels
@@ -528,8 +523,8 @@ def _painted(
     Args:
         common: Topology of the person.
         mesh: Surface of the person.
-        dressed: Its vertices with clothes, (V, 3), in the T pose.
-        own: Its regions.
+        dressed: Vertices of ``mesh`` with clothes, (V, 3), in the T pose.
+        own: Regions of this body.
         outfits: Colours and fabrics by the name of the outfit.
     """
     texels = common.texels
@@ -555,7 +550,7 @@ def _worn_weights(
 
 
 def _jpeg(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    # no chroma subsampling: it blurs edges of saturated colours
+    # no chroma subsampling, since it blurs edges of saturated colours
     chroma = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     encoded = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *chroma])[1]
     return np.asarray(encoded, dtype=np.uint8).ravel()
@@ -596,7 +591,7 @@ def _bare(source: MakeHumanData, base: Base) -> tuple[VertexIndices, BodySurface
 
 
 def _naked(base: Base, rows: VertexIndices, bare: BodySurface, fingers: Array) -> _Body:
-    """Body and eyes without the other helpers; in the T pose the bare soles are at height 0.
+    """Body and eyes without the other helpers. In the T pose the bare soles are at height 0.
 
     Args:
         base: Base mesh with its targets.

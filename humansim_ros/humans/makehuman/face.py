@@ -1,4 +1,4 @@
-"""Actions of the face of MakeHuman's base mesh: 52 targets in the names of Apple's ARKit, CC0."""
+"""Actions of the face of MakeHuman's base mesh: 52 targets (CC0) with the names of Apple's ARKit."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from humansim_ros.body.face_actions import ACTIONS
 from humansim_ros.humans.makehuman.data import METRES, MakeHumanData, VertexIndices
 from humansim_ros.types import Array
 
-#: Start of the names of actions that turn the eyes. Bones turn the eyeballs, so that these shapes have only
-#: the lids.
+#: Prefix of the names of actions that turn the eyes. Bones turn the eyeballs, so these shapes move only the
+#: lids.
 _LOOK = "eyeLook"
 
 
@@ -33,12 +33,12 @@ def face_offsets(source: MakeHumanData, rows: VertexIndices) -> Array:
 
 
 def unskin_offsets(offsets: Array, weights: Array, motion: Array) -> Array:
-    """Offsets (V, S, 3) in the T pose of offsets (V, 3 S) in the A pose.
+    """Convert offsets (V, 3 S) in the A pose to offsets (V, S, 3) in the T pose.
 
     Args:
         offsets: (V, 3 S) metres.
         weights: (V, B).
-        motion: Transforms (B, 4, 4) of the bones, as of ``skeleton.unskin``.
+        motion: Transforms (B, 4, 4) of the bones, as for ``skeleton.unskin``.
     """
     out = offsets.reshape(len(offsets), -1, 3).copy()
     rows = np.flatnonzero(out.any(axis=(1, 2)))

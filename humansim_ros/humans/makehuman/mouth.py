@@ -1,7 +1,7 @@
-"""Teeth and tongue of people of MakeHuman: helper surfaces of its base mesh, in the head of a human.
+"""Teeth and tongue of MakeHuman people. They are helper surfaces of its base mesh, inside the head.
 
-A file of a human has their positions alone (``mouth``). All else is the same for all people: faces, actions
-of the face, bones and colours.
+A human file stores only their positions (``mouth``). Everything else is the same for all people: faces,
+actions of the face, bones and colours.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from humansim_ros.humans.makehuman.packed import people_data
 from humansim_ros.mesh.materials import MATERIAL_LABELS
 from humansim_ros.types import Array
 
-#: Groups of the base mesh with bone and material, in the order of the positions in files, and how far they
-#: are put upwards and forwards, metres. The surfaces of the two rows overlap by a centimetre, and lie so near
-#: behind the lips that these would not cover them.
+#: Groups of the base mesh with bone and material, in the order of the positions in files. Each is moved
+#: upwards and forwards by some metres, since the surfaces of both rows overlap by a centimetre and lie so
+#: near behind the lips that the lips would not cover them.
 _GROUPS: Mapping[str, tuple[str, str, tuple[float, float]]] = {
     "helper-upper-teeth": ("vt3", "teeth", (0.0005, -0.001)),
     "helper-lower-teeth": (BONE, "teeth", (-0.004, -0.002)),
     "helper-tongue": (BONE, "tongue", (-0.0035, -0.002)),
 }
-#: Width of the textures of all bodies, and free texels of them: column and row of the corner, width and
-#: height; and rows of its tiles.
+#: Width of the textures of all bodies. Unused texels in them: column and row of the corner, width and height;
+#: and rows of its tiles.
 _WIDTH = 1024
 _TILE = (545, 400, 96, 128)
 _ROWS = {"helper-upper-teeth": (2, 38), "helper-lower-teeth": (44, 80), "helper-tongue": (86, 126)}
 _TOOTH, _GAP, _GUM = (np.array(c, float) for c in ((214, 204, 184), (120, 92, 78), (158, 82, 78)))
 _TONGUE = np.array((168, 84, 84), float)
-#: Action whose offsets tell the size of a body.
+#: Action with offsets that show the size of a body.
 _OPEN = "jawOpen"
-#: Teeth of a row, and rows of vertices: gum, root and edge of a tooth, and behind.
+#: Number of teeth in a row; and rows of vertices of a tooth: gum, root, edge, and behind.
 _TEETH, _DEPTH = 16, 4
 
 
@@ -57,7 +57,7 @@ def _rows(base: Base, group: str) -> VertexIndices:
 
 
 def has_mouth(human: Human) -> bool:
-    """Whether a human has teeth and a tongue that :func:`with_mouth` shows."""
+    """Whether a human has teeth and a tongue that :func:`with_mouth` can show."""
     mesh = human.mesh
     return (
         _has_places(human)
@@ -69,7 +69,7 @@ def has_mouth(human: Human) -> bool:
 
 
 def jaw_of(human: Human) -> Jaw | None:
-    """Jaw of a human, which the actions of the face move; None if its file has no teeth."""
+    """Jaw of a human, which actions of the face move; None if its file has no teeth."""
     if not _has_places(human):
         return None
     assert human.mouth is not None and human.shapes is not None
@@ -92,15 +92,13 @@ def _has_places(human: Human) -> bool:
 
 
 def _size(shapes: Shapes) -> float:
-    """Size of a body relative to the offsets of MakeHuman's actions."""
+    """Size of a body, relative to the body of the offsets of MakeHuman's actions."""
     return _largest(shapes, _OPEN) / _parts().largest
 
 
 def with_mouth(human: Human) -> Human:
-    """The same human, whose mesh ends with teeth and tongue; the same human if it has none.
-
-    The vertices before keep their numbers. The human has one outfit.
-    """
+    """Add teeth and tongue at the end of the human's mesh. A human without them is returned unchanged. The
+    other vertices keep their numbers. The human has one outfit."""
     if not has_mouth(human):
         return human
     mesh, parts, shapes = human.mesh, _parts(), human.shapes
@@ -135,7 +133,7 @@ def with_mouth(human: Human) -> Human:
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """What all mouths have in common: M vertices, F faces, the 52 actions.
+    """Data of teeth and tongue that are the same for all people: M vertices, F faces, 52 actions.
 
     Attributes:
         faces: (F, 4).
@@ -192,14 +190,14 @@ def _parts() -> _Parts:
 
 
 def _tile(group: str, shares: Array) -> Array:
-    """Places (..., 2) in the tile of the texture of shares (..., 2) of the width and height of a group."""
+    """Places (..., 2) in the tile of the texture. ``shares``: (..., 2) of the width and height of a group."""
     across, down = _TILE[2:]
     top, bottom = _ROWS[group]
     return (np.array([1, top]) + shares * [across - 2, bottom - top]) / [across, down]
 
 
 def _grid(vertices: Array, faces: VertexIndices) -> VertexIndices:
-    """Vertices (17, 4) of a row of teeth: from right to left, and from the gum over the edge to behind."""
+    """Vertices (17, 4) of a row of teeth: from right to left, and from the gum over the edge to the back."""
     around: dict[int, set[int]] = {}
     for quad in faces.tolist():
         for k in range(4):
@@ -220,7 +218,7 @@ def _grid(vertices: Array, faces: VertexIndices) -> VertexIndices:
 
 
 def _back(faces: VertexIndices, grid: VertexIndices) -> VertexIndices:
-    """Faces (18, 4) that close a row of teeth, so that renderers need not draw its inside."""
+    """Faces (18, 4) that close the back of a row of teeth, so that renderers need not draw its inside."""
     behind = np.stack([grid[:-1, 0], grid[1:, 0], grid[1:, -1], grid[:-1, -1]], axis=1)
     quads = np.concatenate([behind, [grid[0, ::-1], grid[-1]]])
     (first,) = np.flatnonzero(np.isin(faces, grid[:2, 0]).sum(axis=1) == 2)
@@ -255,7 +253,7 @@ def _painted() -> NDArray[np.uint8]:
 
 
 def _joined(faces: NDArray[np.integer], more: VertexIndices) -> NDArray[np.int32]:
-    """Faces (F, K) and quads, with as many columns."""
+    """Join faces (F, K) and quads into one array."""
     padded = np.full((len(more), faces.shape[1]), -1)
     padded[:, :4] = more
     return np.concatenate([faces, padded]).astype(np.int32)
@@ -267,7 +265,7 @@ def _largest(shapes: Shapes, name: str) -> float:
 
 
 def _with_more(shapes: Shapes, first: int, offsets: Array, names: tuple[str, ...]) -> Shapes:
-    """Shapes that also move vertices from ``first`` on, by offsets (M, S, 3) of actions."""
+    """Shapes that also move new vertices, numbered from ``first``, by offsets (M, S, 3) of actions."""
     rows, steps = [], []
     for number, name in enumerate(shapes.names):
         some = slice(shapes.starts[number], shapes.starts[number + 1])

@@ -1,9 +1,9 @@
-"""MakeHuman data of the package: what people by seed are made of, in one small file.
+"""MakeHuman data of the package, in one small file. People by seed are made from it.
 
 The targets of age, sex, ancestry, build and height are linear combinations of about a hundred components.
-Their values are rounded to 40 micrometres, and stored as differences: on the left half of the body from the
-mean of the neighbours before, on the right half from the mirrored vertex. They are decoded by operations that
-give the same bits on every machine.
+Their values are rounded to 40 micrometres and stored as differences. On the left half of the body, these are
+differences to the mean of neighbours that were decoded before; on the right half, to the mirrored vertex.
+Decoding gives the same bits on every machine.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from humansim_ros.io.files import read_blocks
 from humansim_ros.io.npz import read_npz
 from humansim_ros.types import Array
 
-#: Steps in a decimetre of vertices, sparse targets and components, and in the width of the texture.
+#: Number of steps in a decimetre (of vertices, sparse targets and components), and in the width of the
+#: texture.
 VERTEX_STEPS, SPARSE_STEPS, COMPONENT_STEPS, UV_STEPS = 10_000, 1000, 2500, 1_000_000
 MASKS = ("ears", "lips", "fingernails", "inside-mouth")
-#: Start of the names of actions of the face among the sparse targets.
+#: Prefix of the names of actions of the face among the sparse targets.
 ACTION = "faceunits/"
 
 
 @functools.lru_cache(maxsize=1)
 def people_data() -> MakeHumanData:
-    """The data of the package: people by seed are made of them on every machine, whatever is installed."""
+    """The data of the package. People by seed are made from them on every machine, whatever is installed."""
     return PackedData(resource_path("assets/makehuman/base.npz"))
 
 
@@ -93,7 +94,7 @@ class PackedData(MakeHumanData):
         )
 
     def has_target(self, name: str) -> bool:
-        """Whether MakeHuman has a target; not each of them is in the file."""
+        """Whether MakeHuman has a target. The file does not have all targets."""
         return name in self._known
 
     @functools.cached_property
@@ -141,7 +142,7 @@ class PackedData(MakeHumanData):
 
 
 def differences(components: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
-    """Differences (R, 3, V) of components (R, 3, V) from what :func:`undone` expects."""
+    """Differences (R, 3, V) between components (R, 3, V) and the values that :func:`undone` predicts."""
     steps = _by_vertex(components)
     out = steps.copy()
     left, right = _mirrored(base)
@@ -152,7 +153,7 @@ def differences(components: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
 
 
 def undone(steps: NDArray[np.int32], base: Base) -> NDArray[np.int32]:
-    """Components (R, 3, V) from their :func:`differences`."""
+    """Restore components (R, 3, V) from their :func:`differences`."""
     out = _by_vertex(steps)
     left, right = _mirrored(base)
     for rows, sums, counts in _rounds(base, right):
@@ -190,15 +191,15 @@ def _mirrored(base: Base) -> tuple[VertexIndices, VertexIndices]:
 
 
 def _rounds(base: Base, mirrored: VertexIndices) -> list[tuple[VertexIndices, csr_matrix, NDArray[np.int32]]]:
-    """Rounds in which vertices follow from their neighbours among the vertices before.
+    """Rounds of decoding: the vertices of a round are predicted from neighbours in earlier rounds.
 
     Args:
         base: Base mesh.
-        mirrored: Vertices (K,) that are mirror images; they are in no round.
+        mirrored: Vertices (K,) that are mirror images. No round has them.
 
     Returns:
-        For each round: vertices (M,), whose neighbours are in earlier rounds; the matrix (M, V) that sums the
-        values of these neighbours; and their numbers (M, 1).
+        For each round: vertices (M,), the matrix (M, V) that sums the values of their earlier neighbours, and
+        the number (M, 1) of these neighbours.
     """
     count = len(base.vertices)
     left = np.ones(count, bool)

@@ -50,7 +50,7 @@ def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
 
 
 def _with_hems(island: VertexIndices, uv: Array) -> VertexIndices:
-    """Islands (T,) where the two points of a hem belong to the island around them."""
+    """Islands (T,) in which both points of a hem belong to the island around them."""
     small = np.bincount(island)[island] < 3
     out = island.copy()
     out[small] = island[~small][cKDTree(uv[~small]).query(uv[small])[1]]
@@ -85,12 +85,9 @@ def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> A
 
 @dataclass(frozen=True)
 class Texels:
-    """N texels of faces.
-
-    face: (N,) face of each. vertex: (N,) first corner of its triangle. mixing: (N, V) matrix that
-    interpolates values of vertices. uv: (N, 2) texture coordinates of the base mesh. nearest: (S, S) nearest
-    texel of all places of the texture.
-    """
+    """N texels of faces. ``face``: (N,) face of each texel. ``vertex``: (N,) first corner of its triangle.
+    ``mixing``: (N, V) matrix that interpolates values of vertices. ``uv``: (N, 2) texture coordinates of the
+    base mesh. ``nearest``: (S, S) nearest texel of every place of the texture."""
 
     face: VertexIndices
     vertex: VertexIndices
@@ -126,10 +123,8 @@ def rasterise(mesh: BodySurface, uv: Array, size: int) -> Texels:
 
 
 def as_image(texels: Texels, colour: Array) -> NDArray[np.uint8]:
-    """Texture of texel colours (N, ...), of half the size of a raster that is twice as fine.
-
-    Gaps take the nearest texel.
-    """
+    """Texture of texel colours (N, ...). A raster with twice the resolution is reduced to half its size. Gaps
+    get the colour of the nearest texel."""
     size = len(texels.nearest)
     if size > TEXTURE_SIZE:
         blocks = colour[texels.nearest].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, *colour.shape[1:])
@@ -144,11 +139,9 @@ _CELL = 0.008  # metres, cell of the height maps for ambient occlusion
 
 
 def openness(vertices: Array, faces: VertexIndices, directions: int = AO_DIRECTIONS) -> Array:
-    """Ambient occlusion (V,): 1 if nothing within AO_REACH occludes the hemisphere above a vertex.
-
-    For each of many directions the surface is splatted into a height map; higher points in the cell of a
-    vertex occlude the direction.
-    """
+    """Ambient occlusion (V,): 1 if nothing within AO_REACH occludes the hemisphere above a vertex. The
+    surface is drawn into a height map for each of many directions. Higher points in the cell of a vertex
+    occlude this direction."""
     normals = vertex_normals(vertices, faces)
     middles = np.concatenate([vertices, vertices[faces].mean(axis=1)]).astype(np.float32)
     normals = normals.astype(np.float32)
@@ -171,7 +164,7 @@ def openness(vertices: Array, faces: VertexIndices, directions: int = AO_DIRECTI
         top = np.asarray(cv2.dilate(top, kernel))
         above = top.ravel()[at[: len(vertices)]] - height[: len(vertices)]
         weight = np.maximum(normals @ direction, 0.0)
-        # small differences are the surface itself, larger ones at grazing angles
+        # small differences are the surface itself; larger ones occur at grazing angles
         bias = 0.010 + 0.016 * np.sqrt(1 - np.minimum(weight, 1.0) ** 2)
         total += weight
         light += weight * np.where(above > bias, ramp(above, 0.0, AO_REACH), 1.0)
@@ -200,7 +193,7 @@ class Canvas:
 
     ``body``: position on the naked reference body. ``dressed``: position on this dressed body. ``uv``:
     texture coordinates of the base mesh. ``reference``, ``own``: regions of the reference body and of this
-    body. ``kept``: noise and masks so far, which all people of one topology have in common.
+    body. ``kept``: cached noise and masks, which all people of one topology share.
     """
 
     body: Array
@@ -226,7 +219,8 @@ class Canvas:
         return found
 
     def part(self, name: str, rows: NDArray[np.intp]) -> Canvas:
-        """The same texels of all people of one topology: ``rows`` depend only on it and on the name."""
+        """Selected texels. ``rows`` may depend only on ``name`` and the topology, since all people of a
+        topology share the result."""
         kept = self.kept.setdefault(("part", name), {})
         if "body" not in kept:
             kept["body"], kept["uv"] = self.body[rows], self.uv[rows]
@@ -304,7 +298,7 @@ def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
 
 def _brows(p: Array, eye: Array) -> tuple[Array, Array]:
     """Strength (N,) of the eyebrows at points (N, 3), and noise (N,) of their strands."""
-    along = (np.abs(p[:, 0]) - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer
+    along = (np.abs(p[:, 0]) - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer end
     middle = eye[1] + 0.0205 + 0.008 * np.sin(np.clip(along, 0, 1) * 2.3) - 0.004 * np.clip(along, 0, 1)
     half = 0.0048 * ramp(along, -0.06, 0.10) * (1 - 0.65 * np.clip(along, 0, 1) ** 2) + 1e-4
     strands = grain(p * [1, 2.5, 1] + p[:, [1, 0, 2]] * [0.8, 0, 0], 0.003, 7)
@@ -330,7 +324,7 @@ def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
     iris = blend(iris, 0.35 * np.array(outfit.iris), ramp(angle, 0.42, 0.52))
     colour = blend(colour, iris, ramp(angle, 0.55, 0.51))
     colour = blend(colour, (14, 12, 12), ramp(angle, 0.22, 0.19))
-    shade = 1 - 0.45 * ramp(ray[:, 1], 0.001, 0.007)  # of the upper lid and its lashes
+    shade = 1 - 0.45 * ramp(ray[:, 1], 0.001, 0.007)  # shadow of the upper lid and its lashes
     return colour * shade[:, None]
 
 
@@ -375,7 +369,7 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
     strands = 0.6 * grain(along, 0.035, 9) + 0.4 * grain(along, 0.016, 10) + 0.25 * grain(p, 0.02, 11)
     shade = 1 + 0.38 * strands
-    if c.reference.long_hair:  # in its own shadow below
+    if c.reference.long_hair:  # in the shadow below the hair
         shade *= 1 - 0.40 * ramp(c.body[:, 1], c.reference.ear[1] + 0.05, c.reference.hair_end)
     return np.array(outfit.hair) * shade[:, None]
 
@@ -383,7 +377,7 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
 def weave(
     p: Array, along: Array, around: Array, fabric: Fabric, first: ByteColor, second: ByteColor, seed: int
 ) -> Array:
-    """Colours (N, 3) of cloth.
+    """Paint cloth: colours (N, 3) of a fabric.
 
     Args:
         p: Points (N, 3) of the body.
@@ -561,7 +555,7 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     colour = np.array(outfit.shoes) * leather[:, None]
     height = q[:, 1] - q[:, 1].min()
     heel, toe = (point / size for point in c.own.foot)
-    forward = q[:, 2] - heel[2] - 0.6 * (toe[2] - heel[2])  # from the ball of the foot
+    forward = q[:, 2] - heel[2] - 0.6 * (toe[2] - heel[2])  # distance forwards from the ball of the foot
     across = np.abs(q[:, 0]) - np.interp(q[:, 2], [heel[2], toe[2]], [heel[0], toe[0]])
     cap = line(forward - 0.030 + 8 * across**2, 0.003)
     shaft = c.own.dress.footwear.shaft
@@ -622,7 +616,7 @@ def paint(
 
 
 def hair_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
-    """Share (N,) of hair and beard in each texel of the skin; 0 on cloth, leather and eyes."""
+    """Share (N,) of hair and beard in each texel of the skin. 0 on cloth, leather and eyes."""
     rows = np.flatnonzero((mesh.face_garment[texels.face] == NONE) & (mesh.part[texels.vertex] == 0))
     head = canvas.part("skin", rows)
     share = beard_on(head)
@@ -634,7 +628,7 @@ def hair_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
 
 
 def skin_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
-    """Share (N,) of skin and eyes in each texel, without cloth, leather and hair."""
+    """Share (N,) of skin and eyes in each texel. Cloth, leather and hair are not skin."""
     naked = mesh.face_garment[texels.face] == NONE
     skin = naked.astype(float)
     head = np.flatnonzero(naked & (mesh.part[texels.vertex] == 0))

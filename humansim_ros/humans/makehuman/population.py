@@ -44,34 +44,36 @@ from humansim_ros.types import Array
 
 Sex = Literal["female", "male"]
 SEXES: tuple[Sex, ...] = ("female", "male")
-#: Ages in years, statures in metres and body mass indices that people may have.
+#: Ages in years, statures in metres and body mass indices that people can have.
 AGES, STATURES, BMIS = (2.0, 90.0), (0.6, 2.3), (12.0, 42.0)
-#: Most standard deviations of a stature.
+#: Most standard deviations of a stature from its mean.
 _MOST_DEVIATIONS = 5
-#: Kilograms per cubic metre of a body: people just float.
+#: Density of a body, kilograms per cubic metre. People just float.
 DENSITY = 985.0
 _TABLE = read_table("population")
-#: Middles of the age groups of the survey, years; from 20 on, ten years each, and the last from 80 on.
+#: Middles of the age groups of the survey, years. From 20 on, a group has ten years; the last group begins at
+#: 80.
 _GROUPS = _TABLE["ages"]
 #: Standard normal values of the 5th, 10th, 15th, 25th, 50th, 75th, 85th, 90th and 95th percentile.
 _SCORES = _TABLE["scores"]
 #: Mean, 10th and 90th percentile of the stature of each age group, centimetres, by sex.
 _STATURE = _TABLE["stature"]
-#: Percentiles of the body mass index of each age group. The 5th of four groups, which the survey leaves out,
+#: Percentiles of the body mass index of each age group. The survey leaves out the 5th of four groups; it
 #: continues the line through the 10th and the 15th.
 _BMI = _TABLE["bmi"]
 #: The ten tones of the Monk Skin Tone scale [Monk 2023], sRGB.
 MONK_TONES: Sequence[Sequence[int]] = _TABLE["tones"]
-#: Number of dark colours of hair and eyes, which people with the tones 5 to 10 have; and grey hair.
+#: Number of dark colours of hair and eyes, which people with the tones 5 to 10 have; and the colour of grey
+#: hair.
 _DARK, _GREY = 2, (206, 204, 200)
-#: Colours of cloth as one sees them in a street, without a source: shares in percent of grown-ups and of
-#: children, and ranges of hue, saturation and value (HSV, 0 to 1; a hue above 1 is that beyond red).
+#: Colours of cloth in a street, estimated without a source: shares in percent for adults and for children,
+#: and ranges of hue, saturation and value (HSV, 0 to 1). A hue above 1 lies beyond red.
 _CLOTH = _TABLE["cloth"]
-#: Suits, coats and jackets have the first kinds of colours; age from which people wear those of grown-ups.
+#: Suits, coats and jackets have the first kinds of colours. From this age on, people wear colours of adults.
 _COATS, _GROWN = 5, 13
-#: Shape targets of the face that are drawn: names without their end, and their two ends.
+#: Shape targets of the face that are drawn: names without their ends, and the two possible ends.
 _FACE = _TABLE["face"]
-#: All of them by name.
+#: All these targets by name.
 FACE_TARGETS = tuple(f"{name}-{end}" for name, *ends in _FACE for end in ends)
 #: Largest strength of a target of the face.
 _FACE_STRENGTH = 0.6
@@ -114,7 +116,7 @@ class Person:
 
 @dataclass(frozen=True)
 class PeopleLimits:
-    """Whom to draw.
+    """Limits for the people that are drawn.
 
     Attributes:
         age: Youngest and oldest age, years.
@@ -122,7 +124,7 @@ class PeopleLimits:
         stature: Least and greatest stature, metres.
         bmi: Least and greatest body mass index, kilograms per square metre.
         skin: First and last skin tone of the Monk scale.
-        uniform: Whether all wear clothes of the same cut, colours and fabrics.
+        uniform: Whether all people wear clothes of the same cut, colours and fabrics.
     """
 
     age: tuple[float, float] = AGES
@@ -134,9 +136,9 @@ class PeopleLimits:
 
 
 def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
-    """Draw a person of some people; all else is drawn as by :func:`draw_person`.
+    """Draw a person within limits. Everything without a limit is drawn as in :func:`draw_person`.
 
-    Who has another stature or body mass index is drawn anew.
+    A person with a stature or body mass index outside the limits is drawn again.
 
     Raises:
         MeshError: An age or a tone is impossible, or nobody has these traits together.
@@ -157,7 +159,7 @@ def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
             f"{people.bmi[0]:g} to {people.bmi[1]:g}: give wider ranges (stature, bmi) or other ages (age)"
         )
     if people.uniform:
-        model = _drawn(f"{seed}/uniform", PeopleLimits(), sex="male")  # what men wear, women wear, too
+        model = _drawn(f"{seed}/uniform", PeopleLimits(), sex="male")  # clothes of men, which women wear too
         clothes = {key: getattr(model.outfit, key) for key in _CLOTHES}
         outfit = person.outfit.model_copy(update=clothes)
         same = {key: getattr(model.clothes, key) for key in ("sleeves", "top", "bottom", "shoes")}
@@ -165,17 +167,18 @@ def draw_people(seed: int, number: int, people: PeopleLimits) -> Person:
     return person
 
 
-#: Draws after which nobody is found, and what the outfits of people in uniform have in common.
+#: Number of draws after which the search for a person fails; and the clothes of all people in uniform.
 _ATTEMPTS = 1000
 _CLOTHES = (
     *("shirt", "shirt_fabric", "shirt_second", "trousers", "trousers_fabric", "trousers_second"),
     *("belt", "shoes", "soles"),
 )
-#: Ranges in names of people besides the age, which :func:`_drawn` checks: name, limits, unit.
+#: Ranges in names of people that :func:`draw_people` checks (:func:`_drawn` checks the age): name, limits,
+#: unit.
 _RANGES = (
     *(("stature", STATURES, "metres"), ("bmi", BMIS, "kg/m²"), ("skin", (1.0, 10.0), "of the Monk scale")),
 )
-#: Start of the name of a drawn person, and the separator of ranges in it.
+#: Prefix of the name of a drawn person, and the separator of ranges in the name.
 _PERSON, _TO = "person#", ".."
 
 
@@ -185,7 +188,7 @@ def is_person(name: str) -> bool:
 
 
 def person_name(seed: int, number: int, people: PeopleLimits) -> str:
-    """Name from which :func:`read_person` draws a person anew."""
+    """Name that :func:`read_person` draws the same person from."""
     parts = [f"{_PERSON}{seed}-{number}"]
     for each in fields(PeopleLimits):
         value = getattr(people, each.name)
@@ -245,13 +248,15 @@ def read_person(name: str) -> Person:
 
 
 def model_of(person: Person) -> Person:
-    """Person of average age whose mesh has the same faces: what holds for all of them is computed for it."""
+    """Person of average age with the same faces of the mesh. Results that depend on the faces only are
+    computed for this person."""
     model = draw_person(0, ages=(30, 30), sex="male", stature=1.76)
     return replace(model, clothes=person.clothes)
 
 
 def cut_model_of(person: Person) -> Person:
-    """The same for all people whose body is cut alike: in the first clothes that cut it so."""
+    """Like :func:`model_of`, for all people with bodies that are cut alike. It wears the first clothes with
+    this cut."""
     base = HAIR[person.clothes.hair].base
     hair = next(name for name, style in HAIR.items() if style.base == base)
     own = replace(person.clothes, hair=hair, beard="none", wears=())
@@ -263,7 +268,7 @@ def cut_model_of(person: Person) -> Person:
     return model_of(replace(person, clothes=own))
 
 
-#: Clothes that cut the body, in the order in which they are tried.
+#: Clothes that decide how the body is cut, in the order in which they are tried.
 _CUTTING = ("top", "sleeves", "bottom", "shoes")
 
 
@@ -282,17 +287,17 @@ def draw_person(
     tone: int | None = None,
     clothes: Mapping[str, Any] | None = None,
 ) -> Person:
-    """Draw a person. Each depends on the seed and its number only, and on what is given.
+    """Draw a person. The result depends only on the seed, the number and the given traits.
 
     Args:
         seed: Seed.
         number: Number of the person.
-        ages: Youngest and oldest age, years; all ages between them are as frequent.
-        sex: Sex; drawn if absent, and so on.
+        ages: Youngest and oldest age, years. All ages between them are equally frequent.
+        sex: Sex. If None, it is drawn, like all traits below.
         stature: Metres, barefoot.
         weight: Kilograms.
         tone: Skin tone of the Monk scale, 1 to 10.
-        clothes: Names of hair, beard, sleeves, top, bottom, shoes and wears that are not drawn.
+        clothes: Names of hair, beard, sleeves, top, bottom, shoes and worn things. Those given are not drawn.
 
     Raises:
         MeshError: A trait is impossible.
@@ -315,12 +320,12 @@ def _drawn(
     tone: int | None = None,
     clothes: Mapping[str, Any] | None = None,
 ) -> Person:
-    """A person by its own seed.
+    """Draw a person from its own seed.
 
     Args:
         seed: Seed of the person.
-        people: Ages, sexes and skin tones; stature and body mass index are not limited to it.
-        sex: See :func:`draw_person`; and so on.
+        people: Limits of age, sex and skin tone. Its limits of stature and body mass index are ignored here.
+        sex: See :func:`draw_person`, like all traits below.
         stature: Metres.
         weight: Kilograms.
         tone: Skin tone.
@@ -381,9 +386,9 @@ def _check(name: str, value: float, limits: tuple[float, float], unit: str) -> N
 def stature_of(age: float, sex: Sex) -> tuple[float, float]:
     """Mean and standard deviation of the stature at an age, centimetres.
 
-    The deviation of a group is the distance of its 10th and 90th percentile, as of a normal distribution.
-    Between the middles of age groups they are interpolated. The growth within a group is no part of the
-    deviation at one age.
+    The deviation of a group follows from the distance of its 10th and 90th percentile, for a normal
+    distribution. Mean and deviation are interpolated between the middles of age groups. The growth within a
+    group is removed, since it is no part of the deviation at one age.
     """
     means, low, high = np.array(_STATURE[sex]).T
     group = (high - low) / (_SCORES[7] - _SCORES[1])
@@ -396,10 +401,8 @@ def stature_of(age: float, sex: Sex) -> tuple[float, float]:
 
 
 def bmi_of(age: float, sex: Sex, score: float) -> float:
-    """Body mass index at an age for a standard normal score, within :data:`BMIS`.
-
-    Between the percentiles of the survey it is interpolated, beyond them continued by a straight line.
-    """
+    """Body mass index at an age for a standard normal score, within :data:`BMIS`. The index is interpolated
+    between the percentiles of the survey, and continued by a straight line beyond them."""
     rows = np.array(_BMI[sex])
     scores = np.array(_SCORES)
     if score < scores[0]:
@@ -412,7 +415,7 @@ def bmi_of(age: float, sex: Sex, score: float) -> float:
 
 
 def _race(tone: int, uniform: Callable[[], float]) -> dict[Race, float]:
-    """Shares of races: the darker the skin, the more African; the rest is divided at random."""
+    """Shares of MakeHuman's races. The darker the skin, the more African; the rest is divided at random."""
     african = min(max((tone - 5) / 4 + 0.4 * (uniform() - 0.5), 0.0), 1.0)
     asian = uniform()
     shares: dict[Race, float] = {
@@ -461,10 +464,11 @@ def _outfit(age: float, sex: Sex, tone: int, uniform: Callable[[], float]) -> Ou
 
 
 def _cloth_color(age: float, uniform: Callable[[], float], count: int | None = None) -> ByteColor:
-    """Colour of a garment, by three numbers; of the first ``count`` kinds of :data:`_CLOTH` if given."""
+    """Colour of a garment from three random numbers. If ``count`` is given, only the first kinds of
+    :data:`_CLOTH`."""
     kinds = _CLOTH[:count]
     shares = [kind["children" if age < _GROWN else "grown"] for kind in kinds]
-    # the first number is the kind, and its place within the share of the kind is the hue
+    # the first number selects the kind, and its place within the share of the kind is the hue
     ends = list(accumulate(shares))
     place = ends[-1] * uniform()
     kind = bisect(ends, place)
@@ -478,7 +482,7 @@ def _cloth_color(age: float, uniform: Callable[[], float], count: int | None = N
 
 
 def _worn_colors(outfit: Outfit, clothes: Attire, age: float, uniform: Callable[[], float]) -> Outfit:
-    """Colours of garments that have colours of their own, and of things worn."""
+    """Colours of garments that have their own colours, and of worn things."""
     cloth, bright = _cloth_color(age, uniform, _COATS), uniform() < 0.7
     worn = {name: _cloth_color(age, uniform) for name in WORN if WORN[name].place in ("head", "back", "side")}
     changes: dict[str, Any] = {
@@ -496,11 +500,11 @@ def _worn_colors(outfit: Outfit, clothes: Attire, age: float, uniform: Callable[
 
 
 def skin_color(tone: int) -> tuple[int, int, int]:
-    """Colour (sRGB) of the texture of skin of a Monk tone.
+    """Colour (sRGB) of the skin texture for a tone of the Monk scale.
 
-    The scale shows how skin looks beside white. Skin reflects less than that and reddens what it scatters, by
-    factors that were chosen by looking at rendered faces. Its darkest swatches are grey; the darkest skin is
-    brown, as it scatters red light deepest.
+    The scale shows how skin looks next to white. Skin reflects less than that and reddens the light that it
+    scatters; the factors were chosen from rendered faces. The darkest swatches of the scale are grey, but the
+    darkest skin is brown, since red light is scattered deepest.
     """
     swatch = np.array(MONK_TONES[tone - 1]) / 255
     albedo = np.array([0.045, 0.022, 0.014]) + 0.66 * np.array([1.0, 0.84, 0.75]) * swatch**2.2
@@ -509,13 +513,14 @@ def skin_color(tone: int) -> tuple[int, int, int]:
 
 
 def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
-    """MakeHuman sliders of a person: its stature exactly, and its weight to 0.2 %.
+    """MakeHuman sliders of a person. The stature is exact, the weight correct to 0.2 %.
 
-    From thin to heavy, first the weight rises, then muscles become less, then the target of the heaviest
-    body counts more than once. The weight is that of the naked body's volume.
+    From thin to heavy, first the fat increases, then the muscles decrease, then the target of the heaviest
+    body counts more than once. The weight follows from the volume of the naked body.
+
 
     Raises:
-        MeshError: No slider gives the stature, or the weight with it.
+        MeshError: No slider setting gives the stature, or the weight together with it.
     """
 
     def shape(fatness: float, height: float) -> MakeHumanConfig:
@@ -567,16 +572,17 @@ def person_config(source: MakeHumanData, person: Person) -> MakeHumanConfig:
     return config.model_copy(update={"stature": person.stature})
 
 
-#: Range of the fatness, largest relative error of the weight, and range in which later rounds search first.
+#: Range of the fatness, largest relative error of the weight, and the range that later rounds search first.
 _FATNESS, _WEIGHT_TOLERANCE, _NEAR = (-1.0, 3.5), 0.002, 0.1
-#: Change of the height slider that changes the weight by less than a thousandth.
+#: A change of the height slider below this changes the weight by less than a thousandth.
 _SETTLED = 0.002
 
 
 def _root(excess: Callable[[float], float], bracket: tuple[float, float]) -> float:
-    """Fatness at which a rising excess is zero, to five digits; the nearest end of all if there is none."""
+    """Fatness at which a rising excess is zero, to five digits. If it is nowhere zero, the nearest end of the
+    range."""
     low, high = bracket
-    from scipy.optimize import brentq  # slow to import
+    from scipy.optimize import brentq  # imported here, since the import is slow
 
     below, above = excess(low), excess(high)
     if below < 0 < above:
@@ -588,7 +594,7 @@ def _root(excess: Callable[[float], float], bracket: tuple[float, float]) -> flo
 
 
 def volume(base: Base, body: Array) -> float:
-    """Volume of a naked body (V, 3), cubic metres, by tetrahedra from the origin."""
+    """Volume of a naked body (V, 3), cubic metres: the sum of tetrahedra from the origin."""
     faces = base.faces[base.face_groups == "body"]
     a, b, c, d = (body[faces[:, corner]] for corner in range(4))
     return float(np.einsum("ij,ij->", a, np.cross(b, c) + np.cross(c, d))) / 6

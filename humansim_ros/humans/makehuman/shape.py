@@ -1,7 +1,7 @@
 """MakeHuman sliders: strength of each shape target for sex, age and build.
 
-As in MakeHuman's ``macro.json``: each slider interpolates between named values, and the strength of a target
-is the product of the shares of the values in its name.
+As in MakeHuman's ``macro.json``, each slider interpolates between named values. The strength of a target is
+the product of the shares of the values in its name.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SLIDERS: dict[str, tuple[tuple[float, str], ...]] = {
     "cup_size": ((0.0, "mincup"), (0.5, "averagecup"), (1.0, "maxcup")),
     "firmness": ((0.0, "minfirmness"), (0.5, "averagefirmness"), (1.0, "maxfirmness")),
 }
-#: Path prefix of the targets of a combination, and the sliders in their names.
+#: Path prefix of the targets of each combination, and the sliders in their names.
 _COMBINATIONS = (
     ("macrodetails/", ("race", "gender", "age")),
     ("macrodetails/universal-", ("gender", "age", "muscle", "weight")),
@@ -52,7 +52,7 @@ _COMBINATIONS = (
     ("breast/", ("gender", "age", "muscle", "weight", "cup_size", "firmness")),
 )
 _HEIGHT = _COMBINATIONS[3:4]
-#: Range of the scale factor for a stature, beyond the height slider.
+#: Range of the scale factor that reaches a stature beyond the height slider.
 _TALLEST, _SHORTEST = 1.35, 0.7
 
 
@@ -78,7 +78,7 @@ class Outfit(Section):
 
 
 class MakeHumanConfig(Section):
-    """Slider values of a person; 0.5 is average for sliders from 0 to 1."""
+    """Slider values of a person. For sliders from 0 to 1, 0.5 is average."""
 
     gender: Share = Field(default=0.5, description="0 female, 1 male")
     age: float = Field(default=25.0, ge=1, le=90, description="years")
@@ -157,7 +157,7 @@ def _combined(
 
 
 def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHumanConfig, float]:
-    """Set the height slider for the ``stature``, and return the remaining scale factor."""
+    """Set the height slider for the ``stature``. Returns also the remaining scale factor."""
     if config.stature is None:
         return config, 1.0
     # only targets of the height differ
@@ -190,7 +190,7 @@ def _barefoot(source: MakeHumanData, config: MakeHumanConfig) -> float:
 
 
 def read_body(source: MakeHumanData, targets: Mapping[str, float]) -> Array:
-    """Vertices (V, 3) of the naked body in metres, to nanometres; faster than the whole base mesh."""
+    """Vertices (V, 3) of the naked body in metres, to nanometres. This is faster than the whole base mesh."""
     base = source.base
     vertices = base.vertices[base.vertex_groups["body"]]
     for name, strength in targets.items():
@@ -199,7 +199,7 @@ def read_body(source: MakeHumanData, targets: Mapping[str, float]) -> Array:
 
 
 def _shares(slider: str, config: MakeHumanConfig) -> list[tuple[str, float]]:
-    """Named values of a slider, or races, with their shares above zero."""
+    """Named values of a slider, or races, with their shares. Shares of zero are left out."""
     if slider == "race":
         races = {config.race: 1.0} if isinstance(config.race, str) else config.race
         total = sum(races.values())

@@ -1,7 +1,8 @@
 """Bones at the joints of a MakeHuman body, with the weights of its artists, and the T pose.
 
-The first 22 are the bones of [thesis table 4.1]. ``DETAIL_BONES`` are fingers, toes, jaw and eyes; each is a
-detail of one of the 22, whose weights it shares: together they move the skin as that bone alone does.
+The first 22 bones are those of [thesis table 4.1]. ``DETAIL_BONES`` are fingers, toes, jaw and eyes. Each is
+a detail of one of the 22 bones and takes a share of its weights, so that together they move the skin as that
+bone alone does.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from humansim_ros.io.assets import read_table
 from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4
-#: A shoe bends this far before and behind the ball of the foot, as a share of the length of the foot bone.
+#: A shoe bends within this distance from the ball of the foot, as a share of the length of the foot bone.
 _SHOE_BEND = 0.14
 
 _TABLE = read_table("makehuman_bones")
@@ -36,7 +37,7 @@ _GENERAL = BONE_NAMES[: -len(DETAIL_BONES)]
 
 
 def _wholes() -> VertexIndices:
-    """Bone (B,) of the first 22 that each bone is a detail of; one of the 22 itself."""
+    """Bone (B,) among the first 22 that each bone is a detail of. Each of the 22 has its own number."""
     wholes = list(range(len(_GENERAL)))
     for bone in DETAIL_BONES:
         wholes.append(wholes[BONE_NAMES.index(DETAIL_BONES[bone])])
@@ -73,10 +74,8 @@ def landmarks(base: Base) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Bones:
-    """names (B,), parents (B,) with -1 for the root, heads and tails (B, 3) in metres.
-
-    ``hinges`` (B, 3): unit vectors about which joints flex, of fingers and toes; zero for other bones.
-    """
+    """names (B,), parents (B,) with -1 for the root, heads and tails (B, 3) in metres. ``hinges`` (B, 3):
+    unit axes of flexion of fingers and toes; zero for other bones."""
 
     names: tuple[str, ...]
     parents: VertexIndices
@@ -90,7 +89,8 @@ class Bones:
 
     @property
     def rolls(self) -> Array:
-        """(B,) radians: the x axis of a bone with a hinge is as near to it as can be; others have roll 0."""
+        """(B,) radians. The x axis of a bone with a hinge is as near to the hinge as possible. Other bones
+        have roll 0."""
         swing = quaternion_to_matrix(from_y_axis(unit_vectors(self.tails - self.heads)))
         x, z = (np.einsum("bi,bi->b", swing[:, :, axis], self.hinges) for axis in (0, 2))
         return np.arctan2(-z, x)
@@ -120,7 +120,8 @@ def make_bones(points: Mapping[str, Array], moved: Mapping[str, Array], hinges: 
 
 
 def bone_weights(source: MakeHumanData, vertex_count: int) -> Array:
-    """Weights of the artists summed per bone, dense (N, B); rows sum to one (see :func:`limit_weights`)."""
+    """Weights (N, B) of the artists, summed per bone. The sum of each row is one (see
+    :func:`limit_weights`)."""
     weights = np.zeros((vertex_count, len(BONE_NAMES)))
     for name, pairs in source.weights.items():
         if not pairs:
@@ -137,7 +138,7 @@ def bone_weights(source: MakeHumanData, vertex_count: int) -> Array:
 
 
 def _sums(weights: Array) -> Array:
-    """Weights (N, 22) of the bones with their details."""
+    """Weights (N, 22) of the 22 bones, each including its details."""
     sums = weights[:, : int(_WHOLE.max()) + 1].copy()
     for bone in range(sums.shape[1], len(_WHOLE)):
         sums[:, _WHOLE[bone]] += weights[:, bone]
@@ -145,12 +146,12 @@ def _sums(weights: Array) -> Array:
 
 
 def limit_weights(weights: Array) -> Array:
-    """Limit weights (N, B) to four of the 22 bones per vertex, each with its details; rows sum to one."""
+    """Limit weights (N, B) to four of the 22 bones per vertex, each with its details. Rows sum to one."""
     return _shared(_limited(_sums(weights)), weights)
 
 
 def _limited(sums: Array) -> Array:
-    """Weights (N, 22) of the four bones with the largest ones."""
+    """Weights (N, 22) of the four bones with the largest weights. Other weights become zero."""
     # ties with the fifth are removed too, to keep left and right symmetric
     fifth = np.sort(sums, axis=1)[:, -BONES_PER_VERTEX - 1][:, None]
     sums = np.where((sums <= fifth) | (sums < 1e-3), 0.0, sums)
@@ -158,20 +159,19 @@ def _limited(sums: Array) -> Array:
 
 
 def _shared(sums: Array, weights: Array) -> Array:
-    """Weights (N, B) in the ratios of ``weights`` that have the sums (N, 22) of bones with their details."""
+    """Weights (N, B) in the ratios of ``weights``. For each of the 22 bones with its details, they sum to
+    ``sums`` (N, 22)."""
     weights = np.where(weights < 1e-3, 0.0, weights)
     given = _sums(weights)
     bare = given <= 0
-    weights[:, : sums.shape[1]][bare] = 1.0  # a bone without weights takes all of its sum
+    weights[:, : sums.shape[1]][bare] = 1.0  # a bone without weights takes its whole sum
     given[bare] = 1.0
     return weights * (sums / given)[:, _WHOLE]
 
 
 def bend_in_shoes(weights: Array, vertices: Array, bones: Bones) -> Array:
-    """Weights (N, B) with which a shoe bends at the ball of the foot, as leather does, and not between toes.
-
-    ``weights``: (N, B) and ``vertices``: (N, 3) metres of the shoes, in the pose of ``bones``.
-    """
+    """Weights (N, B) that bend a shoe at the ball of the foot, as leather bends, and not between toes.
+    ``weights``: (N, B) and ``vertices``: (N, 3) metres of the shoes, in the pose of ``bones``."""
     weights = weights.copy()
     for side in "lr":
         foot, toes = bones.index(f"{side}_ankle"), bones.index(f"{side}_metatarsal")
@@ -185,10 +185,8 @@ def bend_in_shoes(weights: Array, vertices: Array, bones: Bones) -> Array:
 
 
 def limit_details(weights: Array) -> Array:
-    """Weights (N, B) of four bones per vertex, with the same sums of each of the 22 bones and its details.
-
-    ``weights``: at most four of the 22 bones per vertex. Their smallest details are left out.
-    """
+    """Limit weights (N, B) to four bones per vertex. The sum over each of the 22 bones with its details does
+    not change. ``weights``: at most four of the 22 bones per vertex. Their smallest details are left out."""
     weights = weights.copy()
     while len(many := np.flatnonzero((weights > 0).sum(axis=1) > BONES_PER_VERTEX)):
         rows = weights[many]
@@ -206,10 +204,11 @@ def edges_of(faces: VertexIndices) -> VertexIndices:
 
 
 def smooth_weights(weights: Array, vertices: Array, edges: VertexIndices, reach: float) -> Array:
-    """Smooth weights (N, B) along short edges, which motion would stretch to many times their length.
+    """Smooth weights (N, B) along short edges, which a motion would otherwise stretch to many times their
+    length.
 
-    Weights of the ends of an edge may differ so far that it stretches to about twice its length when bones
-    move ``reach`` metres apart. Larger differences are reduced iteratively.
+    The weights at the ends of an edge may differ so much that the edge stretches to about twice its length
+    when bones move ``reach`` metres apart. Larger differences are reduced iteratively.
 
     Args:
         weights: (N, B).
@@ -245,7 +244,7 @@ def smooth_weights(weights: Array, vertices: Array, edges: VertexIndices, reach:
 
 
 def _edges_around(edges: VertexIndices, count: int) -> VertexIndices:
-    """Edges (V, K) at each of V vertices; a vertex with fewer has some twice."""
+    """Edges (V, K) at each of V vertices. A vertex with fewer edges repeats some."""
     vertex = edges.ravel()
     order = np.argsort(vertex, kind="stable")
     starts = np.searchsorted(vertex[order], np.arange(count + 1))
@@ -256,9 +255,7 @@ def _edges_around(edges: VertexIndices, count: int) -> VertexIndices:
 
 def t_pose(bones: Bones) -> tuple[Array, Bones]:
     """Transforms (B, 4, 4) of the bones from MakeHuman's A pose to the T pose, and the bones in the T pose.
-
-    Arms and hands are along x with palms down, legs closer together with level feet.
-    """
+    Arms and hands are along x with palms down. Legs are closer together, and feet are level."""
     direction = bones.tails - bones.heads
     along = unit_vectors(direction)
     turn = np.tile(np.eye(3), (len(bones.names), 1, 1))  # world rotation of each bone
@@ -292,10 +289,8 @@ def t_pose(bones: Bones) -> tuple[Array, Bones]:
 
 
 def unskin(vertices: Array, weights: Array, motion: Array) -> Array:
-    """Vertices (N, 3) that linear blend skinning with the inverse of ``motion`` moves to ``vertices``.
-
-    So the A pose of the artists is reproduced exactly, without the errors of skinning twice.
-    """
+    """Vertices (N, 3) that linear blend skinning with the inverse of ``motion`` moves to ``vertices``. So the
+    A pose of the artists is reproduced exactly."""
     back = np.einsum("nb,bij->nij", weights, np.linalg.inv(motion))
     homogeneous = np.c_[vertices, np.ones(len(vertices))]
     return np.linalg.solve(back, homogeneous[:, :, None])[:, :3, 0]

@@ -21,16 +21,15 @@ NONE, SHOES, TROUSERS, SHIRT = range(4)  # in the order of layers
 
 @dataclass(frozen=True)
 class BodySurface:
-    """Part of the base mesh that becomes a human. Triangles are quads with a repeated last corner.
+    """Part of the base mesh that becomes a human. A triangle is a quad with a repeated last corner.
 
     vertices (V, 3), faces (F, 4), uv (T, 2) in the layout of the base mesh, uv_faces (F, 4), weights (V, B).
     canonical (V, 3): position on the naked reference body in the T pose. All bodies have the same topology,
-    so clothes are cut and painted there for all.
-    naked (V, 3): position on this naked body in the T pose.
+    so clothes are cut and painted there for all. naked (V, 3): position on this naked body in the T pose.
     part (V,): 0 body, 1 left eye, 2 right eye. garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or
-    SHOES. weld (V,): equal for the copies of a vertex on the two sides of a hem. The last ``hems`` faces are
-    narrow strips between the edge of a garment and the surface below. shapes (V, 3 S): offsets of S actions
-    of the face, in the A pose.
+    SHOES. weld (V,): number that both copies of a vertex at a hem share. The last ``hems`` faces are narrow
+    strips between the edge of a garment and the surface below. shapes (V, 3 S): offsets of S actions of the
+    face, in the A pose.
     """
 
     vertices: Array
@@ -54,7 +53,7 @@ class BodySurface:
 
 
 def compact(faces: VertexIndices, count: int) -> tuple[VertexIndices, VertexIndices]:
-    """Used rows (V,), sorted, and the renumbered faces."""
+    """Used vertices (V,), sorted, and the faces as indices into them."""
     used = np.unique(faces)
     number = np.full(count, -1)
     number[used] = np.arange(len(used))
@@ -93,7 +92,7 @@ def mean_matrix(graph: sparse.csr_matrix) -> sparse.csr_matrix:
 
 
 def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) -> Array:
-    """Smooth vertices as :func:`smooth_towards` does.
+    """Smooth vertices in the same way as :func:`smooth_towards`.
 
     Args:
         vertices: (V, 3).
@@ -138,7 +137,7 @@ def smooth_rows(mean: sparse.csr_matrix, out: Array, rows: VertexIndices, amount
         out[rows] += amount * (mean @ out - out[rows])
 
 
-#: Points whose noise is computed at once: their arrays fit into the cache of a processor.
+#: Number of points with noise that is computed at once, so that arrays fit into the cache of a processor.
 _CHUNK = 8192
 
 
@@ -172,7 +171,7 @@ def _noise(points: Array, scale: float, seed: int) -> Array:
 
 
 def _hashed(key: NDArray[np.uint64]) -> Array:
-    """Numbers from -1 to 1 that look random, of keys that are overwritten."""
+    """Pseudo-random numbers from -1 to 1, from keys. The keys are overwritten."""
     key *= np.uint64(0x9E3779B97F4A7C15)
     key ^= key >> np.uint64(29)
     key *= np.uint64(0xBF58476D1CE4E5B9)
@@ -182,12 +181,12 @@ def _hashed(key: NDArray[np.uint64]) -> Array:
     return value
 
 
-#: Bits of the number of cells along a side of the cube that repeats in grain.
+#: Grain repeats in a cube. Its side has 2 ** _BITS cells.
 _BITS = 6
 
 
 def grain(points: Array, scale: float, seed: int) -> Array:
-    """Noise as of :func:`noise` that repeats after 64 cells, for paint; a quarter of the time."""
+    """Like :func:`noise`, but it repeats after 64 cells. For paint; four times as fast."""
     table, last = _lattice(seed), (1 << _BITS) - 1
     out = np.empty(len(points))
     for start in range(0, len(points), _CHUNK):
@@ -227,10 +226,8 @@ def outline(points: Array, grow: float) -> Array:
 
 
 def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> tuple[BodySurface, sparse.csr_matrix]:
-    """Subdivide the chosen quads (F,) into four, adapt their neighbours, and smooth the result.
-
-    Returns the mesh, and the matrix (V', V) that gives its vertices from the vertices before.
-    """
+    """Subdivide the chosen quads (F,) into four, adapt their neighbours, and smooth the result. Returns the
+    mesh, and the matrix (V', V) from the old vertices to the new ones."""
     # a new vertex is the mean of the old vertices in its row
     rows: list[list[int]] = [[i] for i in range(len(mesh.vertices))]
     uv_rows: list[list[int]] = [[i] for i in range(len(mesh.uv))]
@@ -304,7 +301,7 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> tuple[BodySurface, s
 
 
 def _mean_of_rows(table: list[list[int]], count: int) -> sparse.csr_matrix:
-    """Matrix (N, ``count``) of the means of the rows that each of N lists names."""
+    """Matrix (N, ``count``) that gives N means. Each row of the table lists the numbers that are averaged."""
     sizes = np.array([len(row) for row in table])
     columns = np.fromiter(itertools.chain.from_iterable(table), np.int64, int(sizes.sum()))
     starts = np.concatenate([[0], np.cumsum(sizes)])

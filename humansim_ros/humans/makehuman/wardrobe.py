@@ -1,4 +1,4 @@
-"""Hair styles, beards, garments, footwear and things worn: rows of config/wardrobe.json.
+"""Hair styles, beards, garments, footwear and worn things: rows of config/wardrobe.json.
 
 Lengths are metres on the reference body (an adult man); a body of another size scales them.
 """
@@ -43,7 +43,7 @@ FootwearName = Literal["shoes", "boots", "sandals", "bare"]
 
 @dataclass(frozen=True)
 class Attire:
-    """Names of what a person wears, and of hair and beard."""
+    """Names of the hair, the beard and the clothes of a person."""
 
     hair: HairName = "short"
     beard: BeardName = "none"
@@ -65,9 +65,9 @@ class HairStyle:
         lumps: Strength of lumps, as a share of the volume.
         curl: Size of lumps.
         front: Distance by which the front edge is lower.
-        part: x of the parting; 0 without.
-        ridge: Half width of a ridge to which the volume is limited; 0 without.
-        length: Length of hanging hair below the ears; 0 without.
+        part: x of the parting. 0 for no parting.
+        ridge: Half width of a ridge that the volume is limited to. 0 for no ridge.
+        length: Length of hanging hair below the ears. 0 for no hanging hair.
         tie: How hanging hair is tied.
     """
 
@@ -97,15 +97,15 @@ class Top:
     """A garment of the upper body.
 
     Attributes:
-        sleeves: Length of the sleeves; as chosen if None.
-        ease: Thickness beyond the thickness of a shirt.
+        sleeves: Length of the sleeves. If None, the person's choice.
+        ease: Thickness in addition to that of a shirt.
         drop: Distance of the lower edge below the belt.
         collar: What lies around the neck.
         front: How the front closes.
-        skirt: Length of the part that hangs from the waist; 0 without.
-        flare: Metres by which a metre of it is wider.
+        skirt: Length of the part that hangs from the waist. 0 for no such part.
+        flare: Increase of width per metre of the hanging part.
         bands: Whether it has reflecting bands.
-        bottoms: Garments below it that fit.
+        bottoms: Garments of the lower body that fit.
     """
 
     sleeves: Literal["none", "short", "long"] | None = None
@@ -126,8 +126,8 @@ class Bottom:
     Attributes:
         hem: Height of the lower edge of the legs, from 0 at the ankles over 1 at the knees to 2 at the hips.
         loose: Whether the legs of the garment are tubes around the shins.
-        skirt: Length of a skirt; 0 without.
-        flare: Metres by which a metre of it is wider.
+        skirt: Length of a skirt. 0 for no skirt.
+        flare: Increase of width per metre of the skirt.
     """
 
     hem: float = 0.0
@@ -156,12 +156,12 @@ class Worn:
     """A thing that is worn.
 
     Attributes:
-        place: Place of the body; only one thing is worn at each.
+        place: Place of the body. Only one thing can be worn at each place.
         shape: Shape of the thing.
-        color: Colour, unless the outfit gives one.
+        color: Colour, if the outfit has none for this thing.
         fabric: Fabric.
-        ease: Distance from the head of things around it.
-        brim: Width of a brim all around; of a cap, in front.
+        ease: Distance between the head and a thing around it.
+        brim: Width of the brim all around. For a cap, width in front.
     """
 
     place: Literal["eyes", "mouth", "head", "back", "side"]
@@ -190,7 +190,7 @@ TOPS: Mapping[TopName, Top] = _rows("tops", Top)
 BOTTOMS: Mapping[BottomName, Bottom] = _rows("bottoms", Bottom)
 FOOTWEAR: Mapping[FootwearName, Footwear] = _rows("footwear", Footwear)
 WORN: Mapping[WornName, Worn] = _rows("worn", Worn)
-#: Names of each key of :class:`Attire`.
+#: Possible names for each key of :class:`Attire`.
 CHOICES: Mapping[str, Sequence[str]] = {
     "hair": tuple(HAIR),
     "beard": tuple(BEARDS),
@@ -203,7 +203,7 @@ CHOICES: Mapping[str, Sequence[str]] = {
 
 
 def check_clothes(clothes: Attire) -> tuple[str, str] | None:
-    """Key and message of what cannot be worn together; None if all fits."""
+    """Key and message about clothes that cannot be worn together; None if all clothes fit."""
     fitting = TOPS[clothes.top].bottoms
     if clothes.bottom not in fitting:
         fits = ", ".join(fitting)
@@ -216,7 +216,7 @@ def check_clothes(clothes: Attire) -> tuple[str, str] | None:
     return None
 
 
-#: Shares of styles, garments and things: frequent ones of women and men, girls and boys.
+#: Weights of styles, garments and things by name: how frequent they are.
 _Shares = Mapping[str, float]
 _SHARES: Mapping[str, Mapping[str, _Shares]] = _TABLES["shares"]
 
@@ -231,7 +231,7 @@ def draw_clothes(
     """Draw hair, beard, garments and things worn, with plausible shares by age and sex.
 
     Args:
-        uniform: Numbers from 0 to 1; their count does not depend on the wishes.
+        uniform: Returns random numbers from 0 to 1. Wishes do not change how many are used.
         age: Years.
         female: Sex.
         sleeves: Length of the sleeves of a shirt or dress.
@@ -273,7 +273,7 @@ def draw_clothes(
 
 
 def draw_fabric(value: float, age: float, female: bool) -> Fabric:
-    """Fabric of a garment of the upper body, by a number from 0 to 1."""
+    """Fabric of a garment of the upper body. ``value``: random number from 0 to 1."""
     fabric: Fabric = _pick(_SHARES["fabrics"][_group(age, female)], value)
     return fabric
 
@@ -309,7 +309,7 @@ def _things(uniform: Callable[[], float], age: float, female: bool, top: TopName
 
 
 def _pick(shares: _Shares, value: float) -> Any:
-    """Name at a value, 0 to 1, of names with shares."""
+    """Name that a number from 0 to 1 selects among names with shares."""
     value *= sum(shares.values())
     for name, share in shares.items():
         value -= share

@@ -1,4 +1,4 @@
-"""Things beside the skin of a body: hair that stands off, head wear, glasses, skirts, collars, bags.
+"""Off-body surfaces: hair that stands off, head wear, glasses, skirts, collars, bags.
 
 Each is a closed surface over a grid, with a tile of the texture. Positions are in the T pose.
 """
@@ -37,13 +37,13 @@ from humansim_ros.types import Array
 
 #: Rows and columns of directions around the head.
 _ROWS, _COLUMNS = 44, 72
-#: Depth below the skin of the hidden rest of a surface around the head.
+#: Surfaces around the head continue below the skin, hidden, to this depth in metres.
 _HIDDEN = 0.008
-#: The same far from its edge, and its largest distance from the middle of the head there.
+#: Far from the visible edge, this depth is larger; and largest distance from the middle of the head there.
 _DEEP, _DEEPEST = 0.035, 0.065
 #: Largest side of a tile, and width of the texture, texels.
 _LARGEST, _WIDTH = 500, 1024
-#: Texels around a tile that have its colours, so that smaller images do not mix tiles.
+#: Margin around a tile with the colours of the tile, texels, so that smaller mip levels do not mix tiles.
 _MARGIN = 4
 
 PartMaterial = Literal["hair", "top", "bottom", "shoes", "soles"] | WornName
@@ -51,11 +51,9 @@ PartMaterial = Literal["hair", "top", "bottom", "shoes", "soles"] | WornName
 
 @dataclass(frozen=True)
 class Hanging:
-    """How a part of V vertices hangs: see :class:`~humansim_ros.body.loose.LooseParts`.
-
-    ``kind``; ``ends`` (K, 2) and ``outwards`` (K, 3); ``nodes`` (V, 2), ``shares`` (V, 2), ``gather`` (V, 3)
-    and ``left`` (V,) of all its vertices.
-    """
+    """How a part of V vertices hangs. See :class:`~humansim_ros.body.loose.LooseParts`. ``ends`` (K, 2) and
+    ``outwards`` (K, 3) describe the ends; ``nodes`` (V, 2), ``shares`` (V, 2), ``gather`` (V, 3) and ``left``
+    (V,) all vertices."""
 
     kind: int
     ends: VertexIndices
@@ -71,11 +69,11 @@ class WornPart:
     """A closed surface over a grid.
 
     Attributes:
-        points: (R, C, 3) metres; columns are closed to rings.
+        points: (R, C, 3) metres. The columns of each row form a ring.
         weights: (R, C, B) weights of bones.
-        material: What it is made of, which sets its colours.
-        ring: Whether the last row is joined to the first one; else both are closed by points.
-        hanging: How it swings; None if it follows the bones alone.
+        material: Material, which decides the colours.
+        ring: Whether the last row is joined to the first one. Otherwise a point closes each of both.
+        hanging: How the part swings. If None, it only follows the bones.
     """
 
     points: Array
@@ -86,7 +84,7 @@ class WornPart:
 
     @property
     def vertices(self) -> Array:
-        """(V, 3) points of the grid, and for ends that are closed one point each."""
+        """(V, 3) points of the grid, and one point for each end that is closed."""
         return self._with_ends(self.points)
 
     @property
@@ -102,13 +100,14 @@ class WornPart:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width of its tile, texels; the same for all bodies, as the layout of the texture is."""
+        """Height and width of the tile, texels. They are the same for all bodies, since all share the texture
+        layout."""
         rows, columns = self.points.shape[:2]
         return min(8 * rows, _LARGEST), min(10 * columns, _LARGEST)
 
     @cached_property
     def mesh(self) -> tuple[VertexIndices, Array, VertexIndices]:
-        """Faces (F, 4), texture coordinates (T, 2) in its tile, v up, and their faces (F, 4)."""
+        """Faces (F, 4), texture coordinates (T, 2) in the tile, v up, and texture faces (F, 4)."""
         rows, columns = self.points.shape[:2]
         down = rows if self.ring else rows - 1
         r, c = (grid.ravel() for grid in np.mgrid[:down, :columns])
@@ -160,7 +159,7 @@ def _volume(vertices: Array, faces: VertexIndices) -> float:
 
 
 def _reversed(faces: VertexIndices) -> VertexIndices:
-    """Faces with the other orientation; triangles keep their repeated last corner."""
+    """Faces with the opposite orientation. Triangles keep their repeated last corner."""
     triangle = faces[:, 3] == faces[:, 2]
     turned = faces[:, ::-1].copy()
     turned[triangle] = faces[triangle][:, [1, 0, 2, 2]]
@@ -172,7 +171,7 @@ class Wearer:
     """A dressed body in the T pose.
 
     Attributes:
-        mesh: Its surface; ``canonical`` are its positions on the reference body.
+        mesh: Surface of the body. ``canonical`` has the positions on the reference body.
         points: (V, 3) dressed vertices.
         weights: (V, B) weights.
         is_ear: (V,) above 0 at the ears.
@@ -221,12 +220,12 @@ class Wearer:
 
     @cached_property
     def head(self) -> Dome:
-        """Directions around the head, and how far its surface is there, without ears."""
+        """Directions around the head, with the distance of its surface (without ears) in each."""
         return Dome.of(self, self.is_ear < 0.01)
 
     @cached_property
     def head_with_ears(self) -> Dome:
-        """See :attr:`head`."""
+        """Like :attr:`head`, with ears."""
         return Dome.of(self, np.ones(len(self.is_ear), bool))
 
     @cached_property
@@ -252,7 +251,7 @@ class Wearer:
         return (self.weights[:, arms].sum(axis=1) < 0.5) & (self.mesh.part == 0)
 
     def surface_z(self, x: float, y: float, side: int) -> float:
-        """z of the front (side 1) or the back (-1) of head, trunk and legs at x and y."""
+        """z of the surface of head, trunk and legs at x and y. ``side``: 1 front, -1 back."""
         points = self.points[self.armless]
         near = points[np.hypot(points[:, 0] - x, points[:, 1] - y) < 0.03 * self.size]
         if not len(near):
@@ -262,9 +261,8 @@ class Wearer:
 
 @dataclass(frozen=True)
 class Dome:
-    """Directions (R, C, 3) around the centre of the head, distances (R, C) of its surface, and positions
-    (R, C, 3) there on the reference body. The first row is near the crown, the first column behind.
-    """
+    """Directions (R, C, 3) around the centre of the head, and distances (R, C) of its surface. Also its
+    positions (R, C, 3) on the reference body. The first row is near the crown, the first column behind."""
 
     centre: Array
     ray: Array
@@ -307,14 +305,14 @@ class Dome:
         return self.centre + np.maximum(distance, 0.01)[..., None] * self.ray
 
     def smooth(self, cells: float) -> Array:
-        """Distances (R, C) of the surface without features smaller than some cells, outside of the head."""
+        """Distances (R, C) of a smooth surface outside the head, without features smaller than some cells."""
         wrapped = np.pad(np.pad(self.reach, ((8, 8), (0, 0)), "edge"), ((0, 0), (8, 8)), "wrap")
         blurred = gaussian_filter(wrapped, cells)[8:-8, 8:-8]
         return np.maximum(blurred, self.reach)
 
 
 def worn_parts(config: MakeHumanConfig, wearer: Wearer) -> list[WornPart]:
-    """Parts beside the skin of a person with this hair, these garments and things."""
+    """Off-body parts of a person with this hair, these garments and things."""
     parts = [*_hair(config, wearer), *_collar(config, wearer), *_skirts(config, wearer)]
     parts += _sandals(config, wearer)
     for name in config.wears:
@@ -325,7 +323,7 @@ def worn_parts(config: MakeHumanConfig, wearer: Wearer) -> list[WornPart]:
 def _on_head(
     wearer: Wearer, thickness: Array, material: PartMaterial, reach: Array | None = None
 ) -> WornPart:
-    """Surface around the head; all bodies have the same faces. The rest is hidden in the head."""
+    """Surface around the head. All bodies have the same faces. What is not shown is hidden in the head."""
     dome, shown = wearer.head, thickness > 0
     points = dome.points(thickness, None if reach is None else np.where(shown, reach, dome.reach))
     near = cv2.dilate(np.pad(shown, ((1, 1), (1, 1)), "wrap").astype(np.uint8), np.ones((3, 3), np.uint8))
@@ -336,7 +334,7 @@ def _on_head(
 
 
 def _line_of_hats(wearer: Wearer) -> Array:
-    """Distance (R, C) above the lower edge of hats: above the ears and the brows."""
+    """Distance (R, C) above the lower edge of hats. The edge is above the ears and the brows."""
     p, reference = wearer.head.canonical, wearer.reference
     ahead = ramp(p[..., 2], reference.ear[2] - 0.06, reference.eye[2])
     behind, before = reference.ear[1] + 0.026, reference.eye[1] + 0.034
@@ -365,7 +363,7 @@ def _hair(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         if style.ridge:
             volume *= ramp(np.abs(p[..., 0]), style.ridge, 0.4 * style.ridge)
         shown = (covered > -0.002) & (volume > 0.001)
-        if heads:  # a hat presses it down
+        if heads:  # a hat presses the hair down
             shown &= _line_of_hats(wearer) < 0.004
             volume *= ramp(_line_of_hats(wearer), 0.0, -0.03)
         if shown.any():
@@ -407,7 +405,7 @@ def _ball(wearer: Wearer, centre: Array, radius: float, material: PartMaterial) 
 
 
 def _sphere(rows: int, columns: int) -> tuple[Array, Array]:
-    """Angles (R, C) from the top and around of points of a sphere."""
+    """Angles (R, C) of points of a sphere: from the top, and around."""
     rise = (np.arange(rows) + 0.5) / rows * np.pi
     turn = np.arange(columns) / columns * 2 * np.pi
     return np.repeat(rise[:, None], columns, axis=1), np.repeat(turn[None], rows, axis=0)
@@ -416,7 +414,7 @@ def _sphere(rows: int, columns: int) -> tuple[Array, Array]:
 def _strand(
     wearer: Wearer, start: Array, length: float, radius: float, lumpy: bool = False, wide: float = 1.0
 ) -> WornPart:
-    """Hair that hangs from the head, outside of the neck and the back."""
+    """Hair that hangs from the head, outside the neck and the back."""
     size, own = wearer.head_size, wearer.own
     count = 20
     side = float(np.sign(start[0]))
@@ -445,7 +443,7 @@ def _strand(
 
 
 def _hanging_hair(points: Array, out: Array) -> Hanging:
-    """Hair (R, C, 3) whose lower end swings. ``out``: direction (3,) away from the head."""
+    """Hair (R, C, 3) with a lower end that swings. ``out``: direction (3,) away from the head."""
     rows, columns = points.shape[:2]
     count = rows * columns + 2  # the points that close both ends come last
     share = (np.linspace(0, 1, rows) / 0.85 - 0.15 / 0.85).clip(0) ** 1.3
@@ -466,9 +464,9 @@ def sweep(
         path: (N, 3).
         width: Half width (N,) along ``side``.
         depth: Half width (N,) across it.
-        side: Direction (3,) or (N, 3), made perpendicular to the path.
+        side: Direction (3,) or (N, 3). It is made perpendicular to the path.
         corners: Number C of points of a section.
-        square: Exponent of the section: 1 is an ellipse, less is a box with round corners.
+        square: Exponent of the section. 1 is an ellipse; a smaller exponent is a box with round corners.
     """
     ahead = np.gradient(path, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -501,7 +499,7 @@ def _hat(name: WornName, worn: Worn, wearer: Wearer) -> Iterator[WornPart]:
 
 
 def _brim(name: WornName, worn: Worn, wearer: Wearer, reach: Array, above: Array) -> WornPart:
-    """Brim: a flat ring, which is wide in front only at caps."""
+    """Brim: a flat ring. On a cap it is wide only in front."""
     dome, size = wearer.head, wearer.head_size
     row = np.where(above > 0, np.arange(_ROWS)[:, None], -1).max(axis=0)
     column = np.arange(_COLUMNS)
@@ -623,12 +621,12 @@ def _skirts(config: MakeHumanConfig, wearer: Wearer) -> Iterator[WornPart]:
         yield WornPart(points, _leg_weights(wearer, points, waist), material, ring=True, hanging=hanging)
 
 
-#: Ends of a skirt that swing, around it.
+#: Number of ends around a skirt that swing.
 _ENDS = 8
 
 
 def _hanging_cloth(wearer: Wearer, points: Array, out: Array, room: float) -> Hanging:
-    """Cloth around both legs whose hem swings, and which lies on the thighs of a wearer who sits.
+    """Cloth around both legs. Its hem swings, and it lies on the thighs when the wearer sits.
 
     Args:
         wearer: The wearer.
@@ -662,7 +660,7 @@ def _hanging_cloth(wearer: Wearer, points: Array, out: Array, room: float) -> Ha
 
 
 def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
-    """Offsets (N, 3) of cloth around both legs that put it at a distance ``room`` (N,) from them."""
+    """Offsets (N, 3) that draw cloth inwards until it is ``room`` (N,) away from the hull of both legs."""
     own, legs = wearer.own, wearer.points[wearer.trunk & (wearer.points[:, 1] < wearer.own.hip_y)]
     across = np.abs(legs[:, 0]) - own.leg_x(legs)
     radius = np.hypot(across, legs[:, 2] - own.leg_z(legs))
@@ -684,7 +682,8 @@ def _gathered(wearer: Wearer, points: Array, room: Array) -> Array:
 
 
 def loose_parts(parts: Sequence[WornPart], first: int) -> LooseParts | None:
-    """Loose ones of the parts of a person; None without. ``first``: number of the first of their vertices."""
+    """Join the parts that swing; None if no part swings. ``first``: number of the first vertex of the
+    parts."""
     found: list[tuple[NDArray[Any], ...]] = []
     count = 0
     for part in parts:
@@ -713,7 +712,7 @@ def loose_parts(parts: Sequence[WornPart], first: int) -> LooseParts | None:
 
 
 def under_skirts(config: MakeHumanConfig, wearer: Wearer) -> Array:
-    """Vertices (V, 3) with thinner legs under skirts, so that they stay inside when they swing."""
+    """Vertices (V, 3) with thinner legs under skirts, so that legs stay inside when skirts swing."""
     length = max(BOTTOMS[config.bottom].skirt, TOPS[config.top].skirt)
     points, own = wearer.points, wearer.own
     if not length:
@@ -730,7 +729,7 @@ def under_skirts(config: MakeHumanConfig, wearer: Wearer) -> Array:
 
 
 def _leg_weights(wearer: Wearer, points: Array, top: float) -> Array:
-    """Weights (R, C, B) of cloth around both legs: each side follows its leg."""
+    """Weights (R, C, B) of cloth around both legs. Each side follows its leg."""
     own = wearer.own
     near = 0.6 * float(own.leg_x(np.array([[0.0, own.knee_y, 0.0]]))[0])
     left = ramp(points[..., 0], -near, near)
@@ -740,7 +739,7 @@ def _leg_weights(wearer: Wearer, points: Array, top: float) -> Array:
     for side, share in (("l", left), ("r", 1 - left)):
         weights[..., own.bones.index(f"{side}_hip")] = leg * share * (1 - shin)
         weights[..., own.bones.index(f"{side}_knee")] = leg * share * shin
-    # the waist bends as the garment below it, so that no slit opens
+    # the waist bends like the garment below it, so that no slit opens
     near = gaussian_filter(wearer.near_weights(points), (0.5, 1.0, 0.0), mode=("nearest", "wrap", "wrap"))
     weights += (1 - leg)[..., None] * near
     order = np.argsort(weights, axis=2)[..., :-4]
@@ -915,7 +914,7 @@ def _power(values: Array, exponent: float = 0.38) -> Array:
 def _strap(
     wearer: Wearer, stations: Sequence[tuple[float, float, int]], width: float, material: PartMaterial
 ) -> WornPart:
-    """A strap over stations: x, y, and front or back of the trunk."""
+    """A strap along stations. A station is x, y, and front or back of the trunk."""
     points = np.array([[x, y, wearer.surface_z(x, y, side)] for x, y, side in stations])
     even = np.linspace(0, len(points) - 1, 5 * len(points))
     path = np.stack([np.interp(even, np.arange(len(points)), points[:, k]) for k in range(3)], axis=1)
@@ -1056,10 +1055,8 @@ def strip_image(parts: Sequence[WornPart], config: MakeHumanConfig, outfit: Outf
 def add_parts(
     arrays: dict[str, NDArray[Any]], parts: Sequence[WornPart], texture: int
 ) -> dict[str, NDArray[Any]]:
-    """Add parts to arrays of a body: vertices, faces, uv, uv_faces, weights.
-
-    The texture, of ``texture`` rows, gets the strip of the parts below.
-    """
+    """Add parts to arrays of a body: vertices, faces, uv, uv_faces, weights. The texture has ``texture``
+    rows. The strip of the parts is added below."""
     if not parts:
         return arrays
     places, strip = placed(parts)

@@ -58,7 +58,7 @@ _GROUPS = _TABLE["ages"]
 _SCORES = _TABLE["scores"]
 #: Mean, 10th and 90th percentile of the stature of each age group, centimetres, by sex.
 _STATURE = _TABLE["stature"]
-#: Percentiles of the body mass index of each age group. The survey leaves out the 5th of four groups; it
+#: Percentiles of the body mass index of each age group. The survey leaves out the 5th of four groups. It
 #: continues the line through the 10th and the 15th.
 _BMI = _TABLE["bmi"]
 #: The ten tones of the Monk Skin Tone scale [Monk 2023], sRGB.

@@ -1,8 +1,8 @@
-"""Truth in the messages of other people stacks: the table of adapters (docs/people_messages.md).
+"""Ground truth as messages of other people stacks: the table of adapters (docs/people_messages.md).
 
-A row says what an adapter needs, which topics it has, and how their messages are built from a frame. A
-simulation makes such frames, and node ``bridge`` puts them together from the topics of the other nodes: both
-give the same messages.
+A row of the table states what an adapter needs, which topics it has, and how their messages are built from a
+frame. A simulation makes such frames. Node ``bridge`` puts them together from the topics of the other nodes.
+Both give the same messages.
 """
 
 from __future__ import annotations
@@ -87,11 +87,11 @@ from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, CameraTruth, JointView
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 from humansim_ros.types import Array
 
-#: Class of all detections: its name, and its number in a LabelInfo.
+#: Class of all detections: name, and number in a LabelInfo.
 PERSON, PERSON_CLASS = "person", 0
-#: Variance of a number that is not set: spencer_tracking_msgs says so of variances above 99999.
+#: Variance of an unknown number: in spencer_tracking_msgs, a variance above 99999 means unknown.
 UNSET = 100_000.0
-#: Places of the variances on the diagonal of a covariance.
+#: Indices of the variances, on the diagonal of a covariance.
 _DIAGONAL = tuple(range(0, 36, 7))
 
 VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS = (
@@ -101,16 +101,16 @@ VISION_MSGS, PEOPLE_MSGS, SPENCER_MSGS = (
 
 @dataclass(frozen=True)
 class AdapterTopic(Topic[Frame]):
-    """A topic of an adapter. Its content is the frame.
+    """A topic of an adapter. Its messages are built from a frame.
 
     Attributes:
         package: Package of its messages.
-        people: It needs joints and vertices of the humans.
-        inputs: Topics below its camera that it needs, names of :data:`CAMERA_INPUTS`.
-        posed: Camera whose pose it needs; empty for none.
-        repeated: It is sent again while there are no frames: its subscriptions are volatile.
-        on_demand: Its inputs are received only while it has subscribers.
-        row: Name of its row of the table of adapters.
+        people: Whether it needs joints and vertices of the humans.
+        inputs: Topics of its camera that it needs, as names of :data:`CAMERA_INPUTS`.
+        posed: Camera with a pose that it needs. Empty for none.
+        repeated: Whether it is sent again while there are no frames, since its subscribers are volatile.
+        on_demand: Whether its inputs are received only while it has subscribers.
+        row: Name of its adapter in the table.
     """
 
     package: MessagePackage = VISION_MSGS
@@ -146,12 +146,12 @@ class AdapterTopic(Topic[Frame]):
         return cls(name, kind, build, lambda frame: frame, package=package, shown=True, **settings)
 
     def messages(self, frame: Frame, stamp: int) -> list[Any]:
-        """Build the messages of a frame: most topics have one, some a list of any length."""
+        """Build the messages of a frame. Most topics have one; some have a list of any length."""
         built = self.build(frame, stamp)
         return built if isinstance(built, list) else [built]
 
     def sent(self, frame: Frame) -> list[tuple[int, Any]]:
-        """Messages of a frame of a simulation, each with the time in nanoseconds at which it is sent."""
+        """Messages of a frame of a simulation, each with the time in nanoseconds when it is sent."""
         if self.per_frame and self.camera and self.camera not in frame.views:
             return []
         return [(frame.stamp, message) for message in self.messages(frame, frame.stamp)]
@@ -162,9 +162,9 @@ class Placed:
     """A frame of tf.
 
     Attributes:
-        frame_id: Its name.
+        frame_id: Name of the frame.
         pose: Position (3,) and quaternion (4,) xyzw in ``map`` at a frame of the scene; None for ``map``.
-        camera: Camera whose optical frame it is; empty for other frames.
+        camera: Camera, if this is its optical frame. Empty for other frames.
     """
 
     frame_id: str
@@ -178,40 +178,37 @@ class Placed:
 
 @dataclass(frozen=True)
 class FrameAxes:
-    """Pose of a frame in ``map``: converts what is in ``map``.
-
-    Velocities stay velocities over the ground: they are only expressed in the axes of the frame. Its own
-    motion is not subtracted, as receivers rotate velocities, and add no motion of a frame
-    (docs/people_messages.md).
-    """
+    """Pose of a frame in ``map``. Its methods convert what is given in ``map`` to this frame. Velocities stay
+    velocities over the ground. They are only expressed in the axes of the frame. The motion of the frame is
+    not subtracted, since receivers only rotate velocities (docs/people_messages.md)."""
 
     position: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
 
     def point(self, point: Array) -> Point:
-        """Point (3,) of ``map`` as a message."""
+        """Convert a point (3,) of ``map`` to a message."""
         x, y, z = (quaternion_to_matrix(self.rotation).T @ (point - self.position)).tolist()
         return Point(x=x, y=y, z=z)
 
     def vector(self, vector: Array) -> Vector3:
-        """Vector (3,) in the axes of ``map`` as a message."""
+        """Convert a vector (3,) in the axes of ``map`` to a message."""
         x, y, z = (quaternion_to_matrix(self.rotation).T @ vector).tolist()
         return Vector3(x=x, y=y, z=z)
 
     def pose(self, position: Array, rotation: Array) -> Pose:
-        """Pose in ``map``, position (3,) and quaternion (4,) xyzw, as a message."""
+        """Convert a pose in ``map`` (position (3,) and quaternion (4,) xyzw) to a message."""
         turned = multiply_quaternions(self.rotation * (-1, -1, -1, 1), rotation)
         x, y, z, w = turned.tolist()
         return Pose(position=self.point(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
 def section_of(adapter: str) -> str:
-    """Section of a scene with the settings of an adapter: ROS4HRI has one of its own."""
+    """Section of a scene with the settings of an adapter. ROS4HRI has its own section."""
     return adapter if adapter == "hri" else f"adapters.{adapter}"
 
 
 class AdapterScene:
-    """What the rows of the table need of a scene: names and frames, checked.
+    """Names and frames of a scene, checked, for the rows of the table.
 
     Args:
         scene: The scene.
@@ -223,11 +220,12 @@ class AdapterScene:
         self.scene, self._prefix, self._key = scene, frame_prefix, section_of(adapter)
 
     def error(self, text: str, key: str) -> SceneError:
-        """Error of a key of the row."""
+        """Make an error about a key of the row."""
         return SceneError(text, key=f"{self._key}.{key}")
 
     def camera(self, name: str, key: str) -> str:
-        """Return the name of a camera. Raises SceneError of the key if there is none."""
+        """Check the name of a camera and return it. Raises SceneError, which names the key, if there is
+        none."""
         if name not in self.scene.scene_cameras:
             raise self.error(unknown("camera", name, self.scene.scene_cameras, "the scene"), key)
         return name
@@ -244,7 +242,7 @@ class AdapterScene:
         return frames[frame_id]
 
     def _frames(self) -> dict[str, Placed]:
-        """Frames by the name that scenes give them, which have no prefix."""
+        """Frames by the name that scenes give them, without prefix."""
         scene, prefix = self.scene, self._prefix
         frames = {WORLD_FRAME: Placed(WORLD_FRAME)}
         if (robot := scene.robot) is not None:
@@ -264,7 +262,7 @@ class AdapterScene:
 
 
 def _base_pose(scene: Scene, frame: Frame) -> tuple[Array, Array]:
-    """Pose of ``base_link``, which does not vibrate as the body of the robot does."""
+    """Pose of ``base_link``. It does not vibrate, unlike the body of the robot."""
     robot, seconds = scene.robot, frame.scene_time * 1e-9
     assert robot is not None
     base = robot.base_of(frame.objects.get(ROBOT) or robot.body_at(seconds), seconds)
@@ -272,7 +270,7 @@ def _base_pose(scene: Scene, frame: Frame) -> tuple[Array, Array]:
 
 
 def _camera_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
-    """True pose of an optical frame, also where its calibration is wrong."""
+    """True pose of an optical frame, even if the calibration is wrong."""
     camera = scene.scene_cameras[name]
     calibrated = frame.camera_poses.get(name) or CameraPose.of(camera.camera)
     pose = camera.true_pose(calibrated, frame.scene_time * 1e-9)
@@ -288,7 +286,7 @@ def _scanner_pose(scene: Scene, name: str, frame: Frame) -> tuple[Array, Array]:
 
 
 def _hypothesis(pose: Pose | None = None) -> Any:
-    """The only hypothesis of a detection: a person, for certain."""
+    """The only hypothesis of a detection: it is a person, with certainty."""
     certain = VISION_MSGS.message("ObjectHypothesis")(class_id=PERSON, score=1.0)
     found = VISION_MSGS.message("ObjectHypothesisWithPose")(hypothesis=certain)
     found.pose.pose = Pose(orientation=Quaternion(w=1.0)) if pose is None else pose
@@ -298,12 +296,13 @@ def _hypothesis(pose: Pose | None = None) -> Any:
 def detections_2d_message(boxes: Mapping[str, BodyBox], whole: bool, stamp: int, frame_id: str) -> Any:
     """Build a vision_msgs/Detection2DArray.
 
-    A person without visible pixels, or of whole boxes nothing in the image, is not in it. Numbers have the
-    precision of ``<camera>/boxes``.
+    A person without visible pixels is left out. With whole boxes, a person outside the image is left out.
+    Numbers have the precision of ``<camera>/boxes``.
+
 
     Args:
         boxes: Boxes by person.
-        whole: Boxes of the whole bodies in place of the visible pixels.
+        whole: Whether boxes are those of the whole bodies, not those of the visible pixels.
         stamp: Nanoseconds.
         frame_id: Optical frame of the camera.
     """
@@ -325,7 +324,7 @@ def detections_3d_message(frame: Frame, placed: Placed, stamp: int) -> Any:
 
     Args:
         frame: Frame of the scene.
-        placed: Frame of the numbers.
+        placed: Frame of the coordinates.
         stamp: Nanoseconds.
     """
     message = VISION_MSGS.message("Detection3DArray")(header=header(stamp, placed.frame_id))
@@ -350,12 +349,12 @@ def label_info_message(frame_id: str) -> Any:
 def people_message(frame: Frame, placed: Placed, labels: Mapping[str, int], stamp: int) -> Any:
     """Build a people_msgs/People: the point on the floor below the hips of each person.
 
-    A velocity that is unknown is 0, with a tag ``velocity`` that says so.
+    An unknown velocity is 0, with a tag ``velocity`` that says so.
 
     Args:
         frame: Frame of the scene.
-        placed: Frame of the numbers.
-        labels: Instance labels by person, which are a tag.
+        placed: Frame of the coordinates.
+        labels: Instance label of each person, which becomes a tag.
         stamp: Nanoseconds.
     """
     message = PEOPLE_MSGS.message("People")(header=header(stamp, placed.frame_id))
@@ -380,9 +379,10 @@ def tracked_persons_message(
 
     Args:
         frame: Frame of the scene.
-        placed: Frame of the numbers.
-        labels: Instance labels by person, the ids of the tracks.
-        camera: Camera that sees the people: a person without visible pixels is occluded. None: all are seen.
+        placed: Frame of the coordinates.
+        labels: Instance label of each person, which becomes the id of the track.
+        camera: Camera that sees the people. A person without visible pixels is occluded. If None, all are
+            seen.
         stamp: Nanoseconds.
     """
     message = SPENCER_MSGS.message("TrackedPersons")(header=header(stamp, placed.frame_id))
@@ -415,11 +415,9 @@ def _variances(variance: float) -> Array:
 
 @dataclass(frozen=True)
 class ReceivedTruth:
-    """Truth of a camera from its topics, with the names of :class:`~humansim_ros.truth.CameraTruth`.
-
-    ``boxes``: boxes by human or labelled object. ``openpose``: keypoints of :data:`HRI_KEYPOINTS` by human.
-    ``image``: pixels and encoding of its colours.
-    """
+    """Ground truth of a camera, received from topics. Names are those of
+    :class:`~humansim_ros.truth.CameraTruth`. ``boxes``: boxes by human or labelled object. ``openpose``:
+    keypoints of :data:`HRI_KEYPOINTS` by human. ``image``: pixels and encoding of its colours."""
 
     boxes: Mapping[str, BodyBox] = field(default_factory=dict)
     openpose: Mapping[str, JointView] = field(default_factory=dict)
@@ -433,11 +431,11 @@ class ReceivedTruth:
 
 
 class CameraInput(NamedTuple):
-    """A topic below a camera that node ``bridge`` receives.
+    """A topic of a camera that node ``bridge`` receives.
 
     Attributes:
         type: Message class.
-        read: Reads the content of a message in a scene; RosError if it does not fit the scene.
+        read: Reads the content of a message. RosError if it does not fit the scene.
         field: Attribute of :class:`ReceivedTruth` for the content.
     """
 
@@ -466,8 +464,7 @@ def _read_body_boxes(message: PointCloud2, scene: Scene) -> dict[str, BodyBox]:
 
 def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
     """Keypoints of ``<camera>/keypoints/openpose137`` by human. Raises RosError unless each human has each
-    point once.
-    """
+    point once."""
     rows = read_joint_view(message)
     count, out = len(keypoint_set(HRI_KEYPOINTS)), {}
     for name, actor in scene.actors.items():
@@ -494,14 +491,14 @@ def _read_openpose(message: PointCloud2, scene: Scene) -> dict[str, JointView]:
 
 
 def _read_colours(message: Image, _: Scene) -> tuple[NDArray[Any], str]:
-    """Pixels and encoding of ``<camera>/image_raw``. Raises RosError if they are no colours."""
+    """Pixels and encoding of ``<camera>/image_raw``. Raises RosError if the image has no colours."""
     pixels = read_image(message)
     if pixels.dtype != np.uint8:
         raise RosError(f"images of encoding {message.encoding!r} have no colours")
     return pixels, message.encoding
 
 
-#: Topics below a camera that node ``bridge`` receives.
+#: Topics of a camera that node ``bridge`` receives.
 CAMERA_INPUTS: dict[str, CameraInput] = {
     "boxes": CameraInput(PointCloud2, _read_body_boxes, "boxes"),
     f"keypoints/{HRI_KEYPOINTS}": CameraInput(PointCloud2, _read_openpose, "openpose"),
@@ -512,11 +509,11 @@ CAMERA_INPUTS: dict[str, CameraInput] = {
 def received_frame(
     stamp: int, state: SceneState | None, cameras: Mapping[str, Mapping[str, Any]], scene: Scene
 ) -> Frame:
-    """Frame from messages, as far as adapters need it.
+    """Make a frame from messages, as far as adapters need it.
 
     Args:
         stamp: Nanoseconds.
-        state: Bodies and objects; None if no topic needs them.
+        state: Bodies and objects. None if no topic needs them.
         cameras: Contents of :data:`CAMERA_INPUTS` by camera and topic.
         scene: The scene.
 
@@ -558,9 +555,9 @@ class Adapter:
         name: Key of section ``adapters`` of a scene.
         package: Package of its messages.
         message: Its message.
-        topic: Usual topic, where ``<camera>`` stands for the name of a camera.
-        needs: What it is made of, in words.
-        topics: Returns its topics in a scene with the settings of its section.
+        topic: Usual topic. ``<camera>`` stands for the name of a camera.
+        needs: What its messages are made from, in words.
+        topics: Function that returns its topics in a scene.
     """
 
     name: str
@@ -577,7 +574,7 @@ class Adapter:
 
     @property
     def is_read(self) -> bool:
-        """Whether the evaluation reads these messages of trackers."""
+        """Whether the evaluation can read these messages from trackers."""
         return self.type in (*MESSAGE_TYPES, DETECTIONS_2D)
 
 
@@ -670,7 +667,7 @@ def _hri(scene: AdapterScene, config: HriConfig, _: str) -> Iterator[AdapterTopi
     newest: list[tuple[Frame, HriFrame]] = []
 
     def described(frame: Frame) -> HriFrame:
-        """People in a frame, described once for all topics."""
+        """Describe the people of a frame. It is done once for all topics."""
         if not newest or newest[0][0] is not frame:
             axes = placed.at(frame)
             to_camera = invert_rigid(transform(quaternion_to_matrix(axes.rotation), axes.position))
@@ -769,12 +766,12 @@ def adapter_topics(
     Args:
         scene: The scene.
         frame_prefix: Text before the frames of cameras and scanners.
-        adapters: Settings of the adapters by name; None: those of the scene.
-        installed: The message packages themselves are needed, as nodes do.
+        adapters: Settings of the adapters by name. If None, those of the scene.
+        installed: Whether the message packages must be installed, as nodes need them.
 
     Raises:
-        SceneError: A setting names no camera or frame of the scene; with file, line and key.
-        RosError: A message package is neither installed nor defined, or of another version.
+        SceneError: A setting names no camera or frame of the scene. The error names file, line and key.
+        RosError: A message package is neither installed nor defined, or has another version.
     """
     topics: list[AdapterTopic] = []
     settings = scene.config.adapter_settings if adapters is None else adapters

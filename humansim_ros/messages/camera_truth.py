@@ -1,4 +1,4 @@
-"""Messages of a camera's ground truth: joints, boxes and visible vertices as point clouds; its faults."""
+"""Messages of a camera's ground truth: joints, boxes and visible vertices as point clouds; and its faults."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, JointView
 from humansim_ros.types import Array, Color
 
-#: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
+#: One point of ``<camera>/joints``. It is padded to a multiple of four bytes.
 JOINT_POINT = np.dtype(
     {
         "names": ["x", "y", "z", "u", "v", "visible", "occluder", "human", "joint", "by", "behind"],
@@ -66,10 +66,8 @@ def joint_view_message(views: Sequence[tuple[int, JointView]], stamp: int, frame
 
 
 def read_joint_view(message: PointCloud2) -> NDArray[Any]:
-    """Read a ``<camera>/joints`` message as a structured array (N,) of :data:`JOINT_POINT`.
-
-    Recordings of earlier versions lack some of its fields. Raises RosError for another layout.
-    """
+    """Read a ``<camera>/joints`` message as a structured array (N,) of :data:`JOINT_POINT`. Recordings of
+    earlier versions lack some fields. Raises RosError for another layout."""
     return read_points(message, ("x", "y", "z", "u", "v", "visible", "human", "joint"))
 
 
@@ -83,7 +81,7 @@ def joint_places(points: NDArray[Any]) -> tuple[Array, Array]:
 
 
 def overlay_message(views: Sequence[JointView], radius: float, stamp: int, frame: str) -> ImageMarker:
-    """Build ``<camera>/overlay``: the joints inside the image as points, hidden ones in another colour.
+    """Build ``<camera>/overlay``: the joints inside the image as points. Hidden joints have another colour.
 
     Args:
         views: Joints of the humans.
@@ -124,13 +122,12 @@ def boxes_message(boxes: Sequence[tuple[int, BodyBox]], stamp: int, frame: str) 
 
 def read_boxes(message: PointCloud2) -> NDArray[Any]:
     """Read a ``<camera>/boxes`` message as a structured array (N,) of :data:`BOX_POINT`. Raises RosError for
-    another layout.
-    """
+    another layout."""
     return read_points(message, BOX_POINT.names or ())
 
 
 def body_box(point: Any, kind: Kind) -> BodyBox:
-    """Box of a point of :data:`BOX_POINT`, of a body of some kind."""
+    """Box of a point of :data:`BOX_POINT`. ``kind``: kind of the body."""
     with np.errstate(invalid="ignore"):  # signalling NaN
         visible, whole = (
             np.array([point[f"{part}{side}"] for side in ("left", "top", "right", "bottom")], dtype=float)
@@ -143,9 +140,8 @@ def body_box(point: Any, kind: Kind) -> BodyBox:
 def visible_vertices_message(
     masks: Sequence[tuple[int, NDArray[np.bool_]]], stamp: int, frame: str
 ) -> PointCloud2:
-    """Build ``<camera>/visible_vertices``, one point per visible vertex, from pairs of instance label and
-    mask (V,) of a body's vertices.
-    """
+    """Build ``<camera>/visible_vertices``, with one point per visible vertex. ``masks``: pairs of instance
+    label and mask (V,) of a body's vertices."""
     indices = [np.flatnonzero(mask) for _, mask in masks]
     points = np.zeros(sum(map(len, indices)), dtype=VISIBLE_VERTEX)
     if len(points):
@@ -156,17 +152,16 @@ def visible_vertices_message(
 
 def read_visible_vertices(message: PointCloud2) -> NDArray[Any]:
     """Read a ``<camera>/visible_vertices`` message as a structured array (N,) of :data:`VISIBLE_VERTEX`.
-    Raises RosError for another layout.
-    """
+    Raises RosError for another layout."""
     return read_points(message, VISIBLE_VERTEX.names or ())
 
 
 def faults_message(faults: FrameFaults, stamp: int, frame: str) -> DiagnosticArray:
-    """Build ``<camera>/faults``: a status for each fault of a frame, with its values.
+    """Build ``<camera>/faults``: one status, with values, for each fault of a frame.
 
     Args:
         faults: Faults of the frame.
-        stamp: Stamp of the frame, nanoseconds; the stamp of its image may be wrong.
+        stamp: Stamp of the frame, nanoseconds. The stamp of its image may be wrong.
         frame: Optical frame of the camera.
     """
     message = DiagnosticArray(header=header(stamp, frame))
@@ -178,7 +173,7 @@ def faults_message(faults: FrameFaults, stamp: int, frame: str) -> DiagnosticArr
 
 
 def read_faults(message: DiagnosticArray) -> dict[str, dict[str, float]]:
-    """Read the values of the faults of a frame by their kind."""
+    """Read the values of the faults of a frame, by kind of fault."""
     return {
         status.name: {value.key: float(value.value) for value in status.values} for status in message.status
     }

@@ -38,8 +38,8 @@ _MAX_DISTORTION, _MAX_NAME = 14, 64
 def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:
     """Build ``<camera>/camera_info``.
 
-    Size, K, D, R and P belong to the whole sensor, as drivers publish them. K contains the skew, which
-    OpenCV and image_geometry ignore; P has no skew.
+    Size, K, D, R and P belong to the whole sensor, as drivers publish them. K contains the skew, which OpenCV
+    and image_geometry ignore. P has no skew.
 
     Args:
         camera: Camera of the whole sensor.
@@ -99,16 +99,16 @@ def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
 
 
 def read_pose(message: PoseStamped) -> CameraPose:
-    """Read a ``<camera>/pose`` message. Raises RosError if it is not in ``map``, not finite or not a
-    rotation.
-    """
+    """Read a ``<camera>/pose`` message. Raises RosError if the pose is not in ``map``, not finite, or has no
+    valid rotation."""
     if message.header.frame_id != WORLD_FRAME:
         raise RosError(f"a camera's pose must be in {WORLD_FRAME}, this is in {message.header.frame_id!r}")
     return CameraPose.at(*rigid_pose(message.pose, "a camera's pose"))
 
 
 def rigid_pose(pose: Pose, what: str) -> tuple[Array, Array]:
-    """Position (3,) and rotation (4,) xyzw of a message. Raises RosError, which names ``what`` it is."""
+    """Position (3,) and rotation (4,) xyzw of a message. Raises RosError with the text ``what`` for the
+    pose."""
     p, q = pose.position, pose.orientation
     position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
     if not within_bounds([*position, *rotation]) or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
@@ -117,10 +117,10 @@ def rigid_pose(pose: Pose, what: str) -> tuple[Array, Array]:
 
 
 def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WORLD_FRAME) -> TransformStamped:
-    """Build ``<camera>/extrinsics``: pose of the optical frame in ``map``, as tf has it.
+    """Build ``<camera>/extrinsics``: pose of the optical frame in its parent frame, as tf expects it.
 
     Args:
-        camera: Its world is the parent frame.
+        camera: Camera. Its world is the parent frame.
         stamp: Nanoseconds.
         frame: Optical frame of the camera.
         parent: The parent frame.
@@ -131,7 +131,7 @@ def extrinsics_message(camera: Camera, stamp: int, frame: str, parent: str = WOR
 def transform_message(
     position: Array, rotation: Array, stamp: int, frame: str, child: str
 ) -> TransformStamped:
-    """Build a transform as tf has it.
+    """Build a transform, as tf expects it.
 
     Args:
         position: Position (3,) of the child frame in the frame, metres.
@@ -149,7 +149,7 @@ def transform_message(
 
 
 def read_extrinsics(message: TransformStamped) -> CameraPose:
-    """Read an ``<camera>/extrinsics`` message. Raises RosError as :func:`read_pose`."""
+    """Read an ``<camera>/extrinsics`` message. Raises RosError in the cases of :func:`read_pose`."""
     p, q = message.transform.translation, message.transform.rotation
     position = Point(x=p.x, y=p.y, z=p.z)
     return read_pose(PoseStamped(header=message.header, pose=Pose(position=position, orientation=q)))
@@ -207,9 +207,8 @@ def read_object(message: Marker) -> ObjectPose:
 
 
 def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
-    """Build ``objects/<name>/twist`` or ``<camera>/twist``: velocity in the axes of ``map``; NaN if it is
-    unknown.
-    """
+    """Build ``objects/<name>/twist`` or ``<camera>/twist``: velocity in the axes of ``map``. An unknown
+    velocity is NaN."""
     linear, angular = (np.full(3, np.nan),) * 2 if velocity is None else (velocity.linear, velocity.angular)
     message = TwistStamped(header=header(stamp, WORLD_FRAME))
     for part, value in ((message.twist.linear, linear), (message.twist.angular, angular)):
@@ -218,9 +217,8 @@ def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
 
 
 def read_twist(message: TwistStamped) -> Velocity | None:
-    """Read the velocity of a ``twist`` message; None if it is not finite, or beyond
-    :mod:`humansim_ros.errors`.
-    """
+    """Read the velocity of a ``twist`` message. None if the velocity is not finite, or beyond the bounds of
+    :mod:`humansim_ros.errors`."""
     parts = message.twist.linear, message.twist.angular
     linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)
     return Velocity(linear, angular) if within_bounds([*linear, *angular]) else None

@@ -1,4 +1,4 @@
-"""Serialised messages: written as bytes that depend on the content only, and read within limits.
+"""Serialised messages: written as bytes that depend only on the content, and read within limits.
 
 rclpy leaves the padding between fields undefined, so that two messages with the same content may differ in
 some bytes. The serialiser of rosbags writes zeros, and does not copy images twice.
@@ -19,8 +19,8 @@ from humansim_ros.messages.types import is_made, name_of, set_unchecked
 
 #: Most fields of a point cloud.
 MAX_FIELDS = 64
-#: Bytes of the longest serialised message that is read, by type, and of all other types. rclpy needs up to
-#: 0.6 s for a megabyte of small structures, but only a millisecond for a megabyte of points or text.
+#: Longest serialised message that is read, bytes, by type, and for all other types. rclpy needs up to 0.6 s
+#: for a megabyte of small structures, but only a millisecond for a megabyte of points or text.
 _MAX_BYTES = {
     "sensor_msgs/msg/MultiDOFJointState": 192 << 10,
     "visualization_msgs/msg/Marker": 128 << 10,
@@ -34,8 +34,8 @@ _MAX_OTHER = 64 << 10
 def serialised(message: Any, type_name: str) -> memoryview:
     """Serialise a message as little-endian CDR, ready for a bag.
 
-    Sequences of numbers in the message become NumPy arrays, single bytes numbers.
-    ``type_name``: such as ``sensor_msgs/msg/Image``.
+    Sequences of numbers in the message become NumPy arrays. Single bytes become numbers. ``type_name``: such
+    as ``sensor_msgs/msg/Image``.
 
     Raises:
         BagError: rosbags is not installed.
@@ -52,13 +52,12 @@ def serialised(message: Any, type_name: str) -> memoryview:
 
 @cache
 def _numbers(name: str) -> list[tuple[tuple[str, ...], str | None]]:
-    """Paths of all fields of a type that are sequences of numbers or a byte, and the type of the numbers.
-
-    A path has the attributes from the message on. A single byte has no type of numbers.
-    """
+    """Fields of a type that are sequences of numbers or a single byte: their paths, and the type of the
+    numbers. A path consists of attribute names, starting at the message. A single byte has no type of
+    numbers."""
     from rosbags.interfaces import Nodetype
 
-    is_defined(name)  # which adds it to the known types
+    is_defined(name)  # this adds it to the known types
     found: list[tuple[tuple[str, ...], str | None]] = []
     for attribute, description in message_types().get_msgdef(name).fields:
         node: Any = description[0]
@@ -75,7 +74,7 @@ def _numbers(name: str) -> list[tuple[tuple[str, ...], str | None]]:
 
 
 def _parts(message: Any, path: Sequence[str]) -> Iterator[Any]:
-    """Messages at a path of attributes; a list on the way stands for all its messages."""
+    """Messages at a path of attributes. A list on the path stands for all messages in it."""
     if isinstance(message, list):
         for each in message:
             yield from _parts(each, path)
@@ -91,10 +90,10 @@ def deserialised(data: bytes, kind: Any, max_bytes: int | None = None) -> Any:
     Args:
         data: Serialised message.
         kind: Message class.
-        max_bytes: Greatest length, as of :func:`check_serialised`.
+        max_bytes: Greatest length, the same as in :func:`check_serialised`.
 
     Raises:
-        RosError: The bytes are too long, or are no such message.
+        RosError: There are too many bytes, or they are no such message.
     """
     check_serialised(data, kind, max_bytes)
     # rosbags documents no exceptions for damaged messages
@@ -114,9 +113,9 @@ def _read(data: bytes, kind: Any) -> Any:
 
 
 def check_serialised(data: bytes, kind: Any, max_bytes: int | None = None) -> None:
-    """Refuse a serialised message that is too long, or has too many parts, to be read.
+    """Raise RosError if a serialised message is too long, or has too many parts, to be read.
 
-    ``max_bytes``: length of the longest message; None: the limit of its type.
+    ``max_bytes``: greatest length. If None, the limit of the type.
 
     Raises:
         RosError: The message is refused.
@@ -138,7 +137,7 @@ def unpack(form: str, data: bytes, offset: int) -> tuple[Any, ...]:
         offset: Position in ``data``.
 
     Raises:
-        RosError: The message ends before them.
+        RosError: The message is too short.
     """
     try:
         return struct.unpack_from(("<" if data[1] & 1 else ">") + form, data, offset)
@@ -147,7 +146,7 @@ def unpack(form: str, data: bytes, offset: int) -> tuple[Any, ...]:
 
 
 def _field_count(data: bytes) -> int:
-    """Number of fields of a serialised PointCloud2: after header, height and width."""
+    """Number of fields of a serialised PointCloud2. It stands after header, height and width."""
     (frame_length,) = unpack("I", data, 12)
     end = -(-(16 + frame_length) // 4) * 4
     (count,) = unpack("I", data, end + 8)

@@ -1,9 +1,10 @@
-"""Frames from messages: the one place that decides which frames are whole.
+"""Frames from messages: this module decides which frames are whole (complete).
 
-A frame is the messages of one stamp. :class:`Frames` collects messages and says which frames are whole, which
-topics a frame lacks, and which messages belong to a stamp. :class:`PacedFrames` gives the frames of a running
-graph to a node, one after the other. :class:`RecordedFrames` keeps account of the frames of a recording in
-lockstep. Stamps are nanoseconds; arrival times are seconds of a monotonic clock of the caller.
+A frame is the set of messages with one stamp. :class:`Frames` collects messages. It says which frames are
+whole, which topics a frame lacks, and which messages belong to a stamp. :class:`PacedFrames` gives the frames
+of a running graph to a node, one after the other. :class:`RecordedFrames` keeps account of the frames of a
+recording in lockstep. It holds no messages. Stamps are nanoseconds; arrival times are seconds of a monotonic
+clock of the caller.
 """
 
 from __future__ import annotations
@@ -20,25 +21,28 @@ from typing import Any, Generic, TypeVar
 
 Content = TypeVar("Content")
 
-#: Stamp of a message that has none.
+#: Stands for the stamp of a message without stamp.
 _NO_STAMP = -1
-#: Nanoseconds after which a message that is not replaced belongs to no frame: images, and people.
+#: An image or people message older than this (nanoseconds) belongs to no frame, even if no newer one replaces
+#: it.
 _OLDEST = 10**9
-#: Seconds without a message after which frames do not wait for a topic.
+#: After this time without a message, seconds, frames do not wait for a topic.
 _SILENT = 1.0
 
 
 def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: int = _OLDEST) -> int | None:
-    """Find the message that belongs to a frame: its number, or None if there is none.
+    """Find the message that belongs to a frame. Returns its index, or None for no message.
 
-    The message of the stamp of the frame; else the nearest one within half a period; else the last one before
-    it, unless that is old. Where messages last: the last one up to the stamp, or the first one.
+    It is the message with the stamp of the frame; or else the nearest one within half a period; or else the
+    last one before the frame, unless that one is old. If messages last, it is the last one up to the stamp,
+    or else the first one.
+
 
     Args:
         stamps: Stamps of the messages in ascending order.
         stamp: Stamp of the frame.
         half: Half a period of the frames, nanoseconds.
-        lasts: A message holds until the next one, however long that takes.
+        lasts: Whether a message holds until the next one, however long that takes.
         oldest: Nanoseconds after which a message before the frame is old.
     """
     after = bisect_right(stamps, stamp)
@@ -53,10 +57,10 @@ def place_at(stamps: Sequence[int], stamp: int, half: int, lasts: bool, oldest: 
 
 
 def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
-    """Find the stamps of frames in which a camera takes a picture at a steady rate of its own.
+    """Find the stamps of those frames that a camera with its own steady rate captures.
 
-    Stamps count of frames whose picture is lost, too: where a gap is a multiple of the median interval. With
-    fewer than two pictures the rate is unknown: the camera is taken to have one in each frame.
+    Frames with a lost picture are included: there the gap is a multiple of the median interval. With fewer
+    than two pictures the rate is unknown. Then the camera is assumed to capture each frame.
 
     Args:
         stamps: Stamps of all frames in ascending order.
@@ -66,7 +70,7 @@ def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
         return set(stamps)
     period = median_low(after - before for before, after in pairwise(own))
     steps = sorted(after - before for before, after in pairwise(stamps))
-    half = steps[len(steps) // 10] / 2  # few stamps may be of a clock that was set
+    half = steps[len(steps) // 10] / 2  # a few stamps may come from a clock that was set
 
     def is_due(stamp: int) -> bool:
         place = bisect_left(own, stamp)
@@ -78,19 +82,21 @@ def due_stamps(stamps: Sequence[int], own: Sequence[int]) -> set[int]:
 
 
 class Frames(Generic[Content]):
-    """Messages by stamp and topic; a frame is whole when each required topic has a message.
+    """Messages by stamp and topic. A frame is whole when each required topic has a message.
 
-    Beyond a limit, the frames whose last message arrived first are forgotten. Threads may add and read at the
-    same time.
+    If a limit is exceeded, the frame that has had no new message for the longest time is forgotten first.
+    Threads may add and read at the same time.
+
 
     Args:
         required: Topics that have a message in a whole frame.
-        max_frames: Most frames that are held; None: any number.
-        max_of_topic: Most messages of a topic that are held; the smallest stamps go. None: any number.
-        max_size: Greatest sum of sizes that is held; None: any.
+        max_frames: Most frames that are held. If None, any number.
+        max_of_topic: Most messages of a topic that are held. Those with the smallest stamps are removed. If
+            None, any number.
+        max_size: Greatest sum of sizes that is held. If None, any sum.
         size_of: Size of a content.
-        new_run: Nanoseconds by which a stamp of a topic goes back when a new run begins: all frames are
-            forgotten then. None: stamps may go back.
+        new_run: If a stamp of a topic goes back by more than this (nanoseconds), a new run has begun, and all
+            frames are forgotten. If None, stamps may go back.
 
     Attributes:
         size: Sum of the sizes of all contents.
@@ -108,18 +114,18 @@ class Frames(Generic[Content]):
         new_run: int | None = None,
     ) -> None:
         self._required = dict.fromkeys(required)
-        #: Stamps at which frames need a topic, of topics that they do not need at all stamps.
+        #: For topics that are not in all frames: the stamps of the frames that need them.
         self._due: dict[str, set[int]] = {}
         self._max_frames, self._max_of_topic, self._max_size = max_frames, max_of_topic, max_size
         self._size_of, self._new_run = size_of, new_run
         self._lock = RLock()
-        #: Messages by stamp and topic; the frame with the newest message last.
+        #: Messages by stamp and topic. The frame with the newest message comes last.
         self._frames: dict[int, dict[str, Content]] = {}
-        #: Messages that last, by topic and stamp. They belong to no frame alone, and have no limit of size.
+        #: Messages that last, by topic and stamp. Alone they make no frame, and their size has no limit.
         self._lasting: dict[str, dict[int, Content]] = {}
         #: Stamps of the messages of each topic in ascending order.
         self._stamps: dict[str, list[int]] = {}
-        #: Stamp of the message of each topic that arrived last, and its arrival.
+        #: By topic: stamp and arrival time of the message that arrived last.
         self._heard: dict[str, tuple[int, float]] = {}
         self.size = self.forgotten = 0
 
@@ -127,7 +133,7 @@ class Frames(Generic[Content]):
         return len(self._frames)
 
     def require(self, topic: str, required: bool = True) -> None:
-        """Set whether frames are whole only with a message of a topic."""
+        """Set whether a topic is required for whole frames."""
         with self._lock:
             if required:
                 self._required[topic] = None
@@ -135,9 +141,9 @@ class Frames(Generic[Content]):
                 self._required.pop(topic, None)
 
     def require_when_due(self, topics: Collection[str]) -> set[int]:
-        """Require the topics of a camera only in the frames in which it takes a picture.
+        """Require the topics of a camera only in the frames that it captures.
 
-        The messages that are held say which frames these are, see :func:`due_stamps`.
+        The messages that are held show which frames these are (:func:`due_stamps`).
 
         Returns:
             The stamps of these frames.
@@ -150,7 +156,7 @@ class Frames(Generic[Content]):
     # --- messages
 
     def add(self, topic: str, stamp: int, content: Content, arrival: float = 0.0) -> bool:
-        """Add a message; of several with one topic and stamp, the last is held.
+        """Add a message. If several have the same topic and stamp, the last one is held.
 
         Args:
             topic: Topic of the message, required or not.
@@ -159,7 +165,7 @@ class Frames(Generic[Content]):
             arrival: Time of its arrival.
 
         Returns:
-            Whether its frame is whole now.
+            Whether the frame of the message is whole now.
         """
         with self._lock:
             if topic in self._lasting:
@@ -182,8 +188,8 @@ class Frames(Generic[Content]):
         """Add a message that lasts until the next one of its topic, however long that takes.
 
         Args:
-            topic: Topic of the message; all its messages last.
-            stamp: Stamp of the message; None if it has none: it replaces the last one.
+            topic: Topic of the message. All its messages last.
+            stamp: Stamp of the message. If None, the message has no stamp and replaces the last one.
             content: Content of the message.
             arrival: Time of its arrival.
         """
@@ -238,7 +244,7 @@ class Frames(Generic[Content]):
             self._lasting.pop(topic, None)
 
     def clear(self) -> None:
-        """Remove all frames; messages that last are kept."""
+        """Remove all frames. Messages that last are kept."""
         with self._lock:
             for stamp in list(self._frames):
                 self.pop(stamp)
@@ -246,12 +252,14 @@ class Frames(Generic[Content]):
     # --- frames
 
     def frame(self, stamp: int) -> dict[str, Content]:
-        """Return the messages of a stamp by topic, in the order of their arrival; none without a frame."""
+        """Return the messages of a stamp by topic, in the order of their arrival. Empty if there is no
+        frame."""
         with self._lock:
             return dict(self._frames.get(stamp, {}))
 
     def stamps(self, topics: Collection[str] | None = None) -> list[int]:
-        """Return the stamps of frames in ascending order; only frames with a message of some topics."""
+        """Return the stamps of frames in ascending order. If topics are given, only of frames with their
+        messages."""
         with self._lock:
             if topics is None:
                 return sorted(self._frames)
@@ -271,7 +279,7 @@ class Frames(Generic[Content]):
             return sorted(filter(self.is_whole, self._frames))
 
     def lacking(self) -> dict[str, int]:
-        """Return the required topics that some frames lack, with the number of these frames."""
+        """Return the required topics that some frames lack, each with the number of these frames."""
         with self._lock:
             counts = {
                 topic: len(self._due.get(topic, self._frames)) - len(self._stamps.get(topic, ()))
@@ -280,24 +288,26 @@ class Frames(Generic[Content]):
         return {topic: count for topic, count in counts.items() if count}
 
     def behind(self, stamp: int) -> list[str]:
-        """Return the required topics whose newest message is older than a stamp."""
+        """Return the required topics with a newest message that is older than a stamp."""
         return [topic for topic in self._required if (self._stamps.get(topic) or [_NO_STAMP])[-1] < stamp]
 
     def newest_whole(
         self, clock: Collection[str], needed: Collection[str], patience: int, now: float
     ) -> int | None:
-        """Return the stamp of the newest frame with a message of all needed topics that are not silent.
+        """Return the stamp of the newest frame that has a message of each needed topic. Silent topics are
+        ignored.
 
-        Topics that are rarer than frames, at a steady rate, are needed in their frames only.
+        A topic with a lower steady rate is needed only in its own frames.
 
         Args:
-            clock: Topics whose stamps are frames.
-            needed: Topics that a whole frame has; silent ones are not waited for.
+            clock: Topics. Each of their stamps is a frame.
+            needed: Topics that a whole frame must have.
             patience: Nanoseconds that a whole frame may be older than the newest frame.
             now: Present time, as the arrival of messages.
 
         Returns:
-            A stamp; of the newest frame if no frame is whole and new enough. None without frames.
+            The stamp. If no frame is whole and new enough, that of the newest frame. None if there are no
+            frames.
         """
         with self._lock:
             stamps = self.stamps(clock)
@@ -315,7 +325,7 @@ class Frames(Generic[Content]):
             return stamps[-1] if stamps else None
 
     def near(self, stamp: int, topics: Iterable[str], half: int, oldest: int = _OLDEST) -> dict[str, Content]:
-        """Return the messages that belong to a frame by topic, as :func:`place_at` finds them.
+        """Return the messages that belong to a frame, by topic. :func:`place_at` finds them.
 
         Args:
             stamp: Stamp of the frame.
@@ -349,7 +359,7 @@ class Frames(Generic[Content]):
         return self._lasting[topic][stamp] if topic in self._lasting else self._frames[stamp][topic]
 
     def silence(self, topics: Collection[str], now: float) -> float | None:
-        """Return the seconds since the last message of some topics; None if none has arrived."""
+        """Return the seconds since the last message of any of the topics; None if no message has arrived."""
         with self._lock:
             heard = [self._heard[topic][1] for topic in topics if topic in self._heard]
         return now - max(heard) if heard else None
@@ -357,15 +367,15 @@ class Frames(Generic[Content]):
 
 # --- of a running graph
 
-#: Incomplete frames that are held.
+#: Most incomplete frames that are held.
 _MAX_INCOMPLETE = 8
-#: Intervals between frames from which the period is estimated.
+#: Number of intervals between frames that the period is estimated from.
 _INTERVALS = 5
-#: Periods behind the newest frame after which a frame is late.
+#: A frame that is this many periods behind the newest frame is late.
 _MAX_PERIODS_LATE = 1.5
-#: Distance from the present, in nanoseconds and in periods, from which a stamp is of another clock.
+#: A stamp comes from another clock if it is this far from the present, in nanoseconds and in periods.
 _FAR, _FAR_PERIODS = 1_000_000_000, 4
-#: Seconds for which the last frame and the last message of a topic tell the present time.
+#: Seconds for which the last frame, and the last message of a topic, show the present time.
 _RECENT = 1.0
 
 
@@ -376,7 +386,7 @@ class WholeFrame:
     Attributes:
         stamp: Nanoseconds.
         contents: Content by topic.
-        skipped: Number of earlier frames that are given up for it.
+        skipped: Number of earlier frames that are given up for this frame.
     """
 
     stamp: int
@@ -386,12 +396,11 @@ class WholeFrame:
 
 @dataclass(frozen=True)
 class GivenUpFrame:
-    """Frame that is given up because too many are incomplete.
+    """An incomplete frame that is given up, since too many frames are incomplete.
 
     Attributes:
-        missing: Topics without a message of its stamp.
-        offsets: Seconds by which the stamps of a topic are ahead of the other topics, by topic; only topics
-            whose stamps are of another clock.
+        missing: Topics without a message in this frame.
+        offsets: By topic with stamps of another clock: seconds by which these are ahead of the other topics.
     """
 
     missing: list[str]
@@ -399,16 +408,18 @@ class GivenUpFrame:
 
 
 class PacedFrames(Frames[Any]):
-    """Frames that a node takes one after the other, whatever else arrives.
+    """Frames that a node takes one after the other.
 
-    At most eight incomplete frames are held. The first that are given up are far from the present: they have
-    stamps of another clock, such as a host whose clock is ahead, and would never be whole. The present is the
-    stamp of a frame that has just been whole. Without one, it is the time of the node's clock if a held frame
-    agrees with it, and else the median of the topics' newest stamps, as while a recording is played.
+    At most eight incomplete frames are held. Frames far from the present are given up first, since they have
+    stamps of another clock, such as that of a host ahead of time, and would never be whole. The present is
+    the stamp of a frame that has just been whole. If there is none, it is the time of the node's clock, if a
+    held frame agrees with it. Otherwise (while a recording is played) it is the median of the newest stamps
+    of the topics.
 
-    A whole frame far before the last one means that the clock was set back (a recording is played again). No
-    single message means that: one old stamp does not remove the present frames. The last frame may be whole
-    again: in lockstep it is sent again for nodes that have joined.
+
+    A whole frame far before the last one means that the clock was set back, since a recording is played
+    again. A single message does not mean that, so that one old stamp does not remove the present frames. The
+    last frame may be whole again, since lockstep sends it again for nodes that have joined.
 
     ``now`` is the time of the node's clock in nanoseconds.
     """
@@ -417,7 +428,7 @@ class PacedFrames(Frames[Any]):
         """``topics``: required topics. ``period``: expected nanoseconds between frames."""
         super().__init__(topics)
         self._newest_whole = 0
-        # nanoseconds between whole frames: the player's rate may differ from the scene's
+        # nanoseconds between whole frames, since the player's rate may differ from the scene's
         self._intervals: deque[float] = deque([period] * _INTERVALS, maxlen=_INTERVALS)
         # last frame that was taken: its stamp, and the node's clock and the monotonic seconds at that time
         self._last: tuple[int, int, float] | None = None
@@ -429,14 +440,14 @@ class PacedFrames(Frames[Any]):
 
     @property
     def _period(self) -> float:
-        return sorted(self._intervals)[1]  # robust to few reordered or lost frames
+        return sorted(self._intervals)[1]  # not affected by a few reordered or lost frames
 
     @property
     def _far(self) -> float:
         return max(_FAR, _FAR_PERIODS * self._period)
 
     def add(self, topic: str, stamp: int, content: Any, arrival: float = 0.0) -> bool:
-        # a message shortly before the last frame is too late
+        # a message from shortly before the last frame is too late
         if self._last is not None and self._last[0] - self._far <= stamp < self._last[0]:
             self._heard[topic] = stamp, arrival
             return False
@@ -448,10 +459,8 @@ class PacedFrames(Frames[Any]):
         return True
 
     def take(self, newest_if_late: bool, now: int, steady: float) -> WholeFrame | None:
-        """Remove and return the oldest whole frame, if there is one.
-
-        ``newest_if_late``: the oldest frame that is not late, or the newest one if all are.
-        """
+        """Remove and return the oldest whole frame, if there is one. ``newest_if_late``: return the oldest
+        frame that is not late, or the newest one if all are late."""
         whole = self.whole()
         if not whole:
             return None
@@ -462,17 +471,14 @@ class PacedFrames(Frames[Any]):
         past = [each for each in self._frames if stamp - far <= each < stamp]
         for each in past:
             self.pop(each)
-        # the last frame again, without some of its messages: it is not lost
+        # the last frame again, without some of its messages, is not lost
         repeated = self._last is not None and self._last[0] in past
         self._last = (stamp, now, steady)
         return WholeFrame(stamp, contents, len(past) - repeated)
 
     def give_up(self, now: int, steady: float) -> GivenUpFrame | None:
-        """Remove and return an incomplete frame if there are too many.
-
-        It is the one that has waited longest for a message, of the frames far from the present if there are
-        any.
-        """
+        """Remove and return an incomplete frame if there are too many. It is the frame that has waited
+        longest for a message. If frames are far from the present, only these count."""
         incomplete = [stamp for stamp in self._frames if not self.is_whole(stamp)]
         if len(incomplete) <= _MAX_INCOMPLETE:
             return None
@@ -504,21 +510,22 @@ class PacedFrames(Frames[Any]):
 
 # --- of a recording in lockstep
 
-#: Bytes of a digest of a message.
+#: Number of bytes of the digest of a message.
 _DIGEST = 16
 
 
 class RecordedFrames:
-    """Account of the frames of a recording in lockstep, whose stamps never go back.
+    """Account of the frames of a recording in lockstep. Their stamps never go back. It holds no messages.
 
     The player sends a frame again for nodes that have joined, so messages come twice. A frame is whole when
-    every awaited topic has delivered its stamp or a newer one. A topic that was missing in a frame that the
-    player has left is not awaited until it delivers again: its node is gone.
+    every awaited topic has delivered the stamp of the frame or a newer one. If a topic was missing in a frame
+    and the player has gone on, the node of the topic is gone. It is not awaited until it delivers again.
+
 
     Args:
-        per_frame: Topics of the scene, which have one message for each stamp.
+        per_frame: Topics of the scene with one message for each stamp.
         awaited: Other topics that have to deliver each stamp.
-        copies: Returns how often a message of another topic and stamp is sent.
+        copies: Returns how many times a message of another topic is sent for a stamp.
 
     Attributes:
         awaited: Topics that have to deliver each stamp.
@@ -533,7 +540,7 @@ class RecordedFrames:
     ) -> None:
         self._per_frame, self.awaited = frozenset(per_frame), frozenset([*per_frame, *awaited])
         self._copies = copies
-        #: The newest message of each topic: digests of the messages of its stamp, with their number.
+        #: By topic: digests of the messages with the newest stamp, and how many there are of each.
         self._messages: Frames[Counter[bytes]] = Frames(self.awaited, max_of_topic=1)
         self.newest = 0
         self._resting: Collection[str] = ()
@@ -549,7 +556,8 @@ class RecordedFrames:
         if stamp == self.newest and resting:
             self._resting = resting
         if stamp > self.newest:
-            for topic in self.missing if self.newest else ():  # before the first frame, nobody had the time
+            # before the first frame, no node had the time to answer
+            for topic in self.missing if self.newest else ():
                 self._messages.require(topic, False)
             self.newest, self._resting = stamp, resting
             self._is_whole = False
@@ -559,10 +567,10 @@ class RecordedFrames:
         return self._is_whole and stamp == self.newest
 
     def add(self, topic: str, stamp: int, data: bytes) -> bool:
-        """Note a message; return whether it is new.
+        """Note a message. Returns whether the message is new.
 
-        Messages of topics per frame are repeated if their stamp is, messages of other topics if the same
-        bytes have come as often as they are sent.
+        A message of a topic per frame is a repetition if its stamp has come before. A message of another
+        topic is a repetition if the same bytes have come as many times as they are sent.
 
         Args:
             topic: Topic of the message.
@@ -590,7 +598,7 @@ class RecordedFrames:
         return True
 
     def take_whole(self) -> int | None:
-        """Return the stamp of the newest frame if it has become whole since the last call."""
+        """Return the stamp of the newest frame if it has become whole since the last call; else None."""
         if self._is_whole or not self.newest or self.missing:
             return None
         self._is_whole = True

@@ -9,24 +9,24 @@ from humansim_ros.messages.cdr import unpack
 from humansim_ros.messages.types import Header, Time, TimeReference
 
 WORLD_FRAME = "map"
-#: Topics of transforms that hold for a stamp, and of those that hold for all times.
+#: Topic of transforms that hold for a stamp, and topic of those that hold for all times.
 TF_TOPIC, TF_STATIC_TOPIC = "tf", "tf_static"
 _SECOND = 1_000_000_000
 _FRAME_NUMBER = re.compile(r"frame ([0-9]{1,15})")
 
 
 def optical_frame(camera: str) -> str:
-    """Optical frame of a camera unless its parameters name another: z forward, x right, y down (REP-103)."""
+    """Default optical frame of a camera: z forward, x right, y down (REP-103)."""
     return f"{camera}_optical_frame"
 
 
 def depth_optical_frame(optical: str) -> str:
-    """Optical frame of the depth sensor of the camera with an optical frame."""
+    """Optical frame of the depth sensor. ``optical``: optical frame of its camera."""
     return f"{optical.removesuffix('_optical_frame')}_depth_optical_frame"
 
 
 def to_time(nanoseconds: int) -> Time:
-    """Message of a stamp."""
+    """Convert nanoseconds to the stamp of a message."""
     seconds, rest = divmod(nanoseconds, _SECOND)
     return Time(sec=seconds, nanosec=rest)
 
@@ -57,10 +57,8 @@ def header(stamp: int, frame: str) -> Header:
 
 
 def scene_time_message(scene_time: int, stamp: int, index: int | None = None) -> TimeReference:
-    """Build ``scene_time``: the scene time that the frame of a stamp shows, both in nanoseconds.
-
-    ``index``: number of the frame; None if there is none.
-    """
+    """Build ``scene_time``: the scene time of the frame with a stamp, both in nanoseconds. ``index``: number
+    of the frame, or None."""
     source = "scene" if index is None else f"frame {index}"
     return TimeReference(header=header(stamp, WORLD_FRAME), time_ref=to_time(scene_time), source=source)
 
@@ -71,6 +69,6 @@ def read_scene_time(message: TimeReference) -> int:
 
 
 def read_frame_number(message: TimeReference) -> int | None:
-    """Read the number of the frame of a ``scene_time`` message; None if it has none."""
+    """Read the number of the frame in a ``scene_time`` message; None if absent."""
     found = _FRAME_NUMBER.fullmatch(message.source)
     return int(found[1]) if found else None

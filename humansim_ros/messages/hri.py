@@ -1,7 +1,7 @@
 """Messages of ROS4HRI (REP-155, draft; package hri_msgs 2.3): people as one camera sees them.
 
-Ids: a person has the name of the human, its body ``b_<name>`` and its face ``f_<name>``. Numbers are the
-truth; docs/ros4hri.md explains them.
+The id of a person is the name of the human. The body has the id ``b_<name>``, the face ``f_<name>``. All
+numbers are ground truth. docs/ros4hri.md explains them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from humansim_ros.types import Array
 
 #: Packages of the messages.
 HRI_MESSAGES, TF_MESSAGES = MESSAGE_PACKAGES["hri_msgs"], MESSAGE_PACKAGES["tf2_msgs"]
-#: Keypoint set that has the points of ``Skeleton2D`` and ``FacialLandmarks``.
+#: Keypoint set with the points of ``Skeleton2D`` and ``FacialLandmarks``.
 HRI_KEYPOINTS = "openpose137"
 
 #: Points in the order of ``hri_msgs/Skeleton2D``: OpenPose's COCO model, but with the left eye and ear first.
@@ -52,10 +52,11 @@ _SKELETON = (
     *("Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist"),
     *("RHip", "RKnee", "RAnkle", "LHip", "LKnee", "LAnkle", "LEye", "REye", "LEar", "REar"),
 )
-#: Points of detectors of faces: pupils, tip of the nose, corners of the mouth. A face is seen with three.
+#: Points that face detectors find: pupils, tip of the nose, corners of the mouth. A face is seen if three are
+#: visible.
 _FACE_SEEN, _FACE_POINTS = 3, ("face-68", "face-69", "face-30", "face-48", "face-54")
 _SELLION = "face-27"
-#: Confidence of a point by its visibility: an occluded one is known, but not seen.
+#: Confidence of a point by visibility. The place of an occluded point is known, but it is not seen.
 _CONFIDENCE = {VISIBLE: 1.0, OCCLUDED: 0.5}
 #: Size of the crop of a face, pixels (REP-155, /humans/faces/width and height).
 FACE_SIZE = 128
@@ -77,16 +78,17 @@ class HriPerson:
 
     Attributes:
         name: Name of the human.
-        roi: Box of the visible pixels (4,): left, top, right, bottom; None without.
+        roi: Box (4,) of the visible pixels: left, top, right, bottom. None if no pixel is visible.
         skeleton: Points (18, 3) of ``Skeleton2D``: x, y and confidence.
-        landmarks: Points (70, 3) of ``FacialLandmarks``; None unless the camera sees the face.
-        face_roi: Box (4,) of the landmarks inside the image; None without.
-        links: True poses (4, 4) of the links in ``map`` by name; none for a skeleton without the bones.
+        landmarks: Points (70, 3) of ``FacialLandmarks``. None unless the camera sees the face.
+        face_roi: Box (4,) of the landmarks inside the image. None if there are none.
+        links: True poses (4, 4) of the links in ``map`` by name. Empty if the skeleton lacks bones that
+            ROS4HRI needs.
         angles: Nearest angles (20,) of the joints, radians.
-        urdf: Returns the URDF of the person for the id of its body.
-        linear: Velocity (3,) of the body in its own axes, m/s; None if it is unknown.
-        angular: Its angular velocity (3,), rad/s.
-        face: Pose (4, 4) of the face in ``map``; None unless the camera sees it.
+        urdf: Function that returns the URDF of the person for the id of a body.
+        linear: Velocity (3,) of the body in its own axes, m/s. None if unknown.
+        angular: Angular velocity (3,) of the body, rad/s.
+        face: Pose (4, 4) of the face in ``map``. None unless the camera sees the face.
         gaze: Pose (4, 4) of the gaze in ``map``.
     """
 
@@ -105,12 +107,12 @@ class HriPerson:
 
     @property
     def is_seen(self) -> bool:
-        """Whether the camera sees a pixel of it."""
+        """Whether the camera sees at least one pixel of the person."""
         return self.roi is not None
 
     @property
     def has_face(self) -> bool:
-        """Whether the camera sees its face."""
+        """Whether the camera sees the face of the person."""
         return self.face_roi is not None
 
 
@@ -123,13 +125,17 @@ def hri_person(
     to_camera: Array,
     image_size: tuple[int, int],
 ) -> HriPerson:
-    """Describe a person as ROS4HRI does. Numbers of the image have the precision of the topics of the camera.
+    """Describe a person as ROS4HRI does.
+
+    Pixels, boxes and points are rounded to float32 first, so that they equal those in the topics of the
+    camera.
+
 
     Args:
         name: Name of the human.
-        links: Links of its skeleton; None if that has not the bones.
+        links: Links of its skeleton. None if the skeleton lacks the bones that ROS4HRI needs.
         state: Joints of the human.
-        box: Box of its visible pixels (4,), as :class:`~humansim_ros.truth.BodyBox` has it.
+        box: Box of its visible pixels (4,), as in :class:`~humansim_ros.truth.BodyBox`.
         keypoints: Keypoints of the set :data:`HRI_KEYPOINTS` in the image.
         to_camera: Transform (4, 4) from ``map`` to the optical frame.
         image_size: Width and height of the image.
@@ -166,7 +172,7 @@ def hri_person(
 
 
 def _shares(pixels: Array, visible: NDArray[np.uint8], size: tuple[int, int]) -> Array:
-    """Points (K, 3) of pixels (K, 2): x and y as shares of the image, 0 to 1, and confidence."""
+    """Points (K, 3): x and y of pixels (K, 2) as shares of the image, 0 to 1, and confidence."""
     confidence = np.zeros(len(visible))
     for state, value in _CONFIDENCE.items():
         confidence[visible == state] = value
@@ -180,7 +186,7 @@ def _clipped(box: Array, size: tuple[int, int]) -> Array:
 
 
 def _bounds(pixels: Array, size: tuple[int, int]) -> Array | None:
-    """Box (4,) of points (N, 2) as shares of the image; None if it has no area in the image."""
+    """Box (4,) of points (N, 2) as shares of the image; None if its area in the image is zero."""
     finite = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(finite):
         return None
@@ -195,7 +201,7 @@ class HriFrame:
     Attributes:
         people: People by name.
         to_camera: Transform (4, 4) from ``map`` to the optical frame.
-        image: Returns the image of the camera and its encoding; called only for crops.
+        image: Function that returns the image of the camera and its encoding. It is called only for crops.
     """
 
     people: Mapping[str, HriPerson]
@@ -210,11 +216,12 @@ class HriTopic:
     Attributes:
         name: Name without the leading slash.
         type: Message class.
-        build: Returns the messages of a frame with a stamp in nanoseconds; there may be none.
-        latched: Late subscribers get the last message.
-        has_image: It needs the image of the camera.
-        repeated: It is sent again while there are no frames, since subscriptions of ROS4HRI are volatile.
-        sparse: A frame may have no message of it, or several.
+        build: Function that returns the messages of a frame with a stamp in nanoseconds. There may be none.
+        latched: Whether late subscribers get the last message.
+        has_image: Whether it needs the image of the camera.
+        repeated: Whether it is sent again while there are no frames, since subscribers of ROS4HRI are
+            volatile.
+        sparse: Whether a frame may have no message of it, or several.
     """
 
     name: str
@@ -227,7 +234,8 @@ class HriTopic:
 
 
 def check_ids(people: Sequence[str]) -> None:
-    """Raise SceneError if an id of a body or face is the name of another person: all ids are matched."""
+    """Raise SceneError if the id of a body or face is the name of another person, since all ids must be
+    unique."""
     for name in people:
         for own in (body_id(name), face_id(name)):
             if own in people:
@@ -256,7 +264,8 @@ def hri_topics(people: Sequence[str], frame_id: str, image_size: tuple[int, int]
     for name in people:
         yield from _seen_topics(name, frame_id, image_size)
         yield from _person_topics(name)
-    yield from _lists(people, frame_id)  # last: a recording that has them has the others of their frame
+    # last, so that a recording that has these lists has the other topics of their frame
+    yield from _lists(people, frame_id)
 
 
 def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
@@ -276,12 +285,12 @@ def _lists(people: Sequence[str], frame_id: str) -> Iterator[HriTopic]:
         yield HriTopic(f"humans/{path}", kind, partial(build, id_of), repeated=True, sparse=False)
 
 
-#: Returns the message of a person in a frame; None without.
+#: Function that returns the message of a person in a frame; None for no message.
 _Build = Callable[[HriPerson, HriFrame, Header], Any]
 
 
 def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Iterator[HriTopic]:
-    """Topics of the body and face of a person, with messages while the camera sees them."""
+    """Topics of the body and face of a person. They have messages while the camera sees the person."""
     (width, height), own = image_size, body_id(name)
     skeleton, landmarks = (HRI_MESSAGES.message(kind) for kind in ("Skeleton2D", "FacialLandmarks"))
     body, face = f"humans/bodies/{own}", f"humans/faces/{face_id(name)}"
@@ -336,10 +345,8 @@ def _seen_topics(name: str, frame_id: str, image_size: tuple[int, int]) -> Itera
 
 
 def _person_topics(name: str) -> Iterator[HriTopic]:
-    """Topics of a person. An empty id says that there is no body or face now.
-
-    All are latched but ``location_confidence``: libhri subscribes to it as volatile.
-    """
+    """Topics of a person. An empty id means that there is no body or face now. All are latched except
+    ``location_confidence``, since libhri subscribes to it as volatile."""
     contents: dict[str, tuple[type[Any], Callable[[HriPerson], Any]]] = {
         "anonymous": (Bool, lambda _: False),
         "face_id": (String, lambda person: face_id(name) if person.has_face else ""),
@@ -370,11 +377,11 @@ def crop_message(
 
     Args:
         image: Pixels (H, W) or (H, W, 3).
-        encoding: Encoding of the image; a Bayer pattern becomes rgb8.
+        encoding: Encoding of the image. A Bayer pattern becomes rgb8.
         roi: Region (4,) as shares of the image.
         head: Header of the message.
-        size: Width and height of the crop, into which the region is scaled and centred on black; None: the
-            pixels as they are.
+        size: Width and height of the crop. The region is scaled to fit and centred on black. If None, the
+            pixels are not scaled.
     """
     if encoding.startswith("bayer"):
         image, encoding = color_image(image, encoding), "rgb8"
@@ -426,7 +433,7 @@ def _velocity_message(person: HriPerson, _: HriFrame, head: Header) -> TwistStam
 
 
 def _matches(frame: HriFrame, _: int) -> list[Any]:
-    """Messages on ``candidate_matches``: body and face of each person that is seen, for certain."""
+    """Messages on ``candidate_matches``: body and face of each visible person, with certainty."""
     kind = HRI_MESSAGES.message("IdsMatch")
     out = []
     for person in frame.people.values():
@@ -442,11 +449,8 @@ def _matches(frame: HriFrame, _: int) -> list[Any]:
 
 
 def _transforms(frame: HriFrame, stamp: int, frame_id: str) -> list[TransformStamped]:
-    """Transforms of the people that are seen.
-
-    Body and face are in the optical frame of the camera, links in the body, the gaze in the face, and the
-    person in ``map``.
-    """
+    """Transforms of the visible people. Body and face are in the optical frame of the camera, links in the
+    body, the gaze in the face, and the person in ``map``."""
     out = []
 
     def add(parent: str, child: str, pose: Array) -> None:

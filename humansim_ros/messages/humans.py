@@ -58,9 +58,8 @@ def joints_message(state: HumanState, stamp: int) -> MultiDOFJointState:
 
 
 def keypoints_message(names: Sequence[str], positions: Array, stamp: int) -> MultiDOFJointState:
-    """Build ``humans/<id>/keypoints/<set>`` from positions (K, 3) in ``map``; keypoints have no orientation
-    and no velocity.
-    """
+    """Build ``humans/<id>/keypoints/<set>`` from positions (K, 3) in ``map``. Keypoints have no orientation
+    and no velocity."""
     return _joint_state(names, positions, np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1)), None, None, stamp)
 
 
@@ -90,7 +89,7 @@ def _joint_state(
 def read_joints(message: MultiDOFJointState) -> JointPoses:
     """Read the joint poses (N = 1) of a ``motion`` or ``joints`` message.
 
-    Velocities that are not finite, or beyond :mod:`humansim_ros.errors`, are left out.
+    Velocities that are not finite, or beyond the bounds of :mod:`humansim_ros.errors`, are left out.
 
     Raises:
         RosError: Array lengths differ, there are too many joints, two have one name, a pose is not finite,
@@ -126,12 +125,12 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
 def human_state(
     poses: JointPoses, vertices: Float32Array, features: Mapping[str, Rated] = MappingProxyType({})
 ) -> HumanState:
-    """State of a human from the poses (N = 1) of a ``joints`` message, and what other messages have.
+    """State of a human from the poses (N = 1) of a ``joints`` message, and from other messages.
 
     Args:
         poses: Poses of its joints.
         vertices: Vertices (V, 3).
-        features: Values beside the joints by name of their topic.
+        features: Other values that are no joints, by name of their topic.
     """
     (rotations,), joints = poses.rotations, transform(quaternion_to_matrix(poses.rotations), poses.positions)
     linear, angular = (None if each is None else each[0] for each in (poses.linear, poses.angular))
@@ -141,7 +140,7 @@ def human_state(
 
 
 def rated_message(rated: Rated, stamp: int) -> JointState:
-    """Build a topic of values beside the joints, such as ``humans/<id>/face``: each value and its rate."""
+    """Build a topic of values that are no joints, such as ``humans/<id>/face``: each value with its rate."""
     message = JointState(header=header(stamp, WORLD_FRAME), name=list(rated.labels))
     message.position, message.velocity = rated.values.ravel().tolist(), rated.rates.ravel().tolist()
     return message
@@ -152,7 +151,7 @@ def read_rated(message: JointState, rest: Rated) -> Rated:
 
     Args:
         message: The message.
-        rest: Values at rest, with the same labels.
+        rest: Values at rest. The message must have the same labels.
 
     Raises:
         RosError: Other labels, or a value that is not within the limits.
@@ -199,7 +198,7 @@ def read_vertices(message: PointCloud2) -> Float32Array:
 
 
 def mesh_message(mesh: Mesh) -> MeshMessage:
-    """Build ``humans/<id>/mesh``: the surface at rest in body space (y up, facing +z)."""
+    """Build ``humans/<id>/mesh``: the surface in the rest pose, in body space (y up, facing +z)."""
     message = MeshMessage()
     message.vertices = [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()]
     message.triangles = [
@@ -209,11 +208,11 @@ def mesh_message(mesh: Mesh) -> MeshMessage:
 
 
 def read_mesh(data: bytes) -> Mesh:
-    """Read a serialised ``mesh`` message. rclpy needs a second for one of a human.
+    """Read a serialised ``mesh`` message. For a human, rclpy would need a second.
 
     Raises:
-        RosError: It is too long, ends too early, or has another length than it says.
-        MeshError: A triangle has no such vertex, or a vertex is not finite.
+        RosError: The message is too long, ends too early, or has another length than it states.
+        MeshError: A triangle names a vertex that does not exist, or a vertex is not finite.
     """
     if len(data) > _MAX_MESH:
         raise RosError(f"a mesh of {len(data)} bytes; at most {_MAX_MESH} are read")
@@ -226,17 +225,15 @@ def read_mesh(data: bytes) -> Mesh:
     order = "<" if data[1] & 1 else ">"
     corners = np.frombuffer(data, f"{order}u4", 3 * triangles, 8).reshape(-1, 3)
     faces = np.full((triangles, 4), -1, np.int32)
-    faces[:, :3] = np.minimum(corners, len(data))  # a number beyond 31 bits is no vertex either
+    faces[:, :3] = np.minimum(corners, len(data))  # a number beyond 31 bits is not a vertex either
     positions = np.frombuffer(data, f"{order}f8", 3 * vertices, points).reshape(-1, 3)
     return Mesh(positions.astype(float), faces)
 
 
 class MarkerBuilder:
-    """Builds ``humans/<id>/markers``: bones, joints and a coarse skin for RViz and Foxglove.
-
-    The skin is simplified once: vertices of the rest pose are merged in cells of ``cell`` metres, because
-    viewers are slow with 26,000 triangles.
-    """
+    """Builds ``humans/<id>/markers``: bones, joints and a coarse skin for RViz and Foxglove. The skin is
+    simplified once, since viewers are slow with 26,000 triangles: vertices of the rest pose are merged in
+    cells of ``cell`` metres."""
 
     def __init__(self, human: Human, cell: float = 0.035) -> None:
         self._skeleton = human.skeleton
@@ -277,7 +274,7 @@ class MarkerBuilder:
 
 
 def _coarse_triangles(mesh: Mesh, cell: float) -> Indices:
-    """Vertex indices (N, 3) of the triangles after all vertices of a cell are replaced by one of them."""
+    """Triangles (N, 3), as vertex indices, after all vertices of a cell are replaced by one of them."""
     cells = np.floor(mesh.vertices / cell).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     merged = first[inverse.ravel()][mesh.triangles]

@@ -1,4 +1,4 @@
-"""Messages of images: raw, and as image_transport's ``compressed`` and ``compressedDepth`` have them."""
+"""Messages of images: raw, or in image_transport's formats ``compressed`` and ``compressedDepth``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from humansim_ros.io.images import MAX_PIXELS, declared_size
 from humansim_ros.messages.headers import header
 from humansim_ros.messages.types import CompressedImage, Image, set_unchecked
 
-#: Element type and number of channels of encodings.
+#: Element type and number of channels, by encoding.
 _PIXELS = {
     **dict.fromkeys(("rgb8", "bgr8"), ("u1", 3)),
     **dict.fromkeys(("mono8", "8UC1", "bayer_rggb8"), ("u1", 1)),
@@ -26,13 +26,13 @@ _PIXELS = {
     "32FC2": ("f4", 2),
     "32FC3": ("f4", 3),
 }
-#: Colour encodings, which OpenCV encodes as bgr8; others are encoded as they are.
+#: Colour encodings. OpenCV encodes them as bgr8. Other images are encoded unchanged.
 _COLOR_ENCODINGS = ("rgb8", "bgr8")
 #: ``INV_DEPTH`` of the plugin, and its header: format, then the two coefficients of the inverse depth.
 _INVERSE_DEPTH = 0
 _CONFIG_HEADER = struct.Struct("<iff")
 _MAX_LEVEL = 65535
-#: Bytes in which the size of an image is looked for.
+#: The size of an image is searched in this number of bytes at its start.
 _MAX_HEAD = 1 << 20
 
 
@@ -56,8 +56,8 @@ class DepthCompression:
     """Settings of compressed depth, with the names and defaults of the plugin.
 
     Attributes:
-        depth_max: Metres from which on depth is not encoded.
-        depth_quantization: Metres at which the resolution is one metre.
+        depth_max: Largest depth that is encoded, metres.
+        depth_quantization: Depth with a resolution of one metre, metres.
         png_level: Compression level, 0 to 9; lossless.
     """
 
@@ -85,7 +85,7 @@ def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) ->
 
 
 def read_image(message: Image) -> NDArray[Any]:
-    """Pixels (H, W) or (H, W, C) of an Image. Raises RosError for other encodings, and for damaged ones."""
+    """Pixels (H, W) or (H, W, C) of an Image. Raises RosError for unknown encodings and damaged images."""
     if message.encoding not in _PIXELS:
         raise RosError(
             f"images of encoding {message.encoding!r} are not read; known are {', '.join(_PIXELS)}"
@@ -104,7 +104,7 @@ def read_image(message: Image) -> NDArray[Any]:
 
 
 def mask_pixels(mask: NDArray[Any]) -> NDArray[np.uint8]:
-    """Pixels (H, W) of a mask of one body: 255 where a mask of truth values is true; coverage as it is."""
+    """Pixels (H, W) of the mask of one body. A boolean mask becomes 0 and 255. Coverage is unchanged."""
     return mask if mask.dtype == np.uint8 else mask.astype(np.uint8) * np.uint8(255)
 
 
@@ -116,7 +116,7 @@ def set_data(message: Any, data: NDArray[Any]) -> None:
 def compressed_image_message(
     image: NDArray[np.uint8], encoding: str, settings: ImageCompression, stamp: int, frame: str
 ) -> CompressedImage:
-    """Build ``<camera>/image_raw/compressed``, or the same of another channel.
+    """Build ``<camera>/image_raw/compressed``, or the same topic of another channel.
 
     Args:
         image: Pixels (H, W) or (H, W, 3), 8 bits per sample; with PNG also (H, W) of 16 bits.
@@ -141,8 +141,9 @@ def compressed_depth_message(
 ) -> CompressedImage:
     """Build ``<camera>/depth/image/compressedDepth``: a header of 12 bytes and a 16 bit PNG of inverse depth.
 
-    A pixel is ``a / depth + b``, rounded, with a and b from the header; 0 from ``depth_max`` on. The decoded
-    depth d has an error of at most d * d / (2 a), where a = q (q + 1) and q is ``depth_quantization``.
+    A pixel is ``a / depth + b``, rounded, with a and b from the header. It is 0 from ``depth_max`` on. The
+    decoded depth d has an error of at most d * d / (2 a), where a = q (q + 1) and q is
+    ``depth_quantization``.
 
     Args:
         depth: Depth (H, W) in metres.
@@ -161,7 +162,8 @@ def compressed_depth_message(
 
 
 def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
-    """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding; 16 bits per sample if it is mono16.
+    """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding. Pixels of mono16 have 16 bits.
+
 
     Raises:
         RosError: The image is damaged, or of another kind.
@@ -180,9 +182,8 @@ def read_compressed_image(message: CompressedImage) -> tuple[NDArray[Any], str]:
 
 
 def read_pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
-    """Pixels and encoding of a raw or compressed image, or of compressed depth. Raises RosError if it is
-    damaged, or of an unknown encoding.
-    """
+    """Pixels and encoding of a raw or compressed image, or of compressed depth. Raises RosError if the
+    message is damaged, or has an unknown encoding."""
     if hasattr(message, "encoding"):
         return read_image(message), str(message.encoding)
     if "compressedDepth" in message.format:
@@ -191,7 +192,7 @@ def read_pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
 
 
 def read_compressed_depth(message: CompressedImage) -> NDArray[np.float32]:
-    """Depth (H, W) in metres of the format of :func:`compressed_depth_message`; inf where none is.
+    """Depth (H, W) in metres from the format of :func:`compressed_depth_message`; inf for no depth.
 
     Raises:
         RosError: The message is damaged, or of another format.

@@ -24,12 +24,12 @@ def motion_legend(source: JointSource) -> String:
 
 
 def live_legend() -> String:
-    """Build ``humans/<id>/motion/legend`` of a human that another node moves."""
+    """Build ``humans/<id>/motion/legend`` for a human that another node moves."""
     return _legend({"live": True})
 
 
 def read_legend(message: String) -> dict[str, Any]:
-    """Read a legend. Raises RosError if it is not a JSON object."""
+    """Read a legend. Raises RosError if the message is no JSON object."""
     data = parse_json(message.data, RosError, kind="the JSON of a legend")
     if not isinstance(data, dict):
         raise RosError("a legend must be a JSON object")
@@ -57,14 +57,17 @@ def joints_legend(
     licenses: Mapping[str, str] = MappingProxyType({}),
     data_license: str = "",
 ) -> String:
-    """Build ``<camera>/joints/legend``: names of the values of the fields ``human``, ``joint``, ``visible``
-    and ``occluder``. The names of ``by`` are in ``human`` and ``object``.
+    """Build ``<camera>/joints/legend``: names of the values of ``human``, ``joint``, ``visible`` and
+    ``occluder``.
+
+    The names of ``by`` are those of ``human`` and ``object``.
+
 
     Args:
         humans: Instance label and joint names by human.
         objects: Instance label by object.
-        licenses: Licence of the body by human, where it is known.
-        data_license: Licence of data sets of the scene, if it states one.
+        licenses: Licence of the body by human, if known.
+        data_license: Licence for data sets of the scene, if the scene states one.
     """
     named: dict[str, Any] = {"joint": {name: list(joints) for name, (_, joints) in humans.items()}}
     if licenses:
@@ -78,10 +81,8 @@ def keypoints_legend(
     humans: Mapping[str, tuple[int, bool]], objects: Mapping[str, int] = MappingProxyType({})
 ) -> String:
     """Build ``<camera>/keypoints/legend``: names of the values of the fields of ``<camera>/keypoints/<set>``.
-
-    ``humans``: instance label by human, and whether its points of the skin are known, not fitted.
-    ``objects``: instance label by object.
-    """
+    ``humans``: by human, the instance label, and whether points of the skin are known exactly, not fitted.
+    ``objects``: instance label by object."""
     named = {
         "joint": {name: list(keypoints.names) for name, keypoints in KEYPOINT_SETS.items()},
         "skin": {name: "exact" if exact else "fitted" for name, (_, exact) in humans.items()},
@@ -95,7 +96,7 @@ def faults_legend(schedule: FaultSchedule) -> String:
 
 
 def _view_legend(humans: Mapping[str, int], objects: Mapping[str, int], named: Mapping[str, Any]) -> String:
-    """Legend of points in the view of a camera; ``named``: what it says in addition."""
+    """Legend of points in the view of a camera. ``named``: further names that it contains."""
     return _legend(
         {
             "human": _by_label(humans),

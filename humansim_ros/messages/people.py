@@ -1,4 +1,4 @@
-"""Read the poses of people from messages of any tracker, of a bag or of a live graph."""
+"""Read the poses of people from messages of any tracker, from a bag or from a live graph."""
 
 from __future__ import annotations
 
@@ -14,30 +14,32 @@ from humansim_ros.errors import MAX_COORDINATE, EvaluationError, printable, with
 from humansim_ros.messages.points import point_rows
 from humansim_ros.types import Array
 
-#: visualization_msgs/Marker: types with a list of points, a single one, and actions that add nothing.
+#: visualization_msgs/Marker: types with a list of points, the type of a single point, and actions that add
+#: nothing.
 _LISTS, _SPHERE, _DELETE = (7, 8), 2, (2, 3)
-#: Fields of a point cloud that number the person, and those that give a confidence.
+#: Fields of a point cloud with the number of the person, and fields with a confidence.
 _PERSON_FIELDS, _SCORE_FIELDS = ("person", "id", "instance", "label"), ("score", "confidence")
-#: Most people of a message: more are no estimate of a room.
+#: Most people of a message. More people are no plausible estimate of a room.
 MAX_PEOPLE = 1000
-#: Greatest coordinate; millimetres are still allowed.
+#: Greatest coordinate. It allows for millimetres.
 MAX_POSITION = MAX_COORDINATE * 1000
 
-#: Name of the only point of people who have no joints: it counts as the point on the floor below the hips.
+#: Name of the only point of people without joints. It counts as the point on the floor below the hips.
 GROUND = "ground"
-#: Classes of detections that are people, in small letters: names, and the number of YOLO's models.
+#: Classes of detections that are people, in lower case: names, and the number in YOLO's models.
 PERSON_CLASSES = frozenset({"person", "people", "pedestrian", "human", "0"})
 #: Type of the messages with boxes in images.
 DETECTIONS_2D = "vision_msgs/msg/Detection2DArray"
-#: Variance from which a number of spencer_tracking_msgs is not set.
+#: In spencer_tracking_msgs, a variance above this means that a number is unknown.
 _UNSET = 99_999
 
-#: Names of points in their order; None if nobody has given them.
+#: Names of points in their order. None if nobody has given names.
 PointNames = tuple[str, ...] | None
 
 
 class Pose(NamedTuple):
-    """A person of a message; ``person`` is None if it has no name there. ``positions``: (K, 3)."""
+    """A person of a message. ``person``: its name; None if the message has no name for it. ``positions``: (K,
+    3)."""
 
     person: str | None
     names: tuple[str, ...]
@@ -50,9 +52,9 @@ class PoseFrame:
     """The people of a message.
 
     Attributes:
-        stamp: Nanoseconds; None if the message has no header, and nobody is in it.
+        stamp: Nanoseconds. None if the message has no header and no people.
         frame_id: Coordinate frame of the positions, as the message names it.
-        people: Everybody in it.
+        people: All people of the message.
     """
 
     stamp: int | None
@@ -77,10 +79,10 @@ def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
     Args:
         kind: Type of the message, one of :data:`MESSAGE_TYPES`.
         message: A message of rclpy, or of another library with the same attributes.
-        names: Names of points that have none, in their order.
+        names: Names for points without names, in their order.
 
     Raises:
-        EvaluationError: The message contradicts itself or the names, or its numbers are beyond all bounds.
+        EvaluationError: The message contradicts itself or the names, or its numbers are too large.
     """
     try:
         people = list(islice(_READERS[kind](message, names), MAX_PEOPLE + 1))
@@ -106,7 +108,7 @@ def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
     headers = [marker.header for marker in message.markers] if kind == _MARKERS else [message.header]
     if not headers:
         return PoseFrame(None, "", people)
-    # markers that delete others may have no stamp
+    # markers that delete other markers may have no stamp
     newest = max(headers, key=_nanoseconds)
     stamp = _nanoseconds(newest)
     if not 0 <= stamp < 1 << 62:
@@ -136,7 +138,7 @@ def _multi_dof(message: Any, _: PointNames) -> Iterator[Pose]:
 
 
 def _of_points(points: Array, names: PointNames) -> Iterator[Pose]:
-    """People of a list of points (N, 3) in the order of the joints, one person after the other."""
+    """People of a list of points (N, 3). The points are in the order of the joints, person by person."""
     if not len(points):
         return
     names = _required(names)
@@ -181,7 +183,7 @@ def _markers(message: Any, names: PointNames) -> Iterator[Pose]:
 
 
 def _marker_person(marker: Any) -> str:
-    """Name of the person of a list of points: the first part of the namespace, or its id."""
+    """Name of the person of a list of points: the first part of the namespace, or the id."""
     return str(marker.ns).partition("/")[0] or str(marker.id)
 
 
@@ -201,7 +203,7 @@ def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
         yield from _of_points(positions, names)
         return
     numbers = np.unique(points[person][np.isfinite(points[person])])
-    for number in numbers[: MAX_PEOPLE + 1]:  # each takes a look at all points
+    for number in numbers[: MAX_PEOPLE + 1]:  # each look-up goes through all points
         rows = np.flatnonzero(points[person] == number)
         order = points[joint][rows].astype(int) if joint else np.arange(len(rows))
         if len(rows) > len(names) or (order >= len(names)).any() or (order < 0).any():
@@ -218,7 +220,7 @@ def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
 
 
 def _point(person: object, point: Any, score: float | None = None) -> Pose:
-    """Person of whom a message has one point."""
+    """A person with a single point."""
     positions = np.array([[point.x, point.y, point.z]], dtype=float)
     known = score is not None and math.isfinite(score)
     return Pose(str(person) if person != "" else None, (GROUND,), positions, score if known else None)
@@ -232,13 +234,14 @@ def _people(message: Any, _: PointNames) -> Iterator[Pose]:
 def _tracked_persons(message: Any, _: PointNames) -> Iterator[Pose]:
     for track in message.tracks:
         pose = _point(track.track_id, track.pose.pose.position)
-        if any(track.pose.covariance[place] > _UNSET for place in (0, 7)):  # either may be NaN
+        if any(track.pose.covariance[place] > _UNSET for place in (0, 7)):  # either variance may be NaN
             pose.positions[:] = np.nan
         yield pose
 
 
 def _detected_people(message: Any) -> Iterator[tuple[Any, float | None]]:
-    """Detections of people of a message of vision_msgs, each with its score; None without a hypothesis."""
+    """Detections of people in a message of vision_msgs, each with its score; None for a detection without
+    hypothesis."""
     for found in message.detections:
         best = max((each.hypothesis for each in found.results), key=lambda each: each.score, default=None)
         if best is None or str(best.class_id).lower() in PERSON_CLASSES:
@@ -253,10 +256,10 @@ def _detections_3d(message: Any, _: PointNames) -> Iterator[Pose]:
 def read_boxes_2d(message: Any) -> list[tuple[float, float, float, float, float]]:
     """Read the boxes of people of a vision_msgs/Detection2DArray: left, top, right, bottom, and score.
 
-    The centre of the first pixel is (0, 0). A box without a score has 1.
+    The centre of the first pixel is (0, 0). A box without a score gets the score 1.
 
     Raises:
-        EvaluationError: The message is of another version, a box is rotated, or a number is not finite.
+        EvaluationError: The message has another version, a box is rotated, or a number is not finite.
     """
     boxes: list[tuple[float, float, float, float, float]] = []
     try:
@@ -287,10 +290,10 @@ _READERS: dict[str, Callable[[Any, PointNames], Iterator[Pose]]] = {
     "people_msgs/msg/People": _people,
     "spencer_tracking_msgs/msg/TrackedPersons": _tracked_persons,
 }
-#: Types of messages that hold poses of people.
+#: Types of messages with poses of people.
 MESSAGE_TYPES = tuple(_READERS)
 
 
 def has_one_point(kind: str) -> bool:
-    """Whether messages of a type have one point for each person, and no joints."""
+    """Whether messages of a type have a single point for each person, and no joints."""
     return _READERS[kind] in (_detections_3d, _people, _tracked_persons)

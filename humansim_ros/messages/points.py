@@ -13,20 +13,21 @@ from humansim_ros.messages.headers import header
 from humansim_ros.messages.images import set_data
 from humansim_ros.messages.types import Header, PointCloud2, PointField
 
-#: Number types by datatype of sensor_msgs/PointField.
+#: Number types by ``datatype`` of sensor_msgs/PointField.
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-#: Points of depth_image_proc: PCL reads x, y, z, and rgb, as groups of 16 bytes.
+#: Points of depth_image_proc. PCL reads x, y, z, and rgb, as groups of 16 bytes.
 XYZ_POINT = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 16})
 XYZRGB_POINT = np.dtype(
     {"names": ["x", "y", "z", "rgb"], "formats": ["<f4"] * 4, "offsets": [0, 4, 8, 16], "itemsize": 32}
 )
-#: Datatypes of the fields of our own clouds: unsigned integers and single floats.
+#: Datatypes of the fields of our own clouds: unsigned integers and float32.
 _WRITTEN = (2, 4, 6, 7)
 _NUMBERS = {np.dtype(f"<{kind}"): number for number, kind in _DATATYPES.items()}
 
 
 def point_cloud(points: NDArray[Any], head: Header) -> PointCloud2:
-    """Build a PointCloud2 with the fields of a structured array (N,), or (H, W), which may have NaN."""
+    """Build a PointCloud2 with the fields of a structured array (N,) or (H, W). An (H, W) array may have
+    NaN."""
     dtype, organized = points.dtype, points.ndim == 2
     assert dtype.fields is not None
     height, width = points.shape if organized else (1, len(points))
@@ -47,8 +48,8 @@ def image_points_message(
     """Build the points of an image in the layout of depth_image_proc.
 
     Args:
-        points: (H, W, 3) metres in the optical frame; NaN where there is none.
-        colors: (H, W, 3) rgb8; without ``rgb`` if None.
+        points: (H, W, 3) metres in the optical frame. NaN where there is no point.
+        colors: (H, W, 3) rgb8. If None, the message has no field ``rgb``.
         stamp: Nanoseconds.
         frame: Optical frame.
     """
@@ -76,19 +77,20 @@ def read_points(message: PointCloud2, required: Sequence[str]) -> NDArray[Any]:
         raise RosError(f"{len(message.data)} bytes are not {count} points of {message.point_step}")
     try:
         return point_rows(message)
-    except ValueError as reason:  # fields beyond the point, or two of one name
+    except ValueError as reason:  # fields beyond the end of the point, or two with one name
         raise RosError(f"the fields of a PointCloud2 are impossible: {reason}") from None
 
 
 def point_rows(message: Any) -> NDArray[Any]:
-    """Read the points of a cloud of any program as a structured array (N,), with the fields of one number.
+    """Read the points of a cloud from any program as a structured array (N,). It has the fields of one
+    number.
 
     Raises:
         ValueError: The fields do not fit the data.
     """
     order = ">" if message.is_bigendian else "<"
     fields = [field for field in message.fields if field.count == 1 and field.datatype in _DATATYPES]
-    for field in fields:  # NumPy takes great offsets for negative ones, and reads beside the data
+    for field in fields:  # NumPy takes huge offsets for negative ones, and would read outside the data
         if field.offset + np.dtype(_DATATYPES[field.datatype]).itemsize > message.point_step:
             raise ValueError(f"field {field.name} ends after byte {message.point_step} of a point")
     dtype = np.dtype(

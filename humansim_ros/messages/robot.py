@@ -17,9 +17,10 @@ from humansim_ros.types import Array
 
 
 def odometry_message(robot: Robot, base: ObjectPose, stamp: int) -> Odometry:
-    """Build ``odom``: pose of ``base_link`` since the start of the robot, and its velocity in its own axes.
+    """Build ``odom``: pose of ``base_link`` relative to the start of the robot, and its velocity in its own
+    axes.
 
-    It is exact: the covariances are 0.
+    The message is exact, so the covariances are 0.
 
     Args:
         robot: The robot.
@@ -40,7 +41,7 @@ def odometry_message(robot: Robot, base: ObjectPose, stamp: int) -> Odometry:
 
 
 def in_odometry(robot: Robot, base: ObjectPose) -> ObjectPose:
-    """Pose of ``base_link`` in the frame of its odometry. ``base``: its pose in ``map``."""
+    """Pose of ``base_link`` in the frame of the odometry. ``base``: pose of ``base_link`` in ``map``."""
     start = robot.start
     back = start.rotation * (-1, -1, -1, 1)
     position = quaternion_to_matrix(back) @ (base.position - start.position)
@@ -48,10 +49,10 @@ def in_odometry(robot: Robot, base: ObjectPose) -> ObjectPose:
 
 
 def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
-    """Stamp, and pose and velocity of ``base_link`` in ``map``, of a message of another node.
+    """Read odometry from another node. Returns the stamp, and pose and velocity of ``base_link`` in ``map``.
 
     Raises:
-        RosError: A number is not finite or out of range, the orientation is no rotation, or the message is of
+        RosError: A number is not finite or out of range, the orientation is no rotation, or the message has
             another frame.
     """
     config = robot.config
@@ -71,7 +72,7 @@ def read_odometry(message: Odometry, robot: Robot) -> tuple[int, ObjectPose]:
 
 
 def read_command(message: Twist) -> tuple[float, float]:
-    """Forward speed (m/s) and turn to the left (rad/s) of a command; RosError unless they are finite."""
+    """Forward speed (m/s) and turn rate to the left (rad/s) of a command. RosError unless both are finite."""
     speed, turn = float(message.linear.x), float(message.angular.z)
     if not (math.isfinite(speed) and math.isfinite(turn)):
         raise RosError(f"linear.x is {speed:g} and angular.z is {turn:g}: both must be finite")

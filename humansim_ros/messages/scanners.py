@@ -1,4 +1,4 @@
-"""Messages of laser scanners: points in the layouts of drivers, LaserScan, and their ground truth."""
+"""Messages of laser scanners: points in the layouts of drivers, LaserScan, and ground truth."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def _packed(*fields: tuple[str, str]) -> np.dtype[Any]:
 
 
 _XYZ = (("x", "f4"), ("y", "f4"), ("z", "f4"))
-#: One point of ``<scanner>/points`` by layout, as the ROS 2 driver of the maker has it: velodyne_pointcloud
-#: (PointXYZIRT), ouster_ros (Point), livox_ros_driver2 (PointXYZRTLT), nebula and Autoware (PointXYZIRCAEDT).
+#: One point of ``<scanner>/points`` by layout, as the ROS 2 driver of the maker defines it:
+#: velodyne_pointcloud (PointXYZIRT), ouster_ros (Point), livox_ros_driver2 (PointXYZRTLT), nebula and
+#: Autoware (PointXYZIRCAEDT).
 SCANNER_POINTS: dict[Layout, np.dtype[Any]] = {
     "velodyne": _packed(*_XYZ, ("intensity", "f4"), ("ring", "u2"), ("time", "f4")),
     "ouster": np.dtype(
@@ -49,7 +50,7 @@ SCANNER_POINTS: dict[Layout, np.dtype[Any]] = {
     ),
     "xyzi": _packed(*_XYZ, ("intensity", "f4")),
 }
-#: One point of ``<scanner>/truth/points``: the true point and distance, and the labels of what is there.
+#: One point of ``<scanner>/truth/points``: the true point and distance, and the labels of the surface.
 SCANNER_TRUTH = _packed(
     *_XYZ, ("range", "f4"), ("time", "f4"), ("instance", "u2"), ("part", "u1"), ("ring", "u1")
 )
@@ -61,7 +62,8 @@ def scanner_frame(scanner: str) -> str:
 
 
 def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
-    """Build ``<scanner>/points``. ``ouster`` has a table of rings and columns, NaN where nothing is measured.
+    """Build ``<scanner>/points``. In layout ``ouster``, it is a table of rings and columns, with NaN where
+    nothing is measured.
 
     Args:
         sweep: The sweep.
@@ -99,7 +101,7 @@ def points_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
 
 
 def _numbered(sweep: Sweep, layout: Layout) -> Rays:
-    """Rays of a sweep; in the layout of Ouster, rings are the rows of its table, and the highest is row 0."""
+    """Rays of a sweep. In layout ``ouster``, rings are the rows of the table, and the highest is row 0."""
     return sweep.rays.from_top() if layout == "ouster" else sweep.rays
 
 
@@ -108,7 +110,7 @@ def _one_each(rays: NDArray[np.intp]) -> bool:
 
 
 def _table(sweep: Sweep, rays: Rays, points: NDArray[Any], head: Any) -> PointCloud2:
-    """Cloud of rings and columns, with a point for each ray."""
+    """Cloud of rings and columns. Each ray has a point."""
     assert rays.grid is not None
     rings, columns = rays.grid
     table = np.zeros((rings, columns), points.dtype)
@@ -128,7 +130,7 @@ def _put(points: NDArray[Any], names: str, values: NDArray[Any]) -> None:
 
 
 def scan_message(sweep: Sweep, scanner: SceneScanner, frame: str) -> LaserScan:
-    """Build ``<scanner>/scan``: infinite where nothing is within range (REP-117)."""
+    """Build ``<scanner>/scan``. The range is infinite where nothing is within range (REP-117)."""
     rays, returns = sweep.rays, sweep.returns
     assert rays.azimuths is not None
     first, step = rays.azimuths
@@ -146,10 +148,8 @@ def scan_message(sweep: Sweep, scanner: SceneScanner, frame: str) -> LaserScan:
 
 
 def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointCloud2:
-    """Build ``<scanner>/truth/points``: as many points as the message of the layout has, in the same order.
-
-    A ray of a LaserScan, or of a table of Ouster, that has no return has a point of NaN.
-    """
+    """Build ``<scanner>/truth/points``: as many points as the message of the layout, in the same order. In a
+    LaserScan and in layout ``ouster``, a ray without a return has a point of NaN."""
     returns, rays = sweep.returns, _numbered(sweep, layout)
     points = np.zeros(len(returns.rays), SCANNER_TRUTH)
     _put(points, "xyz", sweep.true_points)
@@ -179,6 +179,5 @@ def scanner_truth_message(sweep: Sweep, layout: Layout, frame: str) -> PointClou
 
 def read_scanner_truth(message: PointCloud2) -> NDArray[Any]:
     """Read ``<scanner>/truth/points`` as a structured array (P,) of :data:`SCANNER_TRUTH`. Raises RosError
-    for another layout.
-    """
+    for another layout."""
     return read_points(message, SCANNER_TRUTH.names or ())

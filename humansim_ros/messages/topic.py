@@ -1,4 +1,4 @@
-"""One topic: name, type, quality of service, and how its messages are built from a frame of a simulation."""
+"""One topic: name, type, quality of service, and how its messages are built from a simulated frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from humansim_ros.scene.simulation import Frame
 
 Content = TypeVar("Content")
 
-#: Messages that publishers hold: of frame data, as camera drivers do, and of messages that are sent once.
+#: Number of messages that publishers hold: for data of frames (as camera drivers), and for messages that are
+#: sent once.
 DATA_DEPTH, LATCHED_DEPTH = 5, 1
 
 
@@ -23,22 +24,24 @@ class Topic(Generic[Content]):
     Attributes:
         name: Relative name.
         type: Message class.
-        build: Builds the message from its content and a stamp in nanoseconds.
-        content: Returns the content from a frame of a simulation.
-        latched: Late subscribers get the last message.
-        per_frame: Each frame has a message, and of a camera each frame in which it takes a picture;
-            otherwise there is one for the scene.
-        shown: ``humansim demo`` shows it.
-        camera: Name of the camera to which it belongs; empty for humans and objects.
+        build: Builds the message from a content and a stamp in nanoseconds.
+        content: Function that takes the content from a simulated frame.
+        latched: Whether late subscribers get the last message.
+        per_frame: Whether each frame has a message (for a camera, each frame that it captures). If False,
+            there is one message for the whole scene.
+
+        shown: Whether ``humansim demo`` shows it.
+        camera: Name of the camera that it belongs to. Empty for humans and objects.
         channels: Channels of the view that the message is built from.
-        rectified_depth: The message needs the depth of ``image_rect``.
-        optional: A recording has it only if it is asked for.
-        explains: Others cannot be understood without it: it is recorded with them.
-        faulty: Faults of the camera change its stamp, and when and how often it is sent.
-        raw: Name of the topic of the same images uncompressed; empty for all but compressed images.
-        scanner: Name of the laser scanner of whose sweeps it is; empty otherwise.
-        sparse: A frame may have no message of it, or several: recordings in lockstep do not wait for it.
-        absolute: Its name does not depend on the namespace of the node.
+        rectified_depth: Whether the message needs the depth of ``image_rect``.
+        optional: Whether a recording includes it only on request.
+        explains: Other topics need this topic. A recording always includes it with them.
+        faulty: Whether faults of the camera change its stamp, and when and how many times it is sent.
+        raw: For compressed images, the topic with the same images uncompressed. Empty for other topics.
+        scanner: Name of the laser scanner that it belongs to. Empty for other topics.
+        sparse: Whether a frame may have no message of it, or several. Recordings in lockstep do not wait for
+            it.
+        absolute: Whether its name is independent of the namespace of the node.
     """
 
     name: str
@@ -60,7 +63,7 @@ class Topic(Generic[Content]):
     absolute: bool = False
 
     def in_namespace(self, namespace: str) -> str:
-        """Absolute name of the topic of nodes in a namespace."""
+        """Absolute name of the topic for nodes in a namespace."""
         return f"/{self.name}" if self.absolute else f"{namespace.rstrip('/')}/{self.name}"
 
     @property
@@ -75,22 +78,22 @@ class Topic(Generic[Content]):
 
     @property
     def recorded(self) -> bool:
-        """Whether it is recorded unless topics are named."""
+        """Whether it is recorded if no topics are named."""
         return self.shown or self.explains or bool(self.scanner) or (self.latched and not self.optional)
 
     def sent(self, frame: Frame) -> list[tuple[int, Any]]:
-        """Messages of a frame of a simulation, each after the time in nanoseconds at which it is sent."""
+        """Messages of a simulated frame, each with the time in nanoseconds when it is sent."""
         if self.scanner:
             content: Any = frame.sweeps[self.scanner]
             return [(frame.stamp, self.build(sweep, sweep.stamp)) for sweep in content]
         if self.per_frame and self.camera and self.camera not in frame.views:
-            return []  # the camera takes no picture in this frame
+            return []  # the camera does not capture this frame
         sent = self._faults(frame).sent
         message = self.message(frame) if sent else None
         return [(frame.stamp + after, message) for after in sent]
 
     def message(self, frame: Frame) -> Any:
-        """Build the message of a frame of a simulation."""
+        """Build the message of a simulated frame."""
         return self.build(self.content(frame), self._faults(frame).stamp(frame.stamp))
 
     def _faults(self, frame: Frame) -> FrameFaults:

@@ -1,4 +1,5 @@
-"""The table of all topics of a scene: name, type, quality of service, and the function that builds messages.
+"""The table of all topics of a scene: name, type, quality of service, and the function that builds its
+messages.
 
 The nodes publish the topics of this table, ``humansim demo`` subscribes to them, and ``humansim record``
 writes them to bags. Nothing here is a node: :meth:`Topic.message` builds the message from a frame of a
@@ -75,21 +76,22 @@ from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 #: Topic with the scene time of each frame (sensor_msgs/TimeReference).
 SCENE_TIME = "scene_time"
 
-#: Last part of the name of the compressed topic of a channel, beside the topic of the channel.
+#: Last part of the name of the compressed topic of each channel. It is next to the topic of the channel.
 COMPRESSED = {
     "rgb": "compressed",
     "depth": "compressedDepth",
-    # labels fit into a PNG as they are; a recording may have them so
+    # labels fit into a PNG unchanged, so a recording may have them as PNG
     **{row.name: "compressed" for row in CHANNEL_TABLE.values() if row.encoding in ("mono8", "mono16")},
 }
 
-#: Namespaces of measured depth below a camera: in the pixels of its depth sensor, and of ``image_raw``.
+#: Namespaces of measured depth below a camera: with the pixels of the depth sensor, and with those of
+#: ``image_raw``.
 MEASURED_DEPTH = ("depth_sensor", "aligned_depth_to_color")
 _WHOLE_SENSOR = Region()
 #: Measurement of a depth sensor, and the view of its camera.
 DepthContent = tuple[DepthCapture, View]
 
-#: Channels whose topics ``humansim demo`` shows.
+#: Channels with topics that ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
 #: Functions that build the messages of properties of :class:`CameraTruth`.
 _TRUTH: Mapping[str, Callable[..., PointCloud2]] = {
@@ -97,11 +99,11 @@ _TRUTH: Mapping[str, Callable[..., PointCloud2]] = {
     "boxes": messages.boxes_message,
     "visible_vertices": messages.visible_vertices_message,
 }
-#: Legends that a recording has only if they are asked for.
+#: Legends that a recording includes only on request.
 _OPTIONAL_LEGENDS = ("keypoints", "body_part", "material")
 _DEFAULT_COMPRESSION = ImageCompression()
 
-#: Topics that nodes have, whatever the scene has.
+#: Topics of the nodes themselves, which do not depend on the scene.
 _TOPICS_OF_NODES = (
     *(TF_TOPIC, TF_STATIC_TOPIC, "clock", "frame_done"),
     *("diagnostics", "parameter_events", "rosout"),
@@ -109,12 +111,12 @@ _TOPICS_OF_NODES = (
 
 
 def _sent_once(name: str, kind: type[Any], build: Callable[[], Any], **settings: Any) -> Topic[None]:
-    """Topic with one message for the scene. ``settings``: other attributes of the topic."""
+    """Topic with one message for the whole scene. ``settings``: other attributes of the topic."""
     return Topic(name, kind, lambda *_: build(), lambda _: None, latched=True, per_frame=False, **settings)
 
 
 def _label_legends(scene: Scene) -> dict[str, Callable[[], String]]:
-    """Builders of the legends of labels, by what these number."""
+    """Builders of the legends of labels, by name of the labels."""
     legends = {"instance": lambda: messages.instance_legend(scene.labels)}
     if scene.actors:
         skeleton = next(iter(scene.actors.values())).human.skeleton
@@ -137,19 +139,19 @@ class HumanTopics:
 
     Attributes:
         motion: Joints of the motion.
-        legend: Meaning of the joints of the motion; without content for a human that another node moves.
-        frame: Stamps of frames for a human that another node moves.
+        legend: Meaning of the joints of the motion. It has no content for a human that another node moves.
+        frame: Stamps of frames, for a human that another node moves.
         joints: Joints of the body.
         vertices: Vertices of the body.
         markers: Bones, joints and a coarse skin for viewers.
         mesh: Surface at rest.
         keypoints: Keypoints in ``map`` by set.
-        face: Weights of the actions of the face; None for a human whose face does not move.
-        swing: Swing of loose cloth and hair; None for a human without.
+        face: Weights of the actions of the face. None if the face does not move.
+        swing: Swing of loose cloth and hair. None if the human has none.
     """
 
     def __init__(self, actor: Actor, live: bool = False) -> None:
-        """``live``: another node moves the human."""
+        """Create the topics. ``live``: another node moves the human."""
         name, root = actor.name, f"humans/{actor.name}"
         self._actor = actor
 
@@ -216,7 +218,7 @@ class HumanTopics:
 
     @cached_property
     def marker_builder(self) -> MarkerBuilder:
-        """Builds the markers; it simplifies the skin once."""
+        """Builder of the markers. It simplifies the skin once."""
         return MarkerBuilder(self._actor.human)
 
     def __iter__(self) -> Iterator[Topic[Any]]:
@@ -247,12 +249,12 @@ class RobotTopics:
     """Topics of the robot: ``odom``. Its body has the topics of a moving object.
 
     Args:
-        robot: One that no other node moves.
+        robot: The robot. No other node must move it.
 
     Attributes:
-        odom: Pose of ``base_link`` since its start, and its velocity.
+        odom: Pose of ``base_link`` relative to its start, and its velocity.
         start: Transform from ``map`` to the frame of its odometry.
-        base: Transform from there to ``base_link``, with the same content as ``odom``.
+        base: Transform from the frame of its odometry to ``base_link``. It has the content of ``odom``.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -282,26 +284,28 @@ class CameraTopics:
     Args:
         scene: The scene.
         camera: The camera.
-        frame: Optical frame; if None, the frame of the name of the camera. Images and calibrations of the
-            right camera of a stereo pair are in the frame of the left one, as image_geometry needs them.
-        channels: Channels that the renderer supports; other channels have no topic.
+        frame: Optical frame. If None, it is named after the camera. Images and calibrations of the right
+            camera of a stereo pair are in the frame of the left camera, since image_geometry needs them so.
+
+        channels: Channels that the renderer supports. Other channels have no topic.
 
     Attributes:
-        images: Images of the channels; channels of single bodies have an image for each.
-        png_labels: The images of integers of 8 and 16 bits as PNG, which only recordings have.
-        rectified: Images without lens distortion by channel; none if the camera has no distortion.
-        info: Calibration, beside the colour image: image_transport takes it from the namespace of the image.
-        truth_infos: True calibration, beside each other image.
+        images: Images of the channels. A channel per body has one topic for each body.
+        png_labels: Images of 8 and 16 bit integers as PNG. Only recordings have them.
+        rectified: Images without lens distortion by channel. Empty if the camera has no distortion.
+        info: Calibration. It is in the namespace of the colour image, where image_transport expects it.
+        truth_infos: True calibration, one in the namespace of each other image.
         depth_sensor: Topics of its depth sensor, if it has one.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
         keypoints: Keypoints by set.
         overlay: Joints to be drawn over the colour image by viewers.
         legends: Meaning of the numbers of the images, of the joints and of the keypoints; settings of faults.
         faults: Faults of each frame; empty for a camera without faults.
-        extrinsics: Pose as its calibration says; for each frame if the camera moves.
+        extrinsics: Pose according to the calibration. If the camera moves, one for each frame.
         true_extrinsics: True pose of a camera with a wrong calibration.
-        projection: Projection matrix; for each frame if the camera moves.
-        transforms: Its transforms on tf: ``extrinsics``, or its place on the robot, and its depth sensor.
+        projection: Projection matrix. If the camera moves, one for each frame.
+        transforms: Transforms on tf: ``extrinsics`` or the place of the camera on the robot, and the depth
+            sensor.
         pose: Pose of a camera with a trajectory.
         twist: Velocity of a camera with a trajectory.
     """
@@ -317,7 +321,7 @@ class CameraTopics:
         self._name = name = camera.name
         self._has_faults = camera.faults is not None
         self._frame = frame = messages.optical_frame(name) if frame is None else frame
-        # P of a right camera is for points in the frame of the left camera
+        # P of a right camera is meant for points in the frame of the left camera
         self._image_frame = frame.replace(name, camera.left) if camera.left else frame
         supported = [channel for channel in CHANNEL_TABLE.values() if channel.name in channels]
         self.images: Sequence[Topic[View]] = [
@@ -386,7 +390,7 @@ class CameraTopics:
                 f"{name}/{path}",
                 kind,
                 build,
-                # also of a camera that is not rendered: tf has all
+                # also for a camera that is not rendered, since tf has all cameras
                 lambda simulated: camera.published_at(
                     simulated.camera_poses.get(name) or CameraPose.of(camera.camera)
                 ),
@@ -461,7 +465,7 @@ class CameraTopics:
     def _channel_topics(
         self, channel: Channel, compression: ImageCompression | DepthCompression | None = None
     ) -> Sequence[Topic[View]]:
-        """Topic of a channel, or one for each labelled body. ``compression``: none for raw images."""
+        """Topic of a channel, or one topic for each labelled body. ``compression``: empty for raw images."""
         name, frame, encoding = self._name, self._image_frame, self._encoding(channel)
         is_raw = compression is None
 
@@ -525,7 +529,7 @@ class CameraTopics:
     def _builder(
         self, build: Callable[..., PointCloud2], values: Callable[[CameraTruth], Mapping[str, Any]]
     ) -> Callable[[CameraTruth, int], PointCloud2]:
-        """Function that builds the messages of some values by human or object."""
+        """Make a function that builds messages from values by human or object."""
         labels, frame = self._scene.labels, self._frame
 
         def message(truth: CameraTruth, stamp: int) -> PointCloud2:
@@ -606,9 +610,10 @@ class DepthSensorTopics:
         frame: Optical frame of the camera.
 
     Attributes:
-        optics: Its size and K, and its pose in the optical frame of the camera.
+        optics: Size and K of the sensor, and its pose in the optical frame of the camera.
         info: Its calibration.
-        aligned_info: Calibration beside measured depth in the pixels of ``image_raw``; None without it.
+        aligned_info: Calibration in the namespace of measured depth with the pixels of ``image_raw``. None if
+            there is no such depth.
         extrinsics: Pose of its optical frame in the optical frame of the camera.
         measured: Measured and exact depth, and points.
     """
@@ -699,7 +704,7 @@ class DepthSensorTopics:
 
 
 def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:
-    """Topics ``twist`` and ``pose`` of a camera with a trajectory, in each frame of the scene."""
+    """Topics ``twist`` and ``pose`` of a camera with a trajectory. Each frame of the scene has a message."""
 
     def content(frame: Frame) -> CameraPose:
         return frame.camera_poses[name]
@@ -720,13 +725,14 @@ class ScannerTopics:
     Args:
         scene: The scene.
         scanner: The scanner.
-        frame: Its frame; if None, the frame of its name.
+        frame: Frame of the scanner. If None, it is named after the scanner.
 
     Attributes:
         points: Points, or a LaserScan.
         truth: Ground truth of each point.
-        extrinsics: Pose of its frame in ``map``; for each frame of the scene if it moves.
-        transform: Its transform on tf: ``extrinsics``, or its place on the robot.
+        extrinsics: Pose of the scanner's frame in ``map``. If the scanner moves, one for each frame of the
+            scene.
+        transform: Transform on tf: ``extrinsics``, or the place of the scanner on the robot.
         legends: Meaning of the labels of the truth.
     """
 
@@ -785,7 +791,7 @@ def scene_topics(
     Args:
         scene: The scene.
         compression: Settings of the compressed images.
-        png_labels: With the topics of label images as PNG, which no node publishes.
+        png_labels: Whether topics of label images as PNG are included. No node publishes them.
     """
     topics: list[Topic[Any]] = [SCENE_TIME_TOPIC]
     transforms: list[Topic[Any]] = []
@@ -814,33 +820,35 @@ def scene_topics(
 
 
 def check_adapters(scene: Scene, installed: bool = False) -> None:
-    """Check the sections ``adapters`` and ``hri``: node ``bridge`` does it when others have started.
+    """Check the sections ``adapters`` and ``hri`` early. Otherwise node ``bridge`` would check them when
+    other nodes run already.
 
     Args:
         scene: The scene.
-        installed: The message packages that the node needs are checked, too.
+        installed: Whether the message packages that the node needs are checked, too.
 
     Raises:
-        SceneError: A setting names no camera or frame of the scene, or the topic of something else.
+        SceneError: A setting names no camera or frame of the scene, or a topic that something else has.
         RosError: See :func:`~humansim_ros.messages.adapters.adapter_topics`.
     """
     if scene.config.adapter_settings:
-        scene_topics(scene)  # with the topics of adapters
+        scene_topics(scene)  # this includes the topics of adapters
         if installed:
             adapter_topics(scene, installed=True)
 
 
 def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic]:
-    """Topics of the adapters. Raises SceneError if one has the name of another topic, of ``names`` too."""
+    """Topics of the adapters. Raises SceneError if one has the name of another topic, also one of
+    ``names``."""
     topics, settings = adapter_topics(scene), scene.config.adapter_settings
     rows = dict.fromkeys(names, "")
     for topic in topics:
         if topic.type_name == TF:
-            continue  # a part of it
+            continue  # it is a part of the topic
         if topic.name not in rows:
             rows[topic.name] = topic.row
             continue
-        # the one whose name the scene gives is to blame
+        # the error names the topic that has a name in the scene
         blamed, other = sorted(
             (topic.row, rows[topic.name]), key=lambda row: getattr(settings.get(row), "topic", None) is None
         )
@@ -851,12 +859,12 @@ def _checked_adapters(scene: Scene, names: Collection[str]) -> list[AdapterTopic
     return topics
 
 
-#: In place of a camera, for topics that are not of the scene.
+#: Stands for the camera of topics that are not from the scene.
 _OTHER_NODE = "/"
 
 
 class TimedTopics:
-    """Topics that have a message in some frames only: cameras may have rates of their own.
+    """Topics that have messages in some frames only, since cameras may have their own rates.
 
     Args:
         scene: The scene.
@@ -865,7 +873,7 @@ class TimedTopics:
 
     def __init__(self, scene: Scene, namespace: str) -> None:
         self._timings = {name: camera.timing for name, camera in scene.scene_cameras.items()}
-        #: Camera by topic of the scene; empty for topics of no camera.
+        #: Camera of each topic of the scene. Empty for topics of no camera.
         self._cameras: dict[str, str] = {}
         if self:
             self._cameras = {topic.in_namespace(namespace): topic.camera for topic in scene_topics(scene)}
@@ -875,13 +883,14 @@ class TimedTopics:
         return any(not timing.is_full for timing in self._timings.values())
 
     def resting(self, topics: Collection[str], index: int | None) -> Collection[str]:
-        """Return those of some topics that have no message in a frame.
+        """Return those of the topics that have no message in a frame.
 
-        Topics of other nodes have none in a frame without any picture: these nodes answer pictures.
+        Topics of other nodes have no message in a frame that no camera captures, since these nodes answer
+        pictures.
 
         Args:
             topics: Absolute names.
-            index: Number of the frame; None if it is unknown: all topics may have a message.
+            index: Number of the frame. If None, the frame is unknown, and all topics may have a message.
         """
         if not self or index is None:
             return ()

@@ -22,10 +22,10 @@ from humansim_ros.types import Array
 
 #: Type of the messages of tf.
 TF = "tf2_msgs/msg/TFMessage"
-#: Longest message, bytes, most frames, and most transforms of a frame that a running program keeps.
+#: Longest message, bytes; most frames; and most transforms of a frame that a running program keeps.
 _MAX_BYTES, _MAX_FRAMES, _MAX_KEPT = 1 << 20, 2000, 20_000
 _MAX_NAME = 256
-#: Translation and quaternion xyzw of a serialised transform, and their bytes.
+#: Translation and quaternion xyzw of a serialised transform, and their size in bytes.
 _NUMBERS, _NUMBERS_SIZE = "7d", 56
 
 
@@ -48,15 +48,16 @@ def fixed_transform(pose: ObjectPose, parent: str, child: str) -> Topic[ObjectPo
 
 @dataclass(frozen=True)
 class TransformTopic(Topic[Frame]):
-    """``/tf`` or ``/tf_static``: the transforms of all nodes in one message; none without transforms."""
+    """``/tf`` or ``/tf_static``. One message has the transforms of all nodes. No message if there are no
+    transforms."""
 
     @property
     def recorded(self) -> bool:
-        """Whether it is recorded unless topics are named."""
+        """Whether it is recorded if no topics are named."""
         return True
 
     def sent(self, frame: Frame) -> list[tuple[int, Any]]:
-        """Messages of a frame of a simulation, each after the time in nanoseconds at which it is sent."""
+        """Messages of a simulated frame, each with the time in nanoseconds when it is sent."""
         message = self.message(frame)
         return [(frame.stamp, message)] if message.transforms else []
 
@@ -64,14 +65,14 @@ class TransformTopic(Topic[Frame]):
 def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[TransformTopic]:
     """Topics ``/tf_static`` and ``/tf`` of a scene, if they have a transform.
 
-    A camera that has a rate of its own has a transform in its frames only.
+    A camera with its own rate has a transform only in the frames that it captures.
 
     Args:
         scene: The scene.
-        parts: Topics of all its transforms: of a TransformStamped, or of a list of TFMessages. Those that
-            have a message per frame are parts of ``/tf``.
+        parts: Topics of all transforms, each with a TransformStamped or a list of TFMessages. Topics with a
+            message per frame become part of ``/tf``.
     """
-    from humansim_ros.messages.types import TFMessage  # needs rosbags without tf2_msgs
+    from humansim_ros.messages.types import TFMessage  # rosbags is needed if tf2_msgs is not installed
 
     def message_of(own: Sequence[Topic[Any]]) -> Callable[[Frame, int], Any]:
         def build(frame: Frame, stamp: int) -> Any:
@@ -98,7 +99,7 @@ def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[Tran
                 lambda frame: frame,
                 latched=not moves,
                 per_frame=moves,
-                # transforms of people are made of the truth of a camera
+                # transforms of people are made from the truth of a camera
                 camera=next((part.camera for part in own if part.channels), ""),
                 channels=frozenset[str]().union(*(part.channels for part in own)),
                 absolute=True,
@@ -106,7 +107,8 @@ def transform_topics(scene: Scene, parts: Sequence[Topic[Any]]) -> Iterator[Tran
 
 
 def read_links(data: bytes, kind: str = TF) -> Iterator[tuple[str, str, int, int]]:
-    """Frames of the transforms of a message: many messages have more transforms than anybody needs.
+    """Read parent, child and stamp of the transforms of a message without converting the numbers, since most
+    are never used.
 
     Args:
         data: Serialised TFMessage or TransformStamped.
@@ -125,13 +127,13 @@ def read_links(data: bytes, kind: str = TF) -> Iterator[tuple[str, str, int, int
         seconds, nanoseconds = unpack("iI", data, at)
         parent, at = _frame_name(data, at + 8)
         child, at = _frame_name(data, at)
-        at += (4 - at) % 8  # places count from byte 4
+        at += (4 - at) % 8  # positions count from byte 4
         yield parent, child, seconds * 10**9 + nanoseconds, at
         at += _NUMBERS_SIZE
 
 
 def _frame_name(data: bytes, at: int) -> tuple[str, int]:
-    """Name of a frame at a place of a serialised message, and place of the number after it."""
+    """Name of a frame at a position of a serialised message, and the position after it."""
     end = at + 4 + unpack("I", data, at)[0]
     return str(data[at + 4 : end], "utf-8", "replace").rstrip("\0").strip("/"), end + -end % 4
 
@@ -139,13 +141,14 @@ def _frame_name(data: bytes, at: int) -> tuple[str, int]:
 class Transforms:
     """Tree of the transforms of tf.
 
-    Between two frames, the last transform up to a time counts, or else the first one. Of static transforms
-    the one that was added last holds for all times, and transforms of the other kind end with it, as in tf2
+    Between two frames, the last transform up to a time counts, or else the first one. The static transform
+    that was added last holds for all times and replaces all earlier transforms of the frame, as in tf2
     (https://github.com/ros2/geometry2, ``tf2/src/static_cache.cpp`` and ``buffer_core.cpp``).
 
+
     Args:
-        kept: Number of the newest transforms of a frame that are kept; None: all, as of a bag.
-        frames: Frames whose transforms are kept; None: all.
+        kept: Number of the newest transforms of a frame that are kept. If None (for a bag), all.
+        frames: Frames with transforms that are kept. If None, all.
     """
 
     def __init__(self, kept: int | None = _MAX_KEPT, frames: Collection[str] | None = None) -> None:
@@ -160,11 +163,12 @@ class Transforms:
 
         Args:
             data: Serialised TFMessage or TransformStamped.
-            topic: Name of its topic, which says whether it is static.
+            topic: Name of its topic, which decides whether transforms are static.
             kind: Type of the message.
 
         Raises:
-            RosError: It is too long or damaged, or a transform is impossible; earlier ones are kept.
+            RosError: The message is too long or damaged, or a transform is impossible. Earlier transforms are
+                kept.
         """
         is_static = topic.rpartition("/")[2] == TF_STATIC_TOPIC
         for parent, child, stamp, at in read_links(data, kind):
@@ -189,10 +193,8 @@ class Transforms:
             del above[stamps.pop(0)]
 
     def pose(self, frame: str, stamp: int) -> tuple[Array, str] | None:
-        """Pose (4, 4) of a frame in ``map``, or in the frame above all others, whose name is returned too.
-
-        None if the frame is unknown, or the tree has a loop. ``stamp``: nanoseconds.
-        """
+        """Pose (4, 4) of a frame in ``map``, or in the root frame. Returns also the name of ``map`` or the
+        root. Returns None if the frame is unknown, or the tree has a loop. ``stamp``: nanoseconds."""
         name, matrix, seen = frame.strip("/"), np.eye(4), set[str]()
         while name != WORLD_FRAME and name in self._above:
             if name in seen:
@@ -203,19 +205,20 @@ class Transforms:
         return (matrix, name) if seen or name == WORLD_FRAME else None
 
     def _step(self, name: str, stamp: int) -> tuple[str, Array]:
-        """Parent of a frame, and pose (4, 4) in it."""
+        """Parent of a frame, and the pose (4, 4) of the frame in it."""
         stamps = self._stamps[name]
         return self._above[name][stamps[max(0, bisect_right(stamps, stamp) - 1)]]
 
     def ambiguous(self) -> Iterator[tuple[str, list[str]]]:
-        """Frames that have had another parent, each with its first two parents by stamp."""
+        """Frames that have had several parents, each with its first two parents by stamp."""
         for child, stamps in self._stamps.items():
             parents = list(dict.fromkeys(self._above[child][stamp][0] for stamp in stamps))
             if len(parents) > 1:
                 yield child, parents[:2]
 
     def moving(self, frame: str) -> str:
-        """First frame from a frame upwards whose transform is not static; else the frame itself."""
+        """First frame, from a frame upwards, with a transform that is not static. If there is none, the frame
+        itself."""
         name, seen = frame, set[str]()
         while name in self._static - seen:
             seen.add(name)

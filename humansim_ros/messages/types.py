@@ -1,4 +1,4 @@
-"""Classes of messages: the installed ROS packages have them; without ROS, definitions give them.
+"""Classes of messages: from installed ROS packages, or else made from definitions.
 
 Definitions come from rosbags, and from ``config/interfaces`` for packages that rosbags does not know.
 
@@ -21,7 +21,7 @@ from humansim_ros.errors import RosError, printable
 from humansim_ros.io.assets import read_table
 
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
-#: Most characters of a name that is looked for.
+#: Most characters of a name that is searched.
 _MAX_NAME = 255
 #: Package of each class that this module exports.
 _PACKAGES = {
@@ -53,11 +53,12 @@ def __getattr__(name: str) -> Any:
 def message_type(name: str) -> Any:
     """Return the installed message class of a type such as ``sensor_msgs/msg/Image``.
 
-    Names come from other hosts and from files, and an import runs code: only packages with the library of a
-    message package are imported.
+    Names come from other hosts and from files, and an import runs code. So only packages with the library of
+    a message package are imported.
+
 
     Raises:
-        RosError: This is no name of a message, or its package is not installed or has no such message.
+        RosError: The name is no name of a message, or its package is not installed or has no such message.
     """
     matched = _NAME.fullmatch(name) if len(name) <= _MAX_NAME else None
     if matched is None:
@@ -75,7 +76,7 @@ def message_type(name: str) -> Any:
 
 
 def readable_type(name: str) -> Any:
-    """Return the message class of a type whose messages are read from bytes, installed or not.
+    """Return the message class for messages that are read from bytes, whether the type is installed or not.
 
     Raises:
         RosError: The type is neither installed nor known to rosbags.
@@ -92,13 +93,13 @@ def readable_type(name: str) -> Any:
 
 @dataclass(frozen=True)
 class MessagePackage:
-    """A package of messages that an adapter needs, and that may be absent.
+    """A message package that an adapter needs. It may be missing.
 
     Attributes:
         name: Name of the package.
-        version: Version whose messages are written and read.
-        install: What installs it: a command, or where its source is.
-        fields: Fields that are written and read, separated by spaces, by message.
+        version: Version of the messages that are written and read.
+        install: How to install it: a command, or the place of its source.
+        fields: By message: names of the fields that are written and read, separated by spaces.
     """
 
     name: str
@@ -107,10 +108,10 @@ class MessagePackage:
     fields: Mapping[str, str]
 
     def message(self, name: str) -> Any:
-        """Return the class of a message: the installed one, else one that is made from its definition.
+        """Return the class of a message: the installed class, or else one made from its definition.
 
         Raises:
-            RosError: The package is neither installed nor defined, or its messages are of another version.
+            RosError: The package is neither installed nor defined, or its messages have another version.
         """
         full_name = f"{self.name}/msg/{name}"
         if not _is_message_package(self.name):
@@ -132,10 +133,10 @@ class MessagePackage:
     def check(self, installed: bool) -> None:
         """Check all messages.
 
-        ``installed``: the package itself is needed, as nodes do.
+        ``installed``: the package must be installed, as nodes need it.
 
         Raises:
-            RosError: As of :meth:`message`.
+            RosError: In the cases of :meth:`message`.
         """
         if installed and not _is_message_package(self.name):
             raise RosError(f"the message package {self.name} is not installed here: {self.install}")
@@ -151,7 +152,7 @@ MESSAGE_PACKAGES = {name: MessagePackage(name, **row) for name, row in read_tabl
 
 
 def begins_with_stamp(kind: Any) -> bool:
-    """Return whether a message begins with a stamp: the stamp of a header, or its own as in Header itself."""
+    """Return whether a message begins with a stamp: that of its header, or its own as in Header."""
     fields = kind.get_fields_and_field_types()
     return next(iter(fields.values()), "") in ("std_msgs/Header", "builtin_interfaces/Time")
 
@@ -162,12 +163,12 @@ def name_of(kind: Any) -> str:
 
 
 def is_made(kind: Any) -> bool:
-    """Return whether a message class is not an installed one, but made from rosbags' definition."""
+    """Return whether a message class is made from rosbags' definition (not installed)."""
     return not hasattr(kind, "_TYPE_SUPPORT")
 
 
 def set_unchecked(message: Any, field: str, value: Any) -> None:
-    """Set a field without the check of each number that rclpy's classes do."""
+    """Set a field without rclpy's check of each number."""
     setattr(message, field if is_made(type(message)) else f"_{field}", value)
 
 
@@ -201,7 +202,7 @@ def made_type(name: str) -> Any:
 
 
 def _default(node: Any, content: Any) -> Any:
-    """Value of a field that is not given: zero, empty, or a message of such values."""
+    """Default value of a field: zero, empty, or a message of such values."""
     from rosbags.interfaces import Nodetype
 
     if node == Nodetype.NAME:
@@ -215,7 +216,8 @@ def _default(node: Any, content: Any) -> Any:
 
 
 def _field_type(node: Any, content: Any) -> str:
-    """Type of a field, as installed classes name the types of messages; the others are not needed."""
+    """Type of a field, in the words of installed classes if it contains messages. Other types are not
+    needed."""
     from rosbags.interfaces import Nodetype
 
     return str(content).replace("/msg/", "/") if node == Nodetype.NAME else ""
@@ -224,7 +226,7 @@ def _field_type(node: Any, content: Any) -> str:
 @cache
 def _is_message_package(package: str) -> bool:
     try:
-        spec = find_spec(package)  # imports nothing, because the name has no dot
+        spec = find_spec(package)  # this imports nothing, because the name has no dot
     except (ImportError, ValueError):
         return False
     folders = (spec and spec.submodule_search_locations) or ()

@@ -1,8 +1,8 @@
 """Record on a Ray cluster: tasks write shards, and the command writes the index of the bag.
 
-A shard is a range of frames. Which shards there are depends on the recording alone, never on the number of
-machines. A worker writes its shard to a temporary folder, and moves it to the output when it is whole.
-``metadata.yaml`` appears last: without it, a folder is no bag.
+A shard is a range of frames. The division into shards depends only on the recording, never on the number of
+machines. A worker writes its shard to a temporary folder, and moves it to the output when it is complete.
+``metadata.yaml`` appears last, since a folder without it is no bag.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from humansim_ros.jobs.ray_cluster import (
 from humansim_ros.record.output import OutputFolder
 from humansim_ros.record.recording import FrameChunks, SceneRecording
 
-#: File in a folder of shards that is not complete: what is being recorded.
+#: File in a folder with incomplete shards. It states what is being recorded.
 _PLAN = "recording.json"
 
 
 @dataclass(frozen=True)
 class ShardResult:
-    """A shard that a task has written: content and bytes."""
+    """A shard that a task has written: its content and its size in bytes."""
 
     content: Content
     size: int
@@ -48,8 +48,8 @@ class ClusterRecording:
 
     Attributes:
         recording: Content.
-        output: Folder of the bag, which gives the bag its name.
-        shard_frames: Frames of a shard; the last one may have less.
+        output: Folder of the bag. The bag has its name.
+        shard_frames: Number of frames of a shard. The last shard may have fewer.
     """
 
     recording: SceneRecording
@@ -71,13 +71,13 @@ class ClusterRecording:
 
     @property
     def plan(self) -> str:
-        """Text that says which files the folder will have, with which content."""
+        """Text that states which files the folder will have, with which content."""
         places = [(self.output.name, shard.name) for shard in self.shards]
         return json.dumps({"version": __version__, "custom": dict(self.recording.custom), "shards": places})
 
     @property
     def key(self) -> str:
-        """Equal for recordings with the same content."""
+        """Key that is equal for recordings with the same content."""
         return json.dumps(dict(self.recording.custom))
 
     def start(self) -> FrameWorker:
@@ -85,7 +85,7 @@ class ClusterRecording:
         return self.recording.start()
 
     def write_part(self, worker: FrameWorker, part: ClusterPart) -> PartResult:
-        """Write a shard and move it to the output; this runs in a task.
+        """Write a shard and move it to the output. This runs in a task.
 
         Raises:
             HumansimError: A disk is full, or a frame cannot be rendered there.
@@ -119,9 +119,9 @@ def cluster_recordings(
     """Bags of scenes.
 
     Args:
-        scenes: Recordings by the name of their folder in ``output``; an empty name is ``output`` itself.
+        scenes: Recordings by name of their folder in ``output``. An empty name is ``output`` itself.
         output: Absolute path or URL.
-        shard_frames: Frames of a shard.
+        shard_frames: Number of frames of a shard.
 
     Raises:
         BagError: The options of a plan are not for clusters.
@@ -150,15 +150,17 @@ def record_on_cluster(
 
     Args:
         recordings: Bags to record.
-        address: ``local`` starts Ray on this machine; ``auto``, ``host:port`` and ``ray://host:port`` name a
+        address: ``local`` starts Ray on this machine. ``auto``, ``host:port`` and ``ray://host:port`` name a
             cluster.
-        workers: Number of workers of ``local``; one for each core if None.
+
+        workers: Number of workers of ``local``. If None, one for each core.
         resume: Record only what is missing in the outputs.
-        on_progress: Called after each shard, with numbers of camera-frames; its argument is also the result.
+        on_progress: Called after each shard with the progress, in camera-frames. The last progress is also
+            the result.
 
     Raises:
-        BagError: Ray is missing or cannot be reached; an output exists, or holds another recording; or
-            shards could not be written, which the message lists. Those that are whole stay for ``resume``.
+        BagError: Ray is missing or cannot be reached; an output exists, or holds another recording; or shards
+            could not be written. The message lists these. Complete shards stay for ``resume``.
     """
     work = [(recording, _unwritten(recording, resume)) for recording in recordings]
     progress = FrameProgress.of(
@@ -179,7 +181,7 @@ def record_on_cluster(
 
 
 def _unwritten(recording: ClusterRecording, resume: bool) -> list[ClusterPart]:
-    """Shards that an output does not have. Raises BagError if the output is not to be used."""
+    """Shards that an output lacks. Raises BagError if the output must not be used."""
     output, shards = recording.output, recording.shards
     found = output.names()
     if not resume:
@@ -208,10 +210,10 @@ def _begin(recording: ClusterRecording) -> None:
 
 
 def _finish(recording: ClusterRecording, results: Mapping[ClusterPart, PartResult]) -> None:
-    """Make a bag of the shards of a recording, which are all there."""
+    """Make a bag of the shards of a recording when all are written."""
     output, recipe = recording.output, recording.recording
     if _PLAN not in output.names():
-        return  # it was complete
+        return  # it was complete before
     files = [(shard.name, _content(output, shard, results)) for shard in recording.shards]
     output.write(METADATA, metadata_text("mcap", recipe.topics, files, recipe.custom).encode())
     output.remove(_PLAN)

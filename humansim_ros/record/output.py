@@ -1,4 +1,5 @@
-"""Folders for output on any file system of fsspec, such as a local disk or s3; files appear there whole."""
+"""Output folders on any file system of fsspec, such as a local disk or s3. Files appear there only when
+complete."""
 
 from __future__ import annotations
 
@@ -12,9 +13,9 @@ from typing import Any, BinaryIO
 
 from humansim_ros.errors import BagError, HumansimError
 
-#: File systems on which an object appears when its upload is complete; moving one there copies it.
+#: File systems where an object appears only when its upload is complete. Moving a file there copies it.
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "http", "https"}
-#: Before the names of files that are not whole yet.
+#: Prefix of the names of incomplete files.
 _PARTIAL = ".partial-"
 
 
@@ -25,10 +26,8 @@ def is_url(text: str) -> bool:
 
 @dataclass(frozen=True)
 class OutputFolder:
-    """A folder, named by a path or a URL that fsspec knows. It may be given to other processes.
-
-    All methods raise BagError with the URL if the file system cannot be used or refuses.
-    """
+    """A folder, named by a path or a URL that fsspec knows. It can be sent to other processes. All methods
+    raise BagError with the URL if the file system cannot be used or refuses."""
 
     url: str
 
@@ -45,11 +44,11 @@ class OutputFolder:
             return system, str(path).rstrip("/")
 
     def __reduce__(self) -> tuple[type[OutputFolder], tuple[str]]:
-        return OutputFolder, (self.url,)  # file systems with threads cannot be given to other processes
+        return OutputFolder, (self.url,)  # file systems with threads cannot be sent to other processes
 
     @property
     def local(self) -> Path | None:
-        """The folder as a path of this machine; None for other file systems."""
+        """The folder as a path on this machine; None for other file systems."""
         system, path = self._place
         return Path(path) if "file" in self._protocols(system) else None
 
@@ -63,7 +62,7 @@ class OutputFolder:
         return OutputFolder(f"{self.url.rstrip('/')}/{name}")
 
     def names(self) -> set[str]:
-        """Names of the files and folders in it; none if it does not exist."""
+        """Names of the files and folders in it. Empty if the folder does not exist."""
         system, path = self._place
         with self._errors():
             system.invalidate_cache()
@@ -87,9 +86,9 @@ class OutputFolder:
             system.rm_file(f"{path}/{probe}")
 
     def put(self, source: Path, name: str) -> None:
-        """Move a local file into the folder; it gets its name when it is there as a whole."""
+        """Move a local file into the folder. The file gets its name there when it is complete."""
         if (folder := self.local) is not None:
-            with suppress(OSError):  # of another disk
+            with suppress(OSError):  # the file is on another disk
                 source.replace(folder / name)
                 return
         with self._complete(name) as partial, self._errors():
@@ -97,13 +96,14 @@ class OutputFolder:
         source.unlink()
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a small file at once."""
+        """Write a small file atomically."""
         with self._complete(name) as partial, self._errors():
             self._place[0].pipe_file(partial, content)
 
     @contextmanager
     def _complete(self, name: str) -> Iterator[str]:
-        """Path to write a file to, which is renamed at the end if a file appears before it is whole."""
+        """Path to write a file to. If the file system shows incomplete files, the path is renamed at the
+        end."""
         system, path = self._place
         if self._protocols(system) & _OBJECT_STORES:
             yield f"{path}/{name}"
@@ -151,12 +151,12 @@ class OutputFolder:
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Convert the exceptions of file systems: each library has its own."""
+        """Convert the exceptions of file systems, since each library has its own."""
         try:
             yield
         except HumansimError:
             raise
-        except ImportError as reason:  # "Install s3fs to access S3"
+        except ImportError as reason:  # such as "Install s3fs to access S3"
             raise BagError(f"{reason}, or write to a folder of this machine", path=self.url) from None
         except Exception as reason:
             text = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__

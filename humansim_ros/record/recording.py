@@ -44,9 +44,10 @@ LabelFormat: TypeAlias = Literal["raw", "png"]
 PLAN = "humansim_recording"
 #: Most topics that an error lists.
 _MAX_LISTED = 6
-#: Number of new frames from which the size of the others is estimated.
+#: After this number of new frames, the size of the others is estimated.
 _ESTIMATED_AFTER = 5
-#: Multiples of the free space from which an estimate is warned of and refused: frames differ in size.
+#: Multiples of the free space: an estimate above the first causes a warning, above the second an error.
+#: Frames differ in size.
 _MUCH, _TOO_MUCH = 0.9, 1.5
 
 
@@ -61,9 +62,9 @@ class RecordingPlan:
         images: Format of ``image_raw`` and ``image_raw/compressed``.
         storage: ``mcap`` or ``sqlite3``.
         compression: Compression of the chunks.
-        max_size: Size in bytes at which the bag is split; 0: never.
-        max_duration: Seconds after which the bag is split; 0: never.
-        device: Device that renders: others round differently.
+        max_size: Size in bytes at which the bag is split. If 0, never.
+        max_duration: Seconds after which the bag is split. If 0, never.
+        device: Device that renders. Another device rounds differently.
         version: Version of this package.
     """
 
@@ -80,7 +81,7 @@ class RecordingPlan:
 
     @classmethod
     def of(cls, scene: Scene, frames: int, patterns: Sequence[str] = (), **options: Any) -> RecordingPlan:
-        """Plan the recording of a scene on this machine; see :meth:`with_table`."""
+        """Plan the recording of a scene on this machine. See :meth:`with_table`."""
         context = OpenGLContext()
         context.close()
         return cls.with_table(scene, frames, patterns, device=context.device, **options)[0]
@@ -101,23 +102,23 @@ class RecordingPlan:
         max_size: int = 0,
         max_duration: float = 0.0,
     ) -> tuple[RecordingPlan, list[Topic[Any]]]:
-        """Plan the recording of a scene; return the plan, and the topics that are recorded.
+        """Plan the recording of a scene. Returns the plan, and the topics that are recorded.
 
         Args:
             scene: The scene.
             frames: Number of frames, at least 1.
-            patterns: Names of topics, or patterns with ``*`` and ``?``; the default topics if empty.
+            patterns: Names of topics, or patterns with ``*`` and ``?``. If empty, the default topics.
             device: Device that renders.
             images: Format of colour images.
             depth: Format of depth.
             labels: Format of the channels of integers of 8 and 16 bits, such as instance and part.
             storage: Storage of the bag.
             compression: Compression of its chunks.
-            max_size: Size in bytes at which the bag is split; 0: never.
-            max_duration: Seconds after which the bag is split; 0: never.
+            max_size: Size in bytes at which the bag is split. If 0, never.
+            max_duration: Seconds after which the bag is split. If 0, never.
 
         Raises:
-            BagError: No topic has a name, or fits a pattern.
+            BagError: A name or pattern fits no topic.
         """
         table = scene_topics(scene, _image_compression(images), png_labels=labels == "png")
         timed = {name for name, camera in scene.scene_cameras.items() if not camera.timing.is_full}
@@ -136,12 +137,13 @@ class RecordingPlan:
         return plan, _rows(table, chosen)
 
     def to_json(self) -> str:
-        """The plan as text, the same for the same plan."""
+        """The plan as text. Equal plans have equal texts."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
     def of_bag(cls, folder: Path) -> RecordingPlan:
-        """Read the plan of a bag. Raises BagError if it has none, as a bag of other programs."""
+        """Read the plan of a bag. Raises BagError if the bag has no plan, such as a bag from another
+        program."""
         custom = read_metadata(folder).get("custom_data") or {}
         try:
             values = parse_json(custom[PLAN], BagError)
@@ -152,7 +154,7 @@ class RecordingPlan:
             ) from None
 
     def differences(self, bag: RecordingPlan) -> list[str]:
-        """What differs from the plan of a bag, in words."""
+        """Differences from the plan of a bag, in words."""
         texts = []
         for field in fields(self):
             here, there = getattr(self, field.name), getattr(bag, field.name)
@@ -176,7 +178,7 @@ def _image_compression(images: ImageFormat) -> ImageCompression:
 
 
 def _rows(table: Sequence[Topic[Any]], names: Collection[str]) -> list[Topic[Any]]:
-    """Topics of a table with some absolute names."""
+    """Topics of a table with these absolute names."""
     chosen = set(names)
     return [topic for topic in table if f"/{topic.name}" in chosen]
 
@@ -197,7 +199,7 @@ def _chosen(
     if patterns:
         chosen = {name for pattern in patterns for name in _matching(pattern, names)}
     else:
-        # what the demo shows, and what gives it meaning
+        # what the demo shows, and the topics that explain it
         chosen = {f"/{topic.name}" for topic in table if topic.recorded}
     formats = {"rgb": images, "depth": depth}
     replaced = {
@@ -206,8 +208,8 @@ def _chosen(
         if topic.raw and any(formats.get(channel, labels) != "raw" for channel in topic.channels)
     }
     chosen = {replaced.get(name, name) for name in chosen}
-    # a message for each frame, also of a camera that loses images, where no camera takes a picture, nobody is
-    # seen, or no sweep ends
+    # these have a message in each frame, even if a camera loses images or does not capture the frame, nobody
+    # is seen, or no sweep ends
     faulty = {topic.camera for topic in table if topic.faulty and f"/{topic.name}" in chosen}
     of_frames = [topic for topic in table if topic.per_frame and f"/{topic.name}" in chosen]
     rare = of_frames and all(topic.sparse or topic.scanner for topic in of_frames)
@@ -218,7 +220,7 @@ def _chosen(
 
 
 def _matching(pattern: str, names: Collection[str]) -> list[str]:
-    """Topics that fit a name or pattern; its first slash may be absent. Raises BagError without any."""
+    """Topics that fit a name or pattern. The first slash may be missing. Raises BagError if no topic fits."""
     absolute = pattern if pattern.startswith("/") else f"/{pattern}"
     found = [name for name in names if fnmatchcase(name, absolute)]
     if found:
@@ -248,10 +250,8 @@ SERIALISING, CHUNKS, WRITING = "serialising", "checksums and chunk compression",
 
 @dataclass(frozen=True)
 class SceneRecording:
-    """A scene and the plan of its recording: a job, which can be copied to other processes and machines.
-
-    A frame is a group of chunks: one with the topics that belong to no camera, then one for each camera.
-    """
+    """A scene and the plan of its recording. It is a job that can be copied to other processes and machines.
+    A frame is a group of chunks: one for the topics that belong to no camera, then one for each camera."""
 
     scene: Scene
     plan: RecordingPlan
@@ -265,12 +265,12 @@ class SceneRecording:
         Args:
             scene: The scene.
             frames: Number of frames, at least 1.
-            patterns: Names of topics, or patterns with ``*`` and ``?``; the default topics if empty.
+            patterns: Names of topics, or patterns with ``*`` and ``?``. If empty, the default topics.
             jobs: Number of processes that will record. With 1, the renderer of this process is made here.
             options: See :meth:`RecordingPlan.of`.
 
         Raises:
-            BagError: No topic has a name, or fits a pattern.
+            BagError: A name or pattern fits no topic.
             RenderError: OpenGL is missing.
         """
         opened: Any = scene.make_renderer() if jobs == 1 else OpenGLContext()
@@ -288,7 +288,7 @@ class SceneRecording:
 
     @cached_property
     def table(self) -> Sequence[Topic[Any]]:
-        """Topics that are recorded; a chunk names them by their index."""
+        """Topics that are recorded. A chunk names a topic by its index."""
         return self.plan.recorded_topics(self.scene)
 
     @property
@@ -303,7 +303,8 @@ class SceneRecording:
 
     @property
     def frames(self) -> int:
-        """Number of frames with messages: one if all topics have a single message for the scene."""
+        """Number of frames that have messages; 1 if no topic has a message per frame, only one for the whole
+        scene."""
         return self.plan.frames if any(topic.per_frame for topic in self.table) else 1
 
     @property
@@ -315,7 +316,8 @@ class SceneRecording:
         """Make the renderer, or take the one of :meth:`of`.
 
         Raises:
-            RenderError: This machine renders on another device than the plan says: pixels would differ.
+            RenderError: This machine renders on another device than that of the plan, so that pixels would
+                differ.
         """
         renderer: GLRenderer | PyrenderRenderer = (
             self.__dict__.pop("_renderer", None) or self.scene.make_renderer()
@@ -337,7 +339,7 @@ def _bag_topic(topic: Topic[Any]) -> BagTopic:
 class RecordingWorker:
     """Renders frames of a recording and encodes them.
 
-    ``renderer``: renderer of the scene, which :meth:`close` frees.
+    ``renderer``: renderer of the scene. :meth:`close` frees it.
 
     Attributes:
         costs: Seconds of processor time by step.
@@ -345,9 +347,9 @@ class RecordingWorker:
 
     def __init__(self, recording: SceneRecording, renderer: Renderer) -> None:
         self._compression = recording.plan.compression
-        #: Topics with their index, by camera; topics of no camera first.
+        #: By camera: topics with their index. Topics of no camera come first.
         self._parts: dict[str, list[tuple[int, Topic[Any]]]] = {}
-        #: Latched topics that may have another message in each frame.
+        #: Latched topics that may have a new message in each frame.
         self._latched: list[tuple[int, Topic[Any]]] = []
         for index, topic in enumerate(recording.table):
             changes = topic.latched and topic.per_frame
@@ -366,9 +368,10 @@ class RecordingWorker:
         self._simulation.close()
 
     def work(self, index: int) -> FrameResult:
-        """Encode a frame; :func:`chunks_of` gives its chunks in the order of the bag, always the same bytes.
+        """Encode a frame. :func:`chunks_of` returns its chunks in the order of the bag. The bytes are always
+        the same.
 
-        There is no chunk if all topics have a single message for the scene, unless it is frame 0.
+        If all topics have a single message for the whole scene, only frame 0 has a chunk.
 
         Raises:
             HumansimError: The frame cannot be rendered.
@@ -379,7 +382,7 @@ class RecordingWorker:
         chunks = [self._chunk(frame, topics) for topics in self._parts.values()]
         latched = self._messages(frame, self._latched)
         if not self._started:
-            # with the compilation of shaders and the messages for the scene
+            # this includes the compilation of shaders and the messages for the scene
             self.costs, self._started = Costs({STARTING: sum(self.costs.values())}), True
         return result_of([chunk for chunk in chunks if chunk is not None], latched)
 
@@ -398,29 +401,27 @@ class RecordingWorker:
         return messages
 
     def _chunk(self, frame: Frame, topics: Sequence[tuple[int, Topic[Any]]]) -> Chunk | None:
-        """Chunk of one camera, or of the topics of no camera; None without messages."""
+        """Chunk of one camera, or of the topics of no camera; None if there are no messages."""
         messages = self._messages(frame, topics)
         if not messages:
             return None
         start = time.process_time()
-        messages.sort(key=lambda message: message.stamp)  # faults send some of them later
+        messages.sort(key=lambda message: message.stamp)  # faults send some messages later
         chunk = encode_chunk(messages, self._compression)
         self.costs.add(CHUNKS, start)
         return chunk
 
 
 def result_of(chunks: Sequence[Chunk], latched: Sequence[BagMessage] = ()) -> FrameResult:
-    """Chunks, and messages of latched topics that may repeat those before, as the result of a worker."""
+    """Result of a worker: chunks, and messages of latched topics that may repeat earlier messages."""
     held = [message._replace(data=bytes(message.data)) for message in latched]
     bare = [replace(chunk, buffers=()) for chunk in chunks]
     return FrameResult((bare, held), [chunk.buffers for chunk in chunks])
 
 
 class FrameChunks:
-    """Chunks of frames in their order. A message of a latched topic that repeats the one before is left out.
-
-    ``compression``: compression of the chunks with messages of latched topics.
-    """
+    """Chunks of frames in their order. A message of a latched topic that repeats the previous one is left
+    out. ``compression``: compression of the chunks with messages of latched topics."""
 
     def __init__(self, compression: Compression) -> None:
         self._compression = compression
@@ -428,15 +429,15 @@ class FrameChunks:
         self._newest: dict[int, Buffer] = {}
 
     def follow(self, bag: Path) -> None:
-        """Continue a bag, which has been opened for writing."""
+        """Continue a bag that has been opened for writing."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", HumansimWarning)  # that it is not finished
+            warnings.simplefilter("ignore", HumansimWarning)  # warns that the bag is not finished
             with BagReader(bag) as reader:
                 latched = [topic.name for topic in reader.topics if any(q.transient_local for q in topic.qos)]
                 self._newest = {each.topic: bytes(each.data) for each in reader.messages(latched)}
 
     def of(self, result: FrameResult) -> list[Chunk]:
-        """Chunks of :func:`result_of`, of the next frame."""
+        """Chunks of a result of :func:`result_of`, for the next frame."""
         bare, latched = result.value
         changed = [message for message in latched if message.data != self._newest.get(message.topic)]
         self._newest |= {message.topic: message.data for message in changed}
@@ -458,10 +459,10 @@ def record(
 
     Args:
         recording: Scene and plan.
-        folder: Folder of the bag, which must not exist unless ``resume``.
-        jobs: Number of processes that render; with 1, this process does.
-        resume: Continue the recording if it has begun; nothing happens if it is complete.
-        on_progress: Called after each frame; its argument is also the result.
+        folder: Folder of the bag. It must not exist, unless ``resume`` is set.
+        jobs: Number of processes that render. If 1, this process renders.
+        resume: Whether an interrupted recording is continued. If it is complete, nothing happens.
+        on_progress: Called after each frame with the progress, which is also the result.
 
     Raises:
         BagError: The folder exists, or cannot be written or continued; the disk is full.
@@ -521,15 +522,15 @@ def record(
 
 
 def check_space(folder: Path, frame_size: float, frames: int) -> None:
-    """Warn if the frames to come hardly fit on the disk of a bag.
+    """Warn if the remaining frames hardly fit on the disk of a bag.
 
     Args:
         folder: Folder of the bag.
         frame_size: Bytes of a frame.
-        frames: Number of frames to come.
+        frames: Number of remaining frames.
 
     Raises:
-        BagError: They need more than 1.5 times the free space.
+        BagError: The frames need more than 1.5 times the free space.
     """
     needed, free = int(frame_size * frames), shutil.disk_usage(folder).free
     text = (
@@ -543,7 +544,7 @@ def check_space(folder: Path, frame_size: float, frames: int) -> None:
 
 
 def check_plan(plan: RecordingPlan, folder: Path) -> None:
-    """Raise BagError unless a bag has a plan, and the same."""
+    """Raise BagError unless a bag has the same plan."""
     if not folder.is_dir():
         raise BagError("there is no bag to continue here", path=folder)
     bag = RecordingPlan.of_bag(folder)

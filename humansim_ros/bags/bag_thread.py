@@ -17,15 +17,16 @@ from humansim_ros.bags.topics import BagTopic, described
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError
 
-#: Bytes from which messages become a chunk.
+#: Messages with this size in total, bytes, become a chunk.
 _CHUNK_BYTES = 4 << 20
-#: Seconds after which messages become a chunk, however few they are: a killed recorder loses no more.
+#: After this time, seconds, messages become a chunk even if they are few, so that a killed recorder loses no
+#: more.
 _CHUNK_SECONDS = 0.5
 
 
 @dataclass(frozen=True)
 class _FrameEnd:
-    """All messages of a frame have been queued. ``stamp``: of the frame."""
+    """Marks that all messages of a frame have been queued. ``stamp``: stamp of the frame."""
 
     stamp: int
 
@@ -34,17 +35,18 @@ _Item: TypeAlias = BagTopic | BagMessage | _FrameEnd
 
 
 class BagThread:
-    """Queue of messages, bounded in bytes, and the thread that writes them into a bag.
+    """A queue of messages, bounded in bytes, and the thread that writes them into a bag.
 
     Args:
-        open_bag: Opens the bag. It is called in the thread, which alone uses the bag, and closes it.
-        max_bytes: Most bytes of messages in the queue; a longer message is taken when the queue is empty.
+        open_bag: Opens the bag. It is called in the thread. Only this thread uses and closes the bag.
+        max_bytes: Most bytes of messages in the queue. A longer message is accepted when the queue is empty.
         compression: Compression of the chunks.
-        on_written: Called in the thread with the stamp of a frame whose messages are in the file. None:
+        on_written: Called in the thread with the stamp of a frame when its messages are in the file. If None,
             messages do not belong to frames, and are written after half a second.
 
+
     Attributes:
-        error: The error that has ended the thread; None while it writes.
+        error: The error that has ended the thread. None while it writes.
         written: Number of messages in the file.
         written_bytes: Bytes of these messages.
 
@@ -72,17 +74,15 @@ class BagThread:
         self._topics = {topic.name: number for number, topic in enumerate(opened.result())}
 
     def add_topic(self, topic: BagTopic) -> int:
-        """Add a topic, unless the bag has it; returns its number for messages."""
+        """Add a topic, unless the bag has it already. Returns its number for messages."""
         if topic.name not in self._topics:
             self._topics[topic.name] = len(self._topics)
             self._put(topic)
         return self._topics[topic.name]
 
     def add(self, message: BagMessage, wait: bool = False) -> bool:
-        """Queue a message; whether there was space for it.
-
-        ``wait``: wait for space while the thread writes.
-        """
+        """Queue a message. Returns whether there was space for it. ``wait``: whether to wait for space while
+        the thread writes."""
         size = len(message.data)
         with self._changed:
             while self._bytes and self._bytes + size > self._max_bytes and not self.error:
@@ -97,13 +97,12 @@ class BagThread:
         return True
 
     def end_frame(self, stamp: int) -> None:
-        """Write what has been queued at once, as a group of chunks that are split nowhere; then call
-        ``on_written``.
-        """
+        """Write everything in the queue at once, as a group of chunks that is never split. Then call
+        ``on_written``."""
         self._put(_FrameEnd(stamp))
 
     def close(self) -> None:
-        """Write all that is queued and finish the bag; ``error`` says whether that has failed."""
+        """Write everything in the queue and finish the bag. If that fails, ``error`` is set."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -124,7 +123,7 @@ class BagThread:
         try:
             self._write_all(writer)
             writer.close()
-        except Exception as error:  # whatever it is, the node must not wait for this thread for ever
+        except Exception as error:  # whatever the error is, the node must not wait for this thread for ever
             with suppress(HumansimError, OSError):
                 writer.close()
             self._fail(_as_error(error))
@@ -162,7 +161,7 @@ class BagThread:
                 return
 
     def _next(self, due: float) -> _Item | None:
-        """Next item; None at the monotonic time ``due``, and at the end."""
+        """Next item. None at the monotonic time ``due``, and at the end."""
         with self._changed:
             while time.monotonic() < due:
                 if self._items:
@@ -173,7 +172,7 @@ class BagThread:
             return None
 
     def _release(self, number: int, size: int) -> None:
-        """Note that messages have been written, and that there is space for others."""
+        """Note that messages have been written, so that there is space for others."""
         with self._changed:
             self.written += number
             self.written_bytes += size

@@ -1,8 +1,8 @@
 """Chunks of messages: the unit in which a bag is encoded, compressed, appended and found again.
 
 A chunk is an MCAP Chunk record with its MessageIndex records. Its bytes do not depend on its place in the
-file: workers encode chunks, and one process appends them. The mcap library would copy the messages four times
-(2.5 MB of images: 3.9 ms instead of 0.4 ms to encode, 2.7 ms instead of 0.4 ms to decode). Therefore this
+file, so that workers can encode chunks and one process appends them. The mcap library would copy the messages
+four times (2.5 MB of images: 3.9 ms instead of 0.4 ms to encode, 2.7 ms instead of 0.4 ms to decode). So this
 module encodes and decodes Chunk, Message and MessageIndex records itself.
 """
 
@@ -28,7 +28,7 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Compression: TypeAlias = Literal["none", "zstd", "lz4"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 
-#: Bytes to which direct writing to a disk needs places in files and memory aligned.
+#: To write directly to a disk, positions in files and memory must be aligned to this number of bytes.
 BLOCK = 4096
 MESSAGE, CHUNK, MESSAGE_INDEX = 0x05, 0x06, 0x07
 #: Opcode and length, which begin every record.
@@ -38,23 +38,21 @@ _CHUNK_HEAD = struct.Struct("<BQQQQII")
 _SIZE = struct.Struct("<Q")
 #: Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-#: The same without opcode and length.
+#: ``_MESSAGE_HEAD`` without opcode and length.
 _MESSAGE_CONTENT = struct.Struct("<HIQQ")
-#: Opcode, length, channel, size of the entries; an entry is log time and offset in the chunk, 8 bytes each.
+#: Opcode, length, channel, size of the entries. Each entry is log time and offset in the chunk, 8 bytes each.
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_ENTRY = 16
-#: Compression level of zstd: level 3 makes rendered frames 12 % smaller in twice the time.
+#: Compression level of zstd. Level 3 would make rendered frames 12 % smaller, but take twice the time.
 _ZSTD_LEVEL = 1
-#: A chunk that claims to be larger is damaged: nothing writes chunks of this size.
+#: A chunk that claims to be larger is damaged, since nothing writes such chunks.
 _MAX_CHUNK = 1 << 32
 
 
 class BagMessage(NamedTuple):
-    """A message of a bag.
-
-    ``topic`` is the index in the topics of the bag, ``stamp`` the log time in nanoseconds, ``data`` the
-    message in CDR with its header of 4 bytes, ``published`` the publish time, if it is not the log time.
-    """
+    """A message of a bag. ``topic`` is the index in the topics of the bag, ``stamp`` the log time in
+    nanoseconds, ``data`` the message in CDR with its header of 4 bytes, ``published`` the publish time, if
+    this differs from the log time."""
 
     topic: int
     stamp: int
@@ -103,7 +101,8 @@ class Chunk:
 def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "none") -> Chunk:
     """Encode messages as one chunk.
 
-    Without compression the data are not copied: they must not change until the chunk has been appended.
+    Without compression the data are not copied, so that they must not change until the chunk has been
+    appended.
 
     Args:
         messages: At least one message, in the order of their times.
@@ -169,7 +168,8 @@ def _compress(parts: Sequence[Buffer], compression: Compression) -> bytes:
 
 @lru_cache(maxsize=16)
 def _zstd_compressor(thread: int) -> ZstdCompressor:
-    """The compressor of a thread: it may not be shared, and to make one takes a fifth of a chunk's time."""
+    """The compressor of a thread. Threads must not share one, and making one takes a fifth of a chunk's
+    time."""
     with needs_libraries():
         import zstandard
 
@@ -177,7 +177,7 @@ def _zstd_compressor(thread: int) -> ZstdCompressor:
 
 
 def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
-    """Opcode and content of the records in a Chunk record, after a check of sizes and checksum.
+    """Opcode and content of the records in a Chunk record. Sizes and checksum are checked first.
 
     ``record``: all bytes of the Chunk record. The contents are views of it, if it is not compressed.
 
@@ -203,7 +203,7 @@ def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
 
 
 def message_of(content: memoryview) -> BagMessage:
-    """The message of a Message record; ``topic`` is the number of the channel less one.
+    """The message of a Message record. Its ``topic`` is the number of the channel minus 1.
 
     Raises:
         BagError: The record is damaged.
@@ -223,7 +223,7 @@ def chunk_messages(record: Buffer) -> list[BagMessage]:
     return [message_of(content) for opcode, content in chunk_records(record) if opcode == MESSAGE]
 
 
-#: Bytes that hold the head of a Chunk record; names of compressions are shorter than 23 characters.
+#: Enough bytes for the head of a Chunk record, since names of compressions are shorter than 23 characters.
 HEAD_SIZE = 80
 
 

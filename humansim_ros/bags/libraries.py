@@ -1,4 +1,4 @@
-"""Libraries that bags need."""
+"""Errors about missing libraries that bags need."""
 
 from __future__ import annotations
 

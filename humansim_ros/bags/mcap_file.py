@@ -1,11 +1,13 @@
 """One MCAP file of a bag: append chunks, finish with summary and footer, find whole chunks, read messages.
 
-After each chunk stands a small record of our own (opcode 0x80; readers skip it), which says that the chunk is
-whole and whether it ends a group. With it a file that was cut anywhere can be finished or continued.
+Each chunk is followed by a small record of our own, the mark (opcode 0x80; readers skip it). It says that the
+chunk is complete, and whether it ends a group (the chunks of one frame). With marks, a file that was cut
+anywhere can be finished or continued.
 
-Large chunks begin and end at whole blocks of the file, and are written to the disk directly (O_DIRECT),
-without a copy in the memory of the system: 0.5 ms of processor time for 2.5 MB instead of 2 to 6 ms. Places
-depend on sizes alone: the bytes of a file are the same wherever it is written.
+
+Large chunks begin and end at block borders of the file. They are written to the disk directly (O_DIRECT),
+without a copy in the memory of the system. This takes 0.5 ms of processor time for 2.5 MB instead of 2 to 6
+ms. Positions depend only on sizes, so that the bytes of a file are the same on every disk.
 
 The mcap library writes and reads all records but chunks and marks. Its readers end at the first damage and
 read all bytes of a file without summary; the scan here reads 80 bytes of each record.
@@ -72,20 +74,22 @@ with needs_libraries():
     from mcap.summary import Summary
 
 MAGIC = b"\x89MCAP0\r\n"
-#: Bytes from which a chunk is aligned: the space between such chunks is 0.2 % of them on average at most.
+#: A chunk of at least this size, bytes, is aligned. The space between such chunks is 0.2 % of them on average
+#: at most.
 LARGE_CHUNK = 1 << 20
-#: Opcode of the record after each chunk; from 0x80 on, opcodes are free for applications.
+#: Opcode of the record after each chunk. Opcodes from 0x80 on are free for applications.
 _MARK = 0x80
 #: Opcode of the record that fills the space before a chunk that must be aligned.
 _PADDING = 0x81
-#: Name, number of the group, whether the chunk is the last of the group.
+#: Name, number of the group, and whether the chunk is the last of the group.
 _MARK_CONTENT = struct.Struct("<8sQB")
 _MARK_NAME = b"humansim"
-#: Bytes of the index that are kept in memory; the rest goes to a file without name in the folder of the bag.
+#: Size of the index that is kept in memory, bytes. The rest is in a file without name in the folder of the
+#: bag.
 _INDEX_IN_MEMORY = 1 << 22
-#: Errors of file systems that cannot write directly.
+#: Errors of file systems that refuse direct writing.
 _REFUSALS = (errno.EINVAL, errno.EOPNOTSUPP)
-#: Readers of the records that describe topics; they raise one of ``_DAMAGES`` if the content is damaged.
+#: Readers of the records that describe topics. If the content is damaged, they raise one of ``_DAMAGES``.
 _TOPIC_RECORDS: dict[int, Callable[[ReadDataStream], Schema | Channel]] = {
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -95,13 +99,15 @@ _DAMAGES = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowErr
 
 
 def mark(group: int, ends_group: bool, space: int = 0) -> bytes:
-    """The record after a chunk: the chunk is whole, and belongs to a group; ``space``: zeros at its end."""
+    """The record after a chunk. It says that the chunk is complete, and its group. ``space``: zeros at the
+    end."""
     content = _MARK_CONTENT.pack(_MARK_NAME, group, ends_group) + bytes(space)
     return RECORD.pack(_MARK, len(content)) + content
 
 
 def padding(position: int, block: int) -> bytes:
-    """The record that fills the space from a position to a multiple of ``block``; nothing is in place."""
+    """The record that fills the space from a position to a multiple of ``block``. Empty if the position is
+    one."""
     space = -position % block
     if space == 0:
         return b""
@@ -118,7 +124,7 @@ def _encoded(*records: McapRecord) -> bytes:
 
 
 def _after(views: Sequence[memoryview], written: int) -> list[memoryview]:
-    """What is left of buffers when so many bytes of them are written; none is empty."""
+    """The rest of buffers after some bytes of them have been written. Empty buffers are left out."""
     left = []
     for view in views:
         if written < view.nbytes:
@@ -128,7 +134,7 @@ def _after(views: Sequence[memoryview], written: int) -> list[memoryview]:
 
 
 def _chunk_index(chunk: Chunk, position: int) -> ChunkIndex:
-    """The record of the summary for a chunk at a position."""
+    """The record of the summary about a chunk at a position."""
     offsets, offset = {}, position + chunk.chunk_length
     for topic, length in chunk.index_lengths():
         offsets[topic + 1] = offset
@@ -147,23 +153,23 @@ def _chunk_index(chunk: Chunk, position: int) -> ChunkIndex:
 
 
 class DirectFile:
-    """Second way to write a file that is open; ``descriptor``: the first way, with read and write access."""
+    """A second way to write an open file. ``descriptor``: the first way, with read and write access."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = -1
         self._staging = mmap.mmap(-1, 2 * BLOCK)
         with suppress(OSError):  # refused, or there is no /proc
-            # a descriptor of its own: a duplicate would share the flag with the first way
+            # its own descriptor, since a duplicate would share the flag with the first way
             self._descriptor = os.open(f"/proc/self/fd/{descriptor}", os.O_RDWR | os.O_DIRECT | os.O_CLOEXEC)
 
     def write(self, views: Sequence[memoryview], position: int) -> int:
-        """Write buffers one after the other; return how many bytes are written, a multiple of ``BLOCK``.
+        """Write buffers one after the other. Returns how many bytes are written, a multiple of ``BLOCK``.
 
-        It is 0 where direct writing is refused, and less than all if the system ends the write early. Aligned
-        bytes at the start of the first buffer are not copied.
+        The result is 0 if direct writing is refused, and less than all if the system ends the write early.
+        Aligned bytes at the start of the first buffer are not copied.
 
         Args:
-            views: Bytes whose sizes add up to a multiple of ``BLOCK``.
+            views: Bytes. Their sizes add up to a multiple of ``BLOCK``.
             position: Place in the file, a multiple of ``BLOCK``.
 
         Raises:
@@ -183,7 +189,7 @@ class DirectFile:
             return 0
 
     def _staged(self, views: Sequence[memoryview]) -> memoryview:
-        """Copy of buffers in aligned memory."""
+        """Copy buffers to aligned memory."""
         size = sum(view.nbytes for view in views)
         if size > len(self._staging):
             self._staging = mmap.mmap(-1, -(-size // BLOCK) * BLOCK)
@@ -194,7 +200,7 @@ class DirectFile:
         return staged[:size]
 
     def close(self) -> None:
-        """Refuse from now on."""
+        """Refuse to write from now on."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -204,7 +210,7 @@ class McapFile:
     """An MCAP file that is being written. Topics have the channel numbers 1, 2 … in their order.
 
     Raises:
-        OSError: By all methods, if the file cannot be written.
+        OSError: Raised by all methods if the file cannot be written.
     """
 
     smallest: ClassVar[int] = 1024
@@ -225,10 +231,8 @@ class McapFile:
 
     @classmethod
     def create(cls, path: Path, topics: Sequence[BagTopic], profile: str = "ros2") -> McapFile:
-        """Create a file with its header and topics; it gets its name when these are whole.
-
-        ``profile``: profile of the file; empty for one that no ROS program reads.
-        """
+        """Create a file with its header and topics. It gets its name when these are complete. ``profile``:
+        profile of the file; empty for one that no ROS program reads."""
         file = cls(path)
         temporary = path.with_name(f".{path.name}.new")
         try:
@@ -246,14 +250,16 @@ class McapFile:
 
     @classmethod
     def reopen(cls, path: Path, *, spare: int = 0) -> tuple[McapFile, int | None]:
-        """Open a file to continue it after its last whole group.
+        """Open a file to continue it after its last complete group (the chunks of one frame).
+
 
         Args:
             path: The file, finished or not.
-            spare: Bytes of groups to remove from the end as well, at least, to gain space.
+            spare: Cut at least this number of bytes off the end, to free disk space.
 
         Returns:
-            The file, and the number of whole groups in the bag up to its end; None if it has no messages.
+            The file, and the number of groups of the bag up to its new end; None if no complete group is
+            left.
 
         Raises:
             BagError: The file is damaged at its start, or was written by another program.
@@ -296,7 +302,8 @@ class McapFile:
         self.size = size
 
     def _write(self, *buffers: Buffer, directly: bool = False) -> None:
-        """Write buffers one after the other, all or nothing; ``directly``: whole blocks, aligned."""
+        """Write buffers one after the other, all or nothing. ``directly``: with O_DIRECT, as aligned
+        blocks."""
         views = [memoryview(buffer).cast("B") for buffer in buffers]
         size = sum(view.nbytes for view in views)
         try:
@@ -395,7 +402,7 @@ class McapFile:
                 )
         footer = Footer(summary_start=start, summary_offset_start=self.size, summary_crc=0)
         tail = _encoded(*offsets)
-        # the checksum covers the footer up to its own place
+        # the checksum covers the footer up to the checksum itself
         footer.summary_crc = zlib.crc32(_encoded(footer)[:-4], zlib.crc32(tail, crc))
         self._write(tail + _encoded(footer) + MAGIC)
         self.close()
@@ -406,7 +413,7 @@ class McapFile:
             yield part
 
     def close(self) -> None:
-        """Close the file as it is. More calls do nothing."""
+        """Close the file without finishing it. Further calls do nothing."""
         if self._descriptor >= 0:
             if self._direct is not None:
                 self._direct.close()
@@ -416,7 +423,7 @@ class McapFile:
 
 
 def _summary(file: BinaryIO) -> Summary | None:
-    """Summary of a finished file; None if it is missing or damaged."""
+    """Summary of a finished file; None if missing or damaged."""
     try:
         summary = SeekingReader(file).get_summary()
     except (OSError, AssertionError, StopIteration, *_DAMAGES):
@@ -425,7 +432,7 @@ def _summary(file: BinaryIO) -> Summary | None:
 
 
 def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
-    """Content of a finished file of ours, which need not be on a disk of this machine.
+    """Content of a finished file that this package has written. The file may be on another machine.
 
     Raises:
         BagError: The summary of the file, which the error calls ``path``, is damaged.
@@ -439,10 +446,8 @@ def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
 
 
 class Unit(NamedTuple):
-    """A chunk with its mark, from ``start`` to ``end`` in the file; ``chunk`` has no bytes.
-
-    ``group`` is -1 without a mark, as in files of other programs. A message outside of chunks is a unit, too.
-    """
+    """A chunk with its mark, from ``start`` to ``end`` in the file; ``chunk`` has no bytes. ``group`` is -1
+    if there is no mark, as in files of other programs. A message outside of chunks is a unit, too."""
 
     chunk: Chunk
     start: int
@@ -452,7 +457,7 @@ class Unit(NamedTuple):
 
 
 class McapScan:
-    """Whole records of an MCAP file that may end anywhere.
+    """Finds the complete records of an MCAP file that may have been cut anywhere.
 
     Attributes:
         topics: Schema and Channel records, each with the position after it.
@@ -518,12 +523,12 @@ class McapScan:
                 self.damaged.append(position)
             if not self.units and chunk is None and opcode != _PADDING:
                 self.head_end = end
-        if chunk is not None:  # its MessageIndex records may not be whole
+        if chunk is not None:  # its MessageIndex records may be incomplete
             self.units.append(chunk)
             self._is_foreign |= self._has_end
 
     def _records(self) -> Iterator[tuple[int, int, int, bytes]]:
-        """Opcode, position, end and first bytes of the whole records, up to the end of the data."""
+        """Opcode, position, end and first bytes of each complete record, up to the end of the data."""
         size = os.fstat(self._file.fileno()).st_size
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -532,7 +537,7 @@ class McapScan:
         while position + RECORD.size <= size:
             self._file.seek(position)
             head = self._file.read(HEAD_SIZE)
-            if len(head) < RECORD.size:  # the file has been cut meanwhile
+            if len(head) < RECORD.size:  # the file has been cut in the meantime
                 return
             opcode, length = RECORD.unpack_from(head)
             end = position + RECORD.size + length
@@ -545,7 +550,8 @@ class McapScan:
 
 
 def _group(opcode: int, head: bytes) -> tuple[int, bool]:
-    """Number of the group of the chunk before a record, and whether it is the last; -1 without a mark."""
+    """Number of the group of the chunk before a record, and whether the chunk is its last. -1 if there is no
+    mark."""
     if opcode == _MARK:
         name, group, ends_group = _MARK_CONTENT.unpack_from(head, RECORD.size)
         if name == _MARK_NAME:
@@ -570,7 +576,7 @@ class McapInput:
     Attributes:
         topics: Topics of the channels in the order of the file.
         content: Numbers and times of the messages.
-        whole: The file was finished. Of another file, whole chunks are read.
+        whole: Whether the file was finished. If not, its complete chunks are read.
 
     Raises:
         BagError: The file cannot be read, or is no MCAP file.
@@ -601,7 +607,7 @@ class McapInput:
         self._file.close()
 
     def _read_summary(self) -> bool:
-        """Take topics and chunks from the summary; False if it is missing or wrong."""
+        """Take topics and chunks from the summary. Returns False if the summary is missing or wrong."""
         size = os.fstat(self._file.fileno()).st_size
         summary = _summary(self._file)
         if summary is None or summary.statistics is None:
@@ -644,7 +650,7 @@ class McapInput:
         self.whole = self._file.read() == MAGIC
 
     def _counts_in(self, index: ChunkIndex) -> dict[int, int]:
-        """Read a chunk without index, or with topics in it: messages by the index of their topic."""
+        """Number of messages by topic index, read from a chunk that has no index or contains topics."""
         counts: dict[int, int] = {}
         for opcode, content in chunk_records(self._record(index)):
             if opcode in _TOPIC_RECORDS:
@@ -668,7 +674,7 @@ class McapInput:
         warn_about(self.path, f"the record at byte {position} is damaged; its messages are left out")
 
     def messages(self, topics: Collection[int], start: int, end: int) -> Iterator[BagMessage]:
-        """Messages in the order of their times. Damaged ones are left out, with a HumansimWarning.
+        """Messages in the order of their times. Damaged messages are left out, with a HumansimWarning.
 
         Args:
             topics: Indices of the topics.
@@ -693,7 +699,7 @@ class McapInput:
             yield heapq.heappop(pending)[2]
 
     def _messages(self, index: ChunkIndex) -> list[BagMessage]:
-        """Messages of a chunk, or of a Message record; none with a warning if it is damaged."""
+        """Messages of a chunk, or of a Message record. If it is damaged, no messages and a warning."""
         record = self._record(index)
         try:
             if record[:1] == bytes([MESSAGE]):

@@ -1,4 +1,4 @@
-"""Storages of bags, and ``metadata.yaml`` (version 9) as rosbag2 of ROS 2 Jazzy writes it."""
+"""Storages of bags, and ``metadata.yaml`` (version 9) in the form that rosbag2 of ROS 2 Jazzy writes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MAX_BYTES = 1 << 26
 
 @dataclass
 class Content:
-    """Numbers and times of messages. ``counts``: messages for each index of a topic; times in nanoseconds."""
+    """Numbers and times of messages. ``counts``: number of messages by topic index. Times are nanoseconds."""
 
     counts: dict[int, int] = field(default_factory=dict)
     start: int | None = None
@@ -111,7 +111,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     """Content of ``metadata.yaml`` of a bag; empty if the file is missing.
 
     Raises:
-        BagError: The file cannot be read, or is no metadata of rosbag2.
+        BagError: The file cannot be read, or has no metadata of rosbag2.
     """
     path = folder / NAME
     if not path.exists():
@@ -127,7 +127,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 
 
 def topics_in(information: Mapping[str, Any]) -> list[BagTopic]:
-    """Topics of such metadata; those that cannot be read are left out."""
+    """Topics of a bag from its metadata. Topics that cannot be read are left out."""
     topics = []
     for each in information.get("topics_with_message_count") or []:
         with suppress(LookupError, AttributeError, TypeError, ValueError):
@@ -139,13 +139,13 @@ def topics_in(information: Mapping[str, Any]) -> list[BagTopic]:
 
 
 def custom_in(information: Mapping[str, Any]) -> dict[str, str]:
-    """Texts of the user in such metadata."""
+    """Texts of the user from the metadata of a bag."""
     custom = information.get("custom_data")
     return {str(key): str(text) for key, text in custom.items()} if isinstance(custom, dict) else {}
 
 
 def write_metadata(folder: Path, text: str) -> None:
-    """Replace ``metadata.yaml`` of a bag at once.
+    """Replace ``metadata.yaml`` of a bag atomically.
 
     Raises:
         OSError: It cannot be written.

@@ -1,4 +1,4 @@
-"""Read bags of rosbag2, finished, interrupted or cut: all whole messages."""
+"""Read bags of rosbag2 that are finished, interrupted or cut: all complete messages."""
 
 from __future__ import annotations
 
@@ -26,12 +26,9 @@ _FOREVER = (1 << 63) - 1
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What a bag holds.
-
-    ``counts`` are the messages of each topic by its index, ``start`` and ``end`` the first and last log time
-    in nanoseconds (None without messages), ``size`` the bytes of all files. ``whole`` is False if the bag was
-    interrupted or cut. ``custom`` are the texts of ``custom_data``.
-    """
+    """What a bag holds. ``counts`` are the messages of each topic by its index, ``start`` and ``end`` the
+    first and last log time in nanoseconds (None if there are no messages), ``size`` the bytes of all files.
+    ``whole`` is False if the bag was interrupted or cut. ``custom`` are the texts of ``custom_data``."""
 
     storage: Storage
     files: tuple[Path, ...]
@@ -55,7 +52,7 @@ class BagReader:
     block, or call :meth:`close`.
 
     Raises:
-        BagError: There is no bag, it cannot be read, or nothing in it is whole.
+        BagError: There is no bag, it cannot be read, or no message is complete.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -68,7 +65,7 @@ class BagReader:
         except BaseException:
             self.close()
             raise
-        #: Topics of all files; messages name them by their index.
+        #: Topics of all files. Messages name a topic by its index.
         self.topics: Sequence[BagTopic] = self._merge_topics()
         self.info = self._make_info(storage, metadata)
         for each in self._inputs:
@@ -85,7 +82,7 @@ class BagReader:
             for topic in each.topics:
                 topics.setdefault((topic.name, topic.type), topic)
         places = {key: index for index, key in enumerate(topics)}
-        #: For each file, the index in the bag of each topic of the file.
+        #: By file: the index in the bag of each topic of the file.
         self._indices = [[places[topic.name, topic.type] for topic in each.topics] for each in self._inputs]
         return tuple(topics.values())
 
@@ -109,15 +106,15 @@ class BagReader:
     def messages(
         self, topics: Collection[str] | None = None, *, start: int = 0, end: int = _FOREVER
     ) -> Iterator[BagMessage]:
-        """Messages in the order of their log times. Damaged ones are left out, with a HumansimWarning.
+        """Messages in the order of their log times. Damaged messages are left out, with a HumansimWarning.
 
         Args:
-            topics: Names of topics; None: all.
+            topics: Names of topics. If None, all.
             start: First log time in nanoseconds.
             end: Log time after the last one.
 
         Raises:
-            BagError: The bag has no topic of a name.
+            BagError: The bag has no topic with one of the names.
         """
         known = [topic.name for topic in self.topics]
         for name in topics or ():

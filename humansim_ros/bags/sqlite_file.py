@@ -1,10 +1,10 @@
 """One sqlite3 file of a bag, with the tables of rosbag2 (schema version 4): append, continue, read.
 
-Each group is one transaction, so that a killed process leaves whole groups; ``user_version`` counts them.
+Each group is one transaction, so that a killed process leaves complete groups. ``user_version`` counts them.
 
-rosbags does not replace this module. Its writer has one transaction for the whole bag, which a killed process
-loses, and takes twice the processor time (0.75 ms instead of 0.37 ms for 0.6 MB). Its reader ignores locks
-and the journal of a killed process, and refuses a bag with a type whose definition is unknown.
+rosbags does not replace this module. Its writer has one transaction for the whole bag. A killed process loses
+this, and it takes twice the processor time (0.75 ms instead of 0.37 ms for 0.6 MB). Its reader ignores locks
+and the journal of a killed process. It refuses a bag with a type that it does not know.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');
 """
-#: Bytes of a page: images are written in half of the processor time that the usual 4096 bytes take.
+#: Size of a page, bytes. Images are written in half of the time that the usual 4096 bytes take.
 _PAGE = 1 << 16
-#: In the header of our files; files of other programs are not continued.
+#: Marks our files in their header. Files of other programs are not continued.
 _APPLICATION = 0x68736D62
-#: Rows that a damaged file does not have.
+#: Conditions that rows of an undamaged file fulfil.
 _VALID = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
 
 
@@ -56,7 +56,7 @@ class SqliteFile:
     """A sqlite3 file that is being written. Topics have the ``id`` 1, 2 … in their order.
 
     Raises:
-        sqlite3.Error: By all methods, if the file cannot be written; or OSError.
+        sqlite3.Error, OSError: Raised by all methods if the file cannot be written.
     """
 
     smallest: ClassVar[int] = 1 << 20
@@ -69,7 +69,7 @@ class SqliteFile:
         self._types = set[str]()
         # safe when the process is killed; only a loss of power could damage the file
         self._database.execute("PRAGMA synchronous=OFF")
-        # otherwise a program that reads the bag for long could stop the recording
+        # otherwise a program that reads the bag for a long time could stop the recording
         self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
 
     @property
@@ -79,7 +79,7 @@ class SqliteFile:
 
     @classmethod
     def create(cls, path: Path, topics: Sequence[BagTopic]) -> SqliteFile:
-        """Create a file with its topics; it gets its name when these are whole."""
+        """Create a file with its topics. It gets its name when these are complete."""
         temporary = path.with_name(f".{path.name}.new")
         try:
             temporary.unlink(missing_ok=True)
@@ -101,16 +101,14 @@ class SqliteFile:
 
     @classmethod
     def reopen(cls, path: Path, *, spare: int = 0) -> tuple[SqliteFile, int | None]:
-        """Open a file to continue it after its last whole group; see :meth:`McapFile.reopen`.
-
-        sqlite3 removes a group that is not whole. To finish a file needs no space: ``spare`` has no effect.
-        """
+        """Open a file to continue it after its last complete group. See :meth:`McapFile.reopen`. sqlite3
+        removes an incomplete group. ``spare`` has no effect, since finishing a file needs no space."""
         file = cls(path, _connect(path, "rw"))
         try:
             (application,) = file._database.execute("PRAGMA application_id").fetchone()
             (groups,) = file._database.execute("PRAGMA user_version").fetchone()
-            # sqlite3 has used and removed a journal with a group that is not whole; one of a process that was
-            # killed between two groups is empty, and would stay if nothing is written to this file
+            # sqlite3 has used and removed a journal of an incomplete group. A journal of a process that was
+            # killed between two groups is empty, and would stay if nothing is written to this file.
             path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
             if application != _APPLICATION:
                 raise BagError("this file was not written by humansim: it cannot be continued", path=path)
@@ -160,16 +158,17 @@ class SqliteFile:
         self.content.add(chunk.counts, chunk.start, chunk.end)
 
     def finish(self) -> None:
-        """Close the file: everything has been written with its group."""
+        """Close the file. Everything has been written with its group."""
         self.close()
 
     def close(self) -> None:
-        """Close the file; a group that is not whole is lost. More calls do nothing."""
+        """Close the file. An incomplete group is lost. Further calls do nothing."""
         self._database.close()
 
 
 def _was_cut(path: Path) -> bool:
-    """Whether a file is shorter than its header says; sqlite3 takes the missing bytes for zeros."""
+    """Whether a file is shorter than its header says, since sqlite3 would take the missing bytes for
+    zeros."""
     with open_file(path, BagError, "bag", ANY_SIZE) as file:
         header = file.read(100)
         size = file.seek(0, os.SEEK_END)
@@ -180,7 +179,7 @@ def _was_cut(path: Path) -> bool:
 
 
 class SqliteInput:
-    """A sqlite3 file that is read; ``whole`` is False if it had to be repaired.
+    """A sqlite3 file that is read. ``whole`` is False if the file had to be repaired.
 
     Raises:
         BagError: The file cannot be read, is damaged, or is no sqlite3 file of a bag.
@@ -189,7 +188,7 @@ class SqliteInput:
     def __init__(self, path: Path) -> None:
         self.path = path
         journal = path.with_name(f"{path.name}-journal")
-        #: A journal is left by a process that was killed: sqlite3 takes back what was not whole.
+        #: A killed process leaves a journal. sqlite3 then takes back what was incomplete.
         self.whole = not journal.exists()
         with self._errors():
             if self.whole and _was_cut(path):

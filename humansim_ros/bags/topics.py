@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE = re.compile(r"[a-z][a-z0-9_]*(/[a-z]+)?/[A-Z][A-Za-z0-9]*")
-#: Duration that means no limit, as Fast DDS and rosbag2 write it.
+#: Duration that means no limit, in the form that Fast DDS and rosbag2 write.
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -37,7 +37,7 @@ class Qos:
     keep_all: bool = False
 
     def as_yaml(self) -> dict[str, Any]:
-        """Policies as in ``metadata.yaml`` of version 9."""
+        """Policies in the form of ``metadata.yaml`` of version 9."""
         return {
             "history": "keep_all" if self.keep_all else "keep_last",
             "depth": self.depth,
@@ -52,7 +52,7 @@ class Qos:
 
     @classmethod
     def from_yaml(cls, policies: dict[str, Any]) -> Qos:
-        """Read policies of ``metadata.yaml``; numbers stand for names up to version 8."""
+        """Read policies of ``metadata.yaml``. Up to version 8, numbers stand for names."""
         return cls(
             reliable=policies.get("reliability") not in ("best_effort", 2),
             transient_local=policies.get("durability") in ("transient_local", 1),
@@ -67,8 +67,8 @@ class BagTopic:
 
     ``type`` is a full name such as ``sensor_msgs/msg/Image``. ``definition`` is the text of the message type
     with all types that it contains, ``type_hash`` its hash (RIHS01); both are empty if unknown.
-    ``serialization`` is ``cdr``, or ``json`` in MCAP files for other programs, whose definition is a JSON
-    schema.
+    ``serialization`` is ``cdr``. In MCAP files for other programs it may be ``json``; the definition is then
+    a JSON schema.
     """
 
     name: str
@@ -80,14 +80,14 @@ class BagTopic:
 
     @property
     def encoding(self) -> str:
-        """How the definition is written, as bags say it; empty without a known type."""
+        """Format of the definition, in the words of bags. Empty if the type is unknown."""
         if self.serialization == "json":
             return "jsonschema"
         return "ros2msg" if self.definition or self.type_hash else ""
 
 
 def qos_text(topic: BagTopic) -> str:
-    """QoS profiles as YAML, as rosbag2 stores them in MCAP and sqlite3 files."""
+    """QoS profiles as YAML, in the form that rosbag2 stores in MCAP and sqlite3 files."""
     if not topic.qos:
         return "[]"
     return yaml.safe_dump([qos.as_yaml() for qos in topic.qos], sort_keys=False).strip()
@@ -95,7 +95,8 @@ def qos_text(topic: BagTopic) -> str:
 
 @lru_cache(maxsize=64)
 def qos_of_text(text: str) -> tuple[Qos, ...]:
-    """QoS profiles from such a text, which many topics share; none if it cannot be read."""
+    """Read QoS profiles from such a text. Empty if it cannot be read. (Cached, since many topics share a
+    text.)"""
     try:
         return tuple(Qos.from_yaml(profile) for profile in yaml.safe_load(text) or [])
     except (yaml.YAMLError, AttributeError, TypeError, ValueError):
@@ -106,7 +107,7 @@ def check_topics(topics: Sequence[BagTopic]) -> None:
     """Check names and types.
 
     Raises:
-        BagError: A name is no absolute topic name, a type no message type, or a name occurs twice.
+        BagError: A name is no absolute topic name, a type is no message type, or a name occurs twice.
     """
     names = set[str]()
     for topic in topics:
@@ -124,9 +125,9 @@ def check_topics(topics: Sequence[BagTopic]) -> None:
 def described(topic: BagTopic) -> BagTopic:
     """The topic with definition and hash of its type.
 
-    The definition comes from rosbags' copy of the Jazzy messages, and is so the same on every machine; for
-    other types from the ``.msg`` files of installed packages and of ``config/interfaces``. For an unknown
-    type a HumansimWarning says so.
+    The definition comes from rosbags' copy of the Jazzy messages, so that it is the same on every machine.
+    For other types it comes from the ``.msg`` files of installed packages and of ``config/interfaces``. An
+    unknown type causes a HumansimWarning.
 
     Raises:
         HumansimError: The libraries of recording are not installed.
@@ -145,7 +146,7 @@ def described(topic: BagTopic) -> BagTopic:
 
 @cache
 def message_types() -> Typestore:
-    """The types that rosbags knows, with those that :func:`described` has found since."""
+    """The types that rosbags knows, and those that :func:`described` has added."""
     with needs_libraries():
         from rosbags.typesys import Stores, get_typestore
     return get_typestore(Stores.ROS2_JAZZY)
@@ -153,13 +154,13 @@ def message_types() -> Typestore:
 
 @lru_cache(maxsize=64)
 def types_of(name: str, definition: str) -> Typestore:
-    """Types that read the messages of a topic.
+    """Types for reading the messages of a topic.
 
-    A type that is not one of ROS itself has the definition that the bag has: versions differ.
+    A type that is not part of ROS itself gets the definition in the bag, since versions differ.
 
     Args:
         name: Name of the type.
-        definition: Its definition in the bag; may be empty.
+        definition: Definition of the type in the bag. It may be empty.
     """
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
@@ -196,7 +197,8 @@ def _description(name: str) -> tuple[str, str]:
 
 
 def _installed_hash(name: str) -> str:
-    """Hash of a type as ROS has computed it; rosbags computes another for types with a field of kind char."""
+    """Hash of a type from ROS itself, since rosbags computes another hash for types with a field of kind
+    char."""
     path = _installed_file(name, ".json")
     if path is None:
         return ""
@@ -208,7 +210,7 @@ def _installed_hash(name: str) -> str:
 
 
 def _known(name: str, store: Typestore) -> bool:
-    """Whether the store has a type with all types that it contains; loads them from ``.msg`` files."""
+    """Whether the store has a type with all types that it contains. They are loaded from ``.msg`` files."""
     from rosbags.typesys import TypesysError, get_types_from_msg
 
     if name in store.fielddefs:
@@ -228,7 +230,8 @@ def _known(name: str, store: Typestore) -> bool:
 
 
 def _names_in(field: Any) -> list[str]:
-    """Message types in the description of a field: (kind, content), where content may be a description."""
+    """Message types in the description of a field. A description is (kind, content), where content may be a
+    description."""
     from rosbags.interfaces import Nodetype
 
     kind, content = field

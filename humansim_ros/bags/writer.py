@@ -1,6 +1,6 @@
 """Write a bag of rosbag2: append encoded chunks, split into files, keep ``metadata.yaml`` up to date.
 
-An interrupted bag is finished as it is, or opened to be continued.
+An interrupted bag can be finished or continued.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
     from humansim_ros.bags.mcap_file import McapFile
     from humansim_ros.bags.sqlite_file import SqliteFile
 
-#: Seconds between renewals of metadata.yaml.
+#: Seconds between updates of metadata.yaml.
 _RENEWAL = 1.0
 #: Errors of writing a file of a bag.
 _ERRORS = (OSError, sqlite3.Error)
 #: Errors of a disk without space.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: Bytes that are freed at first on a full disk, for the summary and metadata.yaml.
+#: Number of bytes that are freed first when the disk is full, for the summary and metadata.yaml.
 _SPARE = 1 << 14
 
 
@@ -64,7 +64,7 @@ def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
 
 
 def _lock_bag(folder: Path) -> int:
-    """Lock a bag for this process; close the descriptor that is returned to unlock it.
+    """Lock a bag for this process. Close the returned descriptor to unlock it.
 
     Raises:
         BagError: Another process writes the bag.
@@ -76,7 +76,7 @@ def _lock_bag(folder: Path) -> int:
     except BlockingIOError:
         os.close(descriptor)
         raise BagError("another process is writing this bag", path=folder) from None
-    except OSError:  # a file system without locks
+    except OSError:  # the file system has no locks
         pass
     return descriptor
 
@@ -88,7 +88,8 @@ def check_unlocked(folder: Path) -> None:
 
 
 def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
-    """Common beginning of the names, and files of a bag in their order. Raises BagError if there are none."""
+    """Common prefix of the names, and the files of a bag in their order. Raises BagError if there are
+    none."""
     found: dict[str, dict[int, Path]] = {}
     for path in folder.glob(f"*{suffix}"):
         if match := re.fullmatch(r"(.+)_(\d+)", path.stem):
@@ -117,21 +118,22 @@ class BagWriter:
 
     Use it in a ``with`` block, or call :meth:`close`. A bag keeps the chunks that have been appended,
     whatever happens to the process: if it is killed, BagReader reads the bag, and :meth:`resume` continues or
-    finishes it. All methods are for one thread. Start other processes by ``spawn`` or ``forkserver``:
-    processes of ``fork`` keep the bag locked.
+    finishes it. All methods must be called in one thread. Start other processes by ``spawn`` or
+    ``forkserver``, since processes of ``fork`` keep the bag locked.
+
 
     Args:
-        folder: Folder of the bag, which is created.
-        topics: Topics; a chunk names them by their index. Missing definitions are looked up.
+        folder: Folder of the bag. It is created.
+        topics: Topics. A chunk names a topic by its index. Missing definitions are looked up.
         storage: ``mcap`` or ``sqlite3``.
-        compression: Compression of the chunks that will come; sqlite3 files have none.
-        max_size: Size in bytes at which the next group begins a new file; 0: never.
-        max_duration: Duration in seconds after which the next group begins a new file; 0: never.
-        custom: Texts for ``custom_data`` of metadata.yaml; ``writer.custom`` can change until the end.
+        compression: Compression of the chunks. sqlite3 files have none.
+        max_size: Size in bytes at which the next group begins a new file. If 0, never.
+        max_duration: Duration in seconds after which the next group begins a new file. If 0, never.
+        custom: Texts for ``custom_data`` of metadata.yaml. ``writer.custom`` can be changed until the end.
 
     Attributes:
         folder: Absolute path of the folder.
-        groups: Number of groups in the bag that are whole.
+        groups: Number of complete groups in the bag.
 
     Raises:
         BagError: The folder exists, cannot be created, or an option or a topic is wrong.
@@ -178,18 +180,19 @@ class BagWriter:
     def resume(
         cls, folder: str | os.PathLike[str], *, max_size: int = 0, max_duration: float = 0.0
     ) -> BagWriter:
-        """Continue an interrupted bag, or a finished one, after its last whole group.
+        """Continue an interrupted or a finished bag after its last complete group.
 
-        ``groups``, ``topics``, ``end`` and ``custom`` of the writer say what the bag holds. With the same
+        ``groups``, ``topics``, ``end`` and ``custom`` of the writer describe what the bag has. With the same
         limits and the same chunks as before, the bag becomes the same as without interruption.
+
 
         Args:
             folder: Folder of the bag.
-            max_size: As for a new bag.
-            max_duration: As for a new bag.
+            max_size: The same as for a new bag.
+            max_duration: The same as for a new bag.
 
         Raises:
-            BagError: There is no bag of humansim, another process writes it, or it is damaged.
+            BagError: There is no bag of humansim, another process writes it, or the bag is damaged.
         """
         writer = cls.__new__(cls)
         writer.folder = Path(folder).resolve()
@@ -220,9 +223,9 @@ class BagWriter:
         self._write_metadata()
 
     def _reopen(self, spare: int = 0) -> None:
-        """Open the files to continue them after their last whole group.
+        """Open the files to continue them after their last complete group.
 
-        ``spare``: bytes of groups to remove as well, at least.
+        ``spare``: remove groups with at least this number of bytes from the end.
 
         Raises:
             BagError: The folder holds no bag of humansim, or the bag is damaged.
@@ -239,7 +242,7 @@ class BagWriter:
             self._file, groups = self._file_class.reopen(paths[-1], spare=spare)
             if groups is not None:
                 break
-            # without messages: perhaps not even its topics are whole
+            # without messages; perhaps not even the topics are complete
             self._file.close()
             paths[-1].unlink()
             if len(paths) == 1:
@@ -279,7 +282,7 @@ class BagWriter:
         return self._file.size
 
     def add_topic(self, topic: BagTopic) -> int:
-        """Add a topic; return its index for messages.
+        """Add a topic. Returns its index for messages.
 
         Raises:
             BagError: The name or type is wrong, the bag has the topic, or the disk is full.
@@ -292,12 +295,13 @@ class BagWriter:
         return len(self.topics) - 1
 
     def append(self, chunk: Chunk, *, ends_group: bool = True) -> None:
-        """Append a chunk. Its bytes are given to the system at once, and may change afterwards.
+        """Append a chunk. The system gets its bytes at once, so that they may change afterwards.
 
         Args:
-            chunk: Encoded messages; chunks come in the order of their times.
-            ends_group: False if the next chunk belongs to the same group, such as another camera of a frame.
-                Files are split, and interrupted bags are continued, only between groups.
+            chunk: Encoded messages. Chunks must come in the order of their times.
+            ends_group: Whether the chunk is the last of its group. If False, the next chunk belongs to the
+                same group, such as another camera of a frame. Files are split, and bags are continued, only
+                between groups.
 
         Raises:
             BagError: The disk is full. The bag is finished with the groups before.
@@ -318,7 +322,7 @@ class BagWriter:
         return 0 < self._max_duration < end - start or 0 < self._max_size <= self._file.size
 
     def _split(self) -> None:
-        """Finish the file, and begin the next."""
+        """Finish the file, and begin the next one."""
         self._file.finish()
         following = self._file_class.create(self._path(len(self._done) + 1), self._file.topics)
         self._done.append((self._file.path.name, self._file.content))
@@ -327,7 +331,7 @@ class BagWriter:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Write to the files; if that fails, finish the bag after its last whole group."""
+        """Write to the files. If that fails, finish the bag after its last complete group."""
         if self._closed:
             raise BagError("the bag is closed", path=self.folder)
         try:
@@ -343,7 +347,7 @@ class BagWriter:
             raise
 
     def sync(self) -> None:
-        """Bring metadata.yaml up to date; this happens every second while chunks come.
+        """Update metadata.yaml. This also happens every second while chunks are appended.
 
         Raises:
             BagError: The disk is full. The bag is finished with the groups before.
@@ -353,10 +357,11 @@ class BagWriter:
             self._write_metadata()
 
     def close(self) -> None:
-        """Finish the bag. More calls do nothing. An interrupt meanwhile leaves a bag for :meth:`resume`.
+        """Finish the bag. Further calls do nothing. If the call is interrupted, :meth:`resume` can finish the
+        bag.
 
         Raises:
-            BagError: The disk is full. The bag ends with the groups for which there is space.
+            BagError: The disk is full. The bag has only the groups that fit.
         """
         if self._closed:
             return
@@ -379,7 +384,8 @@ class BagWriter:
         self._write_metadata()
 
     def _finish_again(self) -> None:
-        """Finish the bag from what its files hold; on a full disk with so few groups that there is space."""
+        """Finish the bag from the content of its files. If the disk is full, groups are removed until there
+        is space."""
         custom, spare = self.custom, 0
         while True:
             self._file.close()

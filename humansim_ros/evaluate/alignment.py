@@ -1,4 +1,4 @@
-"""Pair the frames and people of a truth and an estimate, and find what makes them impossible to compare."""
+"""Pair the frames and people of a truth and an estimate, and find reasons why they cannot be compared."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.pose_sequence import People, PoseSequence
 from humansim_ros.types import Array, Indices
 
-#: Names of axes of files: map x, y, z as axes of the file.
+#: Names of axes of files. Each stands for the axes of the file that are x, y, z of map.
 AXES = {"z-up": "x,y,z", "y-up": "z,x,y", "y-down": "x,z,-y"}
-#: Sizes of bodies that differ by more than this factor are in another unit.
+#: If the sizes of bodies differ by more than this factor, their units differ.
 _UNIT_FACTOR = 2.0
-#: Frames that the checks of unit and axes look at.
+#: Number of frames that the checks of unit and axes use.
 _CHECKED_FRAMES = 50
-#: Stamps from this time on (2001), nanoseconds, come from a wall clock.
+#: Stamps from this time (the year 2001) on, nanoseconds, come from a wall clock.
 _WALL_CLOCK = 10**18
 #: Longest offset that is measured, seconds.
 MAX_OFFSET = 1.0
-#: Poses of the estimate that are compared.
+#: Number of poses of the estimate that are compared to measure the offset.
 _SAMPLES = 300
 _STEPS = 101
-#: A wrong offset costs at most this distance, metres: people who are not found do not decide.
+#: Largest cost of a wrong offset, metres, so that people who are not found do not decide.
 _MOST = 1.0
-#: The cost must rise by this distance, metres, within ``_AROUND`` seconds: else people hardly move.
+#: Around the best offset, within ``_AROUND`` seconds, the cost must rise by this distance, metres. If it does
+#: not, people hardly move.
 _LEAST_RISE, _AROUND = 0.001, 0.1
 
 
@@ -40,7 +41,7 @@ class FramePairs:
 
     Attributes:
         truth: (N,) frames of the truth.
-        estimate: (N,) frame of the estimate for each; -1 where the estimate has none.
+        estimate: (N,) frame of the estimate for each frame of the truth. -1 where the estimate has none.
         without_truth: Number of frames of the estimate without a frame of the truth.
     """
 
@@ -72,20 +73,21 @@ def axes_matrix(text: str) -> Array:
 
 
 def seconds(nanoseconds: int) -> str:
-    """Time for messages."""
+    """Seconds as text, for messages."""
     return f"{nanoseconds * 1e-9:.3f} s"
 
 
 def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
     """Pair each frame of the estimate with the nearest one of the truth, within half a period of the truth.
 
-    Frames of the truth between the first and the last pair that have no frame of the estimate are compared
-    as well, because everybody in them is missed. If the estimate has fewer frames per second than the truth,
-    gaps are compared at the rate of the estimate. If the estimate has no frame, all of the truth are
+    Between the first and the last pair, frames of the truth without a frame of the estimate are compared as
+    well, since everybody in them is missed. If the estimate has fewer frames per second than the truth, gaps
+    are compared at the rate of the estimate. If the estimate has no frame, all frames of the truth are
     compared.
 
+
     Raises:
-        EvaluationError: They do not overlap in time.
+        EvaluationError: Truth and estimate do not overlap in time.
     """
     times, own = truth.times, estimate.times
     if not len(own):
@@ -140,11 +142,11 @@ def _check_overlap(truth: PoseSequence, estimate: PoseSequence) -> None:
 
 
 def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -> None:
-    """Raise EvaluationError if people of the truth and of the estimate differ in size."""
+    """Raise EvaluationError if people of the truth and people of the estimate differ in size."""
     sizes = [body_size(people.values()) for people in _frames(truth, pairs.truth)]
     own = [body_size(people.values()) for people in _frames(estimate, pairs.estimate)]
     if not np.isfinite(sizes).any() or not np.isfinite(own).any():
-        return  # people of one point have no size
+        return  # people with a single point have no size
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = float(np.nanmedian(sizes) / np.nanmedian(own))
     if not np.isfinite(factor) or 1 / _UNIT_FACTOR < factor < _UNIT_FACTOR:
@@ -160,7 +162,7 @@ def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -
 
 
 def body_size(people: Iterable[Array]) -> float:
-    """Median spread of the joints of people, metres; NaN without people."""
+    """Median spread of the joints of people, metres. NaN if there are no people."""
     spreads = [
         float(np.sqrt(np.nanvar(pose, axis=0).sum()))
         for pose in people
@@ -170,7 +172,7 @@ def body_size(people: Iterable[Array]) -> float:
 
 
 def check_axes(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, gate: float) -> None:
-    """Check that people do not match only after a swap of the axes of the estimate.
+    """Check the axes of the estimate: people must not match only after a swap of axes.
 
     Args:
         truth: The true poses.
@@ -179,7 +181,7 @@ def check_axes(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, g
         gate: Greatest mean joint distance of a match, metres.
 
     Raises:
-        EvaluationError: They do; it names the axes.
+        EvaluationError: People match only after a swap. The message names the right axes.
     """
     both = _paired(pairs)
     samples = [
@@ -221,7 +223,7 @@ def _all_axes() -> list[str]:
 
 
 def _paired(pairs: FramePairs) -> NDArray[np.intp]:
-    """Up to :data:`_CHECKED_FRAMES` of the frames (N, 2) that both have, spread over all."""
+    """At most :data:`_CHECKED_FRAMES` frames (N, 2) that both have, spread over the whole time."""
     both = np.stack([pairs.truth, pairs.estimate], axis=1)[pairs.estimate >= 0]
     return both[_spread(len(both))]
 
@@ -237,11 +239,9 @@ def _spread(count: int) -> Indices:
 
 
 def measure_offset(truth: PoseSequence, estimate: PoseSequence) -> float | None:
-    """Seconds by which the stamps of the estimate are late, up to :data:`MAX_OFFSET`; None if unknown.
-
-    The mean joint distance to the nearest person of the truth, which is interpolated linearly, is least at
-    that offset. It is unknown if people hardly move. Both have the same joints.
-    """
+    """Delay of the stamps of the estimate, seconds, at most :data:`MAX_OFFSET`; None if unknown. At this
+    offset the mean joint distance to the nearest person of the truth is smallest. The truth is interpolated
+    linearly. The offset is unknown if people hardly move. Truth and estimate must have the same joints."""
     cost = _cost(truth, estimate)
     if cost is None:
         return None
@@ -273,7 +273,7 @@ def _cost(truth: PoseSequence, estimate: PoseSequence) -> Callable[[float], floa
     paths = np.stack([[people.get(name, absent) for name in names] for people in truth.people])
 
     def cost(late: float) -> float:
-        """Mean distance if the estimate is late by some seconds; NaN if most times are outside the truth."""
+        """Mean distance if the estimate is late by some seconds. NaN if most times are outside the truth."""
         at = times - late
         inside = (at >= known[0]) & (at <= known[-1])
         if inside.mean() < 0.5:
@@ -292,10 +292,8 @@ def _cost(truth: PoseSequence, estimate: PoseSequence) -> Callable[[float], floa
 
 
 def pair_distances(truth: Sequence[Array], estimate: Sequence[Array]) -> Array:
-    """Mean distances (T, E) of the joints that two people both have; inf if they have none in common.
-
-    ``truth`` and ``estimate``: joints (C, 3) of each person, NaN where one is absent.
-    """
+    """Mean distances (T, E) of the joints that two people both have. inf if they have no joint in common.
+    ``truth`` and ``estimate``: joints (C, 3) of each person, NaN where one is absent."""
     if not truth or not estimate:
         return np.zeros((len(truth), len(estimate)))
     errors = np.linalg.norm(np.stack(truth)[:, None] - np.stack(estimate)[None], axis=3)
@@ -306,7 +304,7 @@ def pair_distances(truth: Sequence[Array], estimate: Sequence[Array]) -> Array:
 
 
 def match_people(distances: Array, gate: float) -> list[tuple[int, int]]:
-    """Pairs (truth, estimate) with the least sum of distances, as many as are within a gate.
+    """Pairs (truth, estimate) with the smallest sum of distances, as many pairs as possible within a gate.
 
     Args:
         distances: (T, E) mean joint distances, metres.

@@ -1,4 +1,4 @@
-"""Compare upright 3D boxes of people in ``map`` with the truth, as track 1 of the AI City Challenge does."""
+"""Compare upright 3D boxes of people in ``map`` with the truth, like track 1 of the AI City Challenge."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.states import SceneStates
 from humansim_ros.types import Array, Indices
 
-#: Half of the distance on the floor at which the similarity of the challenge of 2024 is 0, metres.
+#: Half of the distance on the floor where the similarity of the challenge of 2024 becomes 0, metres.
 DEFAULT_GATE = 1.0
 
 
@@ -32,10 +32,11 @@ class BoxTracks:
     """Boxes of people by frame.
 
     Attributes:
-        frames: Identities (N,) and boxes (N, 7) by number of the frame: centre in ``map``, sizes along the
-            axes of the box, metres; and yaw of its x axis, radians.
+        frames: By frame number: identities (N,) and boxes (N, 7). A box is its centre in ``map``, its sizes
+            along its own axes (metres), and the yaw of its x axis (radians).
+
         source: Where they come from, for messages.
-        names: Names by identity; those without one are shown by their number.
+        names: Names by identity. A person without a name is shown by number.
         lines: First line of each frame in a file.
     """
 
@@ -45,15 +46,14 @@ class BoxTracks:
     lines: Mapping[int, int] = field(default_factory=dict)
 
     def at(self, frame: int) -> tuple[Indices, Array]:
-        """Identities and boxes of a frame; nobody if there is none."""
+        """Identities and boxes of a frame. Empty if the frame is missing."""
         return self.frames.get(frame, (np.zeros(0, np.intp), np.zeros((0, 7))))
 
 
 @dataclass(frozen=True)
 class BoxErrors:
-    """Mean errors of the boxes of people who were found: of the centre and of the sizes (length, width,
-    height) in metres, of the yaw in degrees, and their mean 3D IoU.
-    """
+    """Mean errors of the boxes of people who were found. They are errors of the centre and of the sizes
+    (length, width, height) in metres, and of the yaw in degrees, and the mean 3D IoU."""
 
     center: float | None
     size: tuple[float, float, float] | None
@@ -63,7 +63,8 @@ class BoxErrors:
 
 @dataclass(frozen=True)
 class PersonBoxes:
-    """One person of the truth: number of frames, those where it was found, and mean error of the centre."""
+    """One person of the truth: number of frames, number of frames where it was found, mean error of the
+    centre."""
 
     present: int
     found: int
@@ -74,8 +75,9 @@ class PersonBoxes:
 class BoxEvaluation:
     """Result of a comparison. People are found if their centres on the floor are within ``gate`` metres.
 
-    ``tracking`` has the scores of identities by similarity: ``iou`` is the 3D IoU, as in the challenge of
-    2025; ``distance`` is 1 - d / (2 gate) of the centres on the floor, as in 2024, whose gate is 1 m.
+    ``tracking`` has the scores of identities by kind of similarity. ``iou`` is the 3D IoU, as in the
+    challenge of 2025. ``distance`` is 1 - d / (2 gate) of the centres on the floor, as in 2024, with a gate
+    of 1 m.
     """
 
     truth: str
@@ -97,7 +99,7 @@ def evaluate_boxes(truth: BoxTracks, estimate: BoxTracks, gate: float = DEFAULT_
         gate: Greatest distance of the centres on the floor of a person who counts as found, metres.
 
     Raises:
-        EvaluationError: A frame of the estimate is not in the truth, or the truth has nobody.
+        EvaluationError: The truth lacks a frame of the estimate, or the truth has no people.
     """
     for frame in estimate.frames:
         if frame not in truth.frames:
@@ -170,7 +172,7 @@ def scene_boxes(scene: Scene, frames: range) -> BoxTracks:
     """Boxes of all people of a scene, computed without rendering.
 
     Raises:
-        EvaluationError: The scene has nobody whose motion it knows, or there are too many frames.
+        EvaluationError: The scene has no people or one that is moved live, or there are too many frames.
     """
     check_motions(scene)
     if len(frames) > MAX_TRUTH_FRAMES:

@@ -38,24 +38,22 @@ from humansim_ros.messages.people import GROUND
 from humansim_ros.scene.standing import HIPS
 from humansim_ros.types import Array, Indices
 
-#: Greatest mean joint distance of a person who counts as found, metres, as for the recall of [Tu 2020].
+#: Largest mean joint distance of a person who counts as found, metres, as for the recall of [Tu 2020].
 DEFAULT_GATE = 0.5
 #: Threshold of PCK, metres [Mehta 2017].
 PCK_THRESHOLD = 0.15
 #: Thresholds of AP and recall, metres [Tu 2020].
 AP_THRESHOLDS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15)
-#: Number of the worst poses that are listed.
+#: Number of worst poses that are listed.
 WORST = 10
-#: Matrix that puts positions on the floor.
+#: Matrix that projects positions to the floor.
 _ON_FLOOR = np.diag([1.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Numbers of frames: compared, compared without an estimate, and of the estimate without truth.
-
-    ``start`` and ``end`` are the first and last stamp that were compared, nanoseconds.
-    """
+    """Numbers of frames: compared, compared without an estimate, and frames of the estimate without truth.
+    ``start`` and ``end`` are the first and last stamp that were compared, nanoseconds."""
 
     compared: int
     without_estimate: int
@@ -66,7 +64,7 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """Seconds by which the stamps of the estimate are late: measured (None: unknown), and corrected."""
+    """Delay of the stamps of the estimate, seconds: measured (None if unknown), and corrected."""
 
     measured: float | None
     applied: float
@@ -74,7 +72,8 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class PeopleCounts:
-    """People in all frames: of the truth, found, missed; and people of the estimate who match nobody."""
+    """Numbers of people in all frames: in the truth, found, missed; and people of the estimate who match
+    nobody."""
 
     present: int
     found: int
@@ -86,7 +85,7 @@ class PeopleCounts:
 
 @dataclass(frozen=True)
 class PositionErrors:
-    """Errors of the joints of people who were found, metres; PCK and AUC count missed people, too."""
+    """Errors of the joints of people who were found, metres. PCK and AUC count missed people, too."""
 
     mpjpe: float | None
     pa_mpjpe: float | None
@@ -148,7 +147,7 @@ class PersonScore:
 
 @dataclass(frozen=True)
 class CameraCountScore:
-    """Joints of people who were found that are in the images of some number of cameras: number, metres."""
+    """Errors of joints that are in the images of a given number of cameras: number of joints, metres."""
 
     joints: int
     mpjpe: float | None
@@ -156,7 +155,7 @@ class CameraCountScore:
 
 @dataclass(frozen=True)
 class WorstPose:
-    """A pose of those with the greatest mean error: stamp in nanoseconds, person, error in metres."""
+    """One of the poses with the largest mean error: stamp in nanoseconds, person, error in metres."""
 
     stamp: int
     person: str
@@ -189,11 +188,12 @@ class Matches:
 class Evaluation:
     """Result of a comparison. Lengths are metres, times seconds, shares 0 to 1; docs/evaluation.md.
 
-    ``by_cameras`` has errors by the number of cameras that have a joint in their image, if the truth is a
-    scene. ``tracking`` is None if the estimate has no identities, or nobody is in it; ``live`` is None for
-    files. The fields from ``matches`` to ``missed_joints`` are for plots, and not in JSON: stamps of the
-    compared frames (N,), their numbers of people found, missed and false (N, 3), errors of all matches (M,
-    C), the same with inf for joints that the estimate lacks, and the number of joints of missed people.
+    ``by_cameras``: if the truth is a scene, errors by number of cameras that have the joint in their image.
+    ``tracking`` is None if the estimate has no identities or no people. ``live`` is None for files. The
+    fields from ``matches`` to ``missed_joints`` are for plots, and not in JSON. They are the stamps of the
+    compared frames (N,), the numbers of people found, missed and false in them (N, 3), the errors of all
+    matches (M, C), the same errors with inf for joints that the estimate lacks, and the number of joints of
+    missed people.
     """
 
     truth: str
@@ -234,12 +234,14 @@ def evaluate_poses(
     Args:
         truth: The true poses.
         estimate: The poses to judge, in ``map``, metres.
-        names: Name of a joint in the truth by name in the estimate; found by their names if None.
-        gate: Greatest mean joint distance of a person who counts as found, metres.
-        offset: Seconds by which the stamps of the estimate are late, which is corrected; None: as measured.
+        names: Name of a joint in the truth, by name in the estimate. If None, joints are paired by their
+            names.
+        gate: Largest mean joint distance of a person who counts as found, metres.
+        offset: Delay of the stamps of the estimate, seconds. It is subtracted before the comparison. If None,
+            the delay is measured.
 
     Raises:
-        EvaluationError: They have no joint or no time in common, or differ in unit or axes.
+        EvaluationError: Truth and estimate have no joint or no time in common, or differ in unit or axes.
     """
     truth, estimate = _with_common_joints(truth, estimate, names)
     estimate = estimate.delayed(-round((offset or 0.0) * 1e9))
@@ -260,11 +262,9 @@ def evaluate_poses(
 def _with_common_joints(
     truth: PoseSequence, estimate: PoseSequence, names: Mapping[str, str] | None
 ) -> tuple[PoseSequence, PoseSequence]:
-    """Both with the joints that both have, under the names of the truth.
-
-    An estimate of one point a person is compared on the floor. If nobody is in the estimate, the truth keeps
-    all joints.
-    """
+    """Reduce truth and estimate to the joints that both have, with the names of the truth. An estimate with
+    one point per person is compared on the floor. If the estimate has no people, the truth keeps all
+    joints."""
     truth = truth.checked()
     if estimate.names == (GROUND,):
         truth, estimate = _below_hips(truth), estimate.mapped(_ON_FLOOR)
@@ -280,7 +280,7 @@ def _with_common_joints(
 
 
 def _below_hips(truth: PoseSequence) -> PoseSequence:
-    """The truth with one point: on the floor below the middle of the hips."""
+    """Reduce the truth to one point per person: on the floor below the middle of the hips."""
     try:
         people = [
             {name: below_hips(truth.names, pose) for name, pose in people.items()} for people in truth.people
@@ -298,7 +298,7 @@ def below_hips(names: Sequence[str], positions: Array) -> Array:
         positions: (J, 3) metres.
 
     Raises:
-        EvaluationError: There are no hips among them.
+        EvaluationError: The names have no hips.
     """
     hips = [number for number, name in enumerate(names) if body_joint(name) in HIPS]
     if len(hips) != len(HIPS):
@@ -315,7 +315,7 @@ class PersonErrors:
     """Errors of the people who are found, frame by frame.
 
     Attributes:
-        frames: For each compared frame: mean error of the joints by person of the truth, metres.
+        frames: For each compared frame, the mean joint error of each person of the truth, metres.
         strangers: Names of people of the estimate who match nobody in any frame.
         false: Number of people of the estimate who match nobody, in all frames.
     """
@@ -332,14 +332,14 @@ def person_errors(
     names: Mapping[str, str] | None = None,
     gate: float = DEFAULT_GATE,
 ) -> PersonErrors:
-    """Match people as :func:`evaluate_poses` does, and compute their errors only.
+    """Match people as :func:`evaluate_poses` does, and compute only their errors.
 
     Args:
-        truth, estimate, names, gate: As of :func:`evaluate_poses`.
+        truth, estimate, names, gate: The same as in :func:`evaluate_poses`.
         pairs: The frames to compare.
 
     Raises:
-        EvaluationError: They have no joint in common, or differ in unit or axes.
+        EvaluationError: Truth and estimate have no joint in common, or differ in unit or axes.
     """
     truth, estimate = _with_common_joints(truth, estimate, names)
     check_unit(truth, estimate, pairs)
@@ -355,7 +355,7 @@ def person_errors(
 
 
 class _Comparison:
-    """Everything that the metrics of one evaluation are computed from."""
+    """Everything that the metrics of an evaluation are computed from."""
 
     def __init__(self, truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, gate: float) -> None:
         self.truth, self.estimate, self.pairs, self.gate = truth, estimate, pairs, gate
@@ -387,7 +387,7 @@ class _Comparison:
         self.aligned_errors = joint_errors(self.matches.truth, aligned)
 
     def _match(self, frame: int, t: int, e: int) -> list[tuple[str, str]]:
-        """Count the people of a frame; names of the pairs that match."""
+        """Count the people of a frame. Returns the names of matching pairs."""
         truth = self.truth.people[t]
         estimate = self.estimate.people[e] if e >= 0 else {}
         people, own = list(truth), list(estimate)
@@ -465,7 +465,7 @@ class _Comparison:
         )
 
     def _counted_errors(self) -> Array:
-        """Errors with inf for joints that the truth has and the estimate has not."""
+        """Errors, with inf for joints that the truth has but the estimate lacks."""
         absent = np.isfinite(self.matches.truth).all(axis=2) & np.isnan(self.errors)
         return np.where(absent, np.inf, self.errors)
 
@@ -490,7 +490,8 @@ class _Comparison:
         return np.flatnonzero(np.array([person == name for person in self.matches.person], dtype=bool))
 
     def _motion(self, person: str | None) -> MotionErrors:
-        """Errors of one person, or of all: within runs of one identity without a gap."""
+        """Errors of one person, or of all people. They are computed within runs of one identity without a
+        gap."""
         velocity, acceleration = [np.zeros(0)], [np.zeros(0)]
         matches = self.matches
         groups: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -585,7 +586,7 @@ class _Comparison:
 
 
 def share(part: int, whole: int) -> float | None:
-    """A part of a whole; None of nothing."""
+    """A part of a whole, as a share. None if the whole is 0."""
     return part / whole if whole else None
 
 

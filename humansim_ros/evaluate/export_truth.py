@@ -1,4 +1,4 @@
-"""The truth of exports, and of scenes in images, for evaluations."""
+"""Ground truth from exports, and from the images of scenes, for evaluations."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from humansim_ros.keypoints import KeypointSet, keypoint_set
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.types import Image
 
-#: Formats with 3D poses, and the keypoint set that they have; None: the set of the export.
+#: Formats with 3D poses, each with its keypoint set. None stands for the set of the export.
 _POSES: dict[str, str | None] = {"trc": None, "c3d": None, "panoptic": "panoptic19"}
 _COCO = "coco/instances.json"
-#: Greatest size of a file of truth.
+#: Largest file of truth, bytes.
 _MAX_BYTES = 1 << 32
 #: Most frames of a scene that are rendered as truth: an hour at 30 Hz.
 MAX_RENDERED_FRAMES = 108_000
@@ -46,9 +46,10 @@ def is_export(path: Path) -> bool:
 
 
 class ExportTruth:
-    """Truth of a finished export: 3D poses of TRC, C3D or Panoptic files, and images of its COCO file.
+    """Ground truth of a finished export: 3D poses from TRC, C3D or Panoptic files, and images from its COCO
+    file.
 
-    The files that are read are compared with the hashes of the index.
+    Files are checked against the hashes of the index.
 
     Raises:
         ExportError: The folder has no index.
@@ -73,7 +74,8 @@ class ExportTruth:
             raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """All poses of the export, of a keypoint set if it has it. Raises EvaluationError if it has none."""
+        """All poses of the export, with the keypoint set if the export has it. Raises EvaluationError if it
+        has no poses."""
         found = {name: _POSES[name] or self.keypoints.name for name in _POSES if name in self.formats}
         chosen = sorted(found, key=lambda name: keypoints is not None and found[name] != keypoints.name)
         if not chosen:
@@ -91,11 +93,11 @@ class ExportTruth:
         return list(dict.fromkeys(row["camera"] for row in self._document["images"]))
 
     def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame in the COCO file; None if there is none."""
+        """Number of the image of a camera in a frame, in the COCO file; None if there is no image."""
         return self._numbers.get((camera, frame))
 
     def size(self, number: int) -> tuple[int, int] | None:
-        """Width and height of an image; None if there is none with this number."""
+        """Width and height of an image; None if there is no image with this number."""
         return self._sizes.get(number)
 
     @property
@@ -104,7 +106,7 @@ class ExportTruth:
         return self._frames.start
 
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
-        """Truth of the images of its COCO file; the parameters are for scenes."""
+        """Truth of all images of the COCO file. The parameters are used for scenes only."""
         document = self._document
         return ImageTruth(
             document["images"],
@@ -115,7 +117,7 @@ class ExportTruth:
         )
 
     def boxes(self) -> BoxTracks:
-        """Upright boxes of people in all frames. Raises EvaluationError if it has none."""
+        """Upright boxes of people in all frames. Raises EvaluationError if the export has no boxes."""
         name = f"aicity/{TRUTH_FILE}"
         if name not in self._files:
             raise EvaluationError(
@@ -167,11 +169,11 @@ class ExportTruth:
 class ExportPictures:
     """Colour images of an export.
 
-    Stamps of 3D files are rounded: an image belongs to a stamp if it is the nearest.
+    Stamps of 3D files are rounded, so an image belongs to a stamp if it is the nearest one.
 
     Args:
         folder: Folder of the export.
-        rows: Images of its COCO file; may be empty.
+        rows: Images of its COCO file. May be empty.
         period: Nanoseconds between frames.
     """
 
@@ -186,7 +188,7 @@ class ExportPictures:
         return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self._period // 2 else {}
 
     def cameras(self, stamp: int) -> dict[str, Camera]:
-        """Cameras with an image at a stamp, as the COCO file has them."""
+        """Cameras with an image at a stamp, from the COCO file."""
         return {
             name: Camera(
                 (row["width"], row["height"]),
@@ -200,7 +202,8 @@ class ExportPictures:
         }
 
     def image(self, stamp: int, camera: str) -> Image | None:
-        """Image of a camera at a stamp; None if there is none. Raises HumansimError for a damaged file."""
+        """Image of a camera at a stamp; None if there is no image. Raises HumansimError for a damaged
+        file."""
         row = self._at(stamp).get(camera)
         if row is None:
             return None
@@ -209,14 +212,14 @@ class ExportPictures:
             return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing, since no file is open."""
 
 
 class SceneImages:
-    """Truth of the images of a scene, which is rendered without colours.
+    """Ground truth of the images of a scene. The scene is rendered without colours.
 
-    Images have the numbers of an export from frame 0 on: from 1, frame by frame, in each in the order of the
-    cameras.
+    Images have the same numbers as in an export from frame 0 on. Numbers begin at 1 and go frame by frame, in
+    each frame in the order of the cameras.
 
     ``keypoints``: set of the keypoints of an estimate without names.
     """
@@ -231,7 +234,7 @@ class SceneImages:
         return list(self.scene.scene_cameras)
 
     def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame; None if there is none."""
+        """Number of the image of a camera in a frame; None if there is no image."""
         pictured = self._pictured(frame)
         return self._first(frame) + pictured.index(camera) if camera in pictured else None
 
@@ -244,11 +247,11 @@ class SceneImages:
         return width, height
 
     def _pictured(self, frame: int) -> list[str]:
-        """Cameras that take a picture in a frame."""
+        """Cameras that capture a frame."""
         return [name for name, camera in self.scene.scene_cameras.items() if frame in camera.timing]
 
     def _first(self, frame: int) -> int:
-        """Number of the first image from a frame on."""
+        """Number of the first image at or after a frame."""
         return 1 + sum(camera.timing.number(frame - 1) + 1 for camera in self.scene.scene_cameras.values())
 
     def _frame_of(self, number: int) -> int:
@@ -258,10 +261,10 @@ class SceneImages:
         return bisect_right(range(last), number, key=self._first) - 1
 
     def images(self, numbers: Collection[int], keypoints: KeypointSet | None = None) -> ImageTruth:
-        """Render the frames from the first to the last of some images, or the first one; needs OpenGL.
+        """Render the frames from the first to the last of some images (at least one). Needs OpenGL.
 
-        ``keypoints``: set of the estimate. The truth has it if its OKS constants are published, else its own
-        set, else coco17.
+        ``keypoints``: set of the estimate. The truth uses it if its OKS constants are published, or else its
+        own set, or else coco17.
 
         Raises:
             EvaluationError: There are too many frames.
@@ -297,12 +300,12 @@ class SceneImages:
 
 
 def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
-    """Open the truth of images: an export, or a scene, which is rendered.
+    """Open the truth of images: an export, or a scene that is rendered.
 
-    ``keypoints``: name of the keypoint set of a scene; coco17 if None.
+    ``keypoints``: name of the keypoint set for a scene. If None, coco17.
 
     Raises:
-        HumansimError: The scene or export is wrong, or is a bag.
+        HumansimError: The scene or export is wrong, or the path is a bag.
     """
     if is_export(path):
         return ExportTruth(path)
@@ -316,10 +319,11 @@ def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneIm
 
 
 def open_box_truth(path: Path, estimate: BoxTracks) -> BoxTracks:
-    """Truth of boxes: of an export with the format ``aicity``, or of a scene in the frames of the estimate.
+    """Open the truth of boxes: an export with the format ``aicity``, or a scene at the frames of the
+    estimate.
 
     Raises:
-        HumansimError: The scene or export is wrong, is a bag, or has no boxes.
+        HumansimError: The scene or export is wrong or has no boxes, or the path is a bag.
     """
     if is_export(path):
         return ExportTruth(path).boxes()

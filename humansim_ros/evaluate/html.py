@@ -1,4 +1,4 @@
-"""Reports of an evaluation as one HTML page that loads nothing else."""
+"""Report of an evaluation as one HTML page without other files."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from humansim_ros.types import Array
 
 WIDTH, HEIGHT = 640, 240
 _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 12, 14, 34
-#: Colours that people with colour blindness tell apart, of Okabe and Ito.
+#: Colours of Okabe and Ito, which colour-blind people can tell apart.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 #: Most intervals between the ticks of an axis.
 _INTERVALS = 5
-#: Points of a line; more are not seen on a screen.
+#: Most points of a line. More would not be visible on a screen.
 _MOST_POINTS = 1000
 
 
@@ -57,10 +57,10 @@ def line_plot(
     """Plot of lines; empty if no value is finite.
 
     Args:
-        lines: x (N,) and y (N,) by name; NaN in y breaks a line.
+        lines: x (N,) and y (N,) by name. NaN in y breaks a line.
         x_label: Quantity and unit of x.
         y_label: Quantity and unit of y.
-        top: Greatest y of the axis; the greatest y of the lines if 0.
+        top: Largest y of the axis. If 0, the largest y of the lines.
     """
     known = [(x, y) for x, y in lines.values() if np.isfinite(y).any()]
     if not known:
@@ -78,7 +78,7 @@ def line_plot(
 
 
 def bar_plot(values: Mapping[str, float | None], unit: str) -> Markup:
-    """Plot of a horizontal bar with its value for each name; None has no bar."""
+    """Plot with a horizontal bar and its value for each name. A value of None has no bar."""
     widest = max((value for value in values.values() if value is not None), default=0.0) or 1.0
     shapes = []
     for row, (name, value) in enumerate(values.items()):
@@ -92,7 +92,8 @@ def bar_plot(values: Mapping[str, float | None], unit: str) -> Markup:
 
 
 def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -> Markup:
-    """A pose (C, 3) and its estimate from the front (y to the left, z up) and from above (y left, x up)."""
+    """A pose (C, 3) and its estimate, seen from the front (y to the left, z up) and from above (y left, x
+    up)."""
     known = np.concatenate([truth, estimate])
     known = known[np.isfinite(known).all(axis=1)]
     centre = (known.min(axis=0) + known.max(axis=0)) / 2
@@ -128,13 +129,13 @@ def _axes(span: tuple[float, float], highest: float, x_label: str, y_label: str)
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers from low to high: multiples of 1, 2 or 5 times a power of ten, six at most."""
+    """Round numbers from low to high: multiples of 1, 2 or 5 times a power of ten, at most six."""
     if not high > low:
         return [low]
     power = 10.0 ** np.floor(np.log10((high - low) / _INTERVALS))
     step = next(power * factor for factor in (1, 2, 5, 10) if power * factor * _INTERVALS >= high - low)
     first, last = np.ceil(low / step - 1e-9) + 0.0, np.floor(high / step + 1e-9)
-    # rounded: a product such as 3 * 0.1 has a wrong last digit
+    # rounded, since a product such as 3 * 0.1 has a wrong last digit
     return [float(f"{number * step:.12g}") for number in np.arange(first, last + 1).tolist()]
 
 
@@ -156,7 +157,7 @@ def _plot(shapes: Sequence[str], height: int, width: int = WIDTH) -> Markup:
     return svg(shapes, width, height, font_family="sans-serif", font_size="11", fill="#3c4048")
 
 
-#: Lines of drawn poses, joints of the package's skeleton.
+#: Lines between joints of the package's skeleton, for drawn poses.
 _LINES = (
     "vt3_end vt3 l_shoulder l_elbow l_wrist",
     "vt3 r_shoulder r_elbow r_wrist",
@@ -168,9 +169,9 @@ _LINES = (
 
 
 def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str:
-    """The page: tables, errors over time and by joint, PCK curve, people by frame, and the worst poses.
+    """The page with tables, errors over time and by joint, PCK curve, people by frame, and the worst poses.
 
-    ``pictures``: images that the worst poses are drawn over, too.
+    ``pictures``: images. The worst poses are also drawn over them.
 
     Raises:
         HumansimError: An image cannot be rendered or read.
@@ -295,7 +296,7 @@ def _worst(e: Evaluation, pictures: Pictures | None) -> list[Markup]:
 def _over_image(
     pictures: Pictures, pose: WorstPose, truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]
 ) -> Markup:
-    """A pose drawn over the image of the camera that shows most of it; empty if no camera shows it."""
+    """A pose drawn over the image of the camera that shows most of it. Empty if no camera shows the pose."""
     best, found = (0, 0.0), ""
     pixels: dict[str, tuple[Array, Array]] = {}
     for name, camera in pictures.cameras(pose.stamp).items():
@@ -316,9 +317,9 @@ def _over_image(
 
 
 def image_html_report(evaluation: ImageEvaluation, pictures: Pictures | None = None) -> str:
-    """The page: tables, and the worst frames of each kind of detection, drawn over the images.
+    """The page with tables, and the worst frames of each kind of detection, drawn over the images.
 
-    ``pictures``: images to draw over; None: without them.
+    ``pictures``: images to draw over. If None, no images are shown.
 
     Raises:
         HumansimError: An image cannot be rendered or read.
@@ -370,7 +371,7 @@ def _picture(evaluation: ImageEvaluation, kind: str, worst: WorstImage, pictures
 def _shape(
     evaluation: ImageEvaluation, kind: str, row: Mapping[str, Any], color: tuple[int, int, int]
 ) -> Shape:
-    """What is drawn of an annotation or a detection."""
+    """Shape to draw for an annotation or a detection."""
     nothing = np.zeros((0, 2))
     if kind == "keypoints":
         points = np.reshape(np.asarray(row["keypoints"], float), (-1, 3))

@@ -1,6 +1,6 @@
 """Compare detections in images with the truth: keypoints, boxes and masks of each camera.
 
-pycocotools computes average precision [Lin 2014]; the other numbers are of people and objects that match by
+pycocotools computes average precision [Lin 2014]. For all other numbers, people and objects are matched with
 the Hungarian method on the same similarities.
 """
 
@@ -22,13 +22,13 @@ from humansim_ros.export.coco import joined_keypoints
 from humansim_ros.keypoints import KeypointSet, keypoint_set
 from humansim_ros.types import Array
 
-#: Least OKS or IoU of a match that counts as found.
+#: Smallest OKS or IoU of a match that counts as found.
 MATCH = 0.5
-#: Number of the worst matches that are listed.
+#: Number of worst matches that are listed.
 WORST = 10
-#: Key of the annotations of each kind of detection.
+#: Key of the annotations for each kind of detection.
 KEYS = {"keypoints": "keypoints", "boxes": "bbox", "masks": "segmentation"}
-#: Names that pycocotools gives to the kinds.
+#: Names of the kinds in pycocotools.
 _TYPES = {"keypoints": "keypoints", "boxes": "bbox", "masks": "segm"}
 #: Scores in the order of pycocotools.
 _REGION_SCORES = (
@@ -41,9 +41,9 @@ _KEYPOINT_SCORES = (
 )
 #: Visibility of keypoints in COCO.
 _OCCLUDED, _VISIBLE = 1, 2
-#: Outer corners of the eyes among the 68 points of a face, whose distance is the unit of the NME [300-W].
+#: Outer corners of the eyes among the 68 points of a face. Their distance is the unit of the NME [300-W].
 _EYE_CORNERS = (45, 36)
-#: Largest error of a correct keypoint of a hand, as a share of the longer side of its box, for PCK.
+#: Largest error of a correct keypoint of a hand in PCK, as a share of the longer side of the hand's box.
 _HAND_SHARE = 0.2
 
 _Record = dict[str, Any]
@@ -51,7 +51,7 @@ _Record = dict[str, Any]
 
 @dataclass(frozen=True, repr=False)
 class ImageTruth:
-    """Truth of images, as COCO describes it.
+    """Ground truth of images, in the form of COCO.
 
     Attributes:
         images: ``id``, ``camera``, ``frame``, ``stamp``, ``width``, ``height`` of each image.
@@ -70,16 +70,16 @@ class ImageTruth:
 
 @dataclass(frozen=True, repr=False)
 class Detections2D:
-    """Detections in images, as results of COCO.
+    """Detections in images, in the form of COCO results.
 
     Attributes:
         results: ``image_id``, ``score``, ``category_id`` (absent in label images), and ``keypoints``,
             ``bbox`` or ``segmentation`` (compressed RLE).
-        images: Numbers of the images that were searched; None: all.
+        images: Numbers of the images that were searched. If None, all.
         source: Where they come from, for messages.
-        keypoints: Set of the keypoints; None: that of the truth.
-        kinds: Kinds of detections that are scored if there is none at all.
-        cameras: Cameras whose images were searched; None: all.
+        keypoints: Set of the keypoints. If None, that of the truth.
+        kinds: Kinds of detections that are scored even if there are no detections.
+        cameras: Cameras with images that were searched. If None, all.
     """
 
     results: Sequence[_Record]
@@ -92,7 +92,7 @@ class Detections2D:
 
 @dataclass(frozen=True)
 class PixelErrors:
-    """Distances of keypoints in pixels, of people who were found: all, visible ones, occluded ones."""
+    """Mean distances of keypoints of people who were found, pixels: all, visible ones, occluded ones."""
 
     mean: float | None
     median: float | None
@@ -105,12 +105,12 @@ class ImageScores:
     """Scores of detections of one kind, in all images or in the images of a camera.
 
     Attributes:
-        precision: Average precision and recall of pycocotools; None where it has none.
+        precision: Average precision and recall of pycocotools. None where pycocotools has no value.
         present: Number of people and objects in the images.
-        found: Those with a detection of an OKS or IoU of at least 0.5.
-        false: Detections that are nobody.
-        similarity: Mean OKS or IoU; 0 for each without a match.
-        error: Errors of keypoints; None for boxes and masks.
+        found: Number of these with a detection that has an OKS or IoU of at least 0.5.
+        false: Number of detections that match nobody.
+        similarity: Mean OKS or IoU. A person or object without a match counts as 0.
+        error: Errors of keypoints. None for boxes and masks.
     """
 
     precision: dict[str, float | None]
@@ -123,7 +123,7 @@ class ImageScores:
 
 @dataclass(frozen=True)
 class NamedScore:
-    """One person or object: number of images, those where it was found, mean OKS or IoU."""
+    """One person or object: number of images, number of images where it was found, mean OKS or IoU."""
 
     present: int
     found: int
@@ -132,7 +132,7 @@ class NamedScore:
 
 @dataclass(frozen=True)
 class KeypointScore:
-    """One keypoint: mean distance and mean difference (x, y) in pixels; None if it was never found."""
+    """One keypoint: mean distance and mean difference (x, y) in pixels. None if never found."""
 
     error: float | None
     bias: tuple[float, float] | None
@@ -140,14 +140,15 @@ class KeypointScore:
 
 @dataclass(frozen=True)
 class PartScore:
-    """Errors of a hand or face of people who were found, of all of its keypoints in the images.
+    """Errors of the hands or faces of people who were found, over all keypoints inside the images.
 
     Attributes:
-        epe: Mean distance in pixels (end-point error); None if it was never found.
-        pck: Share of the keypoints of a hand within 0.2 of the longer side of its box; missing ones are
-            wrong. None for faces.
-        nme: Mean distance as a share of the distance of the outer corners of the eyes, mean of all faces
-            that show both; None for hands and without such a face.
+        epe: Mean distance in pixels (end-point error). None if the part was never found.
+        pck: Share of the keypoints of a hand with an error below 0.2 of the longer side of the hand's box.
+            Missing keypoints count as wrong. None for faces.
+
+        nme: Mean distance as a share of the distance between the outer corners of the eyes, over all faces
+            that show both corners. None for hands, and if there is no such face.
     """
 
     epe: float | None
@@ -157,10 +158,8 @@ class PartScore:
 
 @dataclass(frozen=True)
 class WorstImage:
-    """A person or object of those with the least OKS or IoU.
-
-    ``stamp``: nanoseconds. ``error``: mean pixels; None for boxes and masks.
-    """
+    """One of the people or objects with the smallest OKS or IoU. ``stamp``: nanoseconds. ``error``: mean
+    distance, pixels; None for boxes and masks."""
 
     image: int
     camera: str
@@ -173,9 +172,8 @@ class WorstImage:
 
 @dataclass(frozen=True)
 class KindScores:
-    """All scores of detections of one kind. ``by_keypoint`` is empty for boxes and masks, and ``by_part``
-    (face, left_hand, right_hand) for keypoint sets without these.
-    """
+    """All scores of detections of one kind. ``by_keypoint`` is empty for boxes and masks. ``by_part`` (face,
+    left_hand, right_hand) is empty for keypoint sets without these."""
 
     all: ImageScores
     by_camera: dict[str, ImageScores]
@@ -187,11 +185,8 @@ class KindScores:
 
 @dataclass(frozen=True)
 class ImageEvaluation:
-    """Result of a comparison in images; kinds that the estimate lacks are None.
-
-    ``matches`` is for pictures and not in JSON: annotation and detection (None: missed) by kind, image and
-    name.
-    """
+    """Result of a comparison in images. Kinds that the estimate lacks are None. ``matches`` is for pictures,
+    and not in JSON. By kind, image and name it has the annotation and the detection (None if missed)."""
 
     truth: str
     estimate: str
@@ -213,11 +208,11 @@ class ImageEvaluation:
 def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float = 0.0) -> ImageEvaluation:
     """Compare detections with the truth. pycocotools must be installed.
 
-    ``min_score``: detections with a lower score count for average precision only.
+    ``min_score``: detections with a lower score count only for average precision.
 
     Raises:
-        EvaluationError: The detections are of no image or category of the truth, or have no keypoint with a
-            published OKS constant in common with it.
+        EvaluationError: The detections belong to no image or category of the truth, or no keypoint with a
+            published OKS constant is in both.
     """
     images = [
         row
@@ -259,10 +254,8 @@ def evaluate_images(truth: ImageTruth, estimate: Detections2D, min_score: float 
 def _with_common_keypoints(
     truth: ImageTruth, results: list[_Record], estimate: Detections2D
 ) -> tuple[ImageTruth, list[_Record]]:
-    """Both with the keypoints that are the same anatomical point in both sets, and have an OKS constant.
-
-    The constants are those of the set of the truth, or of coco17 if that set has none.
-    """
+    """Reduce truth and results to keypoints that are the same anatomical point in both sets and have an OKS
+    constant. The constants are those of the set of the truth, or of coco17 if that set has none."""
     own, found = truth.keypoints, estimate.keypoints or truth.keypoints
     if found == own and own.sigmas is not None:
         return truth, results
@@ -325,7 +318,7 @@ class _Comparison:
         self.truth, self.kind, self.min_score = truth, kind, min_score
         self.images = {row["id"]: row for row in images}
         own = [dict(row) for row in results if KEYS[kind] in row]
-        # pycocotools takes the keys of the first row to be in all
+        # pycocotools takes the keys of the first row to be in all rows
         partial = {key for key in KEYS.values() if any(key not in row for row in own)}
         own = [{key: value for key, value in row.items() if key not in partial} for row in own]
         self._coarse = any("category_id" not in row for row in own)
@@ -337,7 +330,7 @@ class _Comparison:
         self._of_all = _Group()
         self._of_camera: dict[str, _Group] = defaultdict(_Group)
         self._of_name: dict[str, _Group] = defaultdict(_Group)
-        #: Differences (N, K, 2) of keypoints to the truth, NaN where there is none.
+        #: Differences (N, K, 2) between keypoints and the truth; NaN where there is none.
         self._differences: list[Array] = []
         #: True keypoints (K, 3) of people who were found: x, y, visibility.
         self._found: list[Array] = []
@@ -389,7 +382,8 @@ class _Comparison:
             self._worst.append(WorstImage(image, camera, row["frame"], row["stamp"], name, similarity, error))
 
     def _difference(self, annotation: _Record, detection: _Record) -> Array:
-        """Difference and visibility (K, 3) of keypoints; NaN where one of both has none."""
+        """Difference and visibility (K, 3) of keypoints; NaN where the annotation or the detection lacks
+        one."""
         if self.kind != "keypoints":
             return np.zeros((0, 3))
         truth = np.reshape(np.asarray(annotation["keypoints"], float), (-1, 3))
@@ -460,7 +454,7 @@ class _Comparison:
 
 
 def _part_score(part: str, distances: Array, truth: Array) -> PartScore:
-    """Score of a part of N people. ``distances``: (N, P) pixels, NaN if missing. ``truth``: (N, P, 3)."""
+    """Score of one part of the body (face or a hand) over N people."""
     epe = mean_error(distances)
     shown = truth[..., 2] > 0
     if part == "face":
@@ -471,7 +465,7 @@ def _part_score(part: str, distances: Array, truth: Array) -> PartScore:
         return PartScore(epe, None, nme)
     high = np.where(shown[..., None], truth[..., :2], -np.inf).max(axis=1)
     low = np.where(shown[..., None], truth[..., :2], np.inf).min(axis=1)
-    side = (high - low).max(axis=1)  # minus infinity without a point in the image
+    side = (high - low).max(axis=1)  # minus infinity if no point is in the image
     correct = (distances <= _HAND_SHARE * side[:, None]) & shown
     return PartScore(epe, float(correct.sum() / shown.sum()) if shown.any() else None, None)
 
@@ -489,7 +483,7 @@ def _pixel_errors(differences: Sequence[Array]) -> PixelErrors:
 
 
 class _Judge:
-    """pycocotools for detections of one kind. ``coarse``: compare without categories."""
+    """pycocotools for detections of one kind. ``coarse``: categories are ignored."""
 
     def __init__(self, truth: ImageTruth, results: list[_Record], kind: str, coarse: bool) -> None:
         coco_class, self._evaluation_class = _pycocotools()
@@ -524,9 +518,8 @@ class _Judge:
         return {name: value if value >= 0 else None for name, value in zip(names, values, strict=True)}
 
     def similarities(self) -> dict[tuple[int, int], tuple[list[_Record], list[_Record], Array]]:
-        """Annotations (G), detections (D, best first) and OKS or IoU (D, G) by image and category, of the
-        images of the first call of :meth:`precision`.
-        """
+        """Annotations (G), detections (D, best first) and OKS or IoU (D, G) by image and category. They
+        belong to the images of the first call of :meth:`precision`."""
         evaluation, found = self._first, {}
         for (image, category), values in evaluation.ious.items():
             keys = [(image, category)]

@@ -1,4 +1,4 @@
-"""Joints that a truth and an estimate have in common, limbs between them, and tables of names."""
+"""Joints that both truth and estimate have, limbs between joints, and tables of names."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from humansim_ros.errors import EvaluationError, some_of, unknown
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointSet
 
-#: Spellings of joints that are not in :mod:`humansim_ros.body.joint_names`.
+#: Further spellings of joints, in addition to those of :mod:`humansim_ros.body.joint_names`.
 _SPELLINGS = {
     "vt3": ("neck", "lower_neck", "upper_neck"),
     "vt3_end": ("head_top", "top_head", "head"),
 }
 #: An end of a limb: the middle of one or several joints.
 LimbEnd = tuple[int, ...]
-#: Ends of each limb by group, joints of the package's skeleton.
+#: Ends of each limb, by group of limbs, as joints of the package's skeleton.
 _LIMBS = {
     "upper arms": (("l_shoulder", "l_elbow"), ("r_shoulder", "r_elbow")),
     "lower arms": (("l_elbow", "l_wrist"), ("r_elbow", "r_wrist")),
@@ -31,14 +31,14 @@ _LIMBS = {
 
 
 def _plain(name: str) -> str:
-    """A name without case and separators; left and right are l and r."""
+    """A name without case and separators. Left and right become l and r."""
     word = re.sub(r"[^a-z0-9]", "", name.lower())
     return re.sub(r"^(left|right)", lambda match: match[1][0], word)
 
 
 @cache
 def _same_joints() -> dict[str, str]:
-    """Name of the package's skeleton by the plain name of the same joint in another set."""
+    """Name in the package's skeleton, by plain name of the same joint in another set."""
     table: dict[str, str] = {}
     for joint in JOINT_NAMES:
         for name in (joint.name, *(getattr(joint, s) for s in SETS if s not in joint.near)):
@@ -54,7 +54,8 @@ def _near_joints() -> dict[str, str]:
 
 
 def body_joint(name: str) -> str | None:
-    """The joint of the package's skeleton that a name of any set stands for, or the nearest; None if none.
+    """The joint of the package's skeleton that a name of any set means, or the nearest joint; None for no
+    joint.
 
     Example:
         >>> body_joint("RHip"), body_joint("left_ankle"), body_joint("nose")
@@ -68,12 +69,13 @@ def pair_joints(
 ) -> list[tuple[int, int]]:
     """Indices (truth, estimate) of the joints that both have, in the order of the truth.
 
-    Names are equal, equal without case and separators, or names of the same anatomical joint in two sets.
+    Names fit if they are equal, equal without case and separators, or names of the same anatomical joint in
+    two sets.
 
     Args:
         truth: Names of the joints of the truth.
         estimate: Names of the joints of the estimate.
-        table: Name in the truth by name in the estimate; other names of the estimate are not used.
+        table: Name in the truth, by name in the estimate. Other names of the estimate are ignored.
 
     Raises:
         EvaluationError: No joint is common, or a name of the table is unknown.
@@ -112,7 +114,7 @@ def _check_table(table: Mapping[str, str], truth: Sequence[str], estimate: Seque
 
 
 def limbs_of(names: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[LimbEnd, LimbEnd]]]:
-    """Limbs whose ends are among joints.
+    """Limbs with both ends among the joints.
 
     Returns:
         Group of each limb, such as "upper arms", and the joints at its two ends.
@@ -130,7 +132,8 @@ def limbs_of(names: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[LimbEnd,
 
 
 def set_of_names(names: Sequence[str]) -> KeypointSet | None:
-    """The smallest keypoint set with all these names; None if there is none, or all are joints of bodies."""
+    """The smallest keypoint set with all these names. None if there is no such set, or if all are joints of
+    bodies."""
     sets = [each for each in KEYPOINT_SETS.values() if set(names) <= set(each.names)]
     if not sets or all(body_joint(name) is not None for name in names):
         return None
@@ -139,7 +142,7 @@ def set_of_names(names: Sequence[str]) -> KeypointSet | None:
 
 @cache
 def set_with_names(names: tuple[str, ...]) -> KeypointSet:
-    """Keypoint set with names of a file, and with the points that these names stand for, as far as known."""
+    """Keypoint set with the names of a file. Each name gets the anatomical point that it means, if known."""
     sets = [*KEYPOINT_SETS.values()][::-1]
     places = {_plain(n): p for each in sets for n, p in zip(each.names, each.points, strict=True)}
     points = tuple(places.get(_plain(name)) or body_joint(name) or name for name in names)
@@ -150,7 +153,7 @@ def read_names(path: Path) -> dict[str, str] | list[str]:
     """Read a YAML file: name in the truth by name in the estimate, or the names of points in their order.
 
     Raises:
-        EvaluationError: It is neither, or a name occurs twice.
+        EvaluationError: The file is neither, or a name occurs twice.
     """
     content, _ = read_yaml(path, EvaluationError, "name table")
     words = list(content.values()) if isinstance(content, dict) else content

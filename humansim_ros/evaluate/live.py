@@ -19,24 +19,24 @@ from humansim_ros.evaluate.truth import SceneTruth
 from humansim_ros.keypoints import KeypointSet, keypoint_set
 from humansim_ros.messages.people import Pose, PoseFrame
 
-#: Most frames and joint positions of the truth, and of the estimate, that are kept: some 500 MB in all.
+#: Most frames and joint positions that are kept of the truth, and of the estimate: some 500 MB in all.
 MAX_FRAMES, MAX_POINTS = 100_000, 5_000_000
-#: Frame of all positions.
+#: Frame that all positions must be in.
 _WORLD = "map"
-#: Nanoseconds by which an estimate may be before the first frame of the truth, or ahead of the newest.
+#: An estimate may be before the first frame of the truth, or after the newest one, by this time, nanoseconds.
 _MAX_AHEAD = 5 * 10**9
 
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """How an estimate is read and compared; as the options of ``humansim evaluate``.
+    """How an estimate is read and compared. The options are those of ``humansim evaluate``.
 
     Attributes:
-        keypoints: Keypoint set of the estimate, and of the truth; None: the joints of bodies.
-        names: Names of points that have none, in their order.
+        keypoints: Keypoint set of the estimate and of the truth. If None, the joints of bodies.
+        names: Names for points without names, in their order.
         table: Name of a joint in the truth by name in the estimate.
         scale: Metres of a unit of the estimate.
-        axes: Axes of the estimate, as of ``axes_matrix``.
+        axes: Axes of the estimate, the same as in ``axes_matrix``.
         gate: Largest mean joint distance at which a person counts as found, metres.
     """
 
@@ -49,17 +49,17 @@ class LiveOptions:
 
     @classmethod
     def of(cls, keypoints: str, names: str, scale: float, axes: str, gate: float) -> LiveOptions:
-        """Options as texts and numbers; an empty text is the default.
+        """Options from texts and numbers. An empty text stands for the default.
 
         Args:
             keypoints: Name of a keypoint set.
-            names: YAML file, as of ``read_names``.
+            names: YAML file, the same as in ``read_names``.
             scale: Metres of a unit of the estimate.
             axes: Axes of the estimate.
             gate: Largest mean joint distance at which a person counts as found, metres.
 
         Raises:
-            HumansimError: There is no such set or file, or the axes are none.
+            HumansimError: There is no such set or file, or the axes are not valid.
         """
         points = keypoint_set(keypoints) if keypoints else None
         given = read_names(Path(names)) if names else None
@@ -83,12 +83,13 @@ def check_world(frame: PoseFrame) -> None:
 class LiveEvaluation:
     """Truth and estimate that arrive message by message, and their comparison.
 
-    Memory is bounded: of a long run, the oldest frames are forgotten.
+    Memory is bounded, so that the oldest frames of a long run are forgotten.
 
     Args:
         source: Name of the estimate, for errors.
         options: How the estimate is read and compared.
-        scene: Scene whose truth is computed for the stamps of the estimate; None: truth is added.
+        scene: Scene. Its truth is computed for the stamps of the estimate. If None, truth is added by
+            messages.
     """
 
     def __init__(self, source: str, options: LiveOptions, scene: SceneTruth | None = None) -> None:
@@ -102,19 +103,19 @@ class LiveEvaluation:
         """Add a message of the truth.
 
         Args:
-            frame: Its people.
-            topic: Its topic.
+            frame: People of the message.
+            topic: Topic of the message.
             arrival: Nanoseconds of any clock that does not go back.
-            person: Name of the person that the topic has.
+            person: Name that the topic gives to the person.
 
         Raises:
-            EvaluationError: As of ``EstimateStream.add``.
+            EvaluationError: In the cases of ``EstimateStream.add``.
         """
         if frame.stamp is not None and self.truth.add(frame, topic, arrival, person):
             self.add_time(frame.stamp)
 
     def add_time(self, stamp: int) -> None:
-        """Note that there is a frame of the truth with this stamp."""
+        """Note that the truth has a frame with this stamp."""
         first, newest = self._known or (stamp, stamp)
         self._known = min(first, stamp), max(newest, stamp)
 
@@ -129,11 +130,11 @@ class LiveEvaluation:
         """Add a message of the estimate.
 
         Args:
-            frame, topic, arrival, person: As of :meth:`add_truth`.
-            latency: Seconds since its frame; None if unknown.
+            frame, topic, arrival, person: The same as in :meth:`add_truth`.
+            latency: Seconds since the frame of the message. None if unknown.
 
         Raises:
-            EvaluationError: Its stamp or its frame is not of the truth; it is ignored.
+            EvaluationError: The stamp or the frame does not fit the truth. The message is ignored.
         """
         self._check(frame)
         self.estimate.add(frame, topic, arrival, person, latency)
@@ -155,32 +156,31 @@ class LiveEvaluation:
 
     @property
     def newest_frame(self) -> int:
-        """Newest stamp of the truth in nanoseconds; -1 before the first one."""
+        """Newest stamp of the truth in nanoseconds; -1 before the first message."""
         return -1 if self._known is None else self._known[1]
 
     def window(self, duration: float) -> Evaluation:
-        """Comparison of the newest frames.
+        """Compare the newest frames.
 
         ``duration``: seconds until the newest frame of the estimate.
 
         Raises:
-            EvaluationError: They cannot be compared.
+            EvaluationError: The frames cannot be compared.
         """
         newest = self.estimate.newest
         return self._evaluated(max(0, newest - round(duration * 1e9)))
 
     def total(self) -> Evaluation:
-        """Comparison of all frames that are kept.
+        """Compare all frames that are kept.
 
         Raises:
-            EvaluationError: They cannot be compared, such as without any estimate.
+            EvaluationError: The frames cannot be compared, for example if there is no estimate.
         """
         return self._evaluated(0)
 
     def to_data(self, total: Evaluation, ignored: int) -> dict[str, Any]:
-        """Result for JSON, as of ``humansim evaluate``; ``live`` has two keys more: the numbers of
-        messages that were ``ignored``, and of frames that were ``forgotten``.
-        """
+        """Result for JSON, the same as that of ``humansim evaluate``. ``live`` has two more keys: the number
+        of messages that were ``ignored``, and of frames that were ``forgotten``."""
         data = to_data(total)
         assert total.live is not None
         live = {**asdict(total.live), "ignored": ignored, "forgotten": self.estimate.forgotten}
@@ -198,11 +198,11 @@ class LiveEvaluation:
         return evaluate_poses(truth, estimate, names=self._options.table, gate=self._options.gate)
 
     def _compute_truth(self, scene: SceneTruth, last: int) -> None:
-        """Compute the truth of a scene up to a stamp, from where it is known."""
+        """Compute the truth of a scene up to a stamp, as far as it is not known yet."""
         newest = self.truth.newest
         if newest >= last:
             return
-        # the first computation may be of a window: others need the truth before it
+        # the first computation may be for a window; other calls need the truth before it
         begin = self.estimate.first if newest < 0 else newest + 1
         found = scene.poses((begin, last), 0.0, self._options.keypoints)
         for stamp, people in zip(found.times.tolist(), found.people, strict=True):

@@ -1,7 +1,7 @@
 """Errors of poses and of the detection of people, as publications report them.
 
-Poses of M matches have C joints, in metres, NaN where a joint is absent. docs/evaluation.md has the
-definition of each metric with its source.
+The poses of M matches have C joints, in metres. An absent joint is NaN. docs/evaluation.md has the definition
+of each metric with its source.
 """
 
 from __future__ import annotations
@@ -19,27 +19,25 @@ from humansim_ros.types import Array, Indices
 
 #: Thresholds of the AUC [Mehta 2017]: 0 to 150 mm in steps of 5 mm.
 AUC_THRESHOLDS: Array = np.linspace(0.0, 0.15, 31)
-#: Least number of joints that a similarity can be fitted to.
+#: Smallest number of joints that a similarity can be fitted to.
 _LEAST_JOINTS = 3
 
 
 def joint_errors(truth: Array, estimate: Array) -> Array:
-    """Distances (M, C) of the joints of poses (M, C, 3); NaN where one of them is absent."""
+    """Distances (M, C) between the joints of poses (M, C, 3). NaN if one of both is absent."""
     return np.linalg.norm(estimate - truth, axis=2)
 
 
 def mean_error(errors: Array) -> float | None:
-    """MPJPE: mean of all errors that are not NaN; None without any."""
+    """MPJPE: mean of all errors that are not NaN; None if there are none."""
     found = np.isfinite(errors)
     return float(errors[found].mean()) if found.any() else None
 
 
 def procrustes_aligned(truth: Array, estimate: Array) -> Array:
-    """Estimates (M, C, 3) after the similarity that fits each best to its truth.
-
-    Rotation, translation and scale are least squares over the joints that both have [Umeyama 1991], without
-    reflections. NaN where fewer than three joints are common.
-    """
+    """Estimates (M, C, 3), each transformed by the similarity that fits it best to its truth. Rotation,
+    translation and scale are least squares over the joints that both have [Umeyama 1991], without
+    reflections. The result is NaN where fewer than three joints are common."""
     both = np.asarray(np.isfinite(truth + estimate).all(axis=2))
     enough = both.sum(axis=1) >= _LEAST_JOINTS
     known = both[enough, :, None]
@@ -55,9 +53,9 @@ def pck(errors: Array, threshold: float, missing: int = 0) -> float | None:
     """Percentage of correct keypoints, as a share: errors up to a threshold among all joints of the truth.
 
     Args:
-        errors: Distances, NaN where the truth has no joint; inf where only the estimate has none.
+        errors: Distances. NaN where the truth has no joint, inf where only the estimate lacks it.
         threshold: Metres.
-        missing: Joints of people who were not found: they count as wrong.
+        missing: Number of joints of people who were not found. They count as wrong.
     """
     total = int((~np.isnan(errors)).sum()) + missing
     return float((errors <= threshold).sum()) / total if total else None
@@ -72,7 +70,7 @@ def auc(errors: Array, missing: int = 0) -> float | None:
 def correct_parts(
     truth: Array, estimate: Array, limbs: Sequence[tuple[LimbEnd, LimbEnd]], alpha: float = 0.5
 ) -> NDArray[np.int8]:
-    """Limbs of poses that are correct for PCP: 1, wrong: 0, or not in the truth: -1; (M, L).
+    """For each limb of poses, (M, L), whether it is correct for PCP: 1 correct, 0 wrong, -1 not in the truth.
 
     A limb is correct if the mean distance of its ends is at most ``alpha`` times its length
     [Belagiannis 2014].
@@ -98,12 +96,12 @@ def correct_parts(
 
 @dataclass(frozen=True)
 class Detections:
-    """All estimated people of all frames, as the average precision of Panoptic needs them.
+    """All estimated people of all frames, for the average precision of Panoptic.
 
     Attributes:
-        scores: (N,) confidence; the order of the estimate without scores.
-        distances: (N,) mean joint distance to the nearest person of the truth, inf without one.
-        nearest: (N,) number of that person in that frame, different for each frame.
+        scores: (N,) confidence. If the estimate has no scores, its order counts.
+        distances: (N,) mean joint distance to the nearest person of the truth. inf if there is none.
+        nearest: (N,) number of this person. Each person of each frame has another number.
         total: Number of people in the truth of all frames.
     """
 
@@ -113,7 +111,7 @@ class Detections:
     total: int
 
     def _hits(self, threshold: float) -> NDArray[np.bool_]:
-        """Which detections, by falling score, are the first within a threshold of their person."""
+        """For each detection, by falling score, whether it is the first within a threshold of its person."""
         order = np.argsort(-self.scores, kind="stable")
         near = self.distances[order] < threshold
         hits = np.zeros(len(order), dtype=bool)
@@ -123,10 +121,12 @@ class Detections:
         return hits
 
     def average_precision(self, threshold: float) -> float | None:
-        """AP at a distance in metres, as VoxelPose computes it on Panoptic [Tu 2020]; None without people.
+        """AP at a distance in metres, as VoxelPose computes it on Panoptic [Tu 2020]; None if there are no
+        people.
 
-        Detections are sorted by score. One is correct if it is nearer to its person than the threshold, and
-        the first for that person. The area lies below the precision that never rises with the recall.
+        Detections are sorted by score. A detection is correct if it is nearer to its person than the
+        threshold, and the first one for this person. AP is the area below the precision curve, after the
+        curve is made never to rise with recall.
         """
         if not self.total:
             return None
@@ -137,7 +137,7 @@ class Detections:
         return float(envelope[hits].sum() / self.total)
 
     def recall(self, threshold: float) -> float | None:
-        """Share of people with an estimate nearer than a distance in metres; None without people."""
+        """Share of people with an estimate nearer than a distance in metres; None if there are no people."""
         return float(self._hits(threshold).sum()) / self.total if self.total else None
 
 
@@ -154,7 +154,7 @@ def velocity_errors(times: Array, truth: Array, estimate: Array) -> Array:
 
 
 def acceleration_errors(times: Array, truth: Array, estimate: Array) -> Array:
-    """Errors (N - 2, C) of the accelerations at poses of one person with neighbours on both sides, m/s².
+    """Errors (N - 2, C) of the accelerations of one person at poses with neighbours on both sides, m/s².
 
     Args:
         times: (N,) seconds.
@@ -167,6 +167,6 @@ def acceleration_errors(times: Array, truth: Array, estimate: Array) -> Array:
 
 
 def runs(times: NDArray[np.int64], most: float) -> Sequence[slice]:
-    """Parts of increasing times without a gap of more than ``most`` nanoseconds."""
+    """Divide increasing times into parts without a gap of more than ``most`` nanoseconds."""
     breaks = [0, *(np.flatnonzero(np.diff(times) > most) + 1).tolist(), len(times)]
     return [slice(a, b) for a, b in pairwise(breaks) if b > a]

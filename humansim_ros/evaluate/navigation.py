@@ -16,17 +16,18 @@ from humansim_ros.errors import EvaluationError, some_of, warn_about
 from humansim_ros.evaluate.nearby import PeopleNearby
 from humansim_ros.types import Array
 
-#: Outer radii of the spaces around a person, metres [Hall 1966]; public space is beyond.
+#: Outer radii of the spaces around a person, metres [Hall 1966]. Public space lies beyond.
 SPACES = {"intimate": 0.45, "personal": 1.2, "social": 3.6}
-#: Least distance of a robot that keeps out of the way, metres [Francis 2025].
+#: Smallest distance of a robot that does not disturb a person, metres [Francis 2025].
 COMPLIANCE = 0.5
-#: Radius of a robot of which nothing is known, and of a person for the time to collision, metres.
+#: Radius of an unknown robot, and of a person for the time to collision, metres.
 DEFAULT_RADIUS, PERSON_RADIUS = 0.3, 0.3
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Frames of the truth without a pose of the robot: first and last stamp in nanoseconds, and number."""
+    """Frames of the truth without a pose of the robot: first and last stamp in nanoseconds, and their
+    number."""
 
     start: int
     end: int
@@ -35,7 +36,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class NavigationFrames:
-    """Numbers of frames of the truth: with a pose of the robot, and without one; ``gaps`` lists these."""
+    """Numbers of frames of the truth: with a pose of the robot, and without. ``gaps`` lists the latter."""
 
     compared: int
     without_pose: int
@@ -46,7 +47,8 @@ class NavigationFrames:
 
 @dataclass(frozen=True)
 class DrivenPath:
-    """Seconds, metres, mean speed in m/s; and turning beyond what the path needs, rad/m (None: it stood)."""
+    """The driven path: seconds, metres, mean speed in m/s, and turning beyond what the path needs, rad/m
+    (None if it stood)."""
 
     seconds: float
     length: float
@@ -56,19 +58,21 @@ class DrivenPath:
 
 @dataclass(frozen=True)
 class Closeness:
-    """How close a robot came to a person, or to the nearest one of all.
+    """How close a robot came to a person, or to the nearest of all people.
 
     Attributes:
-        distance: Least distance on the floor between robot and person, middle to middle, metres.
-        stamp: Stamp of it, nanoseconds.
-        clearance: Least distance on the floor between the robot's disc and the body, metres; below 0 in
+        distance: Smallest distance on the floor between the middles of robot and person, metres.
+        stamp: Stamp of the smallest distance, nanoseconds.
+        clearance: Smallest distance on the floor between the robot's disc and the body, metres. Below 0 in
             contact. None if bodies are not known.
-        collisions: Number of times that a contact begins; None if bodies are not known.
-        contact: Seconds in contact; None if bodies are not known.
-        time_to_collision: Least time to a collision if both went on as they do, seconds; None if there is
-            never one.
+
+        collisions: Number of times that a contact begins. None if bodies are not known.
+        contact: Seconds in contact. None if bodies are not known.
+        time_to_collision: Smallest time to a collision if both kept their velocity, seconds. None if they
+            would never collide.
+
         spaces: Seconds in the intimate, personal, social and public space.
-        compliance: Share of the time that it is farther than 0.5 m.
+        compliance: Share of the time with a distance above 0.5 m.
     """
 
     distance: float | None
@@ -83,10 +87,8 @@ class Closeness:
 
 @dataclass(frozen=True)
 class NavigationEvaluation:
-    """Result: the path, how close the robot came to the nearest person, and to each person.
-
-    ``radius``: radius of the robot's disc, metres.
-    """
+    """Result: the path, and how close the robot came to the nearest person and to each person. ``radius``:
+    radius of the robot's disc, metres."""
 
     truth: str
     estimate: str
@@ -146,7 +148,7 @@ def _gaps(times: NDArray[np.int64], known: NDArray[np.bool_]) -> list[Gap]:
 
 
 def _seconds(times: NDArray[np.int64], known: NDArray[np.bool_]) -> Array:
-    """Seconds (F,) that each frame stands for: half of the time to its neighbours that are known."""
+    """Seconds (F,) that each frame stands for: half of the time to its neighbouring known frames."""
     steps = np.where(known[1:] & known[:-1], np.diff(times) * 1e-9, 0.0)
     return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
 
@@ -184,7 +186,7 @@ def _closeness(nearby: PeopleNearby, name: str, radius: float, weights: Array) -
 
 
 def _nearest(nearby: PeopleNearby, each: Mapping[str, Closeness], weights: Array) -> Closeness:
-    """Of the person who is nearest in each frame; collisions and contacts of all together."""
+    """Closeness to whoever is nearest in each frame. Collisions and contacts are those with all people."""
     found = [closeness for closeness in each.values() if closeness.distance is not None]
     tables = [np.linalg.norm(nearby.places[:, :2] - place, axis=1) for place in nearby.people.values()]
     distances = np.fmin.reduce([*tables, np.full(len(weights), np.nan)])
@@ -204,7 +206,7 @@ def _nearest(nearby: PeopleNearby, each: Mapping[str, Closeness], weights: Array
 
 
 def _times_in_spaces(distances: Array, weights: Array) -> dict[str, float]:
-    """Seconds in each space; a frame without the person is in none."""
+    """Seconds in each space. A frame without the person counts for no space."""
     numbers = np.searchsorted(list(SPACES.values()), distances, side="right")
     seen = np.isfinite(distances)
     return {
@@ -220,7 +222,8 @@ def _compliance(distances: Array, weights: Array) -> float | None:
 
 
 def _time_to_collision(nearby: PeopleNearby, place: Array, reach: float) -> float | None:
-    """Least time until robot and person, two discs whose radii are ``reach`` together, would touch."""
+    """Smallest time until robot and person would touch. Both are discs; ``reach`` is the sum of their
+    radii."""
     relative = place - nearby.places[:, :2]
     seconds = nearby.times * 1e-9
     finite = np.asarray(np.isfinite(relative).all(axis=1))

@@ -22,7 +22,7 @@ from humansim_ros.scene.standing import HIPS
 from humansim_ros.scene.states import SceneStates
 from humansim_ros.types import Array
 
-#: Longest time between two poses of a robot between which it is known where it is, nanoseconds.
+#: Between two poses that are farther apart in time than this (nanoseconds), the place of a robot is unknown.
 MAX_GAP = 500_000_000
 _VERTICES = "/humans/*/vertices"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -30,9 +30,8 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 
 @dataclass(frozen=True, repr=False)
 class RobotPath:
-    """Where a robot was: times (P,) int64 nanoseconds, increasing; x, y and yaw (P, 3) in ``map``, without
-    jumps of the yaw by a turn.
-    """
+    """Path of a robot. ``times``: (P,) int64 nanoseconds, increasing. ``places``: (P, 3) x, y and yaw in
+    ``map``. The yaw does not jump by a whole turn."""
 
     times: NDArray[np.int64]
     places: Array
@@ -40,13 +39,14 @@ class RobotPath:
 
     @classmethod
     def of(cls, times: NDArray[np.int64], matrices: Array, source: str) -> RobotPath:
-        """The path of poses (P, 4, 4) in ``map``. Of poses with one stamp the last holds."""
+        """Path from poses (P, 4, 4) in ``map``. If several poses have one stamp, the last one counts."""
         last = np.append(np.diff(times) > 0, True)
         yaw = np.unwrap(np.arctan2(matrices[last, 1, 0], matrices[last, 0, 0]))
         return cls(times[last], np.column_stack([matrices[last, :2, 3], yaw]), source)
 
     def at(self, times: NDArray[np.int64]) -> Array:
-        """Places (F, 3) at some times, between the poses around each; NaN where these are too far apart."""
+        """Places (F, 3) at some times, interpolated between poses. NaN where the poses around are too far
+        apart."""
         after = np.clip(np.searchsorted(self.times, times), 1, max(len(self.times) - 1, 1))
         after = np.minimum(after, len(self.times) - 1)
         before = np.maximum(after - 1, 0)
@@ -66,10 +66,10 @@ class PeopleNearby:
 
     Attributes:
         times: (F,) int64 stamps, nanoseconds, increasing.
-        places: Places of the robot (F, 3): x, y, yaw; NaN where it is not known.
-        people: Middle of the hips on the floor (F, 2) by person; NaN in frames without the person.
-        nearest: Distance (F,) on the floor from the middle of the robot to the nearest vertex of a person
-            that is not above the robot, by person whose body is known; None if the bag has no bodies.
+        places: Places of the robot (F, 3): x, y, yaw. NaN where unknown.
+        people: By person: middle of the hips on the floor (F, 2). NaN in frames without the person.
+        nearest: By person with a known body: distance (F,) on the floor from the middle of the robot to the
+            nearest vertex that is not above the robot. None if the bag has no bodies.
         source: Where the people come from, for messages.
     """
 
@@ -81,10 +81,8 @@ class PeopleNearby:
 
 
 def robot_size(scene: Scene) -> tuple[float, float] | None:
-    """Radius of the disc around ``base_link`` that holds the robot of a scene, and its height, metres.
-
-    None if the scene has no robot.
-    """
+    """Radius of the disc around ``base_link`` that contains the robot of a scene, and height of the robot,
+    metres. Returns None if the scene has no robot."""
     if scene.robot is None:
         return None
     item = scene.objects[ROBOT]
@@ -93,10 +91,10 @@ def robot_size(scene: Scene) -> tuple[float, float] | None:
 
 
 def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
-    """People of a scene in its frames while a robot drives; nothing is rendered.
+    """People of a scene in those frames in which a robot drives. Nothing is rendered.
 
     Raises:
-        EvaluationError: The scene has nobody whose motion it knows, or no frame in this time.
+        EvaluationError: The scene has no people or one that is moved live, or it has no frame in this time.
     """
     check_motions(scene)
     size = robot_size(scene)
@@ -123,7 +121,7 @@ def scene_nearby(scene: Scene, path: RobotPath) -> PeopleNearby:
 
 
 def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
-    """People of a bag while a robot drives; their bodies if the bag has the topics of their vertices.
+    """People of a bag while a robot drives. Their bodies are included if the bag has their vertices.
 
     Raises:
         EvaluationError: The bag has no people, or a message cannot be read.
@@ -147,7 +145,8 @@ def bag_nearby(bag: Path, path: RobotPath) -> PeopleNearby:
 def _bag_bodies(
     bag: Path, times: NDArray[np.int64], places: Array, people: Sequence[str]
 ) -> dict[str, Array] | None:
-    """Distances (F,) of the nearest vertices by person with topics, inf without a message; None without."""
+    """By person with a topic of vertices: distances (F,) of the nearest vertex, inf for no message. None for
+    no topics."""
     rows = {time: row for row, time in enumerate(times.tolist())}
     pattern = topic_pattern(_VERTICES)
     nearest: dict[str, Array] = defaultdict(lambda: np.full(len(times), np.inf))
@@ -167,13 +166,14 @@ def _bag_bodies(
 
 
 def _ground(names: Sequence[str], positions: Array) -> Array:
-    """Middle (2,) of the hips on the floor; of all joints where there are no hips."""
+    """Middle (2,) of the hips on the floor. If there are no hips, middle of all joints."""
     rows = [names.index(name) for name in HIPS if name in names]
     chosen = positions[rows] if rows else positions[np.isfinite(positions).all(axis=1)]
     return np.asarray(chosen[:, :2].mean(axis=0)) if len(chosen) else np.full(2, np.nan)
 
 
 def _nearest_vertex(vertices: NDArray[np.floating], place: Array, height: float) -> float:
-    """Distance on the floor from a place to the nearest vertex (V, 3) up to a height; inf without any."""
+    """Distance on the floor from a place to the nearest vertex (V, 3) below a height. inf if there is
+    none."""
     own = vertices[vertices[:, 2] <= height]
     return float(np.hypot(*(own[:, :2] - place[:2]).T).min()) if len(own) else np.inf

@@ -1,4 +1,4 @@
-"""Truth and estimate drawn over images, for reports."""
+"""Truth and estimate, drawn over images for reports."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from humansim_ros.types import Array, Image
 
 #: Colours of truth and estimate, as in the plots.
 TRUTH_COLOR, ESTIMATE_COLOR = (0, 114, 178), (213, 94, 0)
-#: Longest side of a drawn image in pixels: ten of them are at most about 1 MB.
+#: Longest side of a drawn image in pixels. Ten such images have at most about 1 MB.
 SIDE = 480
-#: Share of the size of a person that is shown around it, and the least side of a section in pixels.
+#: Margin around a person, as a share of the size of the person; and smallest side of a section in pixels.
 _MARGIN, _LEAST = 0.35, 48
 _WHITE = (255, 255, 255)
 #: Fractional bits of coordinates for drawing.
@@ -31,17 +31,17 @@ class Pictures(Protocol):
     """Images of the cameras of a truth."""
 
     def cameras(self, stamp: int) -> Mapping[str, Camera]:
-        """Cameras at a stamp in nanoseconds, of those with an image."""
+        """Cameras that have an image at a stamp in nanoseconds."""
 
     def image(self, stamp: int, camera: str) -> Image | None:
-        """Image (H, W, 3) RGB or (H, W) of a camera at a stamp; None if there is none."""
+        """Image (H, W, 3) RGB or (H, W) of a camera at a stamp; None if there is no image."""
 
     def close(self) -> None:
         """Free files and renderer."""
 
 
 class ScenePictures:
-    """Images of a scene, rendered when they are asked for. ``scene``: the scene."""
+    """Images of a scene. Each is rendered when it is needed."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -57,7 +57,7 @@ class ScenePictures:
         }
 
     def image(self, stamp: int, camera: str) -> Image | None:
-        """Image of a camera at the frame of a stamp. Raises RenderError without OpenGL."""
+        """Image of a camera at the frame of a stamp. Raises RenderError if OpenGL is missing."""
         view = self._frame(stamp, (camera,)).views.get(camera)
         return None if view is None else view.rgb
 
@@ -76,14 +76,14 @@ class ScenePictures:
 
 @dataclass(frozen=True)
 class Shape:
-    """What is drawn in one colour.
+    """Things that are drawn in one colour.
 
     Attributes:
         color: RGB.
         points: (K, 2) pixels; NaN where a point is absent.
         edges: Pairs of points to connect.
-        box: (4,) x, y, width, height from the corner of the image; None without one.
-        mask: (H, W) pixels whose outline is drawn; None without one.
+        box: (4,) x, y, width, height from the corner of the image, or None.
+        mask: (H, W) pixels, or None. Their outline is drawn.
     """
 
     color: tuple[int, int, int]
@@ -106,7 +106,7 @@ class Shape:
 def draw_over(image: Image, shapes: Sequence[Shape]) -> NDArray[np.uint8]:
     """Section of an image around some shapes, with the shapes drawn over it, (H, W, 3) RGB.
 
-    The first shape decides with the others what is shown, as far as it is within the image.
+    The section contains all shapes, as far as they are within the image.
 
     Args:
         image: (H, W, 3) RGB or (H, W) grey.
@@ -136,7 +136,8 @@ def draw_over(image: Image, shapes: Sequence[Shape]) -> NDArray[np.uint8]:
 
 
 def _section(points: Array, width: int, height: int) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of the section that shows some points; the whole image without any."""
+    """Left, top, right and bottom of the section that shows some points. If there are none, the whole
+    image."""
     if not len(points):
         return 0, 0, width, height
     low, high = points.min(axis=0), points.max(axis=0)
@@ -148,7 +149,7 @@ def _section(points: Array, width: int, height: int) -> tuple[int, int, int, int
 
 
 def _draw(canvas: NDArray[np.uint8], shape: Shape, corner: Array, scale: float) -> None:
-    """Draw points, lines and a box of a shape; each has a white edge, so that it is seen on any image."""
+    """Draw points, lines and a box of a shape. Each has a white edge, so that it is visible on any image."""
 
     def place(points: Array) -> list[list[int]]:
         placed = ((points - corner + 0.5) * scale - 0.5) * (1 << _SHIFT)

@@ -1,4 +1,4 @@
-"""Sequences of 3D poses of people, of truths and estimates, and how their messages arrived."""
+"""Sequences of 3D poses of people, for truth and estimate; and how their messages arrived."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Arrivals:
     """How the messages of a sequence arrived.
 
     Attributes:
-        times: (F,) int64 nanoseconds of the last message of each frame, of any clock.
-        latencies: (L,) seconds from the stamp to the last message of a frame, where they are known.
-        messages: Number of messages with a stamp, also of repeated ones.
-        duplicates: Number of messages that add nobody to the estimate of their frame.
-        out_of_order: Number of messages that are older than the one before on their topic.
+        times: (F,) int64 nanoseconds when the last message of each frame arrived, by any clock.
+        latencies: (L,) seconds from the stamp to the last message of a frame, as far as known.
+        messages: Number of messages with a stamp, including repeated ones.
+        duplicates: Number of messages that add no person to their frame.
+        out_of_order: Number of messages that are older than the previous message of their topic.
     """
 
     times: NDArray[np.int64]
@@ -43,10 +43,10 @@ class PoseSequence:
         names: Names of the K joints.
         times: (F,) int64 nanoseconds, increasing.
         people: By frame: joints (K, 3) by person, metres in ``map``; NaN where a joint is absent.
-        scores: By frame: confidence by person; None if the source has none.
+        scores: By frame: confidence by person. None if the source has no confidence.
         source: Where the poses come from, for messages.
-        has_identities: A name is the same person in all frames.
-        arrivals: How its messages arrived; None for files.
+        has_identities: Whether a name means the same person in all frames.
+        arrivals: How its messages arrived. None for files.
     """
 
     names: tuple[str, ...]
@@ -71,13 +71,14 @@ class PoseSequence:
         return sum(map(len, self.people))
 
     def checked(self) -> PoseSequence:
-        """The sequence itself. Raises EvaluationError if nobody is in it, which a truth cannot be."""
+        """Return the sequence. Raises EvaluationError if it has no people, since a truth must have some."""
         if not any(self.people):
             raise EvaluationError("there are no poses in it", path=self.source)
         return self
 
     def with_joints(self, joints: Sequence[int], names: Sequence[str]) -> PoseSequence:
-        """The sequence with some of its joints, under other names; people without any are left out."""
+        """The sequence with only some of its joints, under other names. People with none of them are left
+        out."""
         index = list(joints)
         people = [{name: pose[index] for name, pose in frame.items()} for frame in self.people]
         people = [{name: pose for name, pose in frame.items() if _present(pose)} for frame in people]
@@ -95,7 +96,7 @@ class PoseSequence:
         return replace(self, times=self.times[first:], people=self.people[first:], scores=scores)
 
     def delayed(self, nanoseconds: int) -> PoseSequence:
-        """The sequence with all times later by some nanoseconds."""
+        """The sequence with some nanoseconds added to all times."""
         return replace(self, times=self.times + nanoseconds)
 
 
@@ -105,11 +106,11 @@ def _present(pose: Array) -> bool:
 
 @dataclass
 class SequenceBuilder:
-    """Collects poses in any order of time and joints; readers of all formats use it.
+    """Collects poses in any order of time and joints. Readers of all formats use it.
 
     Attributes:
         source: Where the poses come from, for messages.
-        has_identities: A name is the same person in all frames.
+        has_identities: Whether a name means the same person in all frames.
     """
 
     source: str
@@ -119,7 +120,7 @@ class SequenceBuilder:
     _scores: dict[int, dict[str, float]] = field(default_factory=dict)
 
     def add_frame(self, time: int) -> None:
-        """Add a time at which there may be nobody."""
+        """Add a time. It counts as a frame even if no person is added."""
         self._frames.setdefault(time, {})
 
     def add(
@@ -134,10 +135,10 @@ class SequenceBuilder:
 
         Args:
             time: Nanoseconds.
-            person: Name of the person; None for somebody without a name.
+            person: Name of the person. None for a person without a name.
             names: Names of the joints.
-            positions: (len(names), 3) metres; not finite where a joint is absent.
-            score: Confidence; None without one.
+            positions: (len(names), 3) metres. Not finite where a joint is absent.
+            score: Confidence, or None.
 
         Raises:
             EvaluationError: The person has a pose at that time already.
@@ -161,7 +162,7 @@ class SequenceBuilder:
         """Make the sequence. It may have frames without people, or no frames at all.
 
         Raises:
-            EvaluationError: A position is beyond any room, or nobody is left without infinite positions.
+            EvaluationError: A position is impossibly far away, or all people have infinite positions.
         """
         names = tuple(self._joints)
         times = sorted(self._frames)
@@ -179,7 +180,7 @@ class SequenceBuilder:
         pose = np.full((len(self._joints), 3), np.nan)
         pose[[self._joints[name] for name in names]] = positions
         pose[~np.isfinite(pose).all(axis=1)] = np.nan
-        if (np.abs(pose) > MAX_COORDINATE * 1000).any():  # millimetres are still allowed
+        if (np.abs(pose) > MAX_COORDINATE * 1000).any():  # this allows for millimetres
             raise EvaluationError("a position is more than 1000 km away", path=self.source)
         return pose
 
@@ -195,18 +196,18 @@ class Latency:
 
 @dataclass(frozen=True)
 class Timing:
-    """How messages arrive; docs/evaluation.md.
+    """How messages arrive (docs/evaluation.md).
 
     Attributes:
-        latency: None if it is not known, such as in recordings of lockstep.
-        rate: Frames in a second of the times of arrival; None with fewer than two.
-        messages: Messages with a stamp, also repeated ones.
-        frames: Frames with an estimate: different stamps.
-        duplicates: Messages that add nobody to the estimate of their frame.
-        out_of_order: Messages that are older than the one before on their topic.
+        latency: Latencies. None if unknown, as in recordings of lockstep.
+        rate: Frames per second, by times of arrival. None for fewer than two frames.
+        messages: Messages with a stamp, including repeated ones.
+        frames: Frames with an estimate, as number of different stamps.
+        duplicates: Messages that add no person to their frame.
+        out_of_order: Messages that are older than the previous message of their topic.
         lost: Frames of the truth without an estimate, between the first and the last estimate.
-        lost_share: Their share of these frames of the truth; None if there are none.
-        after: Frames of the truth after the last estimate; None if the truth is computed.
+        lost_share: ``lost`` as a share of the frames of the truth in this time. None if there are none.
+        after: Frames of the truth after the last estimate. None if the truth is computed.
     """
 
     latency: Latency | None
@@ -221,7 +222,7 @@ class Timing:
 
 
 def timing(truth: PoseSequence, estimate: PoseSequence) -> Timing | None:
-    """Timing of an estimate; None for one of a file, which has no times of arrival."""
+    """Timing of an estimate. None for an estimate from a file, which has no times of arrival."""
     arrivals = estimate.arrivals
     if arrivals is None:
         return None
@@ -250,9 +251,8 @@ def _latency(values: Array) -> Latency | None:
 
 
 def _losses(truth: NDArray[np.int64], own: NDArray[np.int64]) -> tuple[int, int, int]:
-    """Frames of the truth: without an estimate within half a period, all between the first and the last
-    estimate, and those after the last one.
-    """
+    """Numbers of frames of the truth. First the frames without an estimate within half a period, then all
+    frames between the first and the last estimate, then the frames after the last estimate."""
     if not len(truth):
         return 0, 0, 0
     half = float(np.median(np.diff(truth))) / 2 if len(truth) > 1 else 0.0

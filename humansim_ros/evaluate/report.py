@@ -14,16 +14,16 @@ from humansim_ros.evaluate.navigation import NavigationEvaluation
 from humansim_ros.evaluate.pose_sequence import Timing
 from humansim_ros.evaluate.tracking import TrackingScores
 
-#: A result of any comparison.
+#: Result of any kind of comparison.
 AnyEvaluation = Evaluation | ImageEvaluation | BoxEvaluation | NavigationEvaluation
 #: Version of the keys in JSON.
 JSON_VERSION = 1
-#: Words for the kinds of detections, and for their similarity.
+#: Words for the kinds of detections, and for their kind of similarity.
 TITLES = {"keypoints": ("keypoints", "OKS"), "boxes": ("boxes", "IoU"), "masks": ("masks", "IoU")}
 
 
 def to_data(evaluation: AnyEvaluation) -> dict[str, Any]:
-    """The result with the keys of its class, for JSON: without the poses."""
+    """The result for JSON, without the poses. Keys are the attributes of its class."""
     data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
     return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
 
@@ -53,7 +53,7 @@ def seconds(value: float | None) -> str:
 
 
 def thousand(value: float) -> str:
-    """A thousand times a number, with one decimal; 0.0 for small negative ones, too."""
+    """A thousand times a number, with one decimal. A small negative number becomes 0.0, too."""
     return f"{round(value * 1000, 1) + 0.0:.1f}"
 
 
@@ -63,7 +63,7 @@ def percent(value: float | None) -> str:
 
 
 def per_second(unit: str) -> Callable[[float | None], str]:
-    """Format of a velocity or acceleration in a unit."""
+    """Function that formats a velocity or acceleration with a unit."""
     return lambda value: "–" if value is None else f"{value:.3f} {unit}"
 
 
@@ -190,7 +190,7 @@ _Table = tuple[str, Sequence[str], Iterable[Sequence[str]]]
 
 
 def _terminal_text(metrics: Iterable[tuple[str, str, str]], *tables: _Table) -> str:
-    """Text of the main table and of others; those without rows are left out."""
+    """Text of the main table and of further tables. Tables without rows are left out."""
     from rich import box
     from rich.console import Console
     from rich.table import Table

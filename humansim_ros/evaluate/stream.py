@@ -1,4 +1,4 @@
-"""The messages of an estimate in the order of their arrival, of a bag or of a live graph."""
+"""Messages of an estimate in the order of their arrival, from a bag or from a live graph."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from humansim_ros.evaluate.pose_sequence import Arrivals, PoseSequence, Sequence
 from humansim_ros.messages.frames import Frames
 from humansim_ros.messages.people import MAX_PEOPLE, Pose, PoseFrame
 
-#: Most different joint names of an estimate, and most characters of a name: they come from other programs.
+#: Most different joint names of an estimate, and most characters of a name, since they come from other
+#: programs.
 MAX_JOINTS, MAX_NAME = 1024, 256
 
 
 class _Part(NamedTuple):
-    """People of a stamp on one topic, with the arrival of the last message in nanoseconds, and its latency in
-    seconds.
-    """
+    """People with one stamp on one topic. Also the arrival of the last message in nanoseconds, and its
+    latency in seconds."""
 
     people: Mapping[str, Pose]
     arrival: int
@@ -35,12 +35,13 @@ class _Part(NamedTuple):
 class EstimateStream:
     """Estimate of a tracker, message by message.
 
-    Several messages of one stamp are one frame. A person keeps its first pose of a stamp.
+    Several messages with one stamp are one frame. If a person comes twice, its first pose counts.
 
     Args:
         source: Where the messages come from, for errors.
-        max_points: Most joint positions that are kept; the oldest frames are forgotten. None: all.
-        max_frames: Most frames that are kept. None: all.
+        max_points: Most joint positions that are kept. The oldest frames are forgotten first. If None, all
+            are kept.
+        max_frames: Most frames that are kept. If None, all are kept.
     """
 
     def __init__(self, source: str, max_points: int | None = None, max_frames: int | None = None) -> None:
@@ -82,17 +83,19 @@ class EstimateStream:
         """Add a message.
 
         Args:
-            frame: Its people.
-            topic: Its topic.
+            frame: People of the message.
+            topic: Topic of the message.
             arrival: Nanoseconds of any clock that does not go back.
-            person: Name of the person that the topic has; None if it has none.
-            latency: Seconds since its frame; None if unknown.
+            person: Name that the topic gives to the person. None if the message has the names.
+            latency: Seconds since the frame of the message. None if unknown.
 
         Returns:
-            Whether it adds to the estimate; False for a repeated message, and for one without a stamp.
+            Whether the message adds to the estimate. False for a repeated message, and for one without a
+            stamp.
 
         Raises:
-            EvaluationError: It has too many people or names, or too long names; it is not added.
+            EvaluationError: There are too many people or names, or a name is too long. The message is not
+                added.
         """
         if frame.stamp is None:
             return False
@@ -129,13 +132,13 @@ class EstimateStream:
     def _new_name(
         self, known: Mapping[str, Pose], pose: Pose, topic_person: str | None, alone: bool
     ) -> str | None:
-        """Name of a person in a frame; None if the person is there already.
+        """Name of a person in a frame; None if the frame has the person already.
 
         Args:
             known: People of the frame.
             pose: The person.
-            topic_person: Name of the person that the topic has.
-            alone: Nobody else is in the message.
+            topic_person: Name that the topic gives to the person.
+            alone: Whether the message has no other person.
         """
         name = pose.person
         if topic_person is not None:
@@ -143,13 +146,13 @@ class EstimateStream:
         if name is None:
             if any(_is_same(pose, other) for other in known.values()):
                 return None
-            # one person a message: the first of a stamp is always the same
+            # one person per message: the first one of a stamp is always the same
             self._has_identities = self._has_identities and alone and not known
             name = str(len(known) + 1)
         return None if name in known else name
 
     def sequence(self, since: int = 0) -> PoseSequence:
-        """The poses of frames with stamps from ``since`` on, nanoseconds; also while messages are added.
+        """Poses of frames from the stamp ``since`` on, nanoseconds. Messages may be added at the same time.
 
         Raises:
             EvaluationError: There is no frame, or no position is finite.
@@ -158,7 +161,7 @@ class EstimateStream:
         last = []
         for stamp in self._frames.stamps():
             parts = self._frames.frame(stamp) if stamp >= since else {}
-            if parts:  # another thread may have forgotten it
+            if parts:  # another thread may have removed it
                 builder.add_frame(stamp)
                 last.append(list(parts.values())[-1])
             for person, pose in _people_of(parts).items():

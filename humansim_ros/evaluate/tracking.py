@@ -1,7 +1,7 @@
 """HOTA, CLEAR MOT and IDF1: how well an estimate keeps the identities of people.
 
-The formulas follow TrackEval, and the tests compare their results. TrackEval itself is not used: its package
-on PyPI demands NumPy 2.3 and replaces OpenCV, which ROS installations cannot have.
+The formulas follow TrackEval, and tests compare the results of both. TrackEval itself is not used, since its
+package on PyPI demands NumPy 2.3 and replaces OpenCV, which does not work with ROS installations.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from humansim_ros.types import Array, Indices
 #: Localisation thresholds of HOTA.
 ALPHAS: Array = np.arange(0.05, 0.99, 0.05)
 _EPSILON = float(np.finfo(float).eps)
-#: Similarity from which a pair can be a match for MOTA and IDF1.
+#: A pair with at least this similarity can be a match for MOTA and IDF1.
 _MATCH = 0.5
-#: Distance by which corners that lie on a side may be outside because of rounding, metres.
+#: A corner on a side may lie outside by this distance because of rounding, metres.
 _TOLERANCE = 1e-12
 
 
@@ -44,7 +44,7 @@ class TrackingScores:
         mota: Multiple object tracking accuracy [Bernardin 2008].
         motp: Mean similarity of the matches of MOTA.
         idf1: F1 score of identities [Ristani 2016].
-        switches: People whose identity changed, counted at each change.
+        switches: Number of changes of the identity of a person.
         fragments: Interruptions of the tracks of people.
     """
 
@@ -60,15 +60,14 @@ class TrackingScores:
 
 
 def similarity(distances: Array, gate: float) -> Array:
-    """Similarity of people from mean joint distances: 1 at no distance, 0.5 at ``gate``, both in metres."""
+    """Similarity (0 to 1) of people from their mean joint distance, metres: 1 at 0, 0.5 at ``gate``, 0 from
+    twice ``gate`` on."""
     return np.clip(1.0 - distances / (2.0 * gate), 0.0, 1.0)
 
 
 def box_overlap(truth: Array, estimate: Array) -> Array:
-    """3D IoU (T, E) of upright boxes (T, 7) and (E, 7).
-
-    A box is its centre x, y, z, its sizes along its own axes, metres, and the yaw of its x axis, radians.
-    """
+    """3D IoU (T, E) of upright boxes (T, 7) and (E, 7). A box is its centre x, y, z, its sizes along its own
+    axes (metres), and the yaw of its x axis (radians)."""
     a, b = truth[:, None, :], estimate[None, :, :]
     low = np.maximum(a[..., 2] - a[..., 5] / 2, b[..., 2] - b[..., 5] / 2)
     high = np.minimum(a[..., 2] + a[..., 5] / 2, b[..., 2] + b[..., 5] / 2)
@@ -82,10 +81,8 @@ def box_overlap(truth: Array, estimate: Array) -> Array:
 
 
 def _common_area(a: Array, b: Array) -> Array:
-    """Area (N,) that the rectangles of boxes (N, 7) have in common on the floor.
-
-    Its corners are the corners of each rectangle in the other one, and the points where their sides cross.
-    """
+    """Area (N,) that the rectangles of two boxes (N, 7) have in common on the floor. The corners of this area
+    are the corners of each rectangle inside the other one, and the points where their sides cross."""
     half = a[:, None, 3:5] / 2
     other = _corners(b[:, :2] - a[:, :2], b[:, 3:5], b[:, 6], -a[:, 6])  # in the frame of a
     own = _corners(np.zeros((len(a), 2)), a[:, 3:5], np.zeros(len(a)), np.zeros(len(a)))
@@ -112,7 +109,7 @@ def _common_area(a: Array, b: Array) -> Array:
     angle = np.where(known, np.arctan2(polygon[..., 1], polygon[..., 0]), np.inf)
     order = np.argsort(angle, axis=1)
     polygon = np.take_along_axis(polygon, order[..., None], axis=1)
-    # those that are no corners come last: they repeat the first corner
+    # points that are no corners come last, and repeat the first corner
     spare = np.arange(polygon.shape[1]) >= count[:, None]
     polygon = np.where(spare[..., None], polygon[:, :1], polygon)
     following = np.roll(polygon, -1, axis=1)
@@ -124,7 +121,7 @@ def _corners(offset: Array, sizes: Array, yaw: Array, turn: Array) -> Array:
     """Corners (N, 4, 2) of rectangles.
 
     Args:
-        offset: (N, 2) of their centres.
+        offset: (N, 2) of the centres of the rectangles.
         sizes: (N, 2) along their axes.
         yaw: (N,) of their x axes, radians.
         turn: (N,) rotation of the result about the origin, radians.
@@ -185,14 +182,15 @@ def _hota(frames: Sequence[TrackedFrame]) -> tuple[float, float, float, float]:
 def _clear(frames: Sequence[TrackedFrame]) -> tuple[float, float, int, int]:
     """MOTA, MOTP, identity switches and fragments."""
     truth_count, estimate_count = _counts(frames)
-    last = np.full(len(truth_count), -1)  # estimate that a person of the truth had when it was last matched
-    before = np.full(len(truth_count), -1)  # estimate that it had in the frame before
+    # identity of the estimate that each person had when it was last matched
+    last = np.full(len(truth_count), -1)
+    before = np.full(len(truth_count), -1)  # identity of the estimate that it had in the previous frame
     starts = np.zeros(len(truth_count), int)
     hits = switches = 0
     total_similarity = 0.0
     for frame in frames:
         if not len(frame.truth) or not len(frame.estimate):
-            continue  # as TrackEval: such a frame does not end a match either
+            continue  # as in TrackEval, such a frame does not end a match either
         # people who are matched stay matched
         stays = frame.estimate[None, :] == before[frame.truth][:, None]
         score = np.where(frame.similarity < _MATCH - _EPSILON, 0.0, 1000.0 * stays + frame.similarity)

@@ -1,4 +1,4 @@
-"""The truth of a scene, computed without rendering, or of a bag."""
+"""Ground truth of a scene (computed without rendering) or of a bag."""
 
 from __future__ import annotations
 
@@ -23,28 +23,31 @@ from humansim_ros.types import Array, Indices
 
 #: Stamp of frame 0 of a scene in lockstep and in ``Simulation``, nanoseconds.
 FIRST_STAMP = 1
-#: Most frames of a scene whose truth is computed: nine hours at 30 Hz.
+#: Most frames of a scene for which truth is computed: nine hours at 30 Hz.
 MAX_TRUTH_FRAMES = 1_000_000
-#: From this frame on, stamps are those of a wall clock.
+#: From this frame on, stamps come from a wall clock.
 WALL_CLOCK_FRAME = 100 * MAX_TRUTH_FRAMES
-#: Frames that are computed at once.
+#: Number of frames that are computed at once.
 _BLOCK = 1000
 
 
 class SceneTruth:
-    """Truth of a scene. ``period`` and ``start``: nanoseconds between frames, and stamp of the first one."""
+    """Ground truth of a scene. ``period``: nanoseconds between frames. ``start``: stamp of the first
+    frame."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.period, self.start = scene.frame_time(1), FIRST_STAMP
 
     def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
-        """Joints or keypoints of a span of stamps in nanoseconds, and of ``around`` seconds on both sides."""
+        """Joints or keypoints in a span of stamps (nanoseconds), and ``around`` seconds before and after
+        it."""
         return scene_truth(self.scene, span, around, keypoints)
 
 
 class RecordedTruth:
-    """Truth of a bag, which is read as a whole. ``period`` and ``start`` as of :class:`SceneTruth`."""
+    """Ground truth of a bag. The bag is read as a whole. ``period`` and ``start``: see
+    :class:`SceneTruth`."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.joints = path, bag_truth(path)
@@ -71,7 +74,7 @@ def open_truth(path: Path) -> SceneTruth | RecordedTruth:
 def scene_truth(
     scene: Scene, span: tuple[int, int], around: float = 0.0, keypoints: KeypointSet | None = None
 ) -> PoseSequence:
-    """Joints or keypoints of all humans of a scene, at the stamps of ``Simulation`` and of lockstep.
+    """Joints or keypoints of all humans of a scene, with the stamps of ``Simulation`` and lockstep.
 
     Args:
         scene: The scene.
@@ -80,7 +83,8 @@ def scene_truth(
         keypoints: Set of keypoints in place of the joints.
 
     Raises:
-        EvaluationError: The scene has nobody whose motion it knows, or the span is beyond any scene.
+        EvaluationError: The scene has no people or one that is moved live, or the times are too late for a
+            scene (those of a wall clock).
     """
     first, last = frames_of(scene, span, around)
     times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
@@ -88,7 +92,7 @@ def scene_truth(
 
 
 def check_motions(scene: Scene) -> None:
-    """Raise EvaluationError if a scene has nobody, or somebody whose motion it does not know."""
+    """Raise EvaluationError if a scene has no people, or one that is moved live."""
     live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
     if live or not scene.actors:
         reason = f"{live[0]} is moved live" if live else "there are no people in it"
@@ -110,7 +114,7 @@ def truth_at(
         keypoints: Set of keypoints in place of the joints.
 
     Raises:
-        EvaluationError: The scene has nobody whose motion it knows.
+        EvaluationError: The scene has no people, or one that is moved live.
     """
     check_motions(scene)
     if keypoints is None:
@@ -129,7 +133,7 @@ def truth_at(
 
 
 def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, int]:
-    """First and last frame of a scene that a span of stamps needs; both within the scene."""
+    """First and last frame of a scene that a span of stamps needs. Both are within the scene."""
     margin = 0.5 + around * scene.config.rate
     first, last = ((time - FIRST_STAMP) * 1e-9 * scene.config.rate for time in span)
     first, last = max(0, int(first - margin)), max(1, int(last + margin))
@@ -151,7 +155,7 @@ def _paths(scene: Scene, name: str, times: NDArray[np.int64]) -> Iterator[Array]
 
 
 def _keypoint_path(scene: Scene, name: str, times: NDArray[np.int64], keypoints: KeypointSet) -> Array:
-    """Keypoints (F, K, 3) of a human; bodies are skinned only for points of the skin."""
+    """Keypoints (F, K, 3) of a human. Bodies are skinned only for points of the skin."""
     actor = scene.actors[name]
     locator = KeypointLocator.of(actor.human, keypoints)
     if locator.on_surface.any():
@@ -182,10 +186,8 @@ def bag_truth(path: str | os.PathLike[str], keypoints: KeypointSet | None = None
 
 
 def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:
-    """The result with errors by the number of cameras of its scene whose image a joint is in.
-
-    Nothing is rendered: a joint that is hidden by something counts as one in the image.
-    """
+    """The result, with errors by number of cameras that have a joint in their image. Nothing is rendered, so
+    that an occluded joint in the image counts, too."""
     if not len(evaluation.matches.stamp):  # nobody is matched
         return evaluation
     counts = camera_counts(scene, evaluation.matches.stamp, evaluation.matches.truth)
@@ -199,10 +201,8 @@ def with_camera_counts(evaluation: Evaluation, scene: Scene) -> Evaluation:
 
 
 def camera_counts(scene: Scene, stamps: Indices, joints: Array) -> Indices:
-    """Number of cameras (M, C) whose image each joint is in.
-
-    ``stamps``: (M,) nanoseconds. ``joints``: (M, C, 3) in ``map``, metres; NaN is in no image.
-    """
+    """Number of cameras (M, C) that have each joint in their image. ``stamps``: (M,) nanoseconds. ``joints``:
+    (M, C, 3) in ``map``, metres. NaN is in no image."""
     counts = np.zeros(joints.shape[:2], np.intp)
     frames = {stamp: frame_at(stamp - FIRST_STAMP, scene.config.rate) for stamp in np.unique(stamps).tolist()}
     for camera in scene.scene_cameras.values():
@@ -220,6 +220,6 @@ def camera_counts(scene: Scene, stamps: Indices, joints: Array) -> Indices:
 
 
 def _inside(pixels: Array, size: tuple[int, int]) -> Indices:
-    """1 for pixels (..., 2) in an image of some width and height, 0 for others and NaN."""
+    """1 for pixels (..., 2) inside an image with some width and height; 0 for others and NaN."""
     inside = ((pixels >= -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
     return np.asarray(inside, np.intp)

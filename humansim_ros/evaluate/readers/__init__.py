@@ -1,1 +1,1 @@
-"""Readers of estimates: one module for each family of formats."""
+"""Readers of estimates. Each family of formats has a module."""

@@ -17,14 +17,14 @@ from humansim_ros.io.files import decode_text, open_file
 #: Suffix of result files.
 SUFFIX = ".txt"
 _PERSON = 0
-#: Greatest number of a scene, object or frame, and greatest coordinate, metres.
+#: Largest number of a scene, object or frame; and largest coordinate, metres.
 _MOST, _FARTHEST = 2**31 - 1, 1e6
 _WHOLE = 4  # columns with whole numbers
-_SIZES = slice(3, 6)  # of the other columns
+_SIZES = slice(3, 6)  # sizes among the other columns
 
 
 def is_box_file(text: str) -> bool:
-    """Whether an estimate is a result file; other files of that suffix are detections in images."""
+    """Whether an estimate is a result file. Other files with this suffix are detections in images."""
     return Path(text).suffix.lower() == SUFFIX and ":/" not in text and not Path(text).is_dir()
 
 
@@ -32,7 +32,7 @@ def read_box_file(path: Path) -> BoxTracks:
     """Read the people of a result file of one scene.
 
     Raises:
-        EvaluationError: The file is missing, or a line is wrong; with file and line.
+        EvaluationError: The file is missing, or a line is wrong. The error names file and line.
     """
     frames: dict[int, dict[int, list[float]]] = {}
     lines: dict[int, int] = {}

@@ -1,4 +1,5 @@
-"""Read detections in images of any known format: COCO results, label images, and files of other programs."""
+"""Read detections in images from any known format: COCO results, label images, and files of other
+programs."""
 
 from __future__ import annotations
 
@@ -45,11 +46,11 @@ from humansim_ros.messages.headers import to_nanoseconds
 from humansim_ros.messages.people import DETECTIONS_2D, read_boxes_2d
 from humansim_ros.scene.config import frame_at
 
-#: Files that are looked at to find the kind of a folder.
+#: Most files that are read to find the kind of a folder.
 _LOOKED_AT = 200
-#: Bytes of a file that tell its kind.
+#: The kind of a file is found from this number of bytes at its start.
 _BEGINNING = 4096
-#: Longest outline of a polygon in pixels; pycocotools makes five points for each pixel of it.
+#: Longest outline of a polygon in pixels, since pycocotools makes five points for each pixel of it.
 _MAX_OUTLINE = 1_000_000
 _Record = dict[str, Any]
 
@@ -75,7 +76,7 @@ def _has_label_images(path: Path) -> bool:
 
 
 def _has_2d_files(path: Path) -> bool:
-    """Whether a folder has files of people in images; the first one with people decides."""
+    """Whether a folder has files of people in images. The first file with people decides."""
     if any(path.glob("hdPose3d_*/*.json")) or any(path.glob("keypoints3d/*.json")):
         return False
     for pattern in ("*", "*/*", "*/*/*"):
@@ -89,7 +90,7 @@ def _has_2d_files(path: Path) -> bool:
 
 
 def _is_2d_file(path: Path) -> bool | None:
-    """Whether a file has people in images; None if nobody is in it, so that it may be both."""
+    """Whether a file has people in images. None if there are no people, so that it may be either kind."""
     suffix = path.suffix.lower()
     if suffix not in LAYOUTS:
         return False
@@ -108,13 +109,13 @@ def _is_2d_file(path: Path) -> bool | None:
 def read_image_estimates(
     texts: Sequence[str], images: ImageNumbers, keypoints: KeypointSet | None = None
 ) -> Detections2D:
-    """Read detections in images; several files are one estimate, such as keypoints and masks.
+    """Read detections in images. Several files make one estimate, such as keypoints and masks.
 
     ``keypoints``: set of keypoints without names. If None, their number determines the set.
 
     Raises:
-        EvaluationError: A file is missing, of another kind or damaged, of images that the truth has not, or
-            of keypoints of different sets.
+        EvaluationError: A file is missing, damaged or of another kind, it names images that the truth lacks,
+            or files have keypoints of different sets.
     """
     parts = [_read(text, images, keypoints) for text in texts]
     if len(parts) == 1:
@@ -140,13 +141,14 @@ def has_boxes(path: Path, topic: str) -> bool:
 
 
 def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
-    """Read vision_msgs/Detection2DArray on a topic of a bag.
+    """Read the messages vision_msgs/Detection2DArray of a topic in a bag.
 
-    The camera is a part of the name of the topic, or the optical frame of the messages has its name. The
-    frame follows from the stamp, as lockstep and ``Simulation`` give it.
+    The name of the camera is a part of the name of the topic, or of the optical frame of the messages. The
+    frame follows from the stamp, which must be that of lockstep or ``Simulation``.
+
 
     Raises:
-        EvaluationError: A message is damaged, or of no camera or no image of the truth.
+        EvaluationError: A message is damaged, or belongs to no camera or image of the truth.
         BagError: The bag cannot be read.
     """
     results: list[_Record] = []
@@ -171,7 +173,7 @@ def read_boxes(path: Path, topic: str, images: ImageNumbers) -> Detections2D:
                 raise EvaluationError(text, path=path, key=topic)
             numbers.add(number)
             for left, top, right, bottom, score in boxes:
-                box = [left + 0.5, top + 0.5, right - left, bottom - top]  # COCO counts from corners
+                box = [left + 0.5, top + 0.5, right - left, bottom - top]  # COCO measures from corners
                 results.append({"image_id": number, "category_id": PERSON, "score": score, "bbox": box})
     if not numbers:
         raise EvaluationError(f"there is no message on {topic}", path=path)
@@ -196,9 +198,10 @@ def _read(text: str, images: ImageNumbers, keypoints: KeypointSet | None) -> Det
 def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None) -> Detections2D:
     """Read a file of one of :data:`LAYOUTS`, or a folder of them.
 
-    ``given``: set of keypoints without names, if there are as many.
+    ``given``: set for keypoints without names, if their number fits.
 
-    Raises EvaluationError with key or line, if a file is damaged, or of an image that the truth has not.
+    Raises EvaluationError, which names the key or line, if a file is damaged or names an image that the truth
+    lacks.
     """
     files = camera_files(path, list(LAYOUTS), images) if path.is_dir() else [path]
     sources, results = [ImageFile(file, images) for file in files], list[_Record]()
@@ -252,7 +255,7 @@ def read_image_files(path: Path, images: ImageNumbers, given: KeypointSet | None
 def _checked(
     row: Any, file: ImageFile, keypoints: KeypointSet | None, given: KeypointSet | None
 ) -> tuple[_Record, KeypointSet | None]:
-    """A result that is right, and the set of its keypoints. Raises EvaluationError."""
+    """Check a result. Returns the result, and the set of its keypoints. Raises EvaluationError."""
     if not isinstance(row, dict):
         raise EvaluationError("a detection must be a mapping")
     images, key = file.images, "".join(f"{each}." for each in [file.where.get("key")] if each)
@@ -272,7 +275,7 @@ def _checked(
     if row.get("keypoints"):
         keypoints = _set_of(row, keypoints, given, images.keypoints)
         result["keypoints"] = _numbers(row["keypoints"], 3 * len(keypoints), f"{key}keypoints")
-    if box := row.get("bbox") or row.get("box"):  # of AlphaPose
+    if box := row.get("bbox") or row.get("box"):  # AlphaPose writes ``box``
         result["bbox"] = _numbers(box, 4, f"{key}bbox")
         if min(result["bbox"][2:]) < 0:
             raise EvaluationError("x, y, width and height: one is negative", key=f"{key}bbox")
@@ -284,7 +287,8 @@ def _checked(
 
 
 def _set_of(row: _Record, known: KeypointSet | None, *likely: KeypointSet | None) -> KeypointSet:
-    """Set of the keypoints of a detection: of their names, else that of others, else of their number."""
+    """Set of the keypoints of a detection: by their names, or that of other detections, or by their
+    number."""
     if row.get("names"):
         return set_with_names(row["names"])
     count = len(row["keypoints"]) // 3 if isinstance(row["keypoints"], list) else 0
@@ -305,7 +309,7 @@ def _numbers(values: Any, count: int, key: str) -> list[float]:
 
 
 def _mask(value: Any, size: tuple[int, int], key: str) -> _Record:
-    """Compressed RLE of polygons or of RLE, whose size is checked: pycocotools trusts it."""
+    """Compressed RLE from polygons or RLE. The size is checked, since pycocotools does not check it."""
     from pycocotools.mask import frPyObjects, merge
 
     width, height = size
@@ -338,7 +342,7 @@ def _mask(value: Any, size: tuple[int, int], key: str) -> _Record:
 
 
 def _run_lengths(text: str) -> list[int]:
-    """Run lengths of compressed RLE. Raises ValueError for other text."""
+    """Run lengths of compressed RLE. Raises ValueError for a text that is not valid."""
     lengths: list[int] = []
     value = shift = 0
     for character in text:
@@ -359,10 +363,8 @@ def _run_lengths(text: str) -> list[int]:
 
 
 def read_label_images(path: Path, images: ImageNumbers) -> Detections2D:
-    """Read a folder of label images (PNG, 8 or 16 bit) for each camera; 0 is nobody.
-
-    Raises EvaluationError.
-    """
+    """Read a folder of label images (PNG, 8 or 16 bit) for each camera. The label 0 is nobody. Raises
+    EvaluationError."""
     results: list[dict[str, Any]] = []
     numbers: list[int] = []
     for file in camera_files(path, [".png"], images):
@@ -376,7 +378,7 @@ def read_label_images(path: Path, images: ImageNumbers) -> Detections2D:
 
 
 def _label_image(path: Path, size: tuple[int, int] | None) -> NDArray[Any]:
-    """Labels (H, W) of a file; its size is checked before it is decoded."""
+    """Labels (H, W) of a file. Its size is checked before it is decoded."""
     data = read_bytes(path, EvaluationError, "label image", MAX_IMAGE_BYTES)
     declared = declared_size(data)
     if declared is None:

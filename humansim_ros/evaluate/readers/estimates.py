@@ -1,4 +1,4 @@
-"""Read an estimate of any known format: files, and topics of bags."""
+"""Read an estimate from any known format: files, and topics of bags."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, has_one_point
 from humansim_ros.messages.transforms import TF, Transforms, read_links
 
 _Reader = Callable[[Path, ReadOptions], PoseSequence]
-#: By suffix: the reader, and the axes of files of that format.
+#: By suffix: the reader, and the axes that files of this format have.
 _READERS: dict[str, tuple[_Reader, str]] = {
     ".csv": (read_csv, "z-up"),
     ".trc": (read_trc, "y-up"),
@@ -41,19 +41,19 @@ _READERS: dict[str, tuple[_Reader, str]] = {
     ".json": (read_json_3d, "z-up"),
     ".npy": (read_npy, "z-up"),
 }
-#: Suffixes of files of which a folder may have one a person.
+#: Suffixes of files in a folder with one file per person.
 _ONE_PERSON = (".csv", ".trc", ".c3d")
-#: Suffixes of files of estimates, besides bags.
+#: Suffixes of files of estimates. Bags have others.
 ESTIMATE_SUFFIXES = tuple(_READERS)
 _BAG_SUFFIXES = (".mcap", ".db3")
-#: Stamp and log time that differ by more, nanoseconds, are of different clocks.
+#: If stamp and log time differ by more than this (nanoseconds), they come from different clocks.
 _SAME_CLOCK = 3600 * 10**9
-#: Type of the poses of cameras and scanners.
+#: Message type for the poses of cameras and scanners.
 _EXTRINSICS = "geometry_msgs/msg/TransformStamped"
 
 
 def split_topic(text: str) -> tuple[str, str | None]:
-    """Path and topic of ``BAG:TOPIC``; None without a topic.
+    """Path and topic of ``BAG:TOPIC``. The topic is None if the text has none.
 
     Example:
         >>> split_topic("runs/one.mcap:/tracker/*/joints")
@@ -64,10 +64,12 @@ def split_topic(text: str) -> tuple[str, str | None]:
 
 
 def read_estimates(texts: Sequence[str], options: ReadOptions) -> PoseSequence:
-    """Read an estimate, in ``map``, metres: ``BAG:TOPIC``, a file, a folder of files, or several of them.
+    """Read an estimate in ``map``, metres. It is ``BAG:TOPIC``, a file, a folder of files, or several of
+    these.
 
     Raises:
-        EvaluationError: A file is missing, of an unknown kind, empty or damaged, or two have one person.
+        EvaluationError: A file is missing, of an unknown kind, empty or damaged, or two files have the same
+            person.
         BagError: The bag cannot be read.
     """
     parts = [_read_estimate(text, options) for text in texts]
@@ -103,7 +105,7 @@ def is_bag(path: Path) -> bool:
 
 
 def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:
-    """A file a frame in JSON, or a file a person in another format."""
+    """Read a folder: JSON files with one frame each, or files of another format with one person each."""
     if any(any(path.glob(pattern)) for pattern in ("*.json", "hdPose3d_*/*.json", "keypoints3d/*.json")):
         reader, axes = _READERS[".json"]
         return in_map(reader(path, options), axes, options)
@@ -114,7 +116,7 @@ def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def in_map(sequence: PoseSequence, axes: str, options: ReadOptions) -> PoseSequence:
-    """The sequence with the scale and axes of ``options``; ``axes``: axes of its format."""
+    """Apply the scale and axes of ``options`` to a sequence. ``axes``: axes of its format."""
     matrix = options.scale * axes_matrix(options.axes or axes)
     return sequence if np.array_equal(matrix, np.eye(3)) else sequence.mapped(matrix)
 
@@ -132,12 +134,12 @@ def _merged(parts: Sequence[PoseSequence]) -> PoseSequence:
 
 
 def topic_pattern(topic: str) -> re.Pattern[str]:
-    """Pattern of topics in which each ``*`` stands for a part without ``/``, as a group."""
+    """Pattern for topics. Each ``*`` stands for a part without ``/``, and becomes a group."""
     return re.compile("([^/]+)".join(re.escape(part) for part in topic.split("*")))
 
 
 def topic_person(match: re.Match[str]) -> str | None:
-    """Name of the person that a topic has in place of ``*``; None without ``*``."""
+    """Name of the person that a topic has in place of ``*``; None if the pattern has no ``*``."""
     return "/".join(match.groups()) or None
 
 
@@ -145,13 +147,14 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
     """Read the people on a topic.
 
     ``*`` in the name of the topic stands for the name of a person, or any other part without ``/``. Several
-    messages with one stamp on one topic are several people without names. Latencies are those from stamp to
-    log time; unknown if the bag was recorded with a time that stands while a frame is computed. If no message
-    has a stamp, because all are arrays of no marker, their log times stand for the stamps.
+    messages with one stamp on one topic are several people without names. Latencies are measured from stamp
+    to log time. They are unknown if time stood still while a frame was computed. If no message has a stamp,
+    since all are empty marker arrays, log times replace the stamps.
+
 
     Raises:
-        EvaluationError: No topic matches, it has no message, its type holds no poses, or its messages cannot
-            be read.
+        EvaluationError: No topic matches, or the topic has no message, a type without poses, or messages that
+            cannot be read.
         BagError: The bag cannot be read.
     """
     pattern = topic_pattern(topic)
@@ -177,7 +180,7 @@ def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOption
         if not found:
             listed = _poses_of([each for index, each in enumerate(reader.topics) if index not in people])
             raise EvaluationError(f"there is no message on {topic}; the bag has {listed}", path=path)
-        if all(content.stamp is None for _, content in found):  # markers of nobody have no header
+        if all(content.stamp is None for _, content in found):  # empty marker arrays have no header
             found = [(message, replace(content, stamp=message.stamp)) for message, content in found]
         transforms = bag_transforms(path, {content.frame_id for _, content in found} - {""})
         stream = EstimateStream(source)
@@ -205,9 +208,10 @@ def deserialised_message(data: Any, topic: BagTopic) -> Any:
 
 
 def bag_transforms(path: str | os.PathLike[str], frames: Collection[str]) -> Transforms:
-    """Transforms that lead from some frames upwards, of tf, and poses of cameras and scanners, of a bag.
+    """Transforms of a bag that lead upwards from some frames: those of tf, and poses of cameras and scanners.
 
-    Two runs through the bag, as it may have thousands of frames that nobody needs, such as those of ROS4HRI.
+    The bag is read twice, since it may have thousands of frames that are not needed, such as those of
+    ROS4HRI.
 
     Raises:
         EvaluationError: A message is damaged, or a transform is impossible.
@@ -247,10 +251,10 @@ def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseF
     Args:
         frame: The message.
         transforms: Transforms that are known.
-        is_needed: Refuse a frame without transform; else it is returned as it is.
+        is_needed: Whether a frame without transform is an error. If False, it is returned unchanged.
 
     Raises:
-        EvaluationError: There is no transform.
+        EvaluationError: The frame has no transform.
     """
     found = None if frame.stamp is None else transforms.pose(frame.frame_id, frame.stamp)
     if found is not None and found[1] == WORLD_FRAME:
@@ -264,7 +268,8 @@ def in_world(frame: PoseFrame, transforms: Transforms, is_needed: bool) -> PoseF
 
 
 def _latency(stamp: int | None, logged: int) -> float | None:
-    """Seconds from stamp to log time; None if they are equal, because simulated time stands in lockstep."""
+    """Seconds from stamp to log time; None if both are equal, since simulated time stands still in
+    lockstep."""
     if stamp is None or stamp == logged or abs(logged - stamp) > _SAME_CLOCK:
         return None
     return (logged - stamp) * 1e-9

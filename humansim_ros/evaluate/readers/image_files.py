@@ -1,4 +1,4 @@
-"""Files of keypoints and boxes in images as programs write them. Each layout is a row of :data:`LAYOUTS`."""
+"""Files of keypoints and boxes in images, as programs write them. Each layout is a row of :data:`LAYOUTS`."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from humansim_ros.keypoints.sets import COUNTED_SETS
 from humansim_ros.messages.people import PERSON_CLASSES
 
 PERSON = 1
-#: Folders of a project, and where the files of cameras are in one of them. The first place with files counts.
+#: Folders of a project, and where files of cameras are in them. The first place with files counts.
 _FOLDERS = (".", "pose", "instance", "labels", "predictions")
 _PATTERNS = ("*/*", "*/labels/*", "*/gt/*", "*/det/*", "*")
-#: Keys of people in 2D, and of people in 3D, which some programs leave empty in 2D.
+#: Keys of people in 2D; and keys of people in 3D, which some programs leave empty in 2D.
 _KEYS_2D = ("pose_keypoints_2d", "joints", "keypoints")
 _KEYS_3D = ("pose_keypoints_3d", "keypoints3d", "joints19", "joints15")
 #: Coordinates of DeepLabCut.
 _AXES = ("x", "y", "likelihood")
 _Record = dict[str, Any]
-#: Numbers of a text file by line.
+#: Numbers of a text file, by line.
 _Rows = Mapping[int, list[float]]
 
 
 class ImageNumbers(Protocol):
-    """Images of a truth: their cameras, numbers, sizes and rate, and the set of its keypoints."""
+    """Images of a truth: cameras, numbers, sizes, rate, and keypoint set."""
 
     @property
     def cameras(self) -> Sequence[str]:
@@ -55,21 +55,21 @@ class ImageNumbers(Protocol):
         """Number of the first frame."""
 
     def number(self, camera: str, frame: int) -> int | None:
-        """Number of the image of a camera in a frame; None if there is none."""
+        """Number of the image of a camera in a frame; None if there is no image."""
 
     def size(self, number: int) -> tuple[int, int] | None:
-        """Width and height of an image; None if there is none with this number."""
+        """Width and height of an image; None if there is no image with this number."""
 
 
 class ImageFile:
     """A file that is read.
 
     Attributes:
-        path, images, camera: The file, the images of the truth, and the camera in the path; None without one.
-        digits: Frame in the name of the file; empty without one. ``shift`` is added to it.
-        where: ``key`` or ``line`` that is read, for messages.
+        path, images, camera: The file, the images of the truth, and the camera in the path (or None).
+        digits: Frame in the name of the file, or empty. ``shift`` is added to it.
+        where: ``key`` or ``line`` that is being read, for messages.
         searched: Numbers of the images in the file.
-        is_sparse: Images without people are left out, so that all images were searched.
+        is_sparse: Whether images without people are left out of the file. Then all images count as searched.
     """
 
     def __init__(self, path: Path, images: ImageNumbers) -> None:
@@ -79,10 +79,8 @@ class ImageFile:
         self.searched, self.is_sparse = set[int](), False
 
     def number(self, image: str | int | None = None) -> int:
-        """Number of an image in the truth. Raises EvaluationError if there is none.
-
-        ``image``: its name, or its position among the frames of the camera; None: the file is named after it.
-        """
+        """Number of an image in the truth. Raises EvaluationError if there is none. ``image``: name of the
+        image, or its position among the frames of the camera. If None, the file is named after the image."""
         name, camera = self.path.name if image is None else str(image), self.camera
         if isinstance(image, str):
             camera = camera_in(image, self.images) or camera
@@ -104,7 +102,7 @@ class ImageFile:
 
 
 def camera_in(text: str, images: ImageNumbers, default: bool = True) -> str | None:
-    """Last camera of the truth whose name is in a text; else the only camera (``default``), or None."""
+    """Last camera of the truth that a text names. If there is none, the only camera (``default``) or None."""
     found = _camera_names(tuple(images.cameras)).findall(text)
     return found[-1] if found else images.cameras[0] if default and len(images.cameras) == 1 else None
 
@@ -116,16 +114,15 @@ def _camera_names(cameras: tuple[str, ...]) -> re.Pattern[str]:
 
 
 def _digits(name: str, camera: str | None) -> str:
-    """Digits of the last number in the name of an image or of a file; empty without one."""
+    """Digits of the last number in the name of an image or a file. Empty if there is no number."""
     name = re.sub(r"\.[A-Za-z]\w*$", "", Path(name).name.replace(camera or "", "", 1))
     return "".join(re.findall(r"\d+", name)[-1:])[-18:]
 
 
 def camera_files(path: Path, suffixes: Sequence[str], images: ImageNumbers) -> list[Path]:
-    """Files in a folder that have the name of a camera in their own, or in that of their folder.
-
-    Those with the first suffix that there are, such as ``.json``. Raises EvaluationError if there is none.
-    """
+    """Files in a folder with the name of a camera in their own name or in that of their folder. Of several
+    suffixes, the first one that occurs counts, such as ``.json``. Raises EvaluationError if there is no
+    file."""
     for suffix, name in product(suffixes, _FOLDERS):
         root = path / name
         for pattern in _PATTERNS:
@@ -142,13 +139,12 @@ def camera_files(path: Path, suffixes: Sequence[str], images: ImageNumbers) -> l
     raise EvaluationError(text, path=path)
 
 
-# --- readers: people of the content of a file, as results of COCO that are not checked
+# --- readers: people from the content of a file, as results of COCO that are not checked yet
 
 
 def _records(image: int, points: Any, box: Any, score: Any = None, size: Any = (1, 1)) -> Iterator[_Record]:
-    """A result of COCO, none without points and box. ``points``: (K, 2 or 3) x, y and confidence.
-    ``size``: pixels of a unit.
-    """
+    """Yield a result of COCO; nothing if it has neither points nor box. ``points``: (K, 2 or 3) x, y and
+    confidence. ``size``: pixels per unit."""
     row: _Record = {"image_id": image, "category_id": PERSON, "score": 1.0}
     if points is not None:
         given = np.array(points, float)
@@ -165,7 +161,8 @@ def _records(image: int, points: Any, box: Any, score: Any = None, size: Any = (
 
 
 def is_2d(content: Any) -> bool | None:
-    """Whether parsed JSON is of images, not of 3D poses; None if nobody is in it, so that it may be both."""
+    """Whether parsed JSON describes images, not 3D poses. None if it has no people, so that it may be
+    either."""
     people = content.get("people", content.get("bodies")) if isinstance(content, dict) else content
     if people is None and isinstance(content, dict):
         known = {"annotations", "instance_info"} & content.keys()
@@ -184,7 +181,8 @@ def _coco_rows(content: Any) -> Any:
 
 
 def _coco(content: Any, file: ImageFile) -> Iterator[Any]:
-    """Rows as they are. In a data set, images have names instead of numbers, and people the score 1."""
+    """Rows of COCO, unchanged. In a data set, images have names instead of numbers, and people the score
+    1."""
     file.is_sparse = True
     rows = content.get("images", ()) if isinstance(content, dict) else ()
     names = {row["id"]: row["file_name"] for row in rows if "file_name" in row}
@@ -194,9 +192,9 @@ def _coco(content: Any, file: ImageFile) -> Iterator[Any]:
 
 
 def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, list[Any], str]]:
-    """Images of parsed JSON: name or position, people, and their key."""
+    """Images of parsed JSON: name or position, people, and key of the people."""
     if isinstance(content, list) and content and "instances" in content[0]:  # frames of a video
-        first = min(frame["frame_id"] for frame in content)  # all are listed, and counted from 0 or 1
+        first = min(frame["frame_id"] for frame in content)  # all frames are listed, and counted from 0 or 1
         for place, frame in enumerate(content):
             yield frame["frame_id"] - (first == 1), frame["instances"], f"{key}[{place}].instances"
     elif isinstance(content, list):
@@ -212,7 +210,7 @@ def _images_of(content: Any, key: str = "") -> Iterator[tuple[str | int | None, 
 
 
 def _json(content: Any, file: ImageFile) -> Iterator[_Record]:
-    """People of OpenPose, of AlphaPose, of MMPose, and of ``to_json`` of ultralytics."""
+    """People of OpenPose, AlphaPose, MMPose, and of ``to_json`` of ultralytics."""
     info = content.get("meta_info", {}) if isinstance(content, dict) else {}
     names = tuple(
         name for _, name in sorted(info.get("keypoint_id2name", {}).items(), key=lambda row: int(row[0]))
@@ -258,7 +256,8 @@ def _ai_city(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
 
 
 def _yolo(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
-    """Class, box, keypoints with or without confidence; then confidence and identity, if asked for."""
+    """Rows of YOLO: class, box, keypoints with or without confidence, confidence and identity, if
+    requested."""
     number = file.number()
     for line, row in rows.items():
         file.where = {"line": line}
@@ -276,7 +275,7 @@ def _yolo(rows: _Rows, file: ImageFile) -> Iterator[_Record]:
 
 
 def _yolo_shape(row: Sequence[float], own: int = 0) -> tuple[int, int] | None:
-    """Number of keypoints, and of their columns; None for numbers of another program."""
+    """Number of keypoints, and of columns per keypoint; None for numbers of another program."""
     for count, width in ((count, width) for count in (0, own, *COUNTED_SETS) for width in (3, 2)):
         if 0 <= len(row) - 5 - width * count <= 2 and not max(row[1:5]) >= 2:
             return count, width
@@ -303,8 +302,8 @@ def _deeplabcut(rows: Sequence[Sequence[str]], file: ImageFile) -> Iterator[_Rec
 
 
 _Layout = tuple[str, Callable[[Any], Any], Callable[[Any, ImageFile], Iterator[Any]]]
-#: Layouts by suffix: name, whether it fits, and reader. Content is parsed JSON, the cells of a CSV file, or
-#: numbers by line; of these, the first line tells whether it fits. The first layout that fits reads a file.
+#: Layouts by suffix: name, test whether the layout fits, and reader. Content is parsed JSON, the cells of a
+#: CSV file, or numbers by line (then the first line is tested). The first layout that fits reads the file.
 LAYOUTS: Mapping[str, Sequence[_Layout]] = {
     ".json": (
         ("COCO", lambda content: _coco_rows(content) is not None, _coco),

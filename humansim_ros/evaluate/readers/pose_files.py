@@ -23,24 +23,25 @@ from humansim_ros.keypoints import keypoint_set
 from humansim_ros.keypoints.sets import COUNTED_SETS
 from humansim_ros.types import Array
 
-#: Greatest size of a file of poses: as text, an hour of ten people at 30 Hz.
+#: Largest file of poses, bytes. As text, this is an hour of ten people at 30 Hz.
 MAX_BYTES = 1 << 31
-#: Seconds beyond which a time cannot be a stamp in 64 bits.
+#: Times beyond this, seconds, do not fit into a stamp of 64 bits.
 _MAX_SECONDS = 9e9
 _AXIS = re.compile(r"(.+?)[_ .:]?([xyz])", re.IGNORECASE)
 _HELP = (
     "the first line must name the columns: time (seconds), stamp (nanoseconds) or frame; person, if there "
     "are several; then joint, x, y, z, or three columns of each joint, such as l_knee_x, l_knee_y, l_knee_z"
 )
-#: Columns of Anipose and FreeMoCap that have other names here.
+#: Columns of Anipose and FreeMoCap, with the names that they have here.
 _FOREIGN = {"fnum": "frame", "keypoint": "joint"}
-#: Columns of FreeMoCap: times beside one frame a row, and contents of those that select the rows of the body.
+#: Columns of FreeMoCap: of times, where each row is a frame, and of contents, which select the rows of the
+#: body.
 _TIMES, _BODY_ROWS = {"timestamp", "timestamp_by_camera"}, {"model": ".*body", "trajectory": "3d_xyz"}
-#: Points of arrays of FreeMoCap: the body comes first, and then hands and face.
+#: Points in arrays of FreeMoCap. The body comes first, then hands and face.
 _BODY, _FREEMOCAP = "mediapipe33", (33, 75, 543, 553)
-#: Metres of a unit of Panoptic, and of FreeMoCap; spread of the joints of nobody, metres.
+#: Metres per unit of Panoptic, and of FreeMoCap; and a spread of joints that no person has, metres.
 _CENTIMETRE, _MILLIMETRE, _GIANT = 0.01, 0.001, 20.0
-#: Names of the joints of Panoptic [Joo 2015] by the key of their list.
+#: Names of the joints of Panoptic [Joo 2015], by key of their list.
 _PANOPTIC: dict[str, tuple[str, ...]] = {
     "joints19": (
         *("neck", "nose", "mid_hip", "l_shoulder", "l_elbow", "l_wrist", "l_hip", "l_knee", "l_ankle"),
@@ -57,10 +58,10 @@ class ReadOptions:
 
     Attributes:
         names: Names of the points, in their order, for formats without names.
-        period: Nanoseconds between frames, for formats that number frames; 0 if unknown.
+        period: Nanoseconds between frames, for formats that number frames. 0 if unknown.
         start: Stamp of frame 0 and of time 0, nanoseconds.
-        axes: Axes of the file, as of ``axes_matrix``; the usual axes of its format if None.
-        scale: Metres of a unit of the file, after the unit that the file states.
+        axes: Axes of the file, the same as in ``axes_matrix``. If None, the usual axes of the format.
+        scale: Factor to metres, in addition to the unit that the file states.
     """
 
     names: tuple[str, ...] | None = None
@@ -71,14 +72,14 @@ class ReadOptions:
 
 
 def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str) -> int:
-    """A time as nanoseconds.
+    """Convert seconds to nanoseconds.
 
     Args:
         value: Seconds.
         path, line, key: File, its line and the name of the field, for messages.
 
     Raises:
-        EvaluationError: It is not finite, or beyond all stamps; with path, line and key.
+        EvaluationError: The time is not finite, or beyond all stamps. The error names path, line and key.
     """
     if not abs(value) < _MAX_SECONDS:
         raise EvaluationError(f"{value:g} s is no time", path=path, line=line, key=key)
@@ -86,13 +87,14 @@ def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str)
 
 
 def split_name(label: str, path: Path) -> tuple[str, str]:
-    """Person and joint of a label such as ``anna:l_knee``; without a person, the file has its name."""
+    """Person and joint of a label such as ``anna:l_knee``. A label without person belongs to the person of
+    the file's name."""
     person, joint = label_parts(label)
     return person or path.stem, joint
 
 
 def read_csv(path: Path, options: ReadOptions) -> PoseSequence:
-    """Read a CSV file with a line of column names; see docs/evaluation.md. Raises EvaluationError."""
+    """Read a CSV file with a line of column names (docs/evaluation.md). Raises EvaluationError."""
     text = read_text(path, EvaluationError, "CSV", MAX_BYTES)
     sample = text[: text.find("\n") + 1] or text
     separator = max(",;\t", key=sample.count)
@@ -153,7 +155,8 @@ def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def _metres(sequence: PoseSequence, options: ReadOptions) -> PoseSequence:
-    """Poses whose unit is not stated. Without a scale, it is millimetres if metres would make giants."""
+    """Convert poses of unknown unit to metres. Without a scale, the unit is millimetres if metres would make
+    giants."""
     size = body_size(pose for people in sequence.people for pose in people.values())
     return sequence.mapped(_MILLIMETRE * np.eye(3)) if options.scale == 1 and size > _GIANT else sequence
 
@@ -170,7 +173,7 @@ def _csv_time(text: str, clock: str, options: ReadOptions, path: Path, line: int
 
 
 def _joint_columns(header: Sequence[str]) -> dict[str, list[int]]:
-    """Columns of x, y, z by joint; only joints with all three."""
+    """Columns of x, y, z by joint. Joints without all three are left out."""
     found: dict[str, dict[str, int]] = {}
     for index, word in enumerate(header):
         if (match := _AXIS.fullmatch(word)) and word.lower() not in ("x", "y", "z"):
@@ -179,11 +182,9 @@ def _joint_columns(header: Sequence[str]) -> dict[str, list[int]]:
 
 
 def read_trc(path: Path, options: ReadOptions) -> PoseSequence:
-    """Read a TRC file; times count from the start of the truth, positions are converted to metres.
-
-    A marker ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
-    Raises EvaluationError.
-    """
+    """Read a TRC file. Times count from the start of the truth. Positions are converted to metres. A marker
+    ``anna:l_knee`` belongs to anna. A marker without person belongs to the person that the file is named
+    after. Raises EvaluationError."""
     file = read_trc_points(path, EvaluationError, MAX_BYTES)
     stamps = [
         options.start + nanoseconds(time, path, line, "Time")
@@ -193,7 +194,7 @@ def read_trc(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def _of_markers(path: Path, file: MarkerFile, stamps: Sequence[int]) -> PoseSequence:
-    """Poses of the points of a file, whose frames have these stamps."""
+    """Poses from the points of a file. ``stamps``: stamps of its frames."""
     markers = [split_name(label, path) for label in file.labels]
     people: dict[str, list[int]] = {}
     for index, (person, _) in enumerate(markers):
@@ -207,22 +208,17 @@ def _of_markers(path: Path, file: MarkerFile, stamps: Sequence[int]) -> PoseSequ
 
 
 def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
-    """Read the points of a C3D file; times count from the start of the truth, positions become metres.
-
-    A label ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
-    Raises EvaluationError.
-    """
+    """Read the points of a C3D file. Times count from the start of the truth. Positions are converted to
+    metres. A label ``anna:l_knee`` belongs to anna. A label without person belongs to the person that the
+    file is named after. Raises EvaluationError."""
     file = read_c3d_points(path, EvaluationError, MAX_BYTES)
     return _of_markers(path, file, [options.start + round(time * 1e9) for time in file.times.tolist()])
 
 
 def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
-    """Read a folder with a file a frame, or one such file. The folder may be a sequence of Panoptic, or the
-    output of EasyMocap.
-
-    Positions of Panoptic (centimetres, y down) are converted to ``map``. The last number in the name of a
-    file is its frame. Raises EvaluationError.
-    """
+    """Read one JSON file, or a folder with one file per frame: a sequence of Panoptic, or output of
+    EasyMocap. Positions of Panoptic (centimetres, y down) are converted to ``map``. The last number in the
+    name of a file is its frame. Raises EvaluationError."""
     sequence = sorted(path.glob("hdPose3d_*/*.json")) or sorted(path.glob("keypoints3d/*.json"))
     files = (sequence or sorted(path.glob("*.json"))) if path.is_dir() else [path]
     if not files:
@@ -264,7 +260,8 @@ def read_npy(path: Path, options: ReadOptions) -> PoseSequence:
 
 
 def _names(count: int, path: Path, options: ReadOptions, key: str | None = None) -> tuple[str, ...]:
-    """Names of points: those of the options, else of a set with as many points. Raises EvaluationError."""
+    """Names of points: those of the options, or those of a set with as many points. Raises
+    EvaluationError."""
     names = options.names or (COUNTED_SETS[count].names if count in COUNTED_SETS else ())
     if len(names) != count:
         known = f"the set has {len(names)}" if names else "give --keypoints"
@@ -292,7 +289,7 @@ def _add_panoptic(
         values = _matrix(body[key], 4, path, f"bodies.{key}")
         if len(values) != len(_PANOPTIC[key]):
             raise EvaluationError(f"{len(values)} joints", path=path, key=f"bodies.{key}")
-        values[values[:, 3] < 0] = np.nan  # Panoptic marks joints that were not seen so
+        values[values[:, 3] < 0] = np.nan  # Panoptic marks joints that were not seen in this way
         person = body.get("id")
         score = body.get("score")
         builder.add(
@@ -312,7 +309,7 @@ def _add_people(
     path: Path,
     options: ReadOptions,
 ) -> None:
-    """Add people of OpenPose or EasyMocap, whose points are in a field."""
+    """Add people of OpenPose or EasyMocap. ``field``: key of their points."""
     for person in people:
         points = person.get(field) if isinstance(person, dict) else None
         if not points:
@@ -323,7 +320,7 @@ def _add_people(
             )
         values = _matrix(points, 4, path, f"people.{field}")
         names = _names(len(values), path, options, "people")
-        values[values[:, 3] <= 0] = np.nan  # both mark absent keypoints so
+        values[values[:, 3] <= 0] = np.nan  # both mark absent keypoints in this way
         number = person.get("person_id", person.get("id", -1))
         number = number[0] if isinstance(number, list) and number else number
         name = str(number) if isinstance(number, int) and number >= 0 else None

@@ -1,4 +1,5 @@
-"""Read the path of a robot from a bag (odometry, tf, localisation, marker), or compute that of a scene."""
+"""Read the path of a robot from a bag (odometry, tf, localisation, marker), or compute that of a scene's
+robot."""
 
 from __future__ import annotations
 
@@ -22,26 +23,24 @@ from humansim_ros.messages.transforms import TF, read_links
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
-#: Frame of the robot where the scene has no robot.
+#: Frame of the robot, if the scene has no robot.
 _BASE_FRAME = "base_link"
 #: Topic of the robot of a scene file.
 _ODOMETRY = "/odom"
 _SCENE_SUFFIXES = (".yaml", ".yml")
-#: Pose of the robot in messages of each type; tf has it, too.
+#: By message type: function that takes the pose of the robot from a message. tf has poses, too.
 _POSES: dict[str, Callable[[Any], Any]] = {
     "nav_msgs/msg/Odometry": lambda message: message.pose.pose,
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
     "visualization_msgs/msg/Marker": lambda message: message.pose,
 }
-#: Stamp, frame, and pose (4, 4) of the robot in it.
+#: Stamp, frame, and pose (4, 4) of the robot in this frame.
 _Sample = tuple[int, str, Array]
 
 
 def is_robot_path(text: str) -> bool:
-    """Whether an estimate is the path of a robot: a topic of a bag with its poses, or of a scene file.
-
-    Raises BagError if the bag cannot be read.
-    """
+    """Whether an estimate is the path of a robot: a topic of a bag with poses of a robot, or one of a scene
+    file. Raises BagError if the bag cannot be read."""
     name, topic = split_topic(text)
     path = Path(name)
     if topic is None or not path.exists():
@@ -59,10 +58,11 @@ def read_robot_path(text: str, scene: Scene | None) -> RobotPath:
 
     Args:
         text: ``BAG:TOPIC``, or ``SCENE:/odom`` for the robot of a scene file that has a path or trajectory.
-        scene: The scene of the truth: it tells the frames of the robot, and where its odometry starts.
+        scene: The scene of the truth. It defines the frames of the robot, and where its odometry starts.
 
     Raises:
-        HumansimError: A file cannot be read, stamps go back, a pose is no pose, or no transforms lead to map.
+        HumansimError: A file cannot be read, stamps go back, a pose is not valid, or no transforms lead to
+            map.
     """
     name, topic = split_topic(text)
     assert topic is not None
@@ -88,7 +88,7 @@ def _scene_path(scene: Scene, text: str) -> RobotPath:
 
 
 def _bag_path(path: Path, topic: str, scene: Scene | None) -> RobotPath:
-    """Path of a robot on a topic; the transforms of the bag lead from its frame to map."""
+    """Path of a robot from a topic. The transforms of the bag lead from the robot's frame to map."""
     robot = scene.robot if scene is not None else None
     base = robot.config.base_frame if robot is not None else _BASE_FRAME
     samples: list[_Sample] = []

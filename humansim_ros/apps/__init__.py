@@ -1,4 +1,4 @@
-"""Applications of the nodes, as commands of ``humansim`` run them; layouts for viewers."""
+"""Applications of the nodes, which commands of ``humansim`` run; and layouts for viewers."""
 
 from humansim_ros.lazy import lazy_exports
 

@@ -20,7 +20,8 @@ class Comparison:
     """Result of :func:`evaluate`; ``print`` shows the table that ``humansim evaluate`` prints.
 
     Attributes:
-        data: All metrics with the keys of docs/evaluation.md; metres, seconds, and shares from 0 to 1.
+        data: All metrics, with the keys of docs/evaluation.md. Units are metres and seconds; shares are 0 to
+            1.
         table: The table.
         page: Makes the HTML page.
     """
@@ -56,15 +57,17 @@ def evaluate(
         truth: Scene file, bag with the topics ``/humans/<id>/joints``, or folder of an export.
         estimate: File or folder of poses, boxes or detections, or ``BAG:TOPIC``; or several of them. A topic
             with the pose of a robot is judged by docs/social_navigation.md.
-        keypoints: Keypoint set of the estimate, such as ``coco17``; None: as its names say.
+        keypoints: Keypoint set of the estimate, such as ``coco17``. If None, its names decide.
         names: YAML file: name of a joint in the truth by name in the estimate.
         scale: Metres of a unit of the estimate.
-        axes: Axes of the estimate, such as ``y-up``; None: the axes of ``map``.
-        offset: Seconds by which the stamps of the estimate are late, or ``"auto"`` to measure them.
-        gate: Largest mean joint distance at which a person counts as found, metres; None: 0.5. Of boxes:
-            of their centres on the floor; None: 1.
-        min_score: Detections in images with a lower score count for average precision only.
-        radius: Radius of the robot whose path is the estimate, metres; None: that of the scene's robot.
+        axes: Axes of the estimate, such as ``y-up``. If None, the axes of ``map``.
+        offset: Delay of the stamps of the estimate, seconds. With ``"auto"``, the delay is measured.
+        gate: Largest mean joint distance of a person who counts as found, metres. If None, 0.5. For boxes, it
+            is the distance of their centres on the floor; if None, 1.
+
+        min_score: Detections in images with a lower score count only for average precision.
+        radius: If the estimate is the path of a robot, the radius of the robot, metres. If None, that of the
+            scene's robot.
 
     Raises:
         HumansimError: A file cannot be read, or truth and estimate cannot be compared.
@@ -111,19 +114,19 @@ def record(
     """Record a scene into a bag of rosbag2, frame by frame: no frame is lost, and ROS is not needed.
 
     Args:
-        scene: Scene, or its file; None: the demo scene.
-        output: Folder of the bag, which must not exist unless ``resume``.
-        frames: Number of frames; or give ``seconds``.
+        scene: Scene, or its file. If None, the demo scene.
+        output: Folder of the bag. It must not exist, unless ``resume`` is set.
+        frames: Number of frames, in place of ``seconds``.
         seconds: Length of the recording, seconds.
-        topics: Names of topics, or patterns such as ``/camera_*/joints``; the default topics if empty.
+        topics: Names of topics, or patterns such as ``/camera_*/joints``. If empty, the default topics.
         images: Format of colour images.
         depth: Format of depth images.
         storage: Storage plugin of rosbag2.
-        compression: Compression of the chunks of an MCAP file; lossless.
-        max_bag_size: Bytes after which a new file begins; 0: one file.
-        max_bag_duration: Seconds after which a new file begins; 0: one file.
-        jobs: Number of worker processes; None: one per core.
-        resume: Continue an interrupted recording, or start it.
+        compression: Lossless compression of the chunks of an MCAP file.
+        max_bag_size: Bytes after which a new file begins. If 0, there is one file.
+        max_bag_duration: Seconds after which a new file begins. If 0, there is one file.
+        jobs: Number of worker processes. If None, one per core.
+        resume: Whether to continue an interrupted recording. If there is none, a new one starts.
         on_progress: Called after each frame with the number of finished frames and of all frames.
 
     Returns:
@@ -171,21 +174,22 @@ def export(
 ) -> Path:
     """Write frames of a scene, a bag, or the scenes of a recipe, as a data set: images, annotations, motions.
 
-    A recipe (docs/datasets.md) has keys for its formats, frames, keypoints and images: leave them out.
+    A recipe (docs/datasets.md) has keys for formats, frames, keypoints and images, so leave out these
+    arguments.
 
     Args:
-        source: Scene, its file, a recipe, or a bag; None: the demo scene.
-        output: Folder, which must not exist unless ``resume``.
+        source: Scene, its file, a recipe, or a bag. If None, the demo scene.
+        output: Folder. It must not exist, unless ``resume`` is set.
         formats: Names of formats, such as ``coco`` (docs/export.md).
-        scenes: Number of scenes of a recipe, instead of its own.
-        frames: Number of frames, or their numbers; None: all of a bag.
+        scenes: Number of scenes, in place of that in the recipe.
+        frames: Number of frames, or their numbers. If None, all frames of a bag.
         keypoints: Keypoint set of the formats with keypoints.
         images: Format of colour images.
         shard_size: Size of the shards of ``webdataset``, bytes.
-        jobs: Number of worker processes; None: one per core.
-        resume: Continue an interrupted export, or start it.
-        on_progress: Called after each frame with the number of finished frames and of all frames; after each
-            scene with those of scenes if there is a recipe.
+        jobs: Number of worker processes. If None, one per core.
+        resume: Whether to continue an interrupted export. If there is none, a new one starts.
+        on_progress: Called after each frame with the number of finished frames and of all frames. For a
+            recipe, called after each scene with the numbers of scenes.
 
     Returns:
         The folder.
@@ -214,5 +218,5 @@ def export(
 
 
 def _work() -> Any:
-    # not by an import statement: type checkers would put all modules into one circle
+    # no import statement, since type checkers would put all modules into one circle
     return import_module("humansim_ros.apps.work")

@@ -1,4 +1,4 @@
-"""``humansim play``: publish the messages of a bag again, at the pace at which they were recorded."""
+"""``humansim play``: publish the messages of a bag again, at the pace of the recording."""
 
 from __future__ import annotations
 
@@ -30,18 +30,20 @@ from humansim_ros.ros.qos import publisher_profile
 from humansim_ros.ros.runtime import make_executor
 
 CLOCK_TOPIC = "/clock"
-#: Seconds without a new subscription after which the first message is sent, and the longest wait for that.
+#: The first message is sent after this time without a new subscription, and at the latest after the second
+#: time, seconds.
 _QUIET, _MAX_QUIET = 1.0, 4.0
-#: Seconds in which subscribers confirm messages; Fast DDS asks them every three seconds.
+#: Subscribers confirm messages within this time, seconds, since Fast DDS asks them every three seconds.
 _DELIVERY = 10.0
-#: Number and bytes of messages of a topic that are sent at once without confirmation: the shared memory of
-#: Fast DDS has 512 places.
+#: Most messages of a topic, and most bytes, that are sent at once without confirmation. The shared memory of
+#: Fast DDS has 512 slots.
 _MAX_AT_ONCE, _MAX_UNCONFIRMED = 400, 1 << 25
-#: Seconds for the last messages of publishers whose messages nobody confirms.
+#: Time for the last messages of publishers without confirmation, seconds.
 _LINGER = 0.2
 #: Longest sleep in seconds, so that the process notices a key.
 _STEP = 0.02
-#: Seconds by which messages are late that are sent one after the other, without a pause; and until a warning.
+#: Messages that are late by this time (seconds) are sent without a pause; from the second time on, a warning
+#: is printed.
 _LATE, _MAX_LATE = 0.1, 1.0
 #: Most topics that a line names.
 _MAX_NAMED = 3
@@ -52,11 +54,11 @@ class PlayOptions:
     """Options of a bag player.
 
     Attributes:
-        clock: Messages per second on ``/clock``; 0: none.
+        clock: Messages per second on ``/clock``. If 0, none.
         rate: Recorded seconds per second.
-        loop: Begin again at the end, for ever.
-        start_offset: Recorded seconds at the beginning that are left out.
-        topics: Names and patterns of topics; none: all.
+        loop: Whether playing begins again at the end.
+        start_offset: Number of recorded seconds that are skipped at the start.
+        topics: Names and patterns of topics. If empty, all.
     """
 
     clock: float = 0.0
@@ -67,12 +69,12 @@ class PlayOptions:
 
 
 class Pace:
-    """Relation of recorded time to monotonic time; it stands still during a pause.
+    """Relation of recorded time to monotonic time. Recorded time stands still during a pause.
 
     Args:
-        start: Recorded time at the begin, nanoseconds.
+        start: Recorded time at the start, nanoseconds.
         rate: Recorded seconds per second.
-        now: Monotonic time at the begin, seconds.
+        now: Monotonic time at the start, seconds.
     """
 
     def __init__(self, start: int, rate: float, now: float) -> None:
@@ -86,7 +88,7 @@ class Pace:
         )
 
     def seconds_until(self, recorded: int, now: float) -> float:
-        """Seconds until a recorded time; infinite during a pause, negative afterwards."""
+        """Seconds until a recorded time is due. Infinite during a pause, negative once it has passed."""
         if self.paused:
             return float("inf")
         return self._since - now + (recorded - self._recorded) * 1e-9 / self._rate
@@ -98,7 +100,7 @@ class Pace:
 
 
 class BagPlayer:
-    """Publishes the messages of a bag. Call :meth:`close` at the end. ``rclpy`` has been initialised.
+    """Publishes the messages of a bag. Call :meth:`close` at the end. ``rclpy`` must be initialised.
 
     Args:
         path: Folder of the bag, or one file of it.
@@ -110,7 +112,7 @@ class BagPlayer:
         played: Number of messages that were sent.
 
     Raises:
-        HumansimError: It is no bag or has no messages to play, or another node publishes ``/clock``.
+        HumansimError: The path is no bag or has no messages to play, or another node publishes ``/clock``.
     """
 
     def __init__(self, path: str | os.PathLike[str], options: PlayOptions) -> None:
@@ -143,7 +145,7 @@ class BagPlayer:
                 if topic.name in types
             }
             self._clock = self._node.create_publisher(Clock, CLOCK_TOPIC, 10) if options.clock else None
-            #: Sizes of the messages of each publisher that were sent one after the other.
+            #: By publisher: sizes of the messages that were sent without a pause.
             self._unconfirmed: dict[int, list[int]] = {number: [] for number in self._publishers}
             self._wait_for_subscribers()
             self._check_neighbours()
@@ -154,7 +156,7 @@ class BagPlayer:
     # --- choice of messages
 
     def _chosen(self) -> Mapping[int, BagTopic]:
-        """Topics that are asked for by their number."""
+        """Topics to play, by number."""
         choice = TopicChoice.of(self._options.topics)
         names = [topic.name for topic in self._reader.topics]
         if unmatched := choice.unmatched(names):
@@ -171,7 +173,7 @@ class BagPlayer:
         return topics
 
     def _types(self, topics: Mapping[int, BagTopic]) -> dict[str, Any]:
-        """Message classes of the topics whose types are installed; warns of the others."""
+        """Message classes of the topics. Warns of topics with types that are not installed."""
         types = {}
         for topic in topics.values():
             try:
@@ -183,7 +185,7 @@ class BagPlayer:
         return types
 
     def _interval(self) -> tuple[int, int]:
-        """Recorded times of the begin and the end, nanoseconds."""
+        """Recorded times of the start and the end, nanoseconds."""
         info = self._reader.info
         if info.start is None or info.end is None:
             raise RosError("the bag has no messages", path=self._path)
@@ -197,7 +199,7 @@ class BagPlayer:
     # --- other nodes
 
     def _wait_for_subscribers(self) -> None:
-        """Wait until the publishers have found the subscriptions that are there."""
+        """Wait until the publishers have found all existing subscriptions."""
         begin = changed = time.monotonic()
         found = -1
         while time.monotonic() < min(changed + _QUIET, begin + _MAX_QUIET):
@@ -223,10 +225,8 @@ class BagPlayer:
     # --- playing
 
     def play(self, key: Callable[[], str] = lambda: "") -> None:
-        """Publish all messages, and wait until subscribers have them.
-
-        ``key``: returns the key that was pressed since the last call, or nothing. Space pauses.
-        """
+        """Publish all messages, and wait until subscribers have them. ``key``: returns the key that was
+        pressed since the last call, or an empty text. Space pauses."""
         sent = self._send_latched()
         while True:
             self._play_once(sent, key)
@@ -237,7 +237,8 @@ class BagPlayer:
         self._wait_for_delivery()
 
     def _play_once(self, sent: Mapping[int, int], key: Callable[[], str]) -> None:
-        """Publish the messages once. ``sent``: times until which latched topics have been sent."""
+        """Publish the messages once. ``sent``: times up to which messages of latched topics have been
+        sent."""
         pace = Pace(self._start, self._options.rate, time.monotonic())
         self._next_clock = 0.0
         warned = False
@@ -253,7 +254,7 @@ class BagPlayer:
         self._publish_clock(self._end)
 
     def _wait(self, pace: Pace, recorded: int, key: Callable[[], str]) -> float:
-        """Wait until a recorded time; returns the seconds until it, which are negative if it has passed."""
+        """Wait until a recorded time. Returns the seconds until it; negative if it has passed."""
         first = None
         while True:
             if key() == " ":
@@ -275,10 +276,8 @@ class BagPlayer:
             self._clock.publish(Clock(clock=to_time(stamp)))
 
     def _send_latched(self) -> dict[int, int]:
-        """Publish the messages of latched topics that a late subscriber would have at the start.
-
-        Of a topic that begins later it is the first message. Returns the time of the last one by topic.
-        """
+        """Publish those messages of latched topics that a late subscriber would have at the start. If a topic
+        begins later, its first message is published. Returns the time of the last message by topic."""
         profiles = {number: publisher_profile(self._reader.topics[number].qos) for number in self._publishers}
         latched = {
             number: deque[BagMessage](maxlen=profile.depth)
@@ -300,9 +299,8 @@ class BagPlayer:
         return sent
 
     def _publish(self, message: BagMessage, is_late: bool = False) -> None:
-        """Publish a message. ``is_late``: messages follow each other without a pause, and subscribers might
-        lose some: after many, they have to confirm them.
-        """
+        """Publish a message. ``is_late``: messages are sent without a pause, so that subscribers might lose
+        some. After many messages, they have to confirm them."""
         publisher = self._publishers[message.topic]
         publisher.publish(bytes(message.data))
         self.played += 1
@@ -334,9 +332,10 @@ class BagPlayer:
 
 
 def _wait_until_acknowledged(publisher: Any, seconds: float) -> bool:
-    """Whether all reliable subscribers have confirmed all messages in a time."""
+    """Wait until all reliable subscribers have confirmed all messages. Returns False if the time is over."""
     end = time.monotonic() + seconds
-    while not publisher.wait_for_all_acked(Duration(seconds=_STEP)):  # no signal is handled in this call
+    # signals are not handled during this call
+    while not publisher.wait_for_all_acked(Duration(seconds=_STEP)):
         if time.monotonic() > end:
             return False
     return True

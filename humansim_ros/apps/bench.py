@@ -1,4 +1,4 @@
-"""``humansim bench``: how many cameras of a scene this machine holds, measured with the nodes of a run."""
+"""``humansim bench``: how many cameras of a scene this machine can run, measured with the nodes of a run."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import in_step
 
-#: Frames per second of the motion player: more than the cameras can render. They get as many as they can.
+#: Frames per second of the motion player. This is more than cameras can render, so that they get as many as
+#: they can.
 _RATE = 200.0
-#: Share of the measured rate that the machine holds for a long time, beside some other work.
+#: Share of the measured rate that the machine can hold for a long time, next to some other work.
 _SHARE = 0.9
-#: Frames that are held until all their images have arrived.
+#: Most frames that are held while some of their images have not arrived.
 _MAX_INCOMPLETE = 1000
-#: Seconds before a measurement, after the first frame of all cameras.
+#: Seconds between the first frame of all cameras and a measurement.
 _SETTLING = 1.0
-#: Seconds in which another topic must have sent its first message.
+#: Each other topic must send its first message within this time, seconds.
 _START_LIMIT = 90.0
-#: Cores that other processes use, from which a measurement means little.
+#: If other processes use more cores than this, a measurement means little.
 _BUSY_CORES = 0.25
 
 
@@ -42,16 +43,17 @@ class BenchResult:
     """Rate at which a machine renders the cameras of a scene.
 
     Attributes:
-        cameras: Milliseconds in which each camera renders and sends a frame, by name.
-        pictures: Pictures of all cameras in a frame; fewer than cameras if some have a rate of their own.
+        cameras: By name: milliseconds that the camera needs to render and send a frame.
+        pictures: Number of pictures per frame. It is less than the number of cameras if some have their own
+            rate.
         channels: Rendered channels.
         rate: Frames per second of the scene.
         measured_hz: Frames per second with all channels of all cameras.
-        frame_ms: CPU milliseconds per frame of all that is not a camera: motions, bodies and subscriber.
+        frame_ms: CPU milliseconds per frame for everything except cameras: motions, bodies and subscriber.
         camera_ms: CPU milliseconds per picture of one camera.
         processes: Number of camera processes.
         cores: Number of cores.
-        other_cores: Number of cores that other processes used meanwhile.
+        other_cores: Number of cores that other processes used during the measurement.
     """
 
     cameras: dict[str, float]
@@ -67,21 +69,21 @@ class BenchResult:
 
     @property
     def max_hz(self) -> float:
-        """Frames per second that the machine holds with these cameras."""
+        """Frames per second that the machine can hold with these cameras."""
         return _SHARE * self.measured_hz
 
     @property
     def max_cameras(self) -> int:
-        """Number of such cameras that it holds at the rate of the scene; an estimate."""
+        """Estimated number of such cameras that the machine can run at the rate of the scene."""
         if self.max_hz <= 0 or self.camera_ms <= 0:
             return 0
-        # a frame takes a time that is proportional to its CPU time
+        # the time for a frame is taken as proportional to its CPU time
         frame = (self.frame_ms + self.pictures * self.camera_ms) * self.max_hz / self.rate
         return max(0, int((frame - self.frame_ms) / self.camera_ms + 1e-9))
 
     @property
     def holds(self) -> bool:
-        """Whether the machine holds these cameras at the rate of the scene."""
+        """Whether the machine can run these cameras at the rate of the scene."""
         return self.max_hz >= self.rate
 
     def to_dict(self) -> dict[str, Any]:
@@ -136,14 +138,15 @@ def measure(
 ) -> BenchResult:
     """Run the nodes of a scene as fast as they can, with one subscriber, for some seconds.
 
-    If they do not reach the rate of the scene, they run once more at this rate: nodes that are sent too many
-    frames spend their time on frames that others skip.
+    If they do not reach the rate of the scene, they run once more at this rate, since nodes that get too many
+    frames waste time on frames that other nodes skip.
+
 
     Args:
         path: Scene file.
         channels: Channels to render.
         seconds: Length of the measurement.
-        processes: Number of camera processes; one per core if None.
+        processes: Number of camera processes. If None, one per core.
         report: Prints a line of progress.
 
     Raises:
@@ -160,7 +163,7 @@ def measure(
 
 @dataclass(frozen=True)
 class _Bench:
-    """A measurement; the attributes are the arguments of :func:`measure`."""
+    """A measurement. Its attributes are the arguments of :func:`measure`."""
 
     scene: Scene
     path: Path
@@ -170,7 +173,7 @@ class _Bench:
     report: Callable[[str], None]
 
     def at(self, rate: float) -> BenchResult:
-        """Start the nodes, measure, and stop them. ``rate``: frames per second that are asked for."""
+        """Start the nodes, measure, and stop them. ``rate``: requested frames per second."""
         topics = topics_of(self.scene, self.channels)
         counted = in_step(self.scene.scene_cameras)
         whole = [topic for topic in topics if topic.split("/")[1] in counted]
@@ -206,7 +209,7 @@ class _Bench:
         )
 
     def _nodes(self, rate: float) -> list[NodeProcess]:
-        """Processes of the scene that log errors only; the motion player has this rate."""
+        """Processes of the scene. They log only errors. ``rate``: rate of the motion player."""
         nodes = scene_processes(self.path, self.processes, time=TimeOptions(lockstep=False))
         own = {"motion_player": {"rate": rate}}
         return [
@@ -216,10 +219,8 @@ class _Bench:
 
 
 class _Subscriber:
-    """Context manager that subscribes to topics and counts the stamps at which some of them have a message.
-
-    ``whole``: the topics that a frame has that is counted.
-    """
+    """Context manager that subscribes to topics and counts the stamps with a message on some of them.
+    ``whole``: topics. A frame is counted if it has messages on all of them."""
 
     def __init__(self, topics: Sequence[str], whole: Sequence[str]) -> None:
         self._topics = list(topics)
@@ -278,7 +279,8 @@ class _Subscriber:
             self._executor.spin_once(0.05)
 
     def wait_for_all(self, nodes: Supervisor) -> None:
-        """Wait until every topic has sent a message. Raises RosError if one sends nothing, or a node ends."""
+        """Wait until every topic has sent a message. Raises RosError if a topic sends nothing, or a node
+        ends."""
         silent, limit = len(self._silent), time.monotonic() + _START_LIMIT
         while self._silent:
             self.spin(0.1)
@@ -291,7 +293,7 @@ class _Subscriber:
                 raise RosError(f"nothing arrived within {_START_LIMIT:.0f} s on {', '.join(names[:4])}")
 
     def milliseconds(self, camera: str) -> float:
-        """Median time in which a camera rendered and sent a frame; 0 if it has not reported it."""
+        """Median time that a camera needs to render and send a frame. 0 if the camera has not reported it."""
         times = self._diagnostics[f"/{camera}"]
         return median(times) if times else 0.0
 
@@ -305,7 +307,7 @@ class _Subscriber:
 
 @dataclass(frozen=True)
 class CpuTime:
-    """Used CPU seconds: by process, and of the whole machine."""
+    """CPU seconds that were used: by process, and by the whole machine."""
 
     processes: dict[str, float]
     machine: float
@@ -319,7 +321,7 @@ class CpuTime:
             fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
             seconds[name] = (int(fields[11]) + int(fields[12])) / tick
         machine = [int(n) for n in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
-        used = sum(machine) - machine[3] - machine[4]  # without idle and waiting for a disk
+        used = sum(machine) - machine[3] - machine[4]  # without idle time and waiting for a disk
         return cls(seconds, used / tick)
 
     def since(self, before: CpuTime) -> CpuTime:

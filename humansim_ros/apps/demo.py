@@ -1,4 +1,4 @@
-"""``humansim demo``: runs the nodes of a scene, records their topics as a client, and writes pictures."""
+"""``humansim demo``: run the nodes of a scene, record their topics as a client, and write pictures."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import in_step
 from humansim_ros.types import Image
 
-#: Seconds in which another topic must have sent its first message.
+#: Each other topic must send its first message within this time, seconds.
 _START_LIMIT = 60.0
 #: Size of the image of one camera in the video.
 _VIDEO_SIZE = (480, 360)
-#: Stamps that are held until one of them has arrived from all cameras, and their memory in bytes.
+#: Most stamps that are held until one has arrived from all cameras, and most memory for them in bytes.
 _MAX_INCOMPLETE, _MAX_BYTES = 20, 1 << 29
-#: Frames whose stamps of images are held.
+#: Most frames with stamps of images that are held.
 _MAX_CLOCKS = 200
 #: Most cameras that the pictures show.
 _MAX_CAMERAS = 8
-#: Quality of the JPEG images that the frames of the video are held as.
+#: JPEG quality of the video frames that are held in memory.
 _JPEG_QUALITY = 92
 #: Encoding of the other images.
 _ENCODINGS = {"depth/image": "32FC1", "part/image": "mono8"}
-#: Pixels from which on a joint is not drawn.
+#: A joint farther away than this, pixels, is not drawn.
 _FAR_OUTSIDE = 1e5
 
 
@@ -88,7 +88,7 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
 
 
 def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Console) -> float | None:
-    """Wait until every topic has sent a message, then record for ``duration`` and until a frame is whole.
+    """Wait until every topic has sent a message, then record for ``duration`` and until a frame is complete.
 
     Returns:
         Recorded seconds, or None if a node has ended or a topic sends nothing.
@@ -109,7 +109,7 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
         limit = begin + max(duration, _START_LIMIT)
         while not silent and not nodes.dead() and time.monotonic() < limit:
             if time.monotonic() >= begin + duration and recorder.thumbnails.whole():
-                break  # on a slow machine no frame of so short a recording may have arrived whole
+                break  # on a slow machine, no frame of such a short recording may have arrived completely
             recorder.spin(0.1)
             progress.update(task, completed=time.monotonic() - begin)
     if silent or nodes.dead():
@@ -124,7 +124,7 @@ def _progress(console: Console) -> Progress:
 
 
 class _Recorder:
-    """Subscribes to the topics of a scene with sensor-data QoS and stores what the pictures need."""
+    """Subscribes to the topics of a scene with sensor-data QoS, and stores what the pictures need."""
 
     def __init__(self, scene: Scene) -> None:
         import rclpy
@@ -149,11 +149,11 @@ class _Recorder:
         self.cameras = in_step(scene.scene_cameras)[:_MAX_CAMERAS]
         #: Scaled images as JPEG by stamp and camera.
         self.thumbnails: Frames[Any] = Frames(self.cameras)
-        #: Stamps of frames by camera whose clock is wrong, and stamp of its image.
+        #: For cameras with a wrong clock: stamp of the image by stamp of the frame.
         self._frame_stamps: dict[str, dict[int, int]] = {
             name: {} for name in self.cameras if _has_wrong_clock(scene, name)
         }
-        # before the images, whose stamps they explain
+        # subscribed before the images, since they explain the stamps of images
         clocks = [f"{name}/faults" for name in self._frame_stamps]
         topics = sorted(scene_topics(scene), key=lambda topic: topic.name not in clocks)
         topics = [topic for topic in topics if topic.shown or topic.name in clocks]
@@ -191,8 +191,8 @@ class _Recorder:
     def spin(self, seconds: float) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            # always the same timeout: with another one rclpy restarts its round of ready topics, and the
-            # last topics starve
+            # always the same timeout, since with another one rclpy restarts its round of ready topics, and
+            # the last topics starve
             self._executor.spin_once(timeout_sec=0.05)
 
     def reset(self) -> None:
@@ -201,15 +201,16 @@ class _Recorder:
         self.thumbnails.clear()
 
     def complete_stamps(self) -> tuple[int, int]:
-        """Number of stamps with images of all cameras, and of any, from the first of them to the last."""
+        """Number of stamps with images of all cameras, and of stamps with any image, from the first complete
+        one to the last."""
         complete = self.thumbnails.whole()
         if not complete:
             return 0, len(self.thumbnails)
-        # the first and the last frame of the recording were on their way
+        # the first and the last frame of the recording may not have arrived completely
         return len(complete), sum(complete[0] <= stamp <= complete[-1] for stamp in self.thumbnails.stamps())
 
     def _callback(self, topic: str) -> Callable[[bytes], None]:
-        """Create the callback for serialised messages of a topic; few of them are deserialised."""
+        """Create the callback for serialised messages of a topic. Only a few of them are deserialised."""
         camera = topic.split("/")[1]
 
         from humansim_ros.messages import serialised_stamp
@@ -234,7 +235,7 @@ class _Recorder:
         return on_message
 
     def _note_clock(self, camera: str, data: bytes) -> None:
-        """Note which stamp the image of a frame has."""
+        """Note the stamp of the image of a frame."""
         from humansim_ros.messages import read_faults, to_nanoseconds
         from humansim_ros.messages.cdr import deserialised
 
@@ -245,7 +246,7 @@ class _Recorder:
             del known[next(iter(known))]
 
     def _image(self, topic: str, data: bytes) -> NDArray[Any]:
-        """Pixels of a serialised image. Raises RosError unless it is as the camera of the topic sends it."""
+        """Pixels of a serialised image. Raises RosError unless it fits the camera of the topic."""
         from humansim_ros.messages import read_image
         from humansim_ros.messages.cdr import deserialised
 
@@ -259,7 +260,7 @@ class _Recorder:
         return views.color_image(pixels, encoding) if kind == "image_raw" else pixels
 
     def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
-        """Joints of a serialised message. Raises RosError unless humans of the scene have them."""
+        """Joints of a serialised message. Raises RosError unless they belong to humans of the scene."""
         from humansim_ros.messages import read_joint_view
         from humansim_ros.messages.cdr import deserialised
 
@@ -298,7 +299,7 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
 
 
 def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
-    """Frames with all cameras at one stamp in a grid; each is repeated until the next stamp."""
+    """Frames with all cameras at one stamp in a grid. Each frame is repeated until the next stamp."""
     names, thumbnails = recorder.cameras, recorder.thumbnails
     columns = round(np.ceil(np.sqrt(len(names))))
     complete = thumbnails.whole()
@@ -312,7 +313,7 @@ def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
 
 
 def _fitted(image: Image, size: tuple[int, int]) -> Image:
-    """RGB image scaled into a size (width, height), centred on black."""
+    """RGB image, scaled to fit a size (width, height) and centred on black."""
     width, height = size
     factor = min(width / image.shape[1], height / image.shape[0])
     inner = (max(1, round(image.shape[1] * factor)), max(1, round(image.shape[0] * factor)))

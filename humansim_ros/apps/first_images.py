@@ -1,6 +1,7 @@
-"""Report of ``humansim run`` when all cameras deliver: measured by a subscriber, with the next commands.
+"""Report of ``humansim run`` when all cameras deliver images. A subscriber measures it and prints the next
+commands.
 
-It runs as a process of its own: ``python -m humansim_ros.apps.first_images JSON``.
+It runs as a separate process: ``python -m humansim_ros.apps.first_images JSON``.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from typing import Any
 from humansim_ros.errors import some_of
 from humansim_ros.ros.processes.stop_signals import end_process_on_stop, end_with_parent
 
-#: Seconds until the first line about cameras that have not delivered yet; then twice as long, and so on.
+#: Seconds until the first line about cameras that have not delivered yet. The time to each further line
+#: doubles.
 _FIRST_PROGRESS = 3.0
 #: Most names of a list that are printed.
 _MAX_NAMES = 4
-#: Seconds after which leaving ROS is aborted: Fast DDS sometimes never ends.
+#: Leaving ROS is aborted after this time, seconds, since Fast DDS sometimes never ends.
 _LEAVE_LIMIT = 5
 
 
@@ -48,7 +50,7 @@ class FirstImages:
         return json.dumps(asdict(self))
 
     def progress(self, waiting: Sequence[str], seconds: float) -> str:
-        """Line while some cameras have not delivered."""
+        """Line that is printed while some cameras have not delivered."""
         done = len(self.cameras) - len(waiting)
         return (
             f"{done} of {len(self.cameras)} cameras deliver after {seconds:.0f} s; waiting for "
@@ -57,10 +59,8 @@ class FirstImages:
         )
 
     def report(self, seconds: float, checkout: Path | None = None) -> str:
-        """Lines when all cameras have delivered.
-
-        ``checkout``: folder of the repository with the examples; None if the package is installed without it.
-        """
+        """Lines that are printed when all cameras have delivered. ``checkout``: folder of the repository with
+        the examples. None if only the package is installed."""
         count = len(self.cameras)
         cameras = f"all {count} cameras deliver" if count > 1 else f"{self.cameras[0]} delivers"
         topics = [self._topic(f"{camera}/image_raw") for camera in self.cameras]
@@ -119,7 +119,8 @@ class FirstImages:
         while subscriptions:
             executor.spin_once(0.05)
             for camera in delivered & subscriptions.keys():
-                node.destroy_subscription(subscriptions.pop(camera))  # nothing more is rendered for it
+                # nothing more is rendered for this subscription
+                node.destroy_subscription(subscriptions.pop(camera))
             seconds = time.monotonic() - self.start
             if subscriptions and seconds > next_line:
                 next_line = 2 * seconds
@@ -133,7 +134,7 @@ class FirstImages:
 
 
 def _checkout() -> Path | None:
-    """Folder of the repository, relative to the current folder if it is below it."""
+    """Folder of the repository. It is relative if it is below the current folder."""
     root = Path(__file__).resolve().parents[2]
     if not (root / "examples" / "tracker.py").is_file():
         return None
@@ -141,11 +142,11 @@ def _checkout() -> Path | None:
 
 
 def main(argument: str) -> None:
-    """Wait and report; a stop signal ends it, and an output that cannot be written."""
+    """Wait and report. A stop signal, or an output that cannot be written, ends it."""
     end_process_on_stop(0)
     try:
         FirstImages(**json.loads(argument)).wait()
-    except OSError:  # of the output: flushing it at the end would fail again
+    except OSError:  # flushing the output at the end would fail again
         os._exit(0)
 
 

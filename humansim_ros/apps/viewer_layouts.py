@@ -1,7 +1,7 @@
 """Layouts of RViz and Foxglove for the topics of a scene: images, joints, skin, cameras and tf.
 
-config/humansim.rviz and config/humansim_foxglove.json are the layouts of the demo scene. Other scenes have
-their parts, with other names. Nothing here needs ROS.
+config/humansim.rviz and config/humansim_foxglove.json are the layouts of the demo scene. The layouts of other
+scenes have the same panels and displays, with other names. Nothing here needs ROS.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from humansim_ros.scene.names import SceneNames, read_names
 
 #: Human and first camera of the demo scene.
 _HUMAN, _CAMERA = "walker", "camera_1"
-#: Cameras whose images are shown; more would fill the window.
+#: Most cameras with images that are shown. More would fill the window.
 _MOST_IMAGES = 4
 
 
@@ -31,7 +31,7 @@ def rviz_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "")
     names = scene if isinstance(scene, SceneNames) else read_names(scene)
     layout = yaml.safe_load(_demo_layout("humansim.rviz"))
     manager = layout["Visualization Manager"]
-    first: dict[str, Any] = {}  # display of each class
+    first: dict[str, Any] = {}  # the display of each class
     for display in manager["Displays"]:
         first.setdefault(display["Class"].partition("/")[2], display)
     manager["Displays"] = [
@@ -50,14 +50,14 @@ def rviz_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "")
 
 
 def foxglove_layout(scene: SceneNames | str | os.PathLike[str], namespace: str = "") -> str:
-    """Text of a layout file of Foxglove; parameters as in :func:`rviz_layout`."""
+    """Text of a layout file of Foxglove. The parameters are those of :func:`rviz_layout`."""
     names = scene if isinstance(scene, SceneNames) else read_names(scene)
     layout = json.loads(_demo_layout("humansim_foxglove.json"))
     panels, whole = layout["configById"], layout["layout"]
     images = names.cameras[:_MOST_IMAGES]
 
     def parts(section: dict[str, Any], suffix: str, old: str, shown: Sequence[str]) -> dict[str, Any]:
-        """The part of a section whose key ends so, for other humans or cameras."""
+        """Entries of a section with keys that end in ``suffix``, made for other humans or cameras."""
         key = next(key for key in section if key.endswith(suffix))
         return {key.replace(old, name): _renamed(section[key], old, name) for name in shown}
 
@@ -85,17 +85,17 @@ def _demo_layout(file: str) -> str:
 
 
 def _in_namespace(layout: dict[str, Any], namespace: str) -> Any:
-    """A layout with its topics in a ROS namespace. No other text of it begins with ``/``."""
+    """A layout with its topics in a ROS namespace. No other text of a layout begins with ``/``."""
     return json.loads(json.dumps(layout).replace('"/', f'"/{namespace}/')) if namespace else layout
 
 
 def _renamed(part: Any, old: str, new: str) -> Any:
-    """A part of a layout with another human or camera."""
+    """A part of a layout for another human or camera."""
     return json.loads(json.dumps(part).replace(old, new))
 
 
 def _split(direction: str, panels: Sequence[str]) -> Any:
-    """Panels of one size beside (``row``) or below (``column``) each other; at least one."""
+    """Panels of equal size next to each other (``row``) or below each other (``column``); at least one."""
     first, *rest = panels
     if not rest:
         return first

@@ -1,4 +1,4 @@
-"""What the functions of ``humansim_ros.apps.api`` do."""
+"""Implementation of the functions of ``humansim_ros.apps.api``."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from humansim_ros.scene import Scene
 
 
-#: Options of 3D poses that are given although they have these values.
+#: Default values of the options for 3D poses. Any other value counts as given.
 _DEFAULTS = {"scale": 1, "offset": 0}
 
 
 def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **options: Any) -> Comparison:
-    """Compare an estimate with the truth; all parameters as of :func:`humansim_ros.apps.api.evaluate`."""
+    """Compare an estimate with the truth. All parameters are those of
+    :func:`humansim_ros.apps.api.evaluate`."""
     from humansim_ros.evaluate.readers.box_files import is_box_file
     from humansim_ros.evaluate.readers.detections import is_of_images
     from humansim_ros.evaluate.readers.robot_paths import is_robot_path
@@ -53,7 +54,7 @@ def compare(truth: Path, estimate: Sequence[str], min_score: float | None, **opt
 
 
 def _refuse(options: Mapping[str, Any], content: str) -> None:
-    """Raise EvaluationError for options of 3D poses that are given with other estimates."""
+    """Raise EvaluationError if options for 3D poses are given with another kind of estimate."""
     for name, value in options.items():
         if value != _DEFAULTS.get(name):
             raise EvaluationError(f"is for 3D poses; the estimate is {content}", key=f"--{name}")
@@ -97,7 +98,7 @@ def _poses(
     shift = round((late or 0.0) * 1e9)
     if points is None and isinstance(source, SceneTruth):
         points = set_of_names(estimated.names)
-    times = estimated.times.tolist() or [source.start + shift]  # of a scene, the first frames
+    times = estimated.times.tolist() or [source.start + shift]  # for a scene, the first frames
     span = times[0] - shift, times[-1] - shift
     result = evaluate_poses(
         source.poses(span, MAX_OFFSET if estimated.count else 0.0, points),
@@ -135,7 +136,7 @@ def _boxes(truth: Path, estimate: Sequence[str], gate: float | None) -> Comparis
         raise EvaluationError("give one file of boxes", key="--estimate")
     found = read_box_file(Path(estimate[0]))
     if not found.frames and is_export(truth) and "aicity" not in ExportTruth(truth).formats:
-        return _images(truth, estimate, None, None)  # of MOTChallenge
+        return _images(truth, estimate, None, None)  # the file is one of MOTChallenge
     result = evaluate_boxes(open_box_truth(truth, found), found, DEFAULT_GATE if gate is None else gate)
 
     def page() -> str:
@@ -213,10 +214,10 @@ def write_bag(
     on_progress: Callable[[int, int], None],
     **options: Any,
 ) -> None:
-    """Record a scene; see :func:`humansim_ros.apps.api.record`.
+    """Record a scene. See :func:`humansim_ros.apps.api.record`.
 
     Args:
-        scene, output, frames, seconds, topics, jobs, resume, on_progress: As there.
+        scene, output, frames, seconds, topics, jobs, resume, on_progress: The same as there.
         options: Options of :class:`RecordingPlan`.
     """
     from humansim_ros.io.machine import cores
@@ -243,11 +244,12 @@ def write_data_set(
     resume: bool,
     on_progress: Callable[[int, int], None],
 ) -> None:
-    """Export a scene, bag or recipe; see :func:`humansim_ros.apps.api.export`.
+    """Export a scene, bag or recipe. See :func:`humansim_ros.apps.api.export`.
 
     Args:
-        source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: As there.
-        on_progress: As there.
+        source, output, formats, scenes, frames, keypoints, images, shard_size, jobs, resume: The same as
+            there.
+        on_progress: The same as there.
     """
     from humansim_ros.export.exporting import Export, export
     from humansim_ros.export.formats import chosen_formats
@@ -276,16 +278,16 @@ def recipe_data_set(
     scenes: int | None,
     options: Mapping[str, Any],
 ) -> DataSet | None:
-    """The data set of many scenes, if the source is a recipe.
+    """Create the data set of many scenes if the source is a recipe; else None.
 
     Args:
         source: Scene, bag or recipe.
         output: Folder of the data set.
-        scenes: Number of scenes, in place of that of the recipe.
+        scenes: Number of scenes, in place of that in the recipe.
         options: Options of an export of one scene, by name, such as ``--format``.
 
     Raises:
-        ExportError: The recipe is wrong, an option is given that it does not take, or ``scenes`` without a
+        ExportError: The recipe is wrong, an option does not fit a recipe, or ``scenes`` is given without a
             recipe.
         RenderError: OpenGL is missing.
     """
@@ -306,7 +308,7 @@ def recipe_data_set(
 def export_source(
     source: Scene | str | os.PathLike[str] | None, formats: tuple[ExportFormat, ...], keypoints: str
 ) -> ExportSource:
-    """The scene or bag that is exported."""
+    """The scene or bag to export."""
     from humansim_ros.evaluate.readers.estimates import is_bag
     from humansim_ros.export.source import SimulatedSource
     from humansim_ros.keypoints.sets import keypoint_set

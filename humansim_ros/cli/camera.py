@@ -96,7 +96,8 @@ def convert(
 
 
 def select_cameras(cameras: dict[str, Camera], patterns: list[str] | None, file: str) -> dict[str, Camera]:
-    """Cameras whose names match one of the patterns (``--camera``); all cameras without patterns."""
+    """Cameras with names that match one of the patterns (``--camera``). If there are no patterns, all
+    cameras."""
     if not patterns:
         return cameras
     selected = {n: c for n, c in cameras.items() if any(fnmatch.fnmatchcase(n, p) for p in patterns)}
@@ -186,7 +187,8 @@ def _row(values: Sequence[float]) -> str:
 
 @dataclass(frozen=True)
 class Reading:
-    """How calibration files are read: the options of these names."""
+    """Options of the command line for reading calibration files. Each attribute has the name of its option
+    (``size`` for ``--size``)."""
 
     size: str | None
     image: Path | None
@@ -194,7 +196,8 @@ class Reading:
     up: str | None
 
     def load(self, file: str, extrinsics: str | None = None) -> Calibration:
-        """Load a calibration file, folder or URL. ``extrinsics``: file with them, if ``file`` has none."""
+        """Load a calibration file, folder or URL. ``extrinsics``: file with extrinsics, if ``file`` has
+        none."""
         from humansim_ros.camera.calibration import load_calibration
 
         size = None if self.size is None else parse_size(self.size)
@@ -203,7 +206,8 @@ class Reading:
         )
 
     def load_or_scene(self, file: str) -> Calibration:
-        """Load a calibration file, or the cameras of a scene with a ``rig``, as ``camera place`` writes."""
+        """Load a calibration file, or the cameras of a scene with a ``rig``, which ``camera place``
+        writes."""
         if not _has_rig(file):
             return self.load(file)
         from humansim_ros.camera.calibration import Calibration
@@ -224,7 +228,8 @@ class Reading:
         return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
 
     def cameras(self, files: Sequence[str]) -> dict[str, Camera]:
-        """Cameras of calibrations and scenes with a rig, or of as many files of intrinsics and extrinsics."""
+        """Cameras from calibrations and scenes with a rig, or from pairs of files with intrinsics and
+        extrinsics."""
         from humansim_ros.camera.calibration import has_only_extrinsics, join_calibrations, paired
 
         outer = [file for file in files if len(files) % 2 == 0 and has_only_extrinsics(file)]
@@ -235,7 +240,7 @@ class Reading:
 
 
 def _has_rig(file: str) -> bool:
-    """Whether a file is a scene with a ``rig``, whose cameras are in another file."""
+    """Whether a file is a scene with a ``rig``. The cameras of a rig are in another file."""
     from humansim_ros.io.yaml import read_yaml
 
     if "://" in file or Path(file).suffix.lower() not in (".yaml", ".yml") or not Path(file).is_file():
@@ -248,11 +253,11 @@ def _has_rig(file: str) -> bool:
 
 
 _JPEG = (".jpg", ".jpeg")
-#: Distance of cameras from the walls, metres; furniture is less deep.
+#: Distance between cameras and walls, metres. Furniture is less deep.
 _WALL_DISTANCE = 1.3
 #: Smallest room and longest side of a room, metres.
 _ROOM, _LARGEST_ROOM = (7.0, 6.4, 2.8), 100.0
-#: Radius of the circle of the built-in motion ``walk``, and radius of the smallest rig for it, metres.
+#: Radius of the circle of the built-in motion ``walk``, and smallest radius of a rig around it, metres.
 _WALK_RADIUS, _WALK_RIG_RADIUS = 1.59, 3.0
 
 
@@ -395,7 +400,7 @@ def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[st
 
 
 def _convert_images(ideal: Ideal, images: list[Path], output: Path, nearest: bool) -> None:
-    """Convert images into a folder. Images that fail are reported, and the others are converted."""
+    """Convert images into a folder. Images that fail are reported. The other images are converted."""
     names: set[str] = set()
     failed = False
     for path in images:
@@ -468,7 +473,7 @@ def _rows_columns(text: str) -> tuple[int, int]:
 def _write_rig(
     output: Path, cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float
 ) -> None:
-    """Write scene.yaml with the cameras, and camera_info files without their poses."""
+    """Write scene.yaml with the cameras, and camera_info files without poses."""
     from humansim_ros.camera.calibration import write_calibration
     from humansim_ros.camera.formats.scene import SCENE
     from humansim_ros.io.files import write_file
@@ -483,7 +488,7 @@ def _write_rig(
     write_file(scene, text)
     print_text(f"wrote {scene}; try: humansim run {scene}")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # camera_info does not store poses; the scene does
+        warnings.simplefilter("ignore")  # camera_info does not store poses, but the scene does
         for path in write_calibration(folder, cameras, "camera_info"):
             print_text(f"wrote {path}")
 
@@ -500,7 +505,7 @@ def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, floa
 
 
 def room_around(cameras: Mapping[str, Camera], target: tuple[float, float]) -> str:
-    """Value of a scene's ``room``: all cameras and a person who walks around x, y are inside it."""
+    """Value of a scene's ``room``: it contains all cameras and a person who walks around ``target``."""
     x, y = target
     centers = [camera.center.tolist() for camera in cameras.values()]
     within = [

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from humansim_ros.camera.placement import FoundPlacement
     from humansim_ros.types import Array
 
-#: Stature of the person whom the cameras should see, and distance from its ends that is not tested, metres.
+#: Stature of the person that cameras should see, and margin at its ends that is not tested, metres.
 _STATURE, _MARGIN = 1.8, 0.05
-#: Digits of written positions and angles.
+#: Number of digits of written positions and angles.
 _DIGITS = 9
 #: Text and unit of each residual.
 _RESIDUALS = {
@@ -45,7 +45,7 @@ _RESIDUALS = {
 }
 #: Largest roll of cameras that stand upright, degrees.
 _UPRIGHT = 5.0
-#: Largest plausible difference between distances in map and in the file, as a fraction.
+#: If distances in map and in the file differ by more than this fraction, the unit is probably wrong.
 _OTHER_UNIT = 0.05
 
 
@@ -60,7 +60,7 @@ class BoardChoice(Enum):
 
 @dataclass(frozen=True)
 class _Method:
-    """How a rig is placed: the options of ``place`` with these names."""
+    """How a rig is placed. Each attribute has the name of an option of ``place``."""
 
     tilt_deg: float | None
     roll_deg: float
@@ -179,7 +179,7 @@ def _check_scene(output: Path, file: str) -> None:
 
 
 def _posed(calibration: Calibration, file: str) -> dict[str, Camera]:
-    """Cameras with extrinsics; a single camera may have none."""
+    """Cameras with extrinsics. If there is only one camera, it needs none."""
     posed = {name: one for name, one in calibration.cameras.items() if name in calibration.posed}
     if posed or len(calibration.cameras) == 1:
         return posed or calibration.cameras
@@ -315,9 +315,9 @@ def _rig_section(
 
     Args:
         file: Calibration file.
-        output: Scene file, from whose folder the calibration is found.
+        output: Scene file. The path of the calibration is relative to its folder.
         calibration: Content of the calibration file.
-        found: Its placement.
+        found: Placement of the cameras.
         unit: Option ``--unit``.
         up: Option ``--up``.
         sized: Whether the size was given by an option.

@@ -1,4 +1,4 @@
-"""``humansim doctor``: what this machine has, what is wrong with it, and the line that mends it."""
+"""``humansim doctor``: check this machine, and print the line that mends what is wrong."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.converters import FBX_VARIABLE, find_converter
 from humansim_ros.ros.transport import files_of_fast_dds, free_memory
 
-#: Result of a check: usable, usable with a drawback, or not usable.
+#: Result of a check: usable, usable with a drawback, not usable.
 State = Literal["ok", "warning", "wrong"]
-#: Seconds that a check in a process of its own may take.
+#: Longest time of a check in a separate process, seconds.
 _PATIENCE = 90.0
-#: Its exit code then.
+#: Exit code of a check that takes longer.
 _TIMED_OUT = 124
 _MB = 1 << 20
-#: Free shared memory for the images of a process of nodes; free memory; free disk.
+#: Least free shared memory for the images of a process of nodes; least free memory; least free disk.
 _SHARED_MEMORY, _MEMORY, _DISK = 70 * _MB, 1500 * _MB, 500 * _MB
 _JAZZY = "jazzy"
-#: Oldest versions that work, as setup.py has them.
+#: Oldest versions that work. They are the same as in setup.py.
 OLDEST = {"numpy": (1, 26), "opencv-python-headless": (4, 6)}
-#: Largest number of a ROS domain, and those whose UDP ports Linux gives to other programs, too.
+#: Largest number of a ROS domain; and domains with UDP ports that Linux also gives to other programs.
 _LAST_DOMAIN, _RISKY_DOMAINS = 232, range(102, 215)
-#: What killed processes have left stops new ones.
+#: What to do about shared memory that killed processes have left, since it stops new processes.
 _CLEAN_SHARED_MEMORY = (
     "stop all ROS programs, then: rm -f /dev/shm/fast{rtps,dds}_* /dev/shm/sem.fast{rtps,dds}_*"
 )
@@ -116,7 +116,7 @@ class Diagnosis:
         name: What was checked.
         state: Result.
         text: What was found.
-        fix: Line to type, or what to do; empty if nothing is to do.
+        fix: Line to type, or what to do. Empty if there is nothing to do.
     """
 
     name: str
@@ -147,7 +147,7 @@ def check_python() -> Diagnosis:
 
 
 def _mending_packages(error: str) -> str:
-    """Line for packages that cannot be imported."""
+    """Line that mends packages that cannot be imported."""
     if "compiled using NumPy 1" in error or "numpy.core.multiarray" in error:
         return "pip install 'numpy<2'   # SciPy or OpenCV of the system are made for NumPy 1"
     return "pip install --upgrade humansim_ros"
@@ -205,7 +205,7 @@ def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
 
 
 def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
-    """Variables that decide which nodes see each other."""
+    """Environment variables that decide which nodes see each other."""
     name = "ROS variables"
     domain = environment.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
@@ -233,7 +233,7 @@ def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
 
 
 def check_exchange() -> Diagnosis:
-    """Whether a message of one participant reaches another on this machine."""
+    """Whether a message from one participant reaches another on this machine."""
     name = "DDS"
     if not _is_there("rclpy"):
         return Diagnosis(name, "ok", "not tried without ROS")
@@ -248,7 +248,7 @@ def check_exchange() -> Diagnosis:
 
 
 def check_tf() -> Diagnosis:
-    """Whether cameras can publish their poses on /tf: its messages are not on PyPI."""
+    """Whether cameras can publish their poses on /tf. Its messages are not on PyPI."""
     if not _is_there("rclpy"):
         return Diagnosis("tf", "ok", "not tried without ROS")
     done = run_python("import tf2_msgs.msg; tf2_msgs.msg.TFMessage(); print(tf2_msgs.__file__)")
@@ -263,7 +263,7 @@ def check_tf() -> Diagnosis:
 
 
 def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
-    """Space and rights of the folder through which images go."""
+    """Space and access rights of the folder that images pass through."""
     name = "shared memory"
     if not os.access(folder, os.W_OK):
         return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
@@ -314,7 +314,7 @@ def check_fbx() -> Diagnosis:
 
 
 def check_machine(folder: Path | None = None) -> Diagnosis:
-    """Cores, memory and disk. ``folder``: its disk is checked; the current folder if None."""
+    """Cores, memory and disk. ``folder``: folder on the disk that is checked. If None, the current folder."""
     name = "machine"
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     free = shutil.disk_usage(folder or Path.cwd()).free
@@ -329,7 +329,7 @@ def check_machine(folder: Path | None = None) -> Diagnosis:
     return Diagnosis(name, "ok", text)
 
 
-#: All checks, in the order in which they are shown.
+#: All checks, in the order of the output.
 CHECKS: tuple[Callable[[], Diagnosis], ...] = (
     check_python,
     check_machine,
@@ -346,16 +346,16 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
 
 
 def diagnoses(checks: tuple[Callable[[], Diagnosis], ...]) -> Iterator[Diagnosis]:
-    """Results of checks; a check that raises an error counts as wrong."""
+    """Results of checks. A check that raises an error counts as wrong."""
     for check in checks:
         try:
             yield check()
-        except Exception as error:  # a check must never end the others
+        except Exception as error:  # a check must never stop the others
             yield Diagnosis(check.__name__[6:], "wrong", f"could not be checked: {error}", "tell us about it")
 
 
 def run_python(code: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Run code in a process of its own: it may crash or hang. Without an answer, the exit code is 124."""
+    """Run code in a separate process, since it may crash or hang. Without an answer, the exit code is 124."""
     command = [sys.executable, "-c", code]
     try:
         return subprocess.run(
@@ -377,7 +377,7 @@ def last_line(text: str) -> str:
 
 
 def available_memory(path: Path = Path("/proc/meminfo")) -> int:
-    """Memory that programs can take, bytes."""
+    """Memory that programs can still take, bytes."""
     for line in path.read_text().splitlines():
         if line.startswith("MemAvailable:"):
             return int(line.split()[1]) * 1024

@@ -20,7 +20,8 @@ from humansim_ros.cli.output import check_output, print_text, time_left, to_json
 from humansim_ros.errors import ChallengeError, EvaluationError
 from humansim_ros.io.files import write_file
 
-#: Greatest time offset in seconds: the stamps of a wall clock.
+#: Largest time offset that is accepted, seconds: more than a wall clock (seconds since 1970) can be ahead of
+#: scene time.
 _MAX_SHIFT = 9e9
 
 
@@ -44,7 +45,7 @@ def evaluate(
 
     for path in (output, report):
         check_output(path)
-    if not estimate:  # a comma alone
+    if not estimate:  # only a comma
         raise EvaluationError("give a file, or BAG:TOPIC", key="--estimate")
     result = api.evaluate(
         truth,

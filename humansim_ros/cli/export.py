@@ -87,7 +87,7 @@ def export(
     if frames is not None and range_ is not None:
         raise ExportError("give --frames or --range, not both", key="export")
     chosen = parse_range(range_) if range_ is not None else range(frames) if frames is not None else None
-    rows = tuple(chosen_formats(formats or ()))  # None for a comma alone
+    rows = tuple(chosen_formats(formats or ()))  # None if there is only a comma
     if ray is not None and scene is not None:
         scene = scene.resolve()  # workers are in other folders
     given: Scene | Path

@@ -69,7 +69,7 @@ OutputHumanOption = Annotated[Path, option("shared.output_human")]
 
 def list_humans(as_json: JsonOption = False) -> None:
     """List the built-in humans."""
-    # facts that are known beforehand: to load the humans takes seconds
+    # facts that are known beforehand, since loading the humans takes seconds
     humans = json.loads(resource_path(BUILT_IN_FACTS).read_text("utf-8"))
     if as_json:
         print_text(to_json(humans))
@@ -255,7 +255,7 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 
 def load_named(name: str, outfit: str | None = None) -> Human:
-    """Load a built-in human or a file. ``outfit``: name of its outfit; the first one if None."""
+    """Load a built-in human or a file. ``outfit``: name of its outfit. If None, the first outfit."""
     from humansim_ros.humans.loading import find_human, load_human
 
     return load_human(find_human(name), outfit)
@@ -302,7 +302,7 @@ def fit(
     npz: Annotated[Path | None, option("human fit.npz")] = None,
 ) -> None:
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
-    # before NumPy is loaded: its threads cost more than they save for matrices of some hundred rows
+    # set before NumPy is loaded: its threads cost more than they save for matrices of some hundred rows
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from humansim_ros.humans.human import write_human
     from humansim_ros.motion.bvh import write_bvh
@@ -327,7 +327,7 @@ def fit(
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.photographs.reports import draw_report
 
-        # of a sequence, another fit would take long
+        # for a sequence, another fit would take long
         masks = any(photo.mask_path is not None for photo in photos.frames[0])
         compared = silhouettes and masks and len(photos.frames) == 1
         before = fit_person(photos, body, silhouettes=False) if compared else None
@@ -376,7 +376,7 @@ def texture(
 
 
 def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
-    """Facts about a fit for people."""
+    """Facts about a fit, as text."""
     import numpy as np
 
     used = fit.residuals[~fit.outliers & np.isfinite(fit.residuals)]
@@ -397,7 +397,7 @@ def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
 
 
 def _print_step(step: str, done: int, count: int) -> None:
-    """Progress of a sequence; a single frame is quick."""
+    """Show the progress of a sequence. A single frame is quick and shows none."""
     if count > 1 and (done == count or done % 25 == 0):
         print_text(f"{step}: {done} of {count} frames")
 

@@ -28,7 +28,7 @@ from humansim_ros.cli.output import (
 )
 from humansim_ros.errors import HumansimError, printable, show_warnings
 
-#: Module and function of each command, in the order of the help.
+#: Module and function of each command, in the order of the help text.
 COMMANDS = {
     "run": "run:run",
     "check": "scene:check",
@@ -66,14 +66,14 @@ COMMANDS = {
     "motion list": "motion:list_motions",
     "motion render": "motion:render",
 }
-#: Help of each group of commands.
+#: Help text of each group of commands.
 GROUPS = {
     "camera": "Read, convert, place and draw calibrations; arrange cameras to rigs.",
     "human": "List, draw, build, make, rig, fit and texture humans.",
     "mesh": "List the built-in meshes for objects.",
     "motion": "Describe, match, retarget and draw motions.",
 }
-#: Headings of the help, with their commands and groups.
+#: Headings of the help text, with their commands and groups.
 HEADINGS = {
     "Run and view": ("run", "demo", "view", "snapshot"),
     "Scenes and this machine": ("check", "schema", "doctor", "bench"),
@@ -98,11 +98,11 @@ def _root(
 
 
 class _Headed(TyperGroup):
-    """The command with its subcommands below headings."""
+    """The command, with its subcommands listed below headings."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands of each heading with their short help."""
-        # as wide as the longest name, so that all headings have the same columns
+        # as wide as the longest name, so that the columns of all headings agree
         width = max(map(len, self.commands), default=0)
         for heading, names in HEADINGS.items():
             rows = [
@@ -123,18 +123,15 @@ def load_command(name: str) -> Callable[..., None]:
 
 
 def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
-    """The command with its subcommands.
-
-    ``arguments``: the command line; only the commands that it may mean are loaded, which saves half of the
-    start. None loads all commands.
-    """
+    """The command with its subcommands. ``arguments``: the command line. Only commands that it may mean are
+    loaded, which saves half of the start. If None, all commands are loaded."""
     app = typer.Typer(
         cls=_Headed,
         help="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2.",
         context_settings=_SETTINGS,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        rich_markup_mode=None,  # rich takes longer to import than all the rest
+        rich_markup_mode=None,  # rich takes longer to import than everything else
     )
     app.callback(invoke_without_command=True)(_root)
     named = next((word for word in arguments or () if not word.startswith("-")), None)
@@ -154,7 +151,7 @@ def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
 
 
 def _parser_message(error: Any) -> str:
-    """Text of an error of the command-line parser, with the command whose help explains more."""
+    """Text of an error of the command-line parser. It names the command with more help."""
     message = str(error.format_message()).replace("Value error, ", "")
     if type(error).__name__ == "NoArgsIsHelpError":
         return message
@@ -167,7 +164,7 @@ def _parser_message(error: Any) -> str:
 
 
 def _unexpected(error: Exception) -> str:
-    """Line about an error that nobody has foreseen: a fault of the program."""
+    """Line about an unexpected error: a fault of the program."""
     last = traceback.extract_tb(error.__traceback__)[-1:]
     where = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in last)
     return (
@@ -183,14 +180,14 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[], int | Non
     a command in order with exit code 128 + its number, and a run of all nodes with 0.
 
     Args:
-        arguments: Words after ``humansim``; the words of this process if None.
-        stopped: The number of the stop signal that has arrived, if one has.
+        arguments: Words after ``humansim``. If None, the words of this process.
+        stopped: Function that returns the number of the stop signal that has arrived, or None.
     """
     show_warnings()
     given = sys.argv[1:] if arguments is None else arguments
     try:
         arguments = join_numbers(new_names(given, print_warning))
-        # a shell that asks for completions gives the words in variables
+        # a shell that asks for completions passes the words in variables
         app = make_app(None if _COMPLETION in os.environ else arguments)
         result = app(arguments, prog_name="humansim", standalone_mode=False)
         flush_output()
@@ -198,11 +195,11 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[], int | Non
         print_error(f"error: {error}")
         return 2
     except typer.Abort as abort:
-        if isinstance(abort.__cause__, EOFError):  # typer makes Abort of it, as of the end of a terminal
+        if isinstance(abort.__cause__, EOFError):  # typer makes an Abort of it, as of the end of a terminal
             print_error(f"error: {_unexpected(abort.__cause__)}")
         return 1
     except OSError as error:
-        give_up_output()  # the help of commands is written to it without print_text
+        give_up_output()  # the help of commands is written without print_text
         where = f"{error.filename}: " if error.filename else ""
         print_error(f"error: {where}{error.strerror or error}")
         return 1

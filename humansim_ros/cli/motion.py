@@ -137,7 +137,7 @@ def retarget(
 ) -> None:
     """Retarget a motion: print the head, tail (metres) and rotation_xyzw of each bone in the world.
 
-    The rotation belongs to the frame of the bone, whose y axis is along the bone.
+    The rotation belongs to the frame of the bone. Its y axis is along the bone.
     """
     from dataclasses import replace
 

@@ -16,9 +16,10 @@ from humansim_ros.io.files import exists, read_bytes
 
 
 def split_commas(values: list[str] | None) -> list[str]:
-    """Values of an option that is a list: it may be repeated, and has commas between its words.
+    """Values of an option that is a list. The option may be repeated, and its words may be separated by
+    commas.
 
-    The name of a file that exists may have a comma.
+    The name of an existing file may contain a comma.
 
     Example:
         >>> split_commas(["left,right", "top"])
@@ -36,37 +37,36 @@ def option(row: str, **more: Any) -> Any:
 
     Args:
         row: Command and option, such as ``camera rig.height``: a row of config/command_line.json.
-        **more: What a table cannot hold, such as the words that a shell offers.
+        **more: Values that a table cannot contain, such as the words for completion by a shell.
     """
     return _made(typer.Option, row, more)
 
 
 def argument(row: str, **more: Any) -> Any:
-    """Argument of a command; parameters as of :func:`option`."""
+    """Argument of a command. The parameters are those of :func:`option`."""
     return _made(typer.Argument, row, more)
 
 
 def list_option(row: str, complete: Callable[[str], list[str]] | None = None, **more: Any) -> Any:
-    """An option that is a list, by repetition or commas; parameters as of :func:`option`.
-
-    ``complete``: words that a shell offers.
-    """
+    """An option that is a list, by repetition or commas. The parameters are those of :func:`option`.
+    ``complete``: returns the words for completion by a shell."""
     made = _made(typer.Option, row, {"callback": split_commas, "autocompletion": complete, **more})
     made.metavar += ",..."
     return made
 
 
 def _made(make: Callable[..., Any], row: str, more: Mapping[str, Any]) -> Any:
-    """Option or argument of a row of the table, and of more values."""
+    """Make an option or argument from a row of the table and further values."""
     command, _, name = row.rpartition(".")
     values = {**_ROWS[command][name], **more}
     return make(*values.pop("names", ()), **values)
 
 
-# -- words that shells complete
+# -- completion of words by shells
 
 
-#: Export formats: another module would load OpenCV and moderngl, for which a shell would wait.
+#: Export formats. They come from a table, since other modules would load OpenCV and moderngl, which takes too
+#: long for a shell.
 EXPORT_FORMATS = tuple(read_table("export_formats"))
 
 
@@ -86,14 +86,14 @@ def joint_tables(incomplete: str) -> list[str]:
 
 
 def built_in_channels(incomplete: str) -> list[str]:
-    """Channels, the last of several with commas between them."""
+    """Channels, for the last one of several that are separated by commas."""
     from humansim_ros.render.channels import ALL_CHANNELS
 
     return _last_of_list(incomplete, ALL_CHANNELS)
 
 
 def export_formats(incomplete: str) -> list[str]:
-    """Export formats, the last of several with commas between them."""
+    """Export formats, for the last one of several that are separated by commas."""
     return _last_of_list(incomplete, EXPORT_FORMATS)
 
 
@@ -107,7 +107,7 @@ def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
 
 
 def existing_scenes(given: Any) -> Any:
-    """Refuse scenes that are missing, before the libraries of the core are imported."""
+    """Refuse missing scenes before the libraries of the core are imported."""
     for path in given if isinstance(given, (list, tuple)) else [given]:
         if path is not None and not exists(path):
             read_bytes(path, SceneError, "scene", 0)
@@ -115,7 +115,7 @@ def existing_scenes(given: Any) -> Any:
 
 
 def _existing_calibrations(given: Any) -> Any:
-    """The same for calibrations; an URL may have any form."""
+    """Refuse missing calibrations in the same way. A URL may have any form."""
     for name in [given] if isinstance(given, str) else given or ():
         if not any(mark in name for mark in ("://", "#", "{")) and not exists(Path(name)):
             read_bytes(Path(name), CameraError, "calibration", 0)
@@ -162,12 +162,12 @@ FacingOption = Annotated[str | None, option("shared.facing")]
 
 @dataclass(frozen=True)
 class Renamed:
-    """An option with another name now.
+    """An option that has another name now.
 
     Attributes:
         old: Old name.
         new: New name.
-        value: Pattern of the values that make it the old option, if the old name has another meaning now.
+        value: If the old name has a new meaning now: pattern of the values that belong to the old meaning.
     """
 
     old: str
@@ -182,7 +182,7 @@ RENAMED = {
     command: tuple(Renamed(**row) for row in rows) for command, rows in read_table("renamed_options").items()
 }
 
-#: Options that have gone from a command, and why.
+#: Options that were removed from a command, and why.
 GONE = {
     "record": dict.fromkeys(
         ("--shards", "--merge", "--split"),
@@ -192,10 +192,10 @@ GONE = {
 
 
 def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[str]:
-    """The command line with the new names of renamed options; ``warn`` gets a line about each old one.
+    """Replace renamed options of a command line. ``warn``: gets a line about each old name.
 
     Raises:
-        HumansimError: An option has gone.
+        HumansimError: An option was removed.
 
     Example:
         >>> new_names(["run", "--duration", "5"], print)
@@ -220,16 +220,16 @@ def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[s
 
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
-#: Options with several numbers: how their values are joined, and the most that there may be.
+#: Options with several numbers: the text that joins their values, and the largest number of values.
 _SEVERAL = {"--size": ("x", 2), "--distortion": (" ", 14)}
-#: Options whose number may be left out, and the number that they have then.
+#: Options with a number that may be left out, and the number that is then used.
 _DEFAULT_NUMBERS = {"--clock": "100"}
 
 
 def join_numbers(arguments: Sequence[str]) -> list[str]:
-    """Join the numbers after options that take them as one text: ``--size 640 480`` is ``--size 640x480``.
+    """Join the numbers after an option into one text: ``--size 640 480`` becomes ``--size 640x480``.
 
-    Options whose number may be left out get one: ``--clock`` is ``--clock 100``.
+    If an optional number is left out, it is added: ``--clock`` becomes ``--clock 100``.
 
     Example:
         >>> join_numbers(["rig", "--size", "640", "480", "--distortion", "-0.3", "1e-2", "-o", "cams"])

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from humansim_ros.jobs.frame_job import FrameProgress
 
 
-#: Suffix of an output -> other suffixes of its format, and its name in messages.
+#: By suffix of an output: other suffixes of the same format, and its name in messages.
 _KINDS = {
     ".png": ((), "the image is a"),
     ".npz": ((), "a human is written to a"),
@@ -33,10 +33,8 @@ _KINDS = {
 
 
 def check_output(output: Path | None, suffix: str | None = None) -> None:
-    """Raise HumansimError if a file cannot be written; called before long work, not after it.
-
-    ``output``: the file; None: nothing is written. ``suffix``: suffix that it must have.
-    """
+    """Raise HumansimError if a file cannot be written. Call it before long work, not after it. ``output``:
+    the file; if None, nothing is written. ``suffix``: suffix that the file must have."""
     if output is None:
         return
     if suffix is not None:
@@ -52,7 +50,7 @@ def check_output(output: Path | None, suffix: str | None = None) -> None:
 
 @contextmanager
 def report_write_errors(output: Path) -> Iterator[None]:
-    """Convert errors of the system about an output to HumansimError with its path."""
+    """Convert system errors about an output to HumansimError with the path of the output."""
     try:
         yield
     except OSError as reason:
@@ -76,7 +74,7 @@ def print_text(text: str) -> None:
     """Print to standard output in any encoding. A closed pipe (``| head``) is not an error.
 
     Raises:
-        HumansimError: Standard output cannot be written to, such as a file on a full disk.
+        HumansimError: Standard output cannot be written to, for example a file on a full disk.
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -85,7 +83,7 @@ def print_text(text: str) -> None:
 
 
 def flush_output() -> None:
-    """Write the rest of standard output; errors as of :func:`print_text`."""
+    """Write the rest of standard output. Errors are those of :func:`print_text`."""
     with _writing_output():
         if sys.stdout is not None:  # the caller has closed it
             sys.stdout.flush()
@@ -102,13 +100,13 @@ def _writing_output() -> Iterator[None]:
 
 
 def give_up_output() -> None:
-    """Drop the rest of standard output: Python must not try to write it again when it ends."""
+    """Discard the rest of standard output, so that Python does not fail on it again at exit."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def flush_errors() -> None:
-    """Write the rest of standard error, or drop it: Python would end with exit code 120 otherwise."""
+    """Write or discard the rest of standard error, since Python would otherwise end with exit code 120."""
     try:
         if sys.stderr is not None:
             sys.stderr.flush()
@@ -117,7 +115,7 @@ def flush_errors() -> None:
 
 
 def print_error(text: str) -> None:
-    """Print to standard error, if it can be written to; with the traceback if HUMANSIM_TRACEBACK is set."""
+    """Print to standard error if possible. If HUMANSIM_TRACEBACK is set, print the traceback, too."""
     with suppress(OSError):
         if os.environ.get("HUMANSIM_TRACEBACK"):
             traceback.print_exc()
@@ -126,7 +124,7 @@ def print_error(text: str) -> None:
 
 @contextmanager
 def progress_bar(frames: Iterable[Any], count: int) -> Iterator[Iterable[Any]]:
-    """Show a progress bar on a terminal, and nothing elsewhere."""
+    """Show a progress bar on a terminal; elsewhere, show nothing."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -135,7 +133,7 @@ def progress_bar(frames: Iterable[Any], count: int) -> Iterator[Iterable[Any]]:
         yield progress.track(frames, total=count, description="drawing")
 
 
-#: Seconds between lines of progress where there is no terminal.
+#: Seconds between lines of progress if there is no terminal.
 _LINE_EVERY = 5.0
 
 
@@ -143,10 +141,8 @@ _LINE_EVERY = 5.0
 def frame_progress(
     title: str, cameras: int, unit: str = "frames"
 ) -> Iterator[Callable[[FrameProgress], None]]:
-    """Show progress: a bar on a terminal, else a line every five seconds.
-
-    ``title``: before the bar. ``cameras``: camera-frames for each ``unit``.
-    """
+    """Show progress: a bar on a terminal, or else a line every five seconds. ``title``: text before the bar.
+    ``cameras``: number of camera-frames for each ``unit``."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
@@ -177,13 +173,13 @@ def run_frames_shown(
     interrupted: Callable[[int], str],
     unit: str = "frames",
 ) -> FrameProgress:
-    """Run work on frames with its progress; after a stop or a death, say what is done.
+    """Run work on frames and show its progress. After a stop, or the death of a worker, say what is done.
 
     Args:
         title: Text before the bar.
-        cameras: Camera-frames for each frame.
-        run: Does the work; its argument is called after each frame.
-        interrupted: Text after an interruption, from the number of frames that are done.
+        cameras: Number of camera-frames for each frame.
+        run: Does the work. It must call its argument after each frame.
+        interrupted: Returns the text for an interruption, from the number of finished frames.
         unit: What is counted.
     """
     from humansim_ros.jobs.workers import WorkerDiedError
@@ -207,7 +203,7 @@ def run_frames_shown(
 
 
 def costs_text(progress: FrameProgress, cameras: int, digits: int) -> str:
-    """Processor time of each step in ms, for each camera-frame; for each frame without cameras."""
+    """Processor time of each step in ms per camera-frame. If there are no cameras, per frame."""
     units = progress.new * max(cameras, 1)
     costs = (f"{step} {1e3 * seconds / units:.{digits}f}" for step, seconds in progress.costs.items())
     return f"processor time in ms per {'camera-frame' if cameras else 'frame'}: {', '.join(costs)}"
@@ -229,8 +225,8 @@ def _lines(cameras: int, unit: str) -> Callable[[FrameProgress], None]:
 
 
 def time_left(progress: FrameProgress) -> str:
-    """Time left in words, from the rate of this process: a continued recording had another one."""
-    if not progress.rate:  # no task of a cluster has ended
+    """Time left in words, from the rate of this process, since an earlier run had another rate."""
+    if not progress.rate:  # no task of a cluster has ended yet
         return "unknown time left"
     seconds = (progress.frames - progress.done) / progress.rate
     return f"{timedelta(seconds=round(seconds))} left"
@@ -241,8 +237,8 @@ def rate_text(progress: FrameProgress, cameras: int, unit: str = "frames") -> st
 
     Args:
         progress: State of the work.
-        cameras: Camera-frames for each frame; 0: count in units.
-        unit: What is counted: frames, or scenes, which take seconds.
+        cameras: Number of camera-frames for each frame. If 0, the rate is in units.
+        unit: What is counted: frames, or scenes (which take seconds each).
     """
     megabytes = progress.size / 1e6 / progress.seconds if progress.seconds else 0.0
     if not cameras:

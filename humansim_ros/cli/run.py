@@ -42,7 +42,7 @@ from humansim_ros.ros.processes.stop_signals import Stopped
 
 
 def _setting(name: str, metavar: str, end: str = ".") -> Any:
-    """Option of a setting of lockstep that is a number."""
+    """Option for a lockstep setting that is a number."""
     setting = SETTINGS[name]
     return typer.Option(metavar=metavar, help=f"{setting.help}{end}", min=setting.low, max=setting.high)
 
@@ -98,7 +98,7 @@ def run(
         options = SceneOptions(motion, body, joint_names, live or ())
         if options:
             path = options.write(given_path, folder)
-        # it imports the package and loads the scene, as this process does meanwhile
+        # it imports the package and loads the scene at the same time as this process
         starter = stack.enter_context(NodeStarter(str(path.resolve())))
         from humansim_ros.apps.first_images import FirstImages
         from humansim_ros.messages.topics import check_adapters
@@ -160,7 +160,7 @@ def run(
                 print_error(f"error: {dead}, after the last frame")
             raise typer.Exit(dead.code and (2 if dead.code == WRONG_INPUT else 1))
     if dead:
-        wrong_input = dead.code == WRONG_INPUT  # which the node has reported
+        wrong_input = dead.code == WRONG_INPUT  # the node has reported it
         again = " again and again" if respawn and dead.code not in dead.process.final_codes else ""
         print_error(f"error: {dead}{again}; the other nodes were stopped")
         raise typer.Exit(2 if wrong_input else 1)
@@ -182,7 +182,7 @@ def demo(
 
 
 def _check_machine() -> None:
-    """Raise an error without ROS or OpenGL, once and before a process starts."""
+    """Raise an error if ROS or OpenGL is missing, once and before a process starts."""
     from humansim_ros.render.context import OpenGLContext
     from humansim_ros.ros.runtime import prepare_logs, require_ros
 
@@ -192,7 +192,8 @@ def _check_machine() -> None:
 
 
 def _time_options(scene: Any, options: Any, folder: Path) -> Any:
-    """Options with a file for the summary of lockstep. Raises RosError for options of lockstep without it."""
+    """Options, with a file for the summary of lockstep. Raises RosError for lockstep options without
+    lockstep."""
     from humansim_ros.errors import RosError
     from humansim_ros.scene.names import LOCKSTEP
 
@@ -207,14 +208,14 @@ def _time_options(scene: Any, options: Any, folder: Path) -> Any:
 
 
 def _summary(options: Any) -> Any:
-    """Summary of a run in lockstep; None before its end, and in real time."""
+    """Summary of a run in lockstep. None before its end, and in real time."""
     from humansim_ros.ros.lockstep.rules import LockstepSummary
 
     return LockstepSummary.read(Path(options.summary)) if options.summary else None
 
 
 def _restart_note(options: Any) -> Callable[[], None]:
-    """Function that tells the player of a run in lockstep that a node is started again."""
+    """Function that tells the player of a lockstep run that a node is started again."""
     from humansim_ros.ros.lockstep.rules import RestartFile
 
     return RestartFile(options.summary).write if options.summary else lambda: None
@@ -246,7 +247,7 @@ def _describe(scene: Any, namespace: str) -> None:
 
 
 def _print_ways_to_see(scene: Path | None) -> None:
-    """Print the commands that show a scene; None for the demo scene."""
+    """Print commands that show a scene. ``scene``: None for the demo scene."""
     name = "" if scene is None else f" {shlex.quote(str(scene))}"
     print_text(f"to see it: humansim view{name} (in a browser), or humansim snapshot{name} -o sheet.png")
 
@@ -310,10 +311,8 @@ def play(
 
 @contextmanager
 def pressed_keys() -> Iterator[Callable[[], str]]:
-    """Context manager with a function that returns the key pressed since its last call, or an empty text.
-
-    It is always empty if standard input is no terminal, or the command runs in the background.
-    """
+    """Context manager. Its function returns the key pressed since the last call, or an empty text. The text
+    is always empty if standard input is no terminal, or if the command runs in the background."""
     try:
         import termios
         import tty

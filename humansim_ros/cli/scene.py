@@ -34,9 +34,10 @@ class SceneOptions:
     """Options that replace parts of a scene.
 
     Attributes:
-        motion: Motion file or built-in motion of the first human; it is placed in the centre of the room.
+        motion: Motion file or built-in motion of the first human. The motion is placed in the centre of the
+            room.
         body: Body of the first human.
-        joint_names: Joint table of that motion.
+        joint_names: Joint table of this motion.
         live: Names of the humans that another node moves.
     """
 
@@ -94,7 +95,7 @@ class SceneOptions:
         return changed
 
     def load(self, path: Path, changed: Path) -> Scene:
-        """Load the copy of a scene. Errors name the option, or the file and line of the scene itself."""
+        """Load the copy of a scene. Errors name the option, or the file and line of the original scene."""
         from humansim_ros.scene import Scene
         from humansim_ros.scene.config import load_config
         from humansim_ros.scene.source import SceneSource
@@ -104,7 +105,8 @@ class SceneOptions:
             return Scene.from_config(config, SceneSource.of_file(path))
 
     def option(self, human: str, key: str) -> str | None:
-        """Option that has replaced a key of the scene, if any. ``human``: name of the first human."""
+        """Option that has replaced a key of the scene; None if none has. ``human``: name of the first
+        human."""
         section = f"humans.{human}."
         given = {
             f"{section}motion.joint_names": ("--joint-names", self.joint_names),
@@ -118,7 +120,7 @@ class SceneOptions:
 
     @contextmanager
     def naming_options(self, human: str) -> Iterator[None]:
-        """Name the option in errors about a part that it has replaced."""
+        """Name the option in errors about a value that the option has replaced."""
         try:
             yield
         except HumansimError as error:
@@ -133,7 +135,7 @@ def _begins(key: str, start: str) -> bool:
 
 
 def _absolute(name: str) -> str:
-    """Absolute path; the name of a built-in is unchanged."""
+    """Absolute path of a file. The name of a built-in is returned unchanged."""
     path = expand_user(name)
     return str(path.resolve()) if path.suffix or exists(path) else name
 
@@ -162,10 +164,8 @@ def check(
 
 
 def warn_about_mistakes(scene: Scene, options: SceneOptions | None = None) -> None:
-    """Print the findings of a quick check as warnings, for commands that play a scene.
-
-    ``options``: options that have replaced parts of the scene.
-    """
+    """Print the findings of a quick check as warnings, for commands that play a scene. ``options``: options
+    that have replaced parts of the scene."""
     from humansim_ros.scene import check_scene
 
     human = next(iter(scene.actors), "")

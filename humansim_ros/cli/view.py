@@ -65,7 +65,7 @@ def view(
         cv2.setNumThreads(1)  # its threads would not be copied
         opened = open_graph(topics, namespace) if ros else open_source(what, topics)
         source = opened.source
-        # before the imports of the page, so that the images are rendered meanwhile
+        # before the imports of the page, so that images are rendered at the same time
         source.prepare(tuple(source.cameras), source.channels[:1], alone=True)
         cv2.setNumThreads(-1)
     from humansim_ros.view.app import ViewApp

@@ -1,1 +1,1 @@
-"""The crash test of trackers: a suite of difficulties, its runs, their table and their picture."""
+"""The crash test of trackers: a suite of difficulties, its runs, and the results as table and picture."""

@@ -1,4 +1,4 @@
-"""A case of a challenge: its nodes in one process, and what the tracker publishes meanwhile.
+"""A case of a challenge: its nodes run in one process, and what the tracker publishes is collected.
 
 :class:`CaseJob` runs cases in a worker process (``jobs/workers.py``), one after the other.
 """
@@ -25,15 +25,15 @@ from humansim_ros.messages.people import PoseFrame
 from humansim_ros.ros.transport import domain_environment
 from humansim_ros.scene import Scene
 
-#: Most messages of a tracker for each frame, and for a case besides: more are a flood.
+#: Most messages of a tracker for each frame, and in addition for a case. More messages are a flood.
 MAX_MESSAGES_PER_FRAME, MAX_MESSAGES = 50, 1000
-#: Seconds without a message after which nothing of the last frames is expected.
+#: After this many seconds without a message, no more results are expected.
 _REST = 0.7
-#: Seconds from the end of the tracker to the end of its case: its last messages arrive.
+#: Seconds between the end of the tracker and the end of its case, since its last messages still arrive.
 _AFTER_END = 0.3
-#: Seconds between two looks at the subscribers of images.
+#: Seconds between two checks for subscribers of images.
 _LOOK_EVERY = 0.5
-#: Frames of a case in which the tracker warms up, which have no scores; of a short case, a third.
+#: Number of frames for warming up, which have no scores. In a short case, a third of the frames.
 _WARM_UP = 8
 
 
@@ -44,13 +44,13 @@ class ChallengeOptions:
     Attributes:
         tracker: Command line.
         topic: Topic of its estimate.
-        keypoints: Keypoint set of its estimate; None: as its names say.
-        timeout: Seconds that a frame waits for it.
-        start_within: Seconds until it must publish its topic.
-        is_realtime: Frames follow the wall clock.
-        is_quick: The short form of the suite.
+        keypoints: Keypoint set of its estimate. If None, its names decide.
+        timeout: Seconds that a frame waits for the tracker.
+        start_within: The tracker must publish its topic within this time, seconds.
+        is_realtime: Whether frames follow the wall clock.
+        is_quick: Whether the short form of the suite is run.
         scale: Metres of a unit of its estimate.
-        axes: Axes of its estimate; None: the axes of ``map``.
+        axes: Axes of its estimate. If None, the axes of ``map``.
     """
 
     tracker: str
@@ -65,7 +65,7 @@ class ChallengeOptions:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Everything but the command, and the defaults that older reports do not have."""
+        """Everything except the command, without defaults that older reports do not have."""
         added = {"scale": 1.0, "axes": None}
         values = {key: value for key, value in asdict(self).items() if key != "tracker"}
         return {key: value for key, value in values.items() if key not in added or value != added[key]}
@@ -77,7 +77,7 @@ class CaseOrder:
 
     Attributes:
         scene: Scene file.
-        tracker: Process id of the tracker; the case ends with it.
+        tracker: Process id of the tracker. The case ends when the tracker ends.
         frames: Number of frames.
         patience: Seconds that a frame in lockstep waits for the tracker.
         options: How the tracker is run.
@@ -91,7 +91,7 @@ class CaseOrder:
 
 
 class _Collector:
-    """Messages of a tracker, and times of the frames."""
+    """Collects messages of a tracker, and times of the frames."""
 
     def __init__(self, order: CaseOrder, node: Any) -> None:
         from sensor_msgs.msg import TimeReference
@@ -102,7 +102,7 @@ class _Collector:
         options = order.options
         names = keypoint_set(options.keypoints).names if options.keypoints else None
         self.stream = EstimateStream(options.topic)
-        #: Scene time and time of the first arrival by stamp; nanoseconds and seconds.
+        #: By stamp: scene time (nanoseconds), and time of the first arrival (seconds).
         self.frames: dict[int, int] = {}
         self.sent: dict[int, float] = {}
         self.messages = self.people = 0
@@ -138,18 +138,19 @@ class _Collector:
 
 
 def has_ended(process: int) -> bool:
-    """Whether there is no process with this id; one that its parent has not noticed is there."""
+    """Whether there is no process with this id. A dead process that its parent has not noticed still
+    counts."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return True
-    except PermissionError:  # of another user
+    except PermissionError:  # the process belongs to another user
         pass
     return False
 
 
 def run_case(order: CaseOrder) -> dict[str, Any]:
-    """Run a case; keys of its result, as of ``CaseResult``.
+    """Run a case. Returns the keys of its ``CaseResult``.
 
     Raises:
         HumansimError: The scene cannot be played on this machine.
@@ -220,20 +221,20 @@ def run_case(order: CaseOrder) -> dict[str, Any]:
 
 
 def _has_images(node: Any) -> bool:
-    """Whether somebody subscribes to a topic of images."""
+    """Whether any node subscribes to a topic of images."""
     kinds = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
     topics = (name for name, types in node.get_topic_names_and_types() if kinds & set(types))
     return any(node.count_subscribers(name) for name in topics)
 
 
 def measured(order: CaseOrder, scene: Scene, collector: Any, most: int) -> dict[str, Any]:
-    """Keys of the result of a case, as of ``CaseResult``.
+    """Keys of the ``CaseResult`` of a case.
 
     Args:
         order: The case.
-        scene: Its scene.
+        scene: Scene of the case.
         collector: Messages of the tracker, and times of the frames.
-        most: Number of messages beyond which it floods.
+        most: More messages than this are a flood.
     """
     frames = dict(sorted(collector.frames.items()))
     result: dict[str, Any] = {"frames": len(frames), "estimates": len(collector.stream)}
@@ -253,7 +254,7 @@ def measured(order: CaseOrder, scene: Scene, collector: Any, most: int) -> dict[
         return result
     if collector.fault:
         result["failure"] = collector.fault
-    if not collector.people:  # the tracker runs, and finds nobody
+    if not collector.people:  # the tracker runs, but finds nobody
         return {**result, "pck": 0.0, "recall": 0.0}
     if not collector.finite:
         return {**result, "failure": "no position is finite: the tracker sends NaN"}
@@ -269,13 +270,13 @@ def _scores(order: CaseOrder, scene: Scene, frames: dict[int, int], stream: Esti
     half = int(np.median(np.diff(stamps))) // 2 if len(stamps) > 1 else 0
     estimate = stream.sequence()
     latencies = estimate.arrivals.latencies if estimate.arrivals is not None else np.zeros(0)
-    # everybody is missed in a frame without an estimate, at the end, too
+    # everybody is missed in a frame without an estimate, also at the end
     own = estimate.times
     for stamp in stamps.tolist():
         if not (np.abs(own - stamp) <= half).any():
             stream.add(PoseFrame(stamp, "map", ()), "", 0)
     estimate = stream.sequence()
-    # trackers load models, find the topics and confirm people in the first frames: not in every run alike
+    # in the first frames, trackers load models, find the topics and confirm people; this varies between runs
     kept = stamps[min(_WARM_UP, len(stamps) // 3) :]
     estimate = estimate.since(int(kept[0]) - half)
     points = (
@@ -306,7 +307,7 @@ class CaseWorker:
         return FrameResult(run_case(order))
 
     def close(self) -> None:
-        """Do nothing: each case ends its nodes."""
+        """Do nothing, since each case ends its nodes."""
 
 
 @dataclass(frozen=True)

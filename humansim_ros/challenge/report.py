@@ -1,4 +1,4 @@
-"""What people see of a challenge: a table for a terminal, a picture, and an HTML page."""
+"""Output of a challenge for people: a table for a terminal, a picture, and an HTML page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CURVE = 96
 #: Heights of the head and of the heading of a group.
 _HEAD, _GROUP = 176, 40
 _INK, _PALE, _BACK, _PAPER = "#1d2433", "#6b7385", "#f3f5f8", "#ffffff"
-#: Colours by share of the baseline's score; they differ in lightness, too.
+#: Colours by share of the baseline's score. They also differ in lightness.
 _SCALE = ((0.0, "#b3324b"), (0.45, "#e0693f"), (0.7, "#f2b84b"), (0.85, "#7fb77e"), (1.0, "#1f8a84"))
 #: Colours of the trackers.
 _TRACKERS = ("#1f4e9c", "#c2561a")
@@ -31,7 +31,7 @@ PICTURE, PAGE = "challenge.svg", "index.html"
 
 
 def picture(report: Report, other: Report | None = None) -> Markup:
-    """The picture as SVG. ``other``: a second tracker, whose tiles stand below the tiles of the first."""
+    """The picture as SVG. ``other``: report of a second tracker. Its tiles stand below those of the first."""
     reports = [report] if other is None else [report, other]
     shapes = list(_head(reports))
     y = _HEAD + 26 * (len(reports) - 1)
@@ -158,7 +158,8 @@ def _tile(report: Report, result: CaseResult | None, label: str, x: int, y: int)
 
 
 def _curve(report: Report, axis: str, x: int, y: int) -> Iterator[Markup]:
-    """Score from the baseline on, as a small curve, with the line below which the tracker is broken."""
+    """Score from the baseline on as a small curve, with a line at the limit below which the tracker is
+    broken."""
     base = report.baseline
     results = ([base] if base is not None else []) + report.of_axis(axis)
     bottom, height = y + _HEIGHT - 5, _HEIGHT - 10
@@ -189,7 +190,7 @@ def _legend(report: Report, y: int) -> Iterator[Markup]:
 
 
 def _share(report: Report, result: CaseResult) -> float:
-    """Score as a share of the baseline's; 0 for a failure."""
+    """Score as a share of the baseline's score. 0 for a failure."""
     base = report.baseline
     if result.failure:
         return 0.0
@@ -197,7 +198,7 @@ def _share(report: Report, result: CaseResult) -> float:
 
 
 def color_of(share: float) -> str:
-    """Colour of a score, given as a share of the best."""
+    """Colour for a score that is given as a share of the best score."""
     value = min(1.0, max(0.0, share))
     for (low, first), (high, second) in pairwise(_SCALE):
         if value <= high:
@@ -259,7 +260,7 @@ _COLUMNS: dict[str, Callable[[CaseResult], str]] = {
 }
 
 
-#: What is said of a tracker that gets its people from elsewhere.
+#: Text about a tracker that does not look at images.
 BLIND = (
     "This tracker subscribes to no topic of images: difficulties of images do not reach it, and its score "
     "says nothing about them."
@@ -313,7 +314,8 @@ def _html_table(report: Report) -> Markup:
 
 
 def show_table(report: Report, other: Report | None = None) -> str:
-    """The table: for each axis the scores of its strengths, errors of the last one, and where it breaks."""
+    """The table: for each axis the scores of its strengths, the errors at the last strength, and where the
+    tracker breaks."""
     reports = [report] if other is None else [report, other]
     rows = [list(_header(reports))]
     base = ["baseline"]

@@ -1,4 +1,5 @@
-"""Results of the cases of a challenge: files of a report folder, scores, and where an axis breaks."""
+"""Results of the cases of a challenge: files of a report folder, scores, and the strength that breaks a
+tracker."""
 
 from __future__ import annotations
 
@@ -22,24 +23,24 @@ _MAX_BYTES = 16 << 20
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of one case. Lengths are metres, shares 0 to 1; None where nothing can be measured.
+    """Result of one case. Lengths are metres, shares 0 to 1. None where nothing can be measured.
 
     Attributes:
-        axis: Name of the difficulty; ``baseline`` for none.
-        strength: 1 to 3; 0 for the baseline.
+        axis: Name of the difficulty. ``baseline`` for no difficulty.
+        strength: 1 to 3. 0 for the baseline.
         label: Words for the strength.
-        failure: Why the case has no full result, such as that the tracker has died; empty if it has one.
+        failure: Why the case has no full result, such as the death of the tracker. Empty if it has one.
         frames: Number of frames that were sent.
         estimates: Number of frames with an estimate.
         mpjpe: Mean joint error of people who were found.
-        pck: Share of joints within 150 mm; joints of missed people are wrong.
+        pck: Share of joints within 150 mm. Joints of missed people count as wrong.
         recall: Share of people who were found.
         precision: Share of estimated people who are real.
-        idf1: Score of identities; None if the tracker has none.
-        switches: Number of changes of identity; None if the tracker has none.
+        idf1: Score of identities. None if the tracker has no identities.
+        switches: Number of changes of identity. None if the tracker has no identities.
         seconds: Wall-clock time of the frames.
-        latency: Median of the seconds from the start of a frame to its estimate.
-        sees: Whether somebody has subscribed to images; None if it is not known.
+        latency: Median time from the start of a frame to its estimate, seconds.
+        sees: Whether any node has subscribed to images. None if unknown.
     """
 
     axis: str
@@ -60,12 +61,13 @@ class CaseResult:
 
     @property
     def name(self) -> str:
-        """Name of its case."""
+        """Name of the case."""
         return f"{self.axis}_{self.strength}" if self.strength else self.axis
 
     @property
     def score(self) -> float:
-        """Points from 0 to 100: correct joints (PCK), times real people among the estimated ones."""
+        """Points from 0 to 100: share of correct joints (PCK), times share of real people among the estimated
+        ones."""
         return 100.0 * (self.pck or 0.0) * (1.0 if self.precision is None else self.precision)
 
 
@@ -83,7 +85,7 @@ class Report:
     """All results of a tracker.
 
     Attributes:
-        tracker: Its command.
+        tracker: Command line of the tracker.
         suite: Name and version of the suite.
         settings: Everything else that results depend on.
         breaks_below: Share of the baseline's score below which the tracker is broken.
@@ -109,12 +111,12 @@ class Report:
 
     @property
     def baseline(self) -> CaseResult | None:
-        """Result without a difficulty."""
+        """Result of the case without a difficulty."""
         return self.results.get(BASELINE)
 
     @property
     def is_blind(self) -> bool:
-        """Whether the tracker is known to look at no image in any case."""
+        """Whether the tracker is known to use no image in any case."""
         known = [each.sees for each in self.results.values() if each.sees is not None]
         return bool(known) and not any(known)
 
@@ -124,7 +126,8 @@ class Report:
         return [each for each in found if each is not None]
 
     def is_broken(self, result: CaseResult) -> bool:
-        """Whether the tracker is broken: it failed, or score or IDF1 fell below a share of the baseline's."""
+        """Whether the tracker is broken: it failed, or its score or IDF1 fell below a share of the
+        baseline's."""
         base = self.baseline
         if result.failure or base is None:
             return bool(result.failure)
@@ -138,16 +141,16 @@ class Report:
 
     @property
     def points(self) -> float | None:
-        """Robustness from 0 to 100: mean score of all cases with a difficulty; 0 for broken ones."""
+        """Robustness from 0 to 100: mean score of all cases with a difficulty. A broken case counts as 0."""
         cases = [each for each in self.results.values() if each.strength]
         scores = [0.0 if self.is_broken(each) else each.score for each in cases]
         return sum(scores) / len(scores) if scores else None
 
     def write(self, folder: Path) -> None:
-        """Write ``results.json`` at once or not at all.
+        """Write ``results.json`` atomically.
 
         Raises:
-            HumansimError: It cannot be written, as on a full disk.
+            HumansimError: The file cannot be written, for example on a full disk.
         """
         data = {"version": JSON_VERSION, **asdict(self), "points": self.points}
         with atomic_path(folder / RESULTS) as temporary:
@@ -158,7 +161,7 @@ class Report:
         """Read the results of a folder, or of a ``results.json``.
 
         Raises:
-            ChallengeError: There are none, or they are damaged.
+            ChallengeError: There are no results, or they are damaged.
         """
         path = folder / RESULTS if folder.is_dir() else folder
         try:
@@ -180,7 +183,7 @@ class Report:
 
 
 def _checked(result: CaseResult) -> CaseResult:
-    """The result if its fields have their types; raises TypeError."""
+    """The result, if its fields have the right types. Raises TypeError otherwise."""
     for name, kind in get_type_hints(CaseResult).items():
         kinds = get_args(kind) or (kind,)
         value = getattr(result, name)

@@ -1,4 +1,4 @@
-"""Run a tracker through a suite, case by case, and keep the finished cases."""
+"""Run a tracker through a suite, case by case, and keep the results of finished cases."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from humansim_ros.jobs.workers import WorkerDiedError, WorkerProcess, Workers, c
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.ros.transport import claim_domain, domain_environment
 
-#: Seconds after SIGINT, and then after SIGTERM, until the next signal.
+#: Seconds from SIGINT to SIGTERM, and from SIGTERM to SIGKILL.
 _AFTER = 2.0
-#: Most bytes of the end of its output in an error, and bytes of its output that are kept.
+#: Most bytes of the end of the tracker's output in an error, and most bytes of its output that are kept.
 _MAX_TAIL, _MAX_OUTPUT = 600, 1 << 20
-#: Option of prctl: orphans among the descendants of this process become its children.
+#: Option of prctl. With it, orphans among the descendants of this process become its children.
 _PR_SET_CHILD_SUBREAPER = 36
 
 
@@ -39,7 +39,7 @@ def command_words(command: str, values: Mapping[str, str]) -> list[str]:
     """Words of a command line, with ``{cameras}``, ``{topic}`` and ``{scene}`` replaced.
 
     Raises:
-        ChallengeError: Quotes are not closed, or there is no word.
+        ChallengeError: Quotes are not closed, or the command is empty.
     """
     try:
         words = shlex.split(command)
@@ -53,10 +53,11 @@ def command_words(command: str, values: Mapping[str, str]) -> list[str]:
 
 
 class TrackerProcess:
-    """A running tracker. Use it as a context manager: at its end it is stopped with all its processes.
+    """A running tracker. Use it as a context manager, which stops the tracker with all its processes at the
+    end.
 
-    Daemons that it leaves behind become children of this process, which kills them. So start nothing else
-    from this process while it runs.
+    Daemons that it leaves behind become children of this process and are killed. So start nothing else from
+    this process while the tracker runs.
 
     Args:
         words: Command line.
@@ -101,7 +102,7 @@ class TrackerProcess:
 
     @property
     def death(self) -> str:
-        """How the process has ended; empty while it runs."""
+        """How the process has ended. Empty while it runs."""
         code = self._process.poll()
         if code is None:
             return ""
@@ -111,7 +112,7 @@ class TrackerProcess:
 
     @property
     def output_tail(self) -> str:
-        """Last line of its output."""
+        """Last line of the tracker's output."""
         with suppress(OSError), self._log.open("rb") as file:
             file.seek(max(0, self._log.stat().st_size - _MAX_TAIL))
             lines = file.read(_MAX_TAIL).decode(errors="replace").split("\n")
@@ -120,13 +121,13 @@ class TrackerProcess:
 
     @property
     def is_too_talkative(self) -> bool:
-        """Whether its output is longer than a report keeps."""
+        """Whether the output is longer than a report keeps."""
         with suppress(OSError):
             return self._log.stat().st_size > _MAX_OUTPUT
         return False
 
     def stop(self) -> None:
-        """Stop the process and its children: politely, then by force."""
+        """Stop the process and its children. Signals become stronger: SIGINT, SIGTERM, SIGKILL."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, number)
@@ -154,7 +155,7 @@ class TrackerProcess:
 
 
 def _adopt_orphans(adopt: bool) -> None:
-    """Set whether descendants whose parent has ended become children of this process."""
+    """Set whether descendants become children of this process when their parent has ended."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
 
 
@@ -166,27 +167,28 @@ def _has_group(number: int) -> bool:
     return True
 
 
-#: Folder of the scenes and of the output of the tracker in a report.
+#: Folder of a report with the scenes and the output of the tracker.
 CASES = "cases"
-#: Seconds between two looks at the processes.
+#: Seconds between two checks of the processes.
 _LOOK_EVERY = 0.05
-#: Seconds that a case may take beside its frames, and that the nodes may take to end.
+#: Seconds that a case may take in addition to its frames, and that the nodes may take to end.
 _BESIDE, _END_WITHIN = 60.0, 20.0
-#: Least patience with a tracker in a case with a patience of its own, in multiples of its time for a frame.
+#: In a case with its own patience, the smallest patience with a tracker, as a multiple of its usual time per
+#: frame.
 _TIMES_LATENCY = 4.0
 
 
 def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: bool) -> Report:
-    """The report of a folder: a new one, or an earlier one to go on with.
+    """The report of a folder: a new one, or an earlier one that is continued.
 
     Args:
         suite: The suite.
         options: How the tracker is run.
-        folder: Folder of the report, which is made.
-        resume: Keep the results that are there.
+        folder: Folder of the report. It is created.
+        resume: Whether existing results are kept.
 
     Raises:
-        HumansimError: The folder has results, and they are of something else, or nobody wants to go on.
+        HumansimError: The folder has results, and they belong to something else, or ``resume`` is not set.
     """
     if options.keypoints is not None:
         keypoint_set(options.keypoints)
@@ -228,18 +230,18 @@ def run_challenge(
     folder: Path,
     on_result: Callable[[CaseResult, FrameProgress], object],
 ) -> None:
-    """Run all cases that have no result yet; results are written after each case.
+    """Run all cases that have no result yet. Results are written after each case.
 
     Args:
         suite: The suite.
         options: How the tracker is run.
-        report: Gets the results.
+        report: Report that gets the results.
         folder: Folder of the report.
-        on_result: Called with each new result, and the number of cases that are done.
+        on_result: Called with each new result and the number of finished cases.
 
     Raises:
-        HumansimError: The tracker cannot be started or fails without a difficulty, or a file cannot be
-            written. What was finished is in the folder.
+        HumansimError: The tracker cannot be started or fails in the baseline, or a file cannot be written.
+            Finished results are in the folder.
     """
     command_words(options.tracker, {})
     cases = [case for case in suite.cases if case.name not in report.results]
@@ -263,7 +265,7 @@ def run_challenge(
 
 
 class CaseProcess:
-    """The process with the nodes of all cases; it is started again if it hangs. A context manager.
+    """The process with the nodes of all cases. If it hangs, it is started again. Use it as a context manager.
 
     Args:
         log: File for its output.
@@ -272,7 +274,8 @@ class CaseProcess:
     def __init__(self, log: Path) -> None:
         self._log = log
         self._workers: Workers | None = None
-        #: A domain of its own: a run of the user in another terminal and the cases do not meet.
+        #: Own ROS domain, so that the cases and what the user runs in another terminal do not receive each
+        #: other's messages.
         self.domain = claim_domain()
 
     def __enter__(self) -> CaseProcess:
@@ -283,7 +286,7 @@ class CaseProcess:
 
     @property
     def processes(self) -> list[WorkerProcess]:
-        """The process, if it runs."""
+        """The process, as a list. Empty if it does not run."""
         return [] if self._workers is None else self._workers.processes
 
     def start(self) -> None:
@@ -294,14 +297,14 @@ class CaseProcess:
                 self._workers.wait_until_ready()
 
     def ask(self, order: CaseOrder) -> None:
-        """Begin a case; starts the process unless it runs."""
+        """Begin a case. The process is started if it does not run."""
         self.start()
         with self._errors():
             assert self._workers is not None
             self._workers.ask(order)
 
     def answer(self, wait: float) -> dict[str, Any] | None:
-        """The answer to a case; None if there is none within ``wait`` seconds.
+        """The result of a case; None if no result arrives within ``wait`` seconds.
 
         Raises:
             HumansimError: The process has ended, or the case cannot be run.
@@ -332,11 +335,11 @@ class CaseProcess:
 def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
     """Seconds that a frame of a case waits for the tracker.
 
-    A case with a patience of its own must not time out a tracker that is slow without any difficulty.
+    A case with its own patience must not time out a tracker that is slow even in the baseline.
 
     Args:
         case: The case.
-        timeout: Seconds that a frame waits at most.
+        timeout: Longest time that a frame waits, seconds.
         baseline: Result without a difficulty.
     """
     if case.patience is None:
@@ -348,7 +351,7 @@ def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> fl
 def run_case(
     case: Case, options: ChallengeOptions, folder: Path, nodes: CaseProcess, patience: float
 ) -> CaseResult:
-    """Run the tracker in one case. A tracker that fails is a result.
+    """Run the tracker in one case. If the tracker fails, that is a result.
 
     Args:
         case: The case.
@@ -367,7 +370,8 @@ def run_case(
     values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
     words = command_words(options.tracker, values)
     log = folder / f"{case.name}.log"
-    nodes.start()  # before the tracker, whose own processes are the ones that come after it
+    # started before the tracker, since the tracker's own processes are those that come after it
+    nodes.start()
     with _writing(log):
         tracker = TrackerProcess(words, domain_environment(nodes.domain), log)
     with tracker:
@@ -384,20 +388,20 @@ def run_case(
 
 
 def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[dict[str, Any] | None, str]:
-    """Wait for the end of a case: its answer, and why it ended early."""
+    """Wait for the end of a case. Returns its result, and why it ended early."""
     failure, end = "", 0.0
     while (answer := nodes.answer(_LOOK_EVERY)) is None:
         if failure and time.monotonic() > end:
             nodes.close()
             break
         if not failure and (failure := _failure(tracker, limit)):
-            tracker.stop()  # its end ends the case
+            tracker.stop()  # the case ends with the tracker
             end = time.monotonic() + _END_WITHIN
     return answer, failure
 
 
 def _failure(tracker: TrackerProcess, limit: float) -> str:
-    """Why a case ends early; empty if it goes on. ``limit``: monotonic seconds."""
+    """Why a case ends early. Empty if it goes on. ``limit``: monotonic seconds."""
     if tracker.is_too_talkative:
         return "the tracker prints more than a megabyte"
     if time.monotonic() > limit:
@@ -407,7 +411,7 @@ def _failure(tracker: TrackerProcess, limit: float) -> str:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Convert errors of the system about a file to ChallengeError."""
+    """Convert system errors about a file to ChallengeError."""
     try:
         yield
     except OSError as reason:

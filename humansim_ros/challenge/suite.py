@@ -1,4 +1,5 @@
-"""Suites of the challenge: a base scene, and difficulties (axes) as overlays of it in three strengths."""
+"""Suites of the challenge: a base scene, and difficulties (axes). Each axis changes the scene in three
+strengths."""
 
 from __future__ import annotations
 
@@ -23,11 +24,11 @@ STANDARD = "standard"
 STRENGTHS = 3
 #: Name of the case without a difficulty.
 BASELINE = "baseline"
-#: Sections of a scene whose names can be removed by null, and set all at once by ``*``.
+#: Sections of a scene with names. In an overlay, null removes a name, and ``*`` stands for all names.
 _NAMED = ("humans", "objects", "cameras")
-#: Most suites that extend each other.
+#: Most suites in a chain of extensions.
 _MAX_DEPTH = 10
-#: Names of axes: they are names of files, too.
+#: Pattern of the names of axes. They are names of files, too.
 _NAME = re.compile(r"[a-z0-9_]{1,40}")
 
 _Overlay = Annotated[dict[str, Any], Field(description="keys of a scene that change")]
@@ -81,12 +82,12 @@ class Case:
     """A run of the tracker.
 
     Attributes:
-        axis: Name of the difficulty; ``baseline`` for none.
-        strength: 1 to 3; 0 for the baseline.
+        axis: Name of the difficulty. ``baseline`` for no difficulty.
+        strength: 1 to 3. 0 for the baseline.
         label: Words for the strength.
-        scene: Scene; its files have absolute paths.
+        scene: Content of the scene file, with absolute paths.
         frames: Number of frames.
-        patience: Seconds that a frame waits for the tracker; None: as long as the user says.
+        patience: Seconds that a frame waits for the tracker. If None, the timeout of the user.
     """
 
     axis: str
@@ -104,7 +105,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Suite:
-    """A suite that is ready to run. ``axes``: all of them; ``cases``: the baseline, then those to run."""
+    """A suite that is ready to run. ``axes``: all axes. ``cases``: the baseline, then the cases to run."""
 
     name: str
     version: str
@@ -117,9 +118,9 @@ def load_suite(path: Path | None = None, only: Sequence[str] = (), quick: bool =
     """Load a suite.
 
     Args:
-        path: YAML file; the suite of the package if None.
-        only: Names of axes; all if empty.
-        quick: Fewer frames and strengths, as the suite says.
+        path: YAML file. If None, the suite of the package.
+        only: Names of axes. If empty, all axes.
+        quick: Whether to use the short form, with fewer frames and strengths.
 
     Raises:
         HumansimError: The file, a scene of it, or a name is wrong.
@@ -163,7 +164,7 @@ def load_suite(path: Path | None = None, only: Sequence[str] = (), quick: bool =
 
 
 def _read(path: Path, depth: int) -> tuple[Any, Any]:
-    """Content of a suite file, with the content of the suite that it extends below it, and its YAML nodes."""
+    """Content of a suite file, merged over that of the suite that it extends; and its YAML nodes."""
     content, tree = read_yaml(path, ChallengeError, "suite")
     if not isinstance(content, dict):
         raise ChallengeError("a suite is a mapping with 'name', 'version', 'scene' and 'axes'", path=path)
@@ -199,15 +200,15 @@ def _with_absolute_files(content: Any, folder: Path) -> Any:
 
 
 def _renamed(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Mapping with added and replaced names; null removes one."""
+    """Mapping with added and replaced names. null removes a name."""
     return {name: value for name, value in {**below, **above}.items() if value is not None}
 
 
 def overlaid(scene: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
     """A scene with some keys changed.
 
-    Mappings are merged, and other values replaced. In ``humans``, ``objects`` and ``cameras``, null removes
-    a name, and ``*`` stands for all names that are there after the others have been merged.
+    Mappings are merged, and other values replaced. In ``humans``, ``objects`` and ``cameras``, null removes a
+    name. ``*`` stands for all names, after the other keys have been merged.
 
     Example:
         >>> overlaid({"cameras": {"a": {}, "b": {}}}, {"cameras": {"*": {"fov_deg": 9}, "b": None}})

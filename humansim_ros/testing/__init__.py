@@ -1,10 +1,10 @@
-"""Fixtures of pytest for tests of trackers, which pytest finds by itself (docs/testing.md).
+"""Fixtures for tests of trackers with pytest (docs/testing.md).
 
     def test_tracker(humansim_graph):
         humansim_graph.add_node(Tracker())
         poses = humansim_graph.collect("/tracker/poses", 10)
 
-Importing this module loads neither ROS nor NumPy: pytest does it in every run.
+Importing this module loads neither ROS nor NumPy, since pytest imports it in every run.
 """
 
 from __future__ import annotations
@@ -45,10 +45,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def humansim_domain() -> Iterator[int]:
-    """ROS domain of the tests of this process, which no other test process of this machine has.
-
-    ROS_DOMAIN_ID is set to it, and other hosts do not see it, until the end of the session.
-    """
+    """ROS domain for the tests of this process. No other test process on this machine uses it. Until the end
+    of the session, ROS_DOMAIN_ID is set to this domain, and other hosts do not see it."""
     from humansim_ros.ros.transport import claim_domain, domain_environment
     from humansim_ros.testing.support import environment
 
@@ -59,10 +57,9 @@ def humansim_domain() -> Iterator[int]:
 
 @pytest.fixture
 def humansim_scene(request: pytest.FixtureRequest) -> Scene:
-    """Scene of the test: two people and two small cameras unless the marker ``humansim_scene`` or an indirect
-    parameter names another: a file relative to the file of the test, a mapping with the keys of a scene file,
-    or a Scene.
-    """
+    """Scene of the test: by default two people and two small cameras. The marker ``humansim_scene`` or an
+    indirect parameter names another scene: a file relative to the file of the test, a mapping with the keys
+    of a scene file, or a Scene."""
     from humansim_ros.io.assets import resource_path
 
     marker = request.node.get_closest_marker("humansim_scene")
@@ -79,10 +76,9 @@ def humansim_scene(request: pytest.FixtureRequest) -> Scene:
 def humansim_graph(
     request: pytest.FixtureRequest, humansim_domain: int, humansim_scene: Any
 ) -> Iterator[SceneGraph]:
-    """Nodes of the fixture ``humansim_scene`` in lockstep, in a ROS domain of their own (docs/testing.md).
-
-    The marker ``humansim_graph`` takes the options of :class:`SceneGraph`. Without ROS 2 the test is skipped.
-    """
+    """Nodes of the fixture ``humansim_scene`` in lockstep, in their own ROS domain (docs/testing.md). The
+    marker ``humansim_graph`` takes the options of :class:`SceneGraph`. If ROS 2 is missing, the test is
+    skipped."""
     from humansim_ros.errors import RosError
     from humansim_ros.ros.runtime import require_ros
 
@@ -102,7 +98,8 @@ def humansim_graph(
 
 
 def _load(scene: Any, folder: Path) -> Scene:
-    """Scene of a file, of a mapping, or a Scene as it is. ``folder``: folder of relative files."""
+    """Load a scene from a file or a mapping. A Scene is returned unchanged. ``folder``: folder for relative
+    files."""
     from humansim_ros.scene.scene import Scene
 
     if isinstance(scene, (str, os.PathLike)):

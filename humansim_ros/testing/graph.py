@@ -1,4 +1,4 @@
-"""The nodes of a scene for a test, in lockstep: a frame is sent when the test asks for it."""
+"""The nodes of a scene for a test, in lockstep. A frame is sent when the test asks for it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,11 @@ from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_
 from humansim_ros.scene import Scene
 from humansim_ros.testing.support import patience, running_rclpy
 
-#: Seconds of a wait for callbacks, with the nodes of one rclpy context, and with nodes of several.
+#: Longest wait for callbacks, seconds: if all nodes have one rclpy context, and if there are several
+#: contexts.
 _STEP, _SHORT_STEP = 0.05, 0.002
-#: Most seconds in which the nodes of the test handle all that they have received: timers may go on for ever.
+#: Longest time for the nodes of the test to handle all that they have received, seconds, since timers may go
+#: on for ever.
 _MAX_REST = 1.0
 
 
@@ -39,22 +41,24 @@ class SceneGraph:
     """Motion player, skinners and cameras of a scene in lockstep, and a node that receives for the test.
 
     The nodes start with the first frame, so that nodes and subscriptions of the test come before it. Frame k
-    has the stamp 1 ns + round(k * period), as in Simulation. It follows when the test asks for it, and when
-    all cameras and all subscriptions of the test have the frame before; cameras with a rate of their own, and
-    the nodes that answer them, only have their frames.
+    has the stamp 1 ns + round(k * period), as in Simulation. It is sent when the test asks for it, and all
+    cameras and all subscriptions of the test have the previous frame. Cameras with their own rate, and the
+    nodes that answer them, only get the frames of these cameras.
+
 
     Use it as a context manager. The fixture ``humansim_graph`` yields one for each test.
 
     Args:
         scene: The scene.
         namespace: ROS namespace of its nodes, and of relative topics of the test.
-        processes: Start the nodes with ``humansim run`` instead of in this process; the scene must be a file.
-        limit: Seconds that a frame may take; HUMANSIM_TEST_PATIENCE multiplies them.
+        processes: Whether to start the nodes with ``humansim run`` instead of in this process. The scene must
+            then be a file.
+        limit: Longest time of a frame, seconds. HUMANSIM_TEST_PATIENCE multiplies it.
 
     Attributes:
         scene: The scene.
-        node: Node that subscribes for the test; for publishers and services of the test, too.
-        limit: Seconds that a frame may take.
+        node: Node that subscribes for the test. The test may use it for publishers and services, too.
+        limit: Longest time of a frame, seconds.
 
     Raises:
         RosError: The namespace is not valid, or the scene of processes is no file.
@@ -76,7 +80,7 @@ class SceneGraph:
         self._subscriptions: dict[str, Any] = {}
         #: Number of the frame in flight.
         self._index: int | None = None
-        #: Stamp of the frame in flight, and of the newest frame that the test has released.
+        #: Stamp of the frame in flight; and stamp of the newest frame that the test has released.
         self._frame = self._released = -1
         #: Number of frames of the test.
         self._frames = 0
@@ -111,8 +115,8 @@ class SceneGraph:
     def add_node(self, node: Any) -> None:
         """Spin a node of the test with the nodes of the scene, in this thread.
 
-        An exception of its callbacks ends the test. A node that waits in a callback, such as for a service,
-        needs an executor of its own in a thread of its own.
+        An exception in its callbacks ends the test. A node that waits in a callback, for example for a
+        service, needs its own executor in its own thread.
 
         Raises:
             RosError: The node is in another ROS domain.
@@ -128,7 +132,7 @@ class SceneGraph:
         self._executors[node.context].add_node(node)
 
     def remove_node(self, node: Any) -> None:
-        """Spin a node of the test no longer."""
+        """Stop spinning a node of the test."""
         self._executors[node.context].remove_node(node)
 
     def subscribe(
@@ -137,14 +141,15 @@ class SceneGraph:
         """Keep the messages of a topic from now on.
 
         Args:
-            topic: Name; a relative one is in the namespace of the scene.
-            type: Message class. If None, the class that the scene or a publisher has, which is waited for.
+            topic: Name. A relative name is in the namespace of the scene.
+            type: Message class. If None, that of the scene or of a publisher; the call waits for a publisher.
             qos: Quality of service. If None, all messages of all publishers arrive.
-            every_frame: Frames wait for a message of this topic with their stamp or a newer one; if it has no
-                stamp, for any message.
+            every_frame: Whether each frame waits for a message of this topic with its stamp or a newer one.
+                For messages without stamp, any message counts.
+
 
         Returns:
-            The messages; messages of later frames are added.
+            The messages. Messages of later frames are added to them.
 
         Raises:
             RosError: No node publishes the topic within the limit.
@@ -160,19 +165,20 @@ class SceneGraph:
         return received
 
     def forget(self, topic: str) -> None:
-        """End the subscription to a topic: frames wait for it no longer."""
+        """End the subscription to a topic. Frames do not wait for it any more."""
         name = self.node.resolve_topic_name(topic)
         if name in self._received:
             del self._received[name]
             self.node.destroy_subscription(self._subscriptions.pop(name))
 
     def play(self, frames: int = 1) -> list[int]:
-        """Play the next frames; each waits for all cameras and for the topics that have every frame.
+        """Play the next frames. Each waits for all cameras and for the topics that have every frame.
 
-        Nodes of ``add_node`` have handled all messages of a frame that were sent in this process.
+        Nodes added by ``add_node`` have then handled all messages of the frames that were sent in this
+        process.
 
         Returns:
-            Their stamps in nanoseconds.
+            Stamps of the frames, nanoseconds.
 
         Raises:
             RosError: A frame is not finished within the limit. The message names cameras and topics.
@@ -187,15 +193,15 @@ class SceneGraph:
         qos: QoSProfile | None = None,
         every_frame: bool = True,
     ) -> list[Any]:
-        """Play frames until a topic has some messages more.
+        """Play frames until a topic has received ``count`` more messages.
 
         Args:
-            topic: Name; a relative one is in the namespace of the scene.
+            topic: Name. A relative name is in the namespace of the scene.
             count: Number of messages.
-            type: Message class. If None, the class that the scene or a publisher has, which is waited for.
+            type: Message class. If None, that of the scene or of a publisher; the call waits for a publisher.
             qos: Quality of service. If None, all messages of all publishers arrive.
-            every_frame: Each frame waits for its message. False, for nodes that do not answer each frame:
-                frames wait for the cameras only.
+            every_frame: Whether each frame waits for its message. Set False for nodes that do not answer each
+                frame. Frames then wait only for the cameras.
 
         Returns:
             The messages, in the order of their arrival.
@@ -218,11 +224,12 @@ class SceneGraph:
                 raise RosError(self._explanation(stamp, [received]))
 
     def wait_for(self, topic: str, type: Any = None, qos: QoSProfile | None = None) -> Any:
-        """Newest message of a topic, such as a latched one; waits for the first, and plays no other frame.
+        """Newest message of a topic, such as a latched one. Waits for the first message, and plays no other
+        frame.
 
         Args:
-            topic: Name; a relative one is in the namespace of the scene.
-            type: Message class. If None, the class that the scene or a publisher has, which is waited for.
+            topic: Name. A relative name is in the namespace of the scene.
+            type: Message class. If None, that of the scene or of a publisher; the call waits for a publisher.
             qos: Quality of service. If None, all messages of all publishers arrive.
 
         Raises:
@@ -235,10 +242,8 @@ class SceneGraph:
         return received[-1]
 
     def spin_until(self, condition: Callable[[], object], text: str = "the condition is not true") -> None:
-        """Let all nodes work until a condition is true; no frame follows meanwhile.
-
-        ``text``: the missing thing, for the error. Raises RosError after the limit.
-        """
+        """Let all nodes work until a condition is true. No further frame is sent. ``text``: the missing
+        thing, for the error. Raises RosError after the limit."""
         self._start()
         self._spin_until(condition, text)
 
@@ -288,7 +293,7 @@ class SceneGraph:
 
     def _on_frame(self, message: TimeReference) -> None:
         self._frame, self._index = to_nanoseconds(message.header.stamp), read_frame_number(message)
-        if self._frame <= self._released:  # the player has not heard the report
+        if self._frame <= self._released:  # the player has not received the report yet
             self._report(self._frame)
 
     def _on_done(self, report: Header) -> None:
@@ -344,13 +349,13 @@ class SceneGraph:
             self._running.check()
 
     def _handle_rest(self) -> None:
-        """Call the callbacks that are ready, and those that follow from them."""
+        """Call the callbacks that are ready, and further ones that become ready by them."""
         end = time.monotonic() + _MAX_REST
         while any(map(_handles_one, self._executors.values())) and time.monotonic() < end:
             pass
 
     def _offer(self, name: str, kind: Any) -> tuple[Any, QoSProfile]:
-        """Type and quality of service of a subscription that gets all messages of a topic."""
+        """Type and quality of service for a subscription that gets all messages of a topic."""
         for topic in scene_topics(self.scene):
             if topic.in_namespace(self.node.get_namespace()) == name:
                 return kind or topic.type, subscription_profile([offered_profile(topic)])
@@ -367,7 +372,7 @@ class SceneGraph:
     # --- errors
 
     def _explanation(self, stamp: int, topics: list[ReceivedMessages] | None = None) -> str:
-        """Text on a frame that is not finished, or on topics without messages."""
+        """Text about a frame that is not finished, or about topics without messages."""
         missing = [each.topic for each in topics] if topics else self._missing(stamp)
         lines = [self._silence(name) for name in missing if name in self._received]
         cameras = [name for name in missing if name not in self._received]
@@ -376,7 +381,7 @@ class SceneGraph:
         return f"frame {max(self._frames - 1, 0)}: " + "; ".join(lines)
 
     def _silence(self, name: str) -> str:
-        """Text on a topic without a message."""
+        """Text about a topic without a message."""
         publishers = self._publishers(name)
         if not publishers:
             known = [topic for topic, _ in self.node.get_topic_names_and_types()]
@@ -398,24 +403,24 @@ class SceneGraph:
 
 
 def _handles_one(executor: Any) -> bool:
-    """Call a callback that is ready; False if there is none."""
+    """Call a callback that is ready. Returns False if none is ready."""
     try:
         handler, *_ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
     except TimeoutException:
         return False
     handler()
-    handler.result()  # raises its exception
+    handler.result()  # raises the exception of the callback
     return True
 
 
 def _is_of(message: Any, first: int) -> bool:
-    """Whether a message may be of a frame or a later one."""
+    """Whether a message may belong to the frame ``first`` or a later one."""
     stamp = stamp_of(message)
     return stamp is None or stamp >= first
 
 
 def stamp_of(message: Any) -> int | None:
-    """Stamp of a message with a header, or of a header, in nanoseconds; None if it has neither."""
+    """Stamp of a message with a header, or of a header, in nanoseconds; None for other messages."""
     stamp = getattr(getattr(message, "header", message), "stamp", None)
     return None if stamp is None else to_nanoseconds(stamp)
 
@@ -423,11 +428,11 @@ def stamp_of(message: Any) -> int | None:
 class ReceivedMessages(Sequence[Any]):
     """Messages of one topic in the order of their arrival, one for each stamp.
 
-    A frame may be sent again, so that messages come again: the newest one of a stamp is kept.
+    A frame may be sent again, so that messages come again. The newest message of each stamp is kept.
 
     Attributes:
         topic: Full name of the topic.
-        every_frame: Frames wait for a message of this topic.
+        every_frame: Whether frames wait for a message of this topic.
         arrived: Number of messages that have arrived.
         newest: Newest stamp in nanoseconds; -1 before the first one.
     """
@@ -436,7 +441,7 @@ class ReceivedMessages(Sequence[Any]):
         self.topic, self.every_frame = topic, every_frame
         self.arrived = 0
         self.newest = -1
-        #: By stamp, or by negative number for messages without a stamp.
+        #: By stamp; messages without a stamp have negative numbers.
         self._messages: dict[int, Any] = {}
 
     def add(self, message: Any) -> None:
@@ -448,10 +453,10 @@ class ReceivedMessages(Sequence[Any]):
             self.newest = max(self.newest, stamp)
 
     def at(self, moment: Any) -> Any:
-        """The message of a stamp: nanoseconds, or another message with this stamp.
+        """The message with a stamp: nanoseconds, or another message with this stamp.
 
         Raises:
-            RosError: There is none.
+            RosError: There is no such message.
         """
         stamp = moment if isinstance(moment, int) else stamp_of(moment)
         if stamp is None or stamp not in self._messages:
@@ -477,9 +482,10 @@ class ReceivedMessages(Sequence[Any]):
         return f"ReceivedMessages({self.topic!r}, {len(self)} messages)"
 
 
-#: Seconds after which a frame in lockstep waits no longer: never, because the test has a limit of its own.
+#: Time after which a frame in lockstep stops waiting, seconds. It is very long, because the test has its own
+#: limit.
 NEVER = 1e6
-#: Seconds in which ``humansim run`` must have ended.
+#: ``humansim run`` must end within this time, seconds.
 _END_WITHIN = 30.0
 #: Most characters of its output in an error.
 _MAX_OUTPUT = 2000
@@ -491,7 +497,7 @@ class NodeProcesses:
     Args:
         path: Scene file.
         namespace: ROS namespace of the nodes.
-        member: Name of the node that frames wait for besides the cameras.
+        member: Name of the node that frames wait for, in addition to the cameras.
     """
 
     nodes: Sequence[Any] = ()
@@ -509,7 +515,7 @@ class NodeProcesses:
 
     @property
     def output(self) -> str:
-        """The end of what the processes have printed."""
+        """The end of the output of the processes."""
         self._output.seek(0)
         return self._output.read()[-_MAX_OUTPUT:].strip()
 

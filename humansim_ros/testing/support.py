@@ -1,4 +1,4 @@
-"""Support of tests: patience on a loaded machine, a ROS domain of their own, and rclpy's default context."""
+"""Support for tests: patience on a loaded machine, their own ROS domain, and rclpy's default context."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 @contextmanager
 def environment(**values: str) -> Iterator[None]:
-    """Context manager that sets environment variables, and restores all of them at its end."""
+    """Context manager for tests that set environment variables. It restores all variables at its end."""
     before = dict(os.environ)
     os.environ.update(values)
     try:
@@ -25,12 +25,9 @@ def environment(**values: str) -> Iterator[None]:
 
 @contextmanager
 def running_rclpy() -> Iterator[None]:
-    """Context manager that initialises rclpy's default context, with a transport for images.
-
-    At the end, nodes of this context that have been left behind are destroyed: nodes of an EventsExecutor
-    would stay in the graph for ever, with their publishers and their memory. If the context is initialised
-    already, it belongs to somebody else, and nothing is done.
-    """
+    """Context manager that initialises rclpy's default context, with a transport for images. At the end,
+    remaining nodes of this context are destroyed, since nodes of an EventsExecutor would stay in the graph
+    for ever. If the context is initialised already, it belongs to other code, and nothing is done."""
     import rclpy
 
     from humansim_ros.ros.runtime import prepare_transport
@@ -52,7 +49,7 @@ def running_rclpy() -> Iterator[None]:
 
 @contextmanager
 def _recorded_nodes() -> Iterator[weakref.WeakSet[Any]]:
-    """Context manager that yields the nodes of rclpy's default context that are created meanwhile."""
+    """Context manager. Yields the nodes that are created in rclpy's default context until its end."""
     import rclpy
     from rclpy.node import Node
 
@@ -74,7 +71,7 @@ def _recorded_nodes() -> Iterator[weakref.WeakSet[Any]]:
 
 
 def _destroy(node: Any) -> None:
-    with suppress(Exception):  # of a node that has failed at its start
+    with suppress(Exception):  # a node that has failed at its start
         if node.executor is not None:
             node.executor.remove_node(node)
             node.executor.shutdown()
@@ -82,14 +79,16 @@ def _destroy(node: Any) -> None:
 
 
 def patience(seconds: float) -> float:
-    """Seconds until a test gives up waiting: HUMANSIM_TEST_PATIENCE multiplies them for slow machines."""
+    """Time after which a test gives up waiting, seconds. HUMANSIM_TEST_PATIENCE multiplies it for slow
+    machines."""
     return seconds * float(os.environ.get("HUMANSIM_TEST_PATIENCE") or 1)
 
 
 def wait_until(
     condition: Callable[[], object], limit: float, step: Callable[[], object] = lambda: time.sleep(0.05)
 ) -> bool:
-    """Call ``step`` until ``condition`` is true; False if it is not after ``limit`` seconds."""
+    """Call ``step`` until ``condition`` is true. Returns False if it is still not true after ``limit``
+    seconds."""
     end = time.monotonic() + limit
     while not condition():
         if time.monotonic() > end:

@@ -48,7 +48,7 @@ class NavigationFrames:
 @dataclass(frozen=True)
 class DrivenPath:
     """The driven path: seconds, metres, mean speed in m/s, and turning beyond what the path needs, rad/m
-    (None if it stood)."""
+    (None if standing)."""
 
     seconds: float
     length: float

@@ -161,7 +161,7 @@ def _records(image: int, points: Any, box: Any, score: Any = None, size: Any = (
 
 
 def is_2d(content: Any) -> bool | None:
-    """Whether parsed JSON describes images, not 3D poses. None if it has no people, so that it may be
+    """Whether parsed JSON describes images, not 3D poses. None if there are no people, so that it may be
     either."""
     people = content.get("people", content.get("bodies")) if isinstance(content, dict) else content
     if people is None and isinstance(content, dict):

@@ -209,7 +209,7 @@ def furniture_for(
                 yield _free(f"{name}_table{suffix}", seats.objects), _at(sitting, "table", _TO_TABLE, factor)
 
 
-def footprint(sitting: Sitting, table: bool) -> Array:
+def seat_footprint(sitting: Sitting, table: bool) -> Array:
     """Points (M, 2) 5 cm apart on the floor below the chair of a person who sits, and below the table."""
     boxes = [(0.0, 0.44, 0.43), *([(_TO_TABLE * sitting.size, 0.8, 1.6)] if table else [])]
     points = []

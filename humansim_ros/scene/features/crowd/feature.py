@@ -23,7 +23,7 @@ from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.features import Feature
 from humansim_ros.scene.features.crowd.keys import CrowdConfig
 from humansim_ros.scene.features.crowd.walk_grid import WalkGrid
-from humansim_ros.scene.features.variety.feature import Path, things_on_floor
+from humansim_ros.scene.floor import floor_corners, footprints, things_on_floor
 from humansim_ros.scene.names import variety_names
 from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
@@ -80,14 +80,13 @@ def _human(crowd: CrowdConfig, name: str, home: Array, source: SceneSource) -> H
 def _floor(draft: Draft, crowd: CrowdConfig) -> WalkGrid:
     """The floor with what stands on it: things, and the paths of all other humans."""
     area = _area(draft.config, crowd)
-    covered = [things_on_floor(draft, area), *(Path.of_scene(each).points for each in draft.actors.values())]
+    covered = [things_on_floor(draft, area), *(each.points for each in footprints(draft).values())]
     return WalkGrid.of(area, np.concatenate(covered), crowd.radius)
 
 
 def _area(config: SceneConfig, crowd: CrowdConfig) -> Array:
     """Low and high corner (2, 2) of the floor: as configured, within the room."""
-    side = (_OPEN, _OPEN) if config.room is None else config.room.size[:2]
-    walls = np.array([side, side]) * [[-0.5], [0.5]]
+    walls = floor_corners(config, _OPEN)
     if crowd.area is None:
         return walls
     corners = np.sort(np.reshape(crowd.area, (2, 2)), axis=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -11,26 +10,22 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.errors import some_of
 from humansim_ros.io.machine import cores
-from humansim_ros.scanner.casting import Poses
 from humansim_ros.scene.camera_checks import (
     check_cameras,
     check_faults,
     covered_pixels,
     cpu_ms,
     has_gpu,
-    misplaced,
 )
+from humansim_ros.scene.features import features_of
 from humansim_ros.scene.findings import (
     Finding,
     Obstacle,
     SceneSamples,
-    find_obstacles,
+    motion_key,
     numbers,
-    without_enclosures,
 )
-from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.scene import Scene
-from humansim_ros.scene.seats import Seats, find_sittings
 from humansim_ros.types import Array
 
 #: Seconds between two times, most poses and most humans of a complete check and of a quick one.
@@ -66,26 +61,16 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
         ...     print(finding.key)
         cameras.front.position
     """
-    samples = SceneSamples(scene, *(_QUICK if quick else _COMPLETE))
-
-    obstacles = _obstacles(samples, room=not quick)
+    samples = SceneSamples(scene, *(_QUICK if quick else _COMPLETE), room=not quick)
     found = [
-        *check_cameras(samples, obstacles),
-        *check_scanners(samples, obstacles),
-        *check_people(samples, obstacles),
+        *check_cameras(samples, samples.obstacles),
+        *check_people(samples, samples.obstacles),
+        *(each for feature in features_of(scene.config) for each in feature.check(samples)),
         *check_faults(samples),
         *_rate(samples, processors),
     ]
     source = scene.source.loading()  # which reads the file once for all lines
     return sorted((finding.located(source) for finding in found), key=lambda finding: finding.severity)
-
-
-def _obstacles(samples: SceneSamples, room: bool) -> list[Obstacle]:
-    """Obstacles, without those that are used as a room: all humans and cameras are inside them."""
-    people = [joints[0].mean(axis=0) for joints in samples.joints.values()]
-    centers = [samples.centers(name)[0] for name in samples.scene.scene_cameras]
-    everybody = np.array([*people, *centers]) if people else np.zeros((0, 3))
-    return without_enclosures(find_obstacles(samples.scene, room), everybody)
 
 
 def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
@@ -109,51 +94,6 @@ def _rate(samples: SceneSamples, processors: int | None) -> list[Finding]:
         f"`humansim bench {file}` measures it. Set a lower rate, or use fewer or smaller cameras"
     )
     return [Finding("warning", "rate", text)]
-
-
-# --- laser scanners
-
-#: Flesh around joints, metres, and degrees of azimuth that rays may be apart.
-_FLESH, _APART = 0.15, 5.0
-
-
-def check_scanners(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
-    """Check all laser scanners. ``obstacles``: what a scanner must not be inside of."""
-    for name, scanner in samples.scene.scanners.items():
-        poses = scanner.poses(samples.times)
-        is_driven = samples.scene.config.scanners[name].trajectory is not None
-        key = f"scanners.{name}.{'trajectory.file' if is_driven else 'position'}"
-        if found := misplaced(f"scanner {name}", poses.positions, samples, obstacles):
-            yield Finding("error", key, found)
-            continue
-        if len(samples.joints) < max(1, len(samples.scene.actors)):
-            continue  # another node may move somebody to the scanner
-        if not any(_meets(scanner, poses, joints) for joints in samples.joints.values()):
-            low, high = scanner.measuring.range
-            text = (
-                f"scanner {name} never meets anybody in the first {samples.duration:.0f} s, by its angles "
-                f"and {low:g} to {high:g} m: turn or move it"
-            )
-            yield Finding("error", key, text)
-
-
-def _meets(scanner: SceneScanner, poses: Poses, joints: Array) -> bool:
-    """Whether rays point at the space around joints (N, J, 3) at any of the times of the poses."""
-    offsets = joints - poses.positions[:, None]
-    flat = offsets.reshape(-1, 3)
-    seen = Poses(*(np.repeat(part, joints.shape[1], axis=0) for part in (poses.positions, poses.rotations)))
-    x, y, z = np.moveaxis((poses if poses.still else seen).to_scanner(flat).reshape(offsets.shape), -1, 0)
-    distance = np.hypot(x, y)
-    low, high = scanner.measuring.range
-    near = (distance + _FLESH >= low) & (distance - _FLESH <= high)
-    rays = scanner.pattern.rays(0).directions
-    beams = np.unique(np.rint(np.degrees(np.arctan2(rays[:, 1], rays[:, 0])) / _APART))
-    near &= np.isin(np.rint(np.degrees(np.arctan2(y, x)) / _APART), beams)
-    slopes = rays[:, 2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)
-    # the lowest and the highest ray at the distance of the person, who fills the height between its joints
-    lowest, highest = slopes.min() * distance - _FLESH, slopes.max() * distance + _FLESH
-    meets = (z.min(axis=1)[:, None] <= highest) & (z.max(axis=1)[:, None] >= lowest)
-    return bool((near & meets).any())
 
 
 # --- people
@@ -204,32 +144,9 @@ def check_people(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterat
             yield Finding("error", motion_key(samples, name), found)
     for name, joints in samples.joints.items():
         yield from _in_obstacles(name, joints, outside[name], samples, obstacles)
-    yield from _in_the_air(samples)
     yield from _out_of_sight(samples)
     yield from _out_of_reach(samples)
     yield from _in_each_other(samples)
-
-
-def _in_the_air(samples: SceneSamples) -> Iterator[Finding]:
-    """Findings about humans who sit where nothing is below them."""
-    scene = samples.scene
-    seats = Seats(scene.config, scene.objects, scene.environment.mesh_files)
-    for name, joints in samples.joints.items():
-        names = scene.actors[name].human.skeleton.joint_names
-        for sitting in find_sittings(joints, names, samples.times):
-            if seats.below(sitting):
-                continue
-            x, y = sitting.hips[:2].tolist()
-            text = (
-                f"{name} sits in the air at {sitting.time:.1f} s at {numbers((x, y))}: put something "
-                f"{sitting.height:.2g} m high there, such as objects: {{seat: {{mesh: chair, position: "
-                f"{numbers((x, y, 0))}, rotation_deg: {numbers((0, 0, math.degrees(sitting.yaw)))}}}}}, or "
-                "move the human"
-            )
-            if scene.config.humans[name].seat == "none":
-                text += f"; without humans.{name}.seat: none a chair is put there"
-            yield Finding("error", motion_key(samples, name), text)
-            break
 
 
 def _out_of_sight(samples: SceneSamples) -> Iterator[Finding]:
@@ -285,13 +202,6 @@ def _out_of_reach(samples: SceneSamples) -> Iterator[Finding]:
                 "move the human nearer (motion.position), or the place that it touches (at)"
             )
             yield Finding("error" if never else "warning", f"humans.{name}.reach.{number}.to", text)
-
-
-def motion_key(samples: SceneSamples, name: str) -> str:
-    """Key that places a human."""
-    if name in samples.scene.random_humans:
-        return "variety"
-    return f"humans.{name}.motion.position"
 
 
 def _far(name: str, joints: Array) -> str | None:

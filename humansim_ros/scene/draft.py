@@ -18,6 +18,7 @@ from humansim_ros.scene.names import human_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.robot import Robot, robot_object
 from humansim_ros.scene.robot_config import ROBOT
+from humansim_ros.scene.scanner import SceneScanner
 from humansim_ros.scene.source import SceneSource
 
 #: Humans from which on those who are small in an image are drawn with fewer triangles.
@@ -35,6 +36,7 @@ class Draft:
         tracks: Keyframes by section ("humans", "objects") and name.
         actors: Humans so far by name.
         objects: Objects so far by name.
+        scanners: Laser scanners by name.
     """
 
     config: SceneConfig
@@ -43,6 +45,7 @@ class Draft:
     tracks: Mapping[tuple[str, str], KeyframeTrack]
     actors: dict[str, Actor] = field(default_factory=dict)
     objects: dict[str, SceneObject] = field(default_factory=dict)
+    scanners: dict[str, SceneScanner] = field(default_factory=dict)
 
     @classmethod
     def begin(cls, config: SceneConfig, source: SceneSource) -> Draft:

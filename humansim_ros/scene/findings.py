@@ -140,12 +140,14 @@ class SceneSamples:
         step: Seconds between two times, at least.
         poses: Poses of humans to compute, at most.
         humans: Humans to check, at most.
+        room: Whether the furniture of the room is an obstacle, which takes time to generate.
     """
 
     scene: Scene
     step: float
     poses: int
     humans: int = 10_000
+    room: bool = True
 
     @property
     def duration(self) -> float:
@@ -205,11 +207,26 @@ class SceneSamples:
         return -np.einsum("nji,nj->ni", rotations, translations)
 
     @cached_property
+    def obstacles(self) -> list[Obstacle]:
+        """Obstacles, without those that are used as a room: all humans and cameras are inside them."""
+        people = [joints[0].mean(axis=0) for joints in self.joints.values()]
+        centers = [self.centers(name)[0] for name in self.scene.scene_cameras]
+        everybody = np.array([*people, *centers]) if people else np.zeros((0, 3))
+        return without_enclosures(find_obstacles(self.scene, self.room), everybody)
+
+    @cached_property
     def middle(self) -> Array:
         """Middle (3,) of all humans at all times; one metre above the origin without humans."""
         if not self.joints:
             return np.array([0.0, 0.0, 1.0])
         return np.asarray(np.mean([joints.mean(axis=(0, 1)) for joints in self.joints.values()], axis=0))
+
+
+def motion_key(samples: SceneSamples, name: str) -> str:
+    """Key that places a human."""
+    if name in samples.scene.random_humans:
+        return "variety"
+    return f"humans.{name}.motion.position"
 
 
 def numbers(values: Iterable[float], digits: int = 2) -> str:

@@ -22,7 +22,7 @@ from humansim_ros.scene.actor import Actor, joint_poses_of
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.faces import with_gazes
-from humansim_ros.scene.holding import followed
+from humansim_ros.scene.features.held.feature import followed
 from humansim_ros.scene.reaching import with_reaches
 from humansim_ros.scene.robot import CommandedDrive
 from humansim_ros.scene.robot_config import ROBOT

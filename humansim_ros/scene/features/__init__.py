@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 FEATURES: Mapping[str, Callable[[SceneConfig], object]] = {
     "variety": lambda config: config.variety,
     "crowd": lambda config: config.crowd,
+    "held": lambda config: any(item.held_by for item in config.objects.values()),
+    "seats": lambda config: True,
+    "robot": lambda config: config.robot,
+    "scanners": lambda config: config.scanners,
+    "clutter": lambda config: config.randomise and config.randomise.clutter,
 }
 
 

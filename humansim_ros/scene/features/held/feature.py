@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from humansim_ros.errors import SceneError, unknown
+from humansim_ros.errors import SceneError, in_section, unknown
 from humansim_ros.geometry import (
     AROUND,
     VELOCITY_STEP,
@@ -21,6 +21,8 @@ from humansim_ros.geometry import (
 from humansim_ros.motion.reaches import PALM
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import HoldConfig
+from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.features import Feature
 from humansim_ros.scene.objects import SHAPES, SceneObject
 from humansim_ros.types import Array
 
@@ -156,3 +158,17 @@ def followed(item: SceneObject, actors: Mapping[str, Actor]) -> SceneObject:
     if now.motion is then.motion and now.retargeter is then.retargeter and now.ahead == then.ahead:
         return item
     return replace(item, pose_at=replace(hold, actor=replace(now, reaches=None)))
+
+
+class Held(Feature):
+    """The key ``held_by`` of objects."""
+
+    def furnish(self, draft: Draft) -> None:
+        """Let objects follow the humans who take them along."""
+        for name, config in draft.config.objects.items():
+            if config.held_by is not None:
+                with in_section(f"objects.{name}.held_by"):
+                    draft.objects[name] = held(draft.objects[name], config.held_by, draft.actors)
+
+
+FEATURE = Held()

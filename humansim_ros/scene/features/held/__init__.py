@@ -1,0 +1,1 @@
+"""Objects that people hold or take along."""

@@ -1,0 +1,22 @@
+"""The robot as an object of its scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.features import Feature
+from humansim_ros.scene.robot_config import ROBOT
+
+
+class RobotBody(Feature):
+    """The section ``robot``."""
+
+    def furnish(self, draft: Draft) -> None:
+        """Add the body of the robot."""
+        assert draft.robot is not None and draft.robot_body is not None
+        label = draft.next_label(draft.robot.config.label)
+        draft.objects[ROBOT] = replace(draft.robot_body, instance=label)
+
+
+FEATURE = RobotBody()

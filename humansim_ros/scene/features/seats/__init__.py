@@ -1,0 +1,1 @@
+"""Chairs and tables for people who sit where nothing is below them."""

@@ -1,0 +1,176 @@
+"""What is below people who sit, and the chairs and tables that are put there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from humansim_ros.geometry import segments_crossing
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.motion.activity import needs_table
+from humansim_ros.motion.path_motion import PathMotion
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.config import LIVE, MotionConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.draft import Draft
+from humansim_ros.scene.features import Feature
+from humansim_ros.scene.findings import Finding, SceneSamples, motion_key, numbers
+from humansim_ros.scene.objects import SceneObject
+from humansim_ros.scene.room import furniture_tops
+from humansim_ros.scene.seats import HIGHEST_HIPS, SEAT_HEIGHT, TO_TABLE, Sitting, find_sittings
+from humansim_ros.scene.source import SceneSource
+from humansim_ros.types import Array
+
+#: Seconds between two times, and most seconds, in which people are watched.
+_STEP, _WATCHED = 0.1, 120.0
+#: Distances below the hips, metres, in which something is a seat.
+_BELOW = (0.02, 0.28)
+
+
+def is_above(point: Array, meshes: Sequence[Mesh]) -> bool:
+    """Whether a surface is below hips, from 0.02 to 0.28 m.
+
+    Args:
+        point: Middle of the hips, (3,) in the axes of the meshes.
+        meshes: Things that somebody may sit on.
+    """
+    start, end = (point[None] - (0.0, 0.0, below) for below in _BELOW)
+    corners = (np.asarray(mesh.vertices, dtype=float)[mesh.triangles] for mesh in meshes)
+    return any(segments_crossing(start, end, each)[0] for each in corners)
+
+
+@dataclass(frozen=True)
+class Seats:
+    """What people may sit on.
+
+    Attributes:
+        config: The scene.
+        objects: Objects of the scene.
+        meshes: Static meshes of the world in ``map``.
+    """
+
+    config: SceneConfig
+    objects: Mapping[str, SceneObject]
+    meshes: Sequence[Mesh]
+
+    def below(self, sitting: Sitting) -> bool:
+        """Whether something is below a person who sits: an object, a mesh, or furniture of the room."""
+        static = [item.static_mesh() for item in self.objects.values() if not item.moves]
+        if is_above(sitting.hips, [*self.meshes, *static]):
+            return True
+        for item in self.objects.values():
+            if item.moves:
+                point = item.to_mesh(sitting.hips[None, None], np.array([sitting.time]))[0, 0]
+                if is_above(point * item.initial_pose.size, [_sized(item)]):
+                    return True
+        if self.config.room is None:
+            return False
+        for (x, y), (width, depth), top in furniture_tops(self.config.room.size[:2]).values():
+            apart = np.abs(sitting.hips[:2] - (x, y))
+            if (apart < (width / 2, depth / 2)).all() and _BELOW[0] < sitting.hips[2] - top < _BELOW[1]:
+                return True
+        return False
+
+
+def _sized(item: SceneObject) -> Mesh:
+    """Mesh of an object in metres about its own origin."""
+    return Mesh(item.mesh.vertices * item.initial_pose.size, item.mesh.faces)
+
+
+def sittings_of(actor: Actor, source: SceneSource, config: MotionConfig) -> list[Sitting]:
+    """Places where a human of a scene sits; none for people of a crowd, and for those whom a node moves."""
+    if isinstance(actor.motion, PathMotion) or config.file == LIVE:
+        return []
+    length = actor.motion.duration if actor.motion.loop != "continue" and actor.keyframes is None else 60.0
+    if not np.isfinite(length) or length <= 0:
+        length = 1.0
+    count = 2 + int(min(length, _WATCHED) / _STEP)
+    times = np.linspace(0.0, min(length, _WATCHED), count)
+    if not source.once(lambda: _bends(actor, times), "sits", config.file, config.start, config.end):
+        return []
+    return find_sittings(actor.joint_paths(times), actor.human.skeleton.joint_names, times)
+
+
+def _bends(actor: Actor, times: Array) -> bool:
+    """Whether the hips of a motion are low at any time: whoever's hips are not low does not sit."""
+    roles = actor.motion.match.roles
+    ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
+    positions = actor.motion.sample(times, actor.ahead).positions
+    height = positions[:, roles["Hips"], 2] - positions[:, ankles, 2].mean(axis=1)
+    return bool(
+        height.min() < HIGHEST_HIPS * 1.15 * actor.motion.frame.ankle_to_head * actor.motion.frame.unit / 2
+    )
+
+
+def furniture_for(
+    actors: Mapping[str, Actor], seats: Seats, source: SceneSource
+) -> Iterator[tuple[str, ObjectConfig]]:
+    """Chairs and tables, with names, for those who sit where nothing is below them.
+
+    The chair is as high as the person sits. Somebody who writes or eats gets a table in front.
+    """
+    for name, actor in actors.items():
+        human = seats.config.humans[name]
+        if human.seat == "none":
+            continue
+        number = 0
+        for sitting in sittings_of(actor, source, human.motion):
+            if seats.below(sitting):
+                continue
+            number += 1
+            suffix = "" if number == 1 else f"_{number}"
+            factor = max(sitting.height, 0.1) / SEAT_HEIGHT
+            yield _free(f"{name}_chair{suffix}", seats.objects), _at(sitting, "chair", 0.0, factor)
+            if needs_table(human.motion.file):
+                yield _free(f"{name}_table{suffix}", seats.objects), _at(sitting, "table", TO_TABLE, factor)
+
+
+def _free(name: str, taken: Mapping[str, object]) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _at(sitting: Sitting, mesh: str, ahead: float, factor: float) -> ObjectConfig:
+    """Furniture in front of the hips by some metres, with another height."""
+    way = np.array([np.cos(sitting.yaw), np.sin(sitting.yaw)])
+    x, y = np.round(sitting.hips[:2] + ahead * sitting.size * way, 4).tolist()
+    yaw = round(float(np.degrees(sitting.yaw)), 2)
+    return ObjectConfig(
+        mesh=mesh, size=(1.0, 1.0, round(factor, 4)), position=(x, y, 0.0), rotation_deg=(0.0, 0.0, yaw)
+    )
+
+
+class ChairsAndTables(Feature):
+    """Furniture for people who sit on nothing."""
+
+    def furnish(self, draft: Draft) -> None:
+        """Add chairs and tables."""
+        seats = Seats(draft.config, draft.objects, draft.environment.mesh_files)
+        draft.add_objects(dict(furniture_for(draft.actors, seats, draft.source)))
+
+    def check(self, samples: SceneSamples) -> Iterator[Finding]:
+        """Find humans who sit where nothing is below them."""
+        scene = samples.scene
+        seats = Seats(scene.config, scene.objects, scene.environment.mesh_files)
+        for name, joints in samples.joints.items():
+            names = scene.actors[name].human.skeleton.joint_names
+            for sitting in find_sittings(joints, names, samples.times):
+                if seats.below(sitting):
+                    continue
+                x, y = sitting.hips[:2].tolist()
+                text = (
+                    f"{name} sits in the air at {sitting.time:.1f} s at {numbers((x, y))}: put something "
+                    f"{sitting.height:.2g} m high there, such as objects: {{seat: {{mesh: chair, position: "
+                    f"{numbers((x, y, 0))}, rotation_deg: {numbers((0, 0, math.degrees(sitting.yaw)))}}}}}, "
+                    "or move the human"
+                )
+                if scene.config.humans[name].seat == "none":
+                    text += f"; without humans.{name}.seat: none a chair is put there"
+                yield Finding("error", motion_key(samples, name), text)
+                break
+
+
+FEATURE = ChairsAndTables()

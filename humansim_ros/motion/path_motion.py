@@ -165,7 +165,7 @@ def turned(positions: Array, rotations: Array, yaws: Array) -> tuple[Array, Arra
 
 
 @dataclass(frozen=True)
-class FloorPath:
+class WalkPath:
     """A closed path of a person on the floor over time: a cubic B-spline, which has no jumps of velocity.
 
     Attributes:
@@ -256,7 +256,7 @@ class PathMotion(WorldMotion):
     """
 
     gait: Gait = field(kw_only=True)
-    path: FloorPath = field(kw_only=True)
+    path: WalkPath = field(kw_only=True)
     size: float = field(default=1.0, kw_only=True)
 
     @property

@@ -38,7 +38,7 @@ from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.keyframes import KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import JointPoses, Motion
 from humansim_ros.motion.loose_swing import LooseSwing, without_swing
-from humansim_ros.motion.path_motion import FloorPath, Gait, PathMotion, sample_together
+from humansim_ros.motion.path_motion import Gait, PathMotion, WalkPath, sample_together
 from humansim_ros.motion.reaches import Palm, Reaches
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion, playing_warnings
@@ -165,7 +165,7 @@ class Actor:
         config: HumanConfig,
         source: SceneSource,
         keyframes: KeyframeTrack | None = None,
-        path: FloorPath | None = None,
+        path: WalkPath | None = None,
     ) -> Actor:
         """Load a human of a scene with its motion.
 
@@ -237,7 +237,7 @@ class Actor:
         fitted = source.once(fit, "fit", id(human.skeleton), config.model_dump_json(exclude=placed))
         return fitted.placed_about(*world.placement.position)
 
-    def _along(self, path: FloorPath, config: MotionConfig, source: SceneSource) -> Actor:
+    def _along(self, path: WalkPath, config: MotionConfig, source: SceneSource) -> Actor:
         """The same human whose walk follows a path on the floor."""
 
         def make() -> Gait:

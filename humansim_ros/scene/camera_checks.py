@@ -14,7 +14,7 @@ from humansim_ros.camera.checks import check_image_size, check_rig, field_of_vie
 from humansim_ros.errors import some_of
 from humansim_ros.geometry import angle_between
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.findings import Finding, Obstacle, SceneSamples, Severity, numbers
+from humansim_ros.scene.findings import LOWEST, Finding, Obstacle, SceneSamples, Severity, misplaced, numbers
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
@@ -24,10 +24,6 @@ _FARTHEST = 200.0
 _PLAUSIBLE = (1.0, 40.0)
 #: Metres per unit that a file or a person may have used, most probable first.
 _UNITS = (("millimetres", 0.001), ("centimetres", 0.01))
-#: A camera this near to a wall is in it, metres.
-_IN_WALL = 0.02
-#: Lowest plausible height of a camera, metres.
-_LOWEST = -0.05
 #: Flesh around the joints, metres, and the nearest visible depth.
 _FLESH, _NEAR = 0.1, 0.05
 #: Plausible fields of view in degrees; the widest is for a lens without distortion.
@@ -191,63 +187,6 @@ def _place(name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> s
     return misplaced(f"camera {name}", samples.centers(name), samples, obstacles)
 
 
-def misplaced(who: str, centers: Array, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> str | None:
-    """Finding about a sensor outside the room, in a wall, below the floor, or inside something.
-
-    Args:
-        who: The sensor, such as ``camera left``.
-        centers: Its places in ``map``: (N, 3) at the times of the samples, or (1, 3).
-        samples: Times and room.
-        obstacles: What it must not be inside of.
-    """
-    room = samples.scene.environment.room
-    moments = [f" at {time:.1f} s" for time in samples.times] if len(centers) > 1 else [""]
-    if room is not None:
-        outside = _outside(centers, np.array(room.size))
-        if outside is not None:
-            index, text = outside
-            return f"{who} is at {numbers(centers[index])}{moments[index]}, {text}"
-    elif centers[:, 2].min() < _LOWEST:
-        index = int(np.argmax(centers[:, 2] < _LOWEST))
-        return f"{who} is below the floor{moments[index]}, at z = {centers[index, 2]:.2f} m: is z up?"
-    low, high = centers.min(axis=0).tolist(), centers.max(axis=0).tolist()
-    for obstacle in obstacles:
-        if obstacle.is_beside(low, high):
-            continue
-        inside = obstacle.contains(centers, samples.times)
-        if inside.any():
-            index = int(np.argmax(inside))
-            moment = f" at {samples.times[index]:.1f} s" if len(inside) > 1 else ""
-            where = f"{numbers(centers[index % len(centers)])}{moment}"
-            return f"{who} is inside {obstacle.name}, at {where}: move one of them"
-        if len(centers) > 1:
-            # a thin wall may lie between two samples
-            ways = obstacle.crossed(centers[:-1, None], centers[1:, None], samples.times[:-1])
-            if ways.any():
-                index = int(np.argmax(ways))
-                where = f"{numbers(centers[index])}{moments[index]}"
-                return f"{who} goes through {obstacle.name} after {where}: move one of them"
-    return None
-
-
-def _outside(centers: Array, size: Array) -> tuple[int, str] | None:
-    """First of the centres (N, 3) that is outside a room of a size (3,) or in a wall, and the text."""
-    half = size / 2
-    beyond = np.abs(centers - (0, 0, half[2])) - half
-    worst = beyond.max(axis=1)
-    index = int(np.argmax(worst > -_IN_WALL))
-    if worst[index] <= -_IN_WALL:
-        return None
-    axis = int(np.argmax(beyond[index]))
-    wall = "wall" if axis < 2 else "floor" if centers[index, 2] < half[2] else "ceiling"
-    x, y, z = half[0], half[1], size[2]
-    space = f"x {-x:g} to {x:g}, y {-y:g} to {y:g}, z 0 to {z:g}"
-    if worst[index] <= _IN_WALL:
-        return index, f"in the {wall} of the room: move it into {space}"
-    how_far = f"{worst[index]:.3g} m outside the room of {size[0]:g} x {size[1]:g} x {z:g} m"
-    return index, f"{how_far}: move it into {space}, enlarge the room (room.size), or set room: null"
-
-
 def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
     """Finding about a camera that never sees a human."""
     scene = samples.scene
@@ -318,7 +257,7 @@ def _other_poses(camera: Camera) -> Iterator[tuple[str, tuple[Array, Array]]]:
         ("its pose were inverted, in the axes of OpenGL and Blender", flip @ r.T, -flip @ r.T @ t),
     ):
         upright, height = rotation[1, 2] < 0, -rotation[:, 2] @ translation
-        if upright and height > _LOWEST:
+        if upright and height > LOWEST:
             yield text, (rotation[None], np.asarray(translation)[None])
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from humansim_ros.errors import SceneError, in_section
 from humansim_ros.humans.levels import levels_of
 from humansim_ros.motion.keyframes import KeyframeTrack
-from humansim_ros.motion.path_motion import FloorPath
+from humansim_ros.motion.path_motion import WalkPath
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera, build_cameras, random_cameras
 from humansim_ros.scene.config import HumanConfig, ObjectConfig, SceneConfig
@@ -60,7 +60,7 @@ class Draft:
         draft.add_objects(config.objects)
         return draft
 
-    def add_human(self, name: str, config: HumanConfig, path: FloorPath | None = None) -> None:
+    def add_human(self, name: str, config: HumanConfig, path: WalkPath | None = None) -> None:
         """Build a human. Raises HumansimError with the key.
 
         Args:

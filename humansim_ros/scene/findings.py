@@ -234,6 +234,69 @@ def numbers(values: Iterable[float], digits: int = 2) -> str:
     return "[" + ", ".join(f"{round(float(value), digits) + 0.0:g}" for value in values) + "]"
 
 
+#: A sensor this near to a wall is in it, metres.
+_IN_WALL = 0.02
+#: Lowest plausible height of a sensor, metres.
+LOWEST = -0.05
+
+
+def misplaced(who: str, centers: Array, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> str | None:
+    """Finding about a sensor outside the room, in a wall, below the floor, or inside something.
+
+    Args:
+        who: The sensor, such as ``camera left``.
+        centers: Its places in ``map``: (N, 3) at the times of the samples, or (1, 3).
+        samples: Times and room.
+        obstacles: What it must not be inside of.
+    """
+    room = samples.scene.environment.room
+    moments = [f" at {time:.1f} s" for time in samples.times] if len(centers) > 1 else [""]
+    if room is not None:
+        outside = _outside(centers, np.array(room.size))
+        if outside is not None:
+            index, text = outside
+            return f"{who} is at {numbers(centers[index])}{moments[index]}, {text}"
+    elif centers[:, 2].min() < LOWEST:
+        index = int(np.argmax(centers[:, 2] < LOWEST))
+        return f"{who} is below the floor{moments[index]}, at z = {centers[index, 2]:.2f} m: is z up?"
+    low, high = centers.min(axis=0).tolist(), centers.max(axis=0).tolist()
+    for obstacle in obstacles:
+        if obstacle.is_beside(low, high):
+            continue
+        inside = obstacle.contains(centers, samples.times)
+        if inside.any():
+            index = int(np.argmax(inside))
+            moment = f" at {samples.times[index]:.1f} s" if len(inside) > 1 else ""
+            where = f"{numbers(centers[index % len(centers)])}{moment}"
+            return f"{who} is inside {obstacle.name}, at {where}: move one of them"
+        if len(centers) > 1:
+            # a thin wall may lie between two samples
+            ways = obstacle.crossed(centers[:-1, None], centers[1:, None], samples.times[:-1])
+            if ways.any():
+                index = int(np.argmax(ways))
+                where = f"{numbers(centers[index])}{moments[index]}"
+                return f"{who} goes through {obstacle.name} after {where}: move one of them"
+    return None
+
+
+def _outside(centers: Array, size: Array) -> tuple[int, str] | None:
+    """First of the centres (N, 3) that is outside a room of a size (3,) or in a wall, and the text."""
+    half = size / 2
+    beyond = np.abs(centers - (0, 0, half[2])) - half
+    worst = beyond.max(axis=1)
+    index = int(np.argmax(worst > -_IN_WALL))
+    if worst[index] <= -_IN_WALL:
+        return None
+    axis = int(np.argmax(beyond[index]))
+    wall = "wall" if axis < 2 else "floor" if centers[index, 2] < half[2] else "ceiling"
+    x, y, z = half[0], half[1], size[2]
+    space = f"x {-x:g} to {x:g}, y {-y:g} to {y:g}, z 0 to {z:g}"
+    if worst[index] <= _IN_WALL:
+        return index, f"in the {wall} of the room: move it into {space}"
+    how_far = f"{worst[index]:.3g} m outside the room of {size[0]:g} x {size[1]:g} x {z:g} m"
+    return index, f"{how_far}: move it into {space}, enlarge the room (room.size), or set room: null"
+
+
 #: A closed part of a mesh file that is larger than this may be a room or a building, cubic metres.
 _FURNITURE = 6.0
 #: A closed part of less volume is a sheet of two sides, cubic metres.

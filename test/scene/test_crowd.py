@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from humansim_ros.errors import HumansimError, HumansimWarning, SceneError
-from humansim_ros.motion.path_motion import FloorPath, PathMotion
+from humansim_ros.motion.path_motion import PathMotion, WalkPath
 from humansim_ros.motion.soles import find_stances, slide_distances
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.actor import joint_poses_of
@@ -34,7 +34,7 @@ FLOWS = [
 QUEUE: dict[str, Any] = {"position": [4.0, -3.5], "direction_deg": 180, "count": 4, "service": 3}
 
 
-def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any) -> dict[str, FloorPath]:
+def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any) -> dict[str, WalkPath]:
     content = {"cameras": CAMERA, "room": room and {"size": list(room)}, "crowd": {"seed": 5, **crowd}}
     content["robot"] = robot
     draft = Draft.begin(check_config(content | {"objects": objects or {}}), SceneSource())
@@ -44,12 +44,12 @@ def paths(room: Any = ROOM, objects: Any = None, robot: Any = None, **crowd: Any
 
 
 @cache
-def busy() -> dict[str, FloorPath]:
+def busy() -> dict[str, WalkPath]:
     """Two flows that meet, groups and a queue."""
     return paths(count=14, flows=tuple(FLOWS), groups=0.4, queues=(QUEUE,), duration=45)
 
 
-def sampled(found: dict[str, FloorPath], step: float = 0.05) -> Any:
+def sampled(found: dict[str, WalkPath], step: float = 0.05) -> Any:
     """Positions (K, N, 2) in a round."""
     times = np.arange(0, next(iter(found.values())).duration, step)
     return np.stack([path.positions(times) for path in found.values()], axis=1)

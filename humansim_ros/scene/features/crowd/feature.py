@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from humansim_ros.errors import HumansimError, SceneError, in_section, some_of
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion.orca import Walkers
-from humansim_ros.motion.path_motion import FloorPath
+from humansim_ros.motion.path_motion import WalkPath
 from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, living_face
 from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.features import Feature
@@ -538,7 +538,7 @@ class Crowd(Feature):
         draft.config = draft.config.model_copy(update={"humans": draft.config.humans | humans})
         for name, person, line in zip(names, plan.people, np.moveaxis(points, 1, 0), strict=True):
             try:
-                draft.add_human(name, humans[name], FloorPath(line, STEP, person.facing))
+                draft.add_human(name, humans[name], WalkPath(line, STEP, person.facing))
             except HumansimError as error:
                 raise type(error)(error.message, key="crowd.motions") from error.__cause__
 

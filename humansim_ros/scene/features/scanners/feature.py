@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from humansim_ros.scanner.casting import Poses
-from humansim_ros.scene.camera_checks import misplaced
 from humansim_ros.scene.draft import Draft
 from humansim_ros.scene.features import Feature
-from humansim_ros.scene.findings import Finding, SceneSamples
+from humansim_ros.scene.findings import Finding, SceneSamples, misplaced
 from humansim_ros.scene.scanner import SceneScanner, build_scanners
 from humansim_ros.types import Array
 

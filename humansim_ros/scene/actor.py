@@ -324,7 +324,7 @@ class Actor:
 
     @cached_property
     def features(self) -> Mapping[str, Rated]:
-        """Values at rest that travel beside the joints, by name of their topic."""
+        """Values at rest that travel next to the joints, by name of their topic."""
         found = {} if self.face is None else {"face": FACE_AT_REST}
         if self.human.loose is not None:
             found["swing"] = swing_at_rest(len(self.human.loose.kinds))
@@ -517,10 +517,8 @@ def _hand_keys(config: MotionConfig) -> Sequence[HandKey]:
 
 
 def joint_poses_of(actors: Mapping[str, Actor], seconds: float) -> dict[str, JointPoses]:
-    """Joint poses of humans by name at a scene time, as of :meth:`Actor.joint_poses`.
-
-    Those who walk along paths with one gait are computed together.
-    """
+    """Joint poses of humans by name at a scene time, the same as in :meth:`Actor.joint_poses`. Those who walk
+    along paths with one gait are computed together."""
     walking: dict[int, dict[str, PathMotion]] = defaultdict(dict)
     for name, actor in actors.items():
         if isinstance(actor.motion, PathMotion) and actor.keyframes is None and actor.hands is None:

@@ -51,7 +51,7 @@ class CameraPose:
     R: Array
     t: Array
     velocity: Velocity | None = None
-    # position and quaternion that R and t follow from, if they do
+    # source of R and t; None if R and t were given
     _in_map: tuple[Array, Array] | None = field(default=None, repr=False)
 
     @classmethod
@@ -119,8 +119,8 @@ class SceneCamera:
         route: Trajectory that moves the camera, if any.
         mount: Pose of the optical frame in the robot's base_link, and the robot; None if it stands elsewhere.
         backdrop: Image behind everything; a plain colour if None.
-        faults: Its faults over time; None if it has none.
-        depth_sensor: Depth sensor beside it; None if it has none.
+        faults: Its faults over time; or None.
+        depth_sensor: Depth sensor next to it; or None.
         left: Name of the left camera if it is the right one of a stereo pair; else empty.
         beside_left: Its position (3,) in the optical frame of that camera, metres.
         timing: Frames of the scene in which it takes a picture.
@@ -180,7 +180,7 @@ class SceneCamera:
         return camera.placed_beside(self)
 
     def placed_beside(self, left: SceneCamera) -> SceneCamera:
-        """The same right camera beside the left camera at its initial pose."""
+        """The same right camera next to the left camera at its initial pose."""
         return replace(self, whole=replace(self.whole, R=left.whole.R, t=left.whole.t - self.beside_left))
 
     def mounted_on(self, robot: Robot) -> SceneCamera:
@@ -390,7 +390,8 @@ def read_cameras(file: str, key: str, config: CameraConfig | RigConfig, source: 
     with in_section("extrinsics"):
         extrinsics = None if config.extrinsics is None else source.find_url(config.extrinsics)
     try:
-        from humansim_ros.camera.calibration import load_calibration  # slow to import
+        # imported here, since the import is slow
+        from humansim_ros.camera.calibration import load_calibration
 
         read = load_calibration(
             path,
@@ -429,10 +430,8 @@ _DEFAULT_SIZE = (640, 480)
 def build_cameras(
     config: SceneConfig, source: SceneSource, robot: Robot | None = None
 ) -> dict[str, SceneCamera]:
-    """Create the cameras of a scene by name, its rig first. Raises HumansimError with the key.
-
-    ``robot``: carries the cameras that are mounted on it.
-    """
+    """Create the cameras of a scene and return them by name, those of its rig first. Raises HumansimError,
+    which names the key of the scene file. ``robot``: carries the cameras that are mounted on it."""
     cameras: dict[str, SceneCamera] = {}
     if config.rig is not None:
         with in_section("rig"):
@@ -535,7 +534,7 @@ def _depth_sensor(name: str, config: DepthSensorConfig | None) -> DepthSensor | 
 
 
 def rig_placement(rig: RigConfig, source: SceneSource) -> RigPlacement:
-    """Pose of the world of a rig's file in ``map``. Raises HumansimError with the key."""
+    """Pose of the world of a rig's file in ``map``. Raises HumansimError, which names the key."""
     with source.locating_errors(), in_section("rig"):
         return _placement(rig, [camera for _, camera in _file_cameras(rig, source).values()])
 

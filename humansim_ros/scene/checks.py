@@ -1,4 +1,4 @@
-"""Checks of a scene that loads: what in it is probably a mistake. They report; they change nothing."""
+"""Checks of a scene that loads: what in it is probably a mistake. They report. They change nothing."""
 
 from __future__ import annotations
 

@@ -43,10 +43,10 @@ if TYPE_CHECKING:
     import yaml
 
 
-#: Address by which editors know the schema; it need not exist.
+#: Address by which editors know the schema. It need not exist.
 SCHEMA_ID = "https://humansim-ros.invalid/scene.schema.json"
 _SECOND = 1_000_000_000
-#: Motion of a human that another node moves, such as live motion capture; it stands at rest until then.
+#: Motion of a human that another node moves, such as live motion capture. It stands at rest until then.
 LIVE = "live"
 #: Key that makes a YAML file a recipe of many scenes, not a scene.
 RECIPE = "recipe"

@@ -49,10 +49,8 @@ class Draft:
 
     @classmethod
     def begin(cls, config: SceneConfig, source: SceneSource) -> Draft:
-        """Draft with the humans and objects of a scene file, without those that features add.
-
-        Raises HumansimError with the key.
-        """
+        """Draft with the humans and objects of a scene file, without those that features add. Raises
+        HumansimError, which names the key."""
         source = source.loading()
         draft = cls(config, source, human_names(config), load_tracks(config, source))
         for name, human in config.humans.items():
@@ -74,10 +72,8 @@ class Draft:
         self.actors[name] = _with_levels(actor, self.source) if len(self.names) >= _MANY else actor
 
     def add_objects(self, configs: Mapping[str, ObjectConfig]) -> None:
-        """Build objects, which stand where their sections say. Raises HumansimError with the key.
-
-        Their labels continue the labels of all humans and of the objects so far.
-        """
+        """Build objects, which stand where their sections say. Raises HumansimError, which names the key.
+        Their labels continue the labels of all humans and of the objects so far."""
         for name, config in configs.items():
             with in_section(f"objects.{name}"):
                 if config.label and name in self.names:

@@ -49,7 +49,7 @@ class Environment:
 
     @classmethod
     def load(cls, config: SceneConfig, source: SceneSource) -> Environment:
-        """Load the environment of a scene. Raises HumansimError with the key."""
+        """Load the environment of a scene. Raises HumansimError, which names the key."""
         world, files = config.world, enumerate(config.world.meshes)
         meshes = tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
         random = config.randomise is not None and config.randomise.light

@@ -35,7 +35,7 @@ from humansim_ros.types import Array, Float32Array
 
 #: Nanoseconds between two messages that follow each other.
 FOLLOWING = 1
-#: Frames whose exposures are looked at together for the last step.
+#: Frames with exposures that are looked at together for the last step.
 _BLOCK = 4096
 
 
@@ -46,8 +46,8 @@ class FrameFaults:
     Attributes:
         sent: Nanoseconds after the stamp of the frame at which its image is sent; empty: it is lost.
         stamp_error: Nanoseconds that the stamp of its image is ahead of the stamp of the frame.
-        picture: Number of frames since the one whose picture it shows; 0: its own.
-        trigger_delay: Seconds from the stamp of the frame whose picture it shows to the exposure of it.
+        picture: How many frames old the picture is. 0 is new.
+        trigger_delay: Seconds by which that picture was exposed after the stamp of its own frame.
         stops: Exposure of the picture, in stops above the exposure of the sensor.
         kinds: What is wrong, by key of the scene, with its values.
     """
@@ -347,7 +347,7 @@ class CalibrationError:
             ``rotation``: degrees; ``translation``: metres; ``focal``: share of the true focal length.
         """
         turned, shifted = self.moved(seconds)
-        # not from the trace, whose cosine has no digits left at small angles
+        # not from the trace, with a cosine that has no digits left at small angles
         skew = self.rotation @ turned.T
         sine = np.linalg.norm([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]]) / 2
         angle = np.arctan2(sine, (np.trace(skew) - 1) / 2)

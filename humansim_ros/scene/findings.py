@@ -301,7 +301,7 @@ def _outside(centers: Array, size: Array) -> tuple[int, str] | None:
 _FURNITURE = 6.0
 #: A closed part of less volume is a sheet of two sides, cubic metres.
 _SHEET = 1e-7
-#: Most triangles of a mesh whose closed parts are searched; larger meshes are scans.
+#: Most triangles of a mesh with closed parts that are searched; larger meshes are scans.
 _MOST_TRIANGLES = 300_000
 #: Height below which surfaces of the room are its floor and carpet, metres.
 _FLOOR = 0.03
@@ -316,7 +316,7 @@ class Obstacle:
         name: Name for messages, such as ``the object pillar``.
         corners: (T, 3, 3) triangles: in ``map``, or of the mesh of a moving object.
         largest: Largest volume that counts as solid, cubic metres.
-        surface: Whether the surface counts too, beside the solids that it encloses.
+        surface: Whether the surface counts too, next to the solids that it encloses.
         moving: The moving object; None for what stands still.
         solid_parts: Closed parts; searched in ``mesh`` if None.
     """

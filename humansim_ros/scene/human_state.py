@@ -26,7 +26,7 @@ class HumanState:
         size: Scale of the body by keyframes.
         rotations: (J, 4) quaternions xyzw that the rotations of ``joints`` are computed from, as messages
             carry them.
-        features: Values beside the joints by name: weights (52,) of a ``face``, offsets (K, 3) of a
+        features: Values next to the joints by name: weights (52,) of a ``face``, offsets (K, 3) of a
             ``swing``. A human without such a feature has no value of it.
     """
 

@@ -244,7 +244,7 @@ def _sphere() -> Mesh:
 
 
 def _cylinder() -> Mesh:
-    """Cylinder of diameter and height 1 along z, centred; its caps share no vertices with its side."""
+    """Cylinder of diameter and height 1 along z, centred. Its caps share no vertices with its side."""
     azimuth = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
     ring = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(_SEGMENTS)]) / 2
     half = np.array([0, 0, 0.5])
@@ -309,7 +309,7 @@ _BOX_FACES = np.arange(24, dtype=np.int32).reshape(6, 4)
 
 
 def _corners(part: _Part) -> Array:
-    """Corners (24, 3) of a box, as of :func:`_cube_corners`."""
+    """Corners (24, 3) of a box, the same as in :func:`_cube_corners`."""
     angle = np.radians(part.turn_deg)
     turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     return np.asarray(_cube_corners() * part.size @ turn + part.center)

@@ -174,7 +174,7 @@ class Change:
         name: Name of the human.
         settings: Section ``motion`` after the change.
         actor: The human with the new motion.
-        restarts: Whether the motion restarts; it continues otherwise.
+        restarts: Whether the motion restarts. It continues otherwise.
         first_round: Whether a motion that continues does so in its first round.
     """
 
@@ -208,7 +208,7 @@ class Playback:
         self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
         robot = scene.robot
         self.drive = CommandedDrive(robot) if robot is not None and robot.takes_commands else None
-        #: Moving objects by name; those that a human takes along follow its present motion.
+        #: Moving objects by name. Those that a human takes along follow its present motion.
         self._moving = dict(scene.moving_objects)
         self.actors = self._reaching(self.actors)
 
@@ -340,7 +340,7 @@ class Playback:
         self._look()
 
     def _look(self) -> None:
-        """Let people look at others, reach for things, and take things along, where these are now."""
+        """Bind gazes, reaches and held objects to the present motions."""
         self._moving = {name: followed(item, self.actors) for name, item in self.scene.moving_objects.items()}
         self.actors = self._reaching(self.actors)
         faces = {name: self.scene.config.humans[name].face for name in self.actors}
@@ -371,7 +371,7 @@ class Playback:
         return replace(pose, position=position, rotation=rotation, velocity=velocity)
 
     def place_object(self, name: str, position: Array, rotation: Array) -> None:
-        """Put a moving object somewhere else now; its keyframes move it on from there.
+        """Put a moving object somewhere else now. Its keyframes move it on from there.
 
         Args:
             name: Name of the object.

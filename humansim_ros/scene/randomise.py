@@ -24,7 +24,7 @@ RandomNumbers = Callable[[], float]
 
 def random_numbers(seed: int, purpose: str) -> RandomNumbers:
     """Random numbers from a seed, different for each purpose."""
-    # random.random() is the same for a seed in every Python; its other functions need not be
+    # random.random() is the same for a seed in every Python. Its other functions need not be
     return random.Random(f"{seed}/{purpose}").random
 
 

@@ -134,7 +134,7 @@ class MeetingGoal:
     """The hand of another human, who reaches for this one: both palms meet between both shoulders.
 
     The place is a function of both arms as the motions have them, and the same one for both. Hands of one
-    side shake: thumbs are up. A right and a left hand hold each other: beside each other they hang, face to
+    side shake: thumbs are up. A right and a left hand hold each other: next to each other they hang, face to
     face one is on the other.
 
     Attributes:
@@ -275,7 +275,8 @@ def _refuse_overlaps(reaches: tuple[ReachConfig, ...]) -> None:
 
 @dataclass(frozen=True)
 class _Goals:
-    """Makes the goals of reaches; parameters as of :func:`with_reaches`, ``people`` with their reaches."""
+    """Makes the goals of reaches; parameters the same as in :func:`with_reaches`, ``people`` with their
+    reaches."""
 
     people: Mapping[str, Actor]
     configs: Mapping[str, HumanConfig]

@@ -50,7 +50,7 @@ class Route:
 
     @classmethod
     def read(cls, config: TrajectoryConfig, source: SceneSource) -> Route:
-        """Read the file of a section. Raises HumansimError with the key, relative to the section."""
+        """Read the file of a section. Raises HumansimError, which names the key, relative to the section."""
         with in_section("file"):
             path = Trajectory.read(source.find_url(config.file), config.end)
         return cls(path, config.offset, config.speed)
@@ -115,7 +115,8 @@ class Robot:
 
     @classmethod
     def build(cls, config: RobotConfig, source: SceneSource) -> Robot:
-        """Create a robot from its section. Raises HumansimError with the key, relative to the section."""
+        """Create a robot from its section. Raises HumansimError, which names the key, relative to the
+        section."""
         if config.path is not None:
             return cls(config, Route(path_trajectory(config.path)))
         if config.trajectory is None:
@@ -125,7 +126,7 @@ class Robot:
 
     @classmethod
     def of_scene(cls, config: SceneConfig, source: SceneSource) -> Robot | None:
-        """The robot of a scene, if it has one. Raises HumansimError with the key."""
+        """The robot of a scene, if it has one. Raises HumansimError, which names the key."""
         if config.robot is None:
             return None
         with in_section(ROBOT):
@@ -182,7 +183,8 @@ def robot_of_mount(mount: str | None, robot: Robot | None) -> Robot | None:
 
 
 def robot_object(robot: Robot, source: SceneSource) -> SceneObject:
-    """The robot as an object without label. Raises HumansimError with the key, relative to its section."""
+    """The robot as an object without label. Raises HumansimError, which names the key, relative to its
+    section."""
     config = robot.config
     color = {} if config.color is None else {"color": config.color}
     section = ObjectConfig(mesh=config.mesh, size=config.size, **color)

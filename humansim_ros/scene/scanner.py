@@ -116,7 +116,7 @@ def poses_of(objects: Sequence[ObjectPose]) -> Poses:
 
 
 def _model(config: ScannerConfig) -> ScannerModel:
-    """Model of a section; its own pattern as a model without noise."""
+    """Model of a section. Its own pattern as a model without noise."""
     if config.model is not None:
         return MODELS[config.model]
     own = config.pattern
@@ -183,10 +183,8 @@ def _route(config: ScannerConfig, source: SceneSource) -> Route:
 def build_scanners(
     config: SceneConfig, source: SceneSource, robot: Robot | None = None
 ) -> dict[str, SceneScanner]:
-    """Create the scanners of a scene by name. Raises HumansimError with the key.
-
-    ``robot``: carries the scanners that are mounted on it.
-    """
+    """Create the scanners of a scene by name. Raises HumansimError, which names the key. ``robot``: carries
+    the scanners that are mounted on it."""
     with in_section("scanners"):
         for name in config.scanners:
             if name in config.cameras:

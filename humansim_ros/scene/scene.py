@@ -122,7 +122,7 @@ class Scene(Pictured):
             folder: Folder that relative file names start from.
 
         Raises:
-            HumansimError: With the key.
+            HumansimError: The mapping is not a valid scene. The error names the key.
         """
         objects: dict[str, Human | Motion | Mesh] = {}
         data = name_objects(scene, "", objects)
@@ -142,7 +142,7 @@ class Scene(Pictured):
         """Make a scene from keywords; objects in memory may stand where a scene file names a file.
 
         Args:
-            cameras: By name: a Camera, or the keys of a camera in a scene file; its ``calibration`` may be a
+            cameras: By name: a Camera, or the keys of a camera in a scene file. Its ``calibration`` may be a
                 Camera.
             humans: By name: a Human, a name or path, or the keys of a human in a scene file. Its ``body`` may
                 be a Human, its ``motion`` (or the ``file`` of its motion) a Motion.
@@ -218,14 +218,14 @@ class Scene(Pictured):
 
         ``device``: number of the GPU as EGL counts; the first that works if None. Raises RenderError.
         """
-        from humansim_ros.render.gl import make_renderer  # slow to import
+        from humansim_ros.render.gl import make_renderer  # imported here, since the import is slow
 
         light = self.environment.lighting
         return make_renderer(self.config.renderer, self.static_meshes, light, device, self.static_bodies)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """Cameras of ``image_raw`` by name, at their initial poses."""
+        """Cameras by name, at their initial poses, with the lens that ``image_raw`` shows (not rectified)."""
         return {name: camera.camera for name, camera in self.scene_cameras.items()}
 
     @cached_property

@@ -146,7 +146,7 @@ class Seat:
         return self.place + ahead * np.array([np.cos(self.yaw), np.sin(self.yaw)])
 
     def covers(self, points: Array, margin: float = 0.05) -> NDArray[np.bool_]:
-        """Whether points (N, 2) are above the chair or sofa, or beside it by a margin in metres."""
+        """Whether points (N, 2) are above the chair or sofa, or next to it by a margin in metres."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         own = (points - self.middle) @ np.array([[c, -s], [s, c]])
         return np.asarray((np.abs(own) < self.size / 2 + margin).all(axis=1))

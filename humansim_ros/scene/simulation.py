@@ -56,7 +56,7 @@ class Frame(Pictured):
         views: Channels by camera; only of cameras that take a picture in this frame, if some have a rate of
             their own. So have ``truth``, ``cameras``, ``encodings``, ``depth_sensors``, ``rectified_depth``
             and ``faults``.
-        truth: Ground truth by camera; its numbers are computed on first access.
+        truth: Ground truth by camera. Its numbers are computed on first access.
         objects: Poses of moving objects by name.
         cameras: Cameras of ``views`` at their poses by name: the true ones.
         published_cameras: All cameras that were asked for as topics publish them, with the errors of
@@ -239,14 +239,14 @@ class Simulation:
         rectified_depth: Collection[str] = (),
         scanners: Collection[str] | None = None,
     ) -> Frame:
-        """Frame ``index``; its stamp is ``start + round(index * period)``.
+        """Frame ``index``. Its stamp is ``start + round(index * period)``.
 
         Args:
             index: Number of the frame, from 0.
             cameras: Names of the cameras to render; all if None. Those with a rate of their own are rendered
                 only in their frames.
             rectified_depth: Names of the cameras whose depth without lens distortion is rendered, too.
-            scanners: Names of the laser scanners whose sweeps are made; all if None.
+            scanners: Names of the laser scanners with sweeps that are made; all if None.
 
         Raises:
             SceneError: There is no camera or scanner of a name.

@@ -40,7 +40,7 @@ class SceneSource:
         folder: Folder that relative file names start from.
         objects: Humans, motions and meshes in memory, by their names in the configuration.
         text: Content of the scene file in place of the file on disk, while it is edited.
-        loaded: Humans and motions so far, by what was asked for, see :meth:`loading`; None: files are read
+        loaded: Humans and motions so far, by what was asked for, see :meth:`loading`. If None, files are read
             each time.
     """
 
@@ -98,7 +98,7 @@ class SceneSource:
         if "://" not in name:
             return self.find(name)
         try:
-            from humansim_ros.camera.calibration import resolve_url  # slow to import
+            from humansim_ros.camera.calibration import resolve_url  # imported here, since the import is slow
 
             path = resolve_url(name)
         except HumansimError as error:
@@ -108,7 +108,8 @@ class SceneSource:
         return path
 
     def joint_table(self, name: str) -> str:
-        """Path of a joint table in the scene's folder, else the name itself (of a built-in)."""
+        """Path of a joint table in the scene's folder. If there is no such file, ``name`` unchanged: it is
+        that of a built-in table."""
         path = self.folder / expand_user(name)
         return str(path) if exists(path) and path.is_file() else name
 

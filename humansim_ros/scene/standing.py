@@ -30,10 +30,8 @@ def standing(state: HumanState) -> ObjectPose:
 
 
 def standing_in(poses: JointPoses, hips: int) -> ObjectPose:
-    """As :func:`standing`, of a person whose body is not computed.
-
-    ``poses``: joints of the motion at one time (N = 1). ``hips``: number of the joint of the hips.
-    """
+    """As :func:`standing`, of a person with a body that is not computed. ``poses``: joints of the motion at
+    one time (N = 1). ``hips``: number of the joint of the hips."""
     x, y, _ = poses.positions[0, hips]
     ahead = scipy.spatial.transform.Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
     velocity = None

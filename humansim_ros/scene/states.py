@@ -41,7 +41,8 @@ class SceneStates:
         self._kept: dict[tuple[int, int], SceneState] = {}
 
     def at(self, index: int) -> SceneState:
-        """Everything at a frame; renderers reuse the bodies of a state that is kept."""
+        """State of the scene at a frame. A frame that is still in the cache returns the same bodies, so that
+        renderers can reuse what they computed from them."""
         elapsed = self._scene.frame_time(index)
         key = elapsed, self.playback.version
         if key in self._kept:

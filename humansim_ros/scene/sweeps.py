@@ -200,7 +200,7 @@ class Scanning:
         return known[1]
 
     def _static_hits(self, rays: Rays, poses: _PosesAt, state: SceneState) -> Hits:
-        """Surfaces that stand still, as a scanner that stands still meets them."""
+        """Hits of a static scanner on static surfaces, cached."""
         if self._static is None or self._static[0] is not rays:
             hits, here = Hits.none(len(rays)), poses(rays.times[:1])
             whole = slice(0, len(rays))
@@ -230,9 +230,8 @@ class Scanning:
 
 
 def _end_of(before: Body, after: Body, reach: float) -> Float32Array:
-    """Vertices at the end of an interval; those at its start if the body has jumped, such as to the start of
-    its motion. ``reach``: metres that a body moves at most.
-    """
+    """Vertices at the end of an interval. Those at its start if the body has jumped, such as to the start of
+    its motion. ``reach``: metres that a body moves at most."""
     moved = np.abs(after.vertices[::_SAMPLED] - before.vertices[::_SAMPLED]).max()
     return after.vertices if moved <= reach else before.vertices
 
@@ -293,10 +292,8 @@ class LiveScanning:
         self._origin = 0
 
     def sweeps(self, state: SceneState, wanted: bool = True) -> Iterator[Sweep]:
-        """Sweeps that have ended with a state, the newest one of the scene.
-
-        ``wanted``: whether anybody needs them; they are not made otherwise.
-        """
+        """Sweeps that have ended with a state, the newest one of the scene. ``wanted``: whether anybody needs
+        them. They are not made otherwise."""
         last = self._states[-1] if self._states else None
         gap = 0 if last is None else state.stamp - last.stamp
         if last is not None and gap == 0:

@@ -44,8 +44,9 @@ class CameraTiming:
             offset: Seconds from the start of the scene to the first picture.
 
         Raises:
-            SceneError: The rate does not divide the rate of the scene, the offset is no whole number of its
-                frames, or not shorter than the period of the camera. It has the key ``rate`` or ``offset``.
+            SceneError: The rate of the scene is no multiple of ``rate``, or ``offset`` is not a whole number
+                of frames of the scene, or not shorter than 1 / ``rate``. The ``key`` of the error is ``rate``
+                or ``offset``.
         """
         step = 1
         if rate is not None:
@@ -118,11 +119,9 @@ def _unfit_rate(scene_rate: float, rate: float) -> str:
 
 
 class PictureTimer:
-    """Tells a camera whose frames arrive one after the other in which of them it takes a picture.
-
-    If the frame of a picture is skipped, because the machine is too slow, the next frame takes its place. So
-    a camera never starves, and cameras of one rate and offset show the same frames.
-    """
+    """Decide, for frames in order, which ones the camera captures. If the frame of a picture is skipped,
+    because the machine is too slow, the next frame takes its place. So a camera never starves, and cameras of
+    one rate and offset show the same frames."""
 
     def __init__(self, timing: CameraTiming) -> None:
         self._timing = timing

@@ -49,7 +49,7 @@ _SLOWEST, _HURRY = 0.5, 1.3
 _TRIES, _APART = 60, 0.1
 #: Metres from a queue at which people walk back to its end.
 _BESIDE = 1.0
-#: Fastest walk, m/s; seconds in which a queue moves up by one, and in which somebody is beside the leader.
+#: Fastest walk, m/s; seconds in which a queue moves up by one, and in which somebody is next to the leader.
 _FASTEST, _MOVE_UP, _CATCH_UP = 2.2, 2.5, 0.8
 #: Radians by which people pass each other to the right; least factor of the speed in a curve.
 _TO_THE_RIGHT, _CURVE = 0.04, 0.15
@@ -108,8 +108,8 @@ class _Person:
         speed: Speed of its walk alone, m/s.
         uniform: Its random numbers.
         goals: Corners (2, 2) of the areas that it walks to in turn.
-        leader: Number of the person that it walks beside; None for its own goals.
-        beside: Metres to the left of the leader.
+        leader: Number of the person that it walks next to; None for its own goals.
+        next to: Metres to the left of the leader.
         facing: Heading if it never walks, radians.
         way: Corners (2,) of its way, the last one its goal; empty while it stands.
         turn: Number of the next goal.
@@ -134,7 +134,7 @@ class _Person:
     best: tuple[float, float] = (np.inf, 0.0)
 
     def go(self, way: list[Array], time: float, stays: bool = False) -> None:
-        """Begin a way at a time in seconds."""
+        """Start to walk along ``way`` at ``time`` (seconds). ``stays``: keep the place at its end."""
         self.way, self.stays, self.best = way, stays, (np.inf, time)
 
 
@@ -144,7 +144,7 @@ class _Queue:
 
     Attributes:
         places: (Q, 2), the first one first.
-        beside: (2, 2) corners of the way from the first place back to the last one.
+        next to: (2, 2) corners of the way from the first place back to the last one.
         line: Numbers of the people in line.
         service: Seconds that one is served.
         services: How many are served in a round: in the end all are where they began.
@@ -339,7 +339,7 @@ class _Plan:
                 self._choose(number, person, time)
         preferred = np.array([self._preferred(number, time) for number in range(len(self.people))])
         standing = ~preferred.any(axis=1)
-        # people in line keep their places; others step aside
+        # people in line keep their places. Others step aside
         waiting = standing & self._in_line
         radius = np.full(len(self.people), self._crowd.radius)
         speeds = np.array([person.speed * _HURRY for person in self.people])
@@ -482,7 +482,7 @@ class _Plan:
             person.way = [around, *(self._floor.way(around, person.way[-1]) or [person.way[-1]])]
 
     def _beside(self, person: _Person, at: Array) -> Array:
-        """Velocity (2,) of somebody who walks beside the leader, behind where there is no room."""
+        """Velocity (2,) of somebody who walks next to the leader, behind where there is no room."""
         assert person.leader is not None
         chief, ahead = self._at[person.leader], self._headings[person.leader]
         left = np.array([-ahead[1], ahead[0]])

@@ -117,7 +117,7 @@ class Hold:
         return float(np.linalg.norm(left - right)) - 2 * _THICK
 
     def _held(self, times: Array) -> Array:
-        """Scene times (N,) moved to the nearest ones in their cycle at which the hands hold the object."""
+        """Clamp scene times (N,) to the part of the cycle in which the hands hold the object."""
         motion = self.actor.motion
         end = motion.cycle_length if self.config.end is None else self.config.end
         played = motion.file_times(times + self.actor.offset, self.actor.ahead)

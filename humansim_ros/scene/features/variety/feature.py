@@ -96,7 +96,7 @@ class _Placing:
         self.floor.take("humans", footprint.points, _FROM_HUMANS)
 
     def draw(self, name: str) -> HumanConfig:
-        """The next human. Raises SceneError with the key."""
+        """The next human. Raises SceneError, which names the key."""
         variety, uniform = self.variety, random_numbers(self.variety.seed, name)
         share = uniform()
         if variety.people is None:

@@ -22,7 +22,7 @@ from humansim_ros.types import Array
 _MAX_SKELETON, _MAX_MOTION, _MAX_BONES = 4 << 20, 1 << 29, 1000
 #: Frames per second of a file that does not state them, as of the CMU database.
 _RATE = 120.0
-#: ``length`` of the files of CMU, whose lengths are inches times this number.
+#: ``length`` of the files of CMU, with lengths that are inches times this number.
 _CMU_LENGTH, _INCH = 0.45, 0.0254
 #: Largest number of a file.
 _LARGEST = 1e9

@@ -80,7 +80,7 @@ class BoneDrivers:
     """The drivers of the bones of a skeleton.
 
     ``extra``: also of bones that the general skeleton lacks. ``rest_links``: bone -> direction (3,) of its
-    link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link; it leaves its rest
+    link at rest, in the axes of the bone at rest. Such a bone is not parallel to its link. It leaves its rest
     pose as the link leaves its own. ``loose``: bones for which the rotations of their joints are not used.
     Instead, pelvis, chest and feet use the last four of the joint rotations, as in ``LINE_ROTATIONS``.
     """
@@ -279,7 +279,7 @@ def has_rotations(poses: JointPoses) -> bool:
 
 
 def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[str, ...]:
-    """Bones whose driving joint does not rotate as the lines between the joints do.
+    """Bones with a driving joint that does not rotate as the lines between the joints do.
 
     The rotation of such a joint does not describe the body. Examples are hips that a neural network predicts
     independently, and a root that does not move. Rigid hips carry the line between the hip joints. Chest
@@ -335,7 +335,7 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     loose = [bone for bone, joint in match.difference.items() if joint in joints]
     return (
         *loose,
-        # toes follow a foot whose joint does not rotate as the foot does
+        # toes follow a foot with a joint that does not rotate as the foot does
         *(toes for bone, toes in _TOES.items() if bone in loose and toes in match.extra),
         *(bone for bone, (start, link) in links.items() if deviates(start, link, _FLEXIBLE)),
     )

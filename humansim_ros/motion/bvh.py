@@ -34,7 +34,7 @@ from humansim_ros.types import Array
 
 #: Channels of files by their name in lower case. Scales are read, and left out.
 _CANONICAL = {name.lower(): name for name in (*CHANNEL_NAMES, "Xscale", "Yscale", "Zscale")}
-#: Keywords whose words may go on in the next line, and pattern of these words.
+#: Keywords with words that may go on in the next line, and pattern of these words.
 _GOES_ON = {
     "OFFSET": re.compile(r"[-+.,\d\seE]+"),
     "CHANNELS": re.compile(r"[\d\s,]*([xyz](rotation|position|scale)[\s,]*)*", re.IGNORECASE),
@@ -184,11 +184,9 @@ class Parser:
         raise self.text.error(f"not a BVH file: it should start with HIERARCHY, not {first[:40]!r}")
 
     def _check_braces(self, stack: list[int], pending: int | None, surplus: int | None) -> None:
-        """Accept braces that are missing or left over at the end of the hierarchy, with a warning.
-
-        A brace that is missing or left over further up would change the hierarchy. This is an error; it is
-        known by the indents, which then disagree with the hierarchy.
-        """
+        """Accept braces that are missing or left over at the end of the hierarchy, with a warning. A brace
+        that is missing or left over further up would change the hierarchy. This is an error. It is known by
+        the indents, which then disagree with the hierarchy."""
         text = self.text
         is_open = pending is not None or not all(self.joints[joint].offset for joint in stack)
         if is_open or (stack and not self._indents_agree()):
@@ -341,7 +339,7 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
     """Read a BVH motion file: text in UTF-8, UTF-16, an encoding of East Asia or Latin-1, with any line ends.
 
     ``positions``: whether position channels ``replace`` the OFFSET, as in nearly all programs, or are to
-    ``add`` to it. ``auto`` detects files that add: their positions stay near 0 beside large OFFSETs.
+    ``add`` to it. ``auto`` detects files that add: their positions stay near 0 next to large OFFSETs.
 
     Warns (HumansimWarning) where something is wrong but its meaning clear: a missing or wrong ``Frames:``
     count (the rows decide), no ``Frame Time:`` (30 frames per second), missing words HIERARCHY and MOTION,

@@ -26,7 +26,7 @@ LARGEST = 1e15
 BRACE = re.compile(r"([{}])")
 #: A minus sign that starts a new number without a space before it ("1.5-2.5"); not the sign in "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
-#: A comma that separates numbers for certain: with white space beside it, or the second of a word.
+#: A comma that separates numbers for certain: with white space next to it, or the second of a word.
 _SEPARATOR = re.compile(r",(?:\s|$)|,[^\s,]+,")
 _DECIMAL = re.compile(r"(?<=\d),(?=\d)")
 #: A comment: a line that starts with one of these marks, or the end of a line after a mark among white space.
@@ -41,7 +41,7 @@ class BvhText:
         line: Number of the last line that was read.
         indent: Width of the white space before the last line of the hierarchy.
 
-    ``encoding``: as of ``text_encoding``. ``file`` decodes UTF-16, and every other text as Latin-1.
+    ``encoding``: the same as in ``text_encoding``. ``file`` decodes UTF-16, and every other text as Latin-1.
     """
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO, encoding: str) -> None:
@@ -212,7 +212,7 @@ def read_motion_section(text: BvhText, angles: NDArray[np.bool_]) -> tuple[Array
 def _read_header(text: BvhText) -> tuple[float, float]:
     """Number of frames (NaN where it is missing) and frame time."""
     header: dict[str, tuple[int, str]] = {}
-    awaited = ""  # key whose number is on the next line
+    awaited = ""  # key with a number that is on the next line
     while len(header) < 2 or awaited:
         line = text.next_line()
         if not line:

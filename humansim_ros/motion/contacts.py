@@ -34,7 +34,7 @@ from humansim_ros.types import Array
 
 #: Largest share of its length to which a leg is straightened, unless it was straighter before.
 STRAIGHTEST = 0.9995
-#: A leg whose ankle is nearer to the hip than this share of its length is not corrected.
+#: A leg with an ankle that is nearer to the hip than this share of its length is not corrected.
 _FOLDED = 0.25
 
 
@@ -175,7 +175,7 @@ class FootContacts:
             )
             goal = ankle + shift[:, foot] * correction_share(hip, knee, ankle)
             thigh, shin = two_bone(hip, knee, ankle, goal)
-            # the source's leg rotates as the skeleton's leg; its foot keeps its orientation
+            # the source's leg rotates as the skeleton's leg. Its foot keeps its orientation
             leg.turn(new, rotations, thigh, shin)
         return JointPoses(poses.names, new, matrix_to_quaternion(rotations))
 
@@ -243,7 +243,7 @@ class Leg:
             rotations: Rotations of the joints, (N, J, 3, 3).
             thigh: Rotations of the thigh, (N, 3, 3).
             shin: Rotations of the shin, (N, 3, 3).
-            foot: Rotations of the foot, (N, 3, 3); it keeps its orientation if None.
+            foot: Rotations of the foot, (N, 3, 3). It keeps its orientation if None.
         """
         hip, knee, ankle = (positions[:, joint].copy() for joint in (self.hip, self.knee, self.ankle))
         new_knee = hip + rotate(thigh, knee - hip)
@@ -284,12 +284,13 @@ class SkinContact:
 
     @classmethod
     def of(cls, world: WorldMotion, retargeter: Retargeter, lowest: Callable[[Array], Array]) -> SkinContact:
-        """Heights for a cycle of a motion.
+        """Find the heights that put the lowest skin of a body on the floor, over one cycle of a motion.
 
         Args:
             world: The motion.
             retargeter: Retargeting onto the body.
-            lowest: Returns the heights (N,) of the lowest skin of posed bones (N, B, 4, 4), metres.
+            lowest: Function of poses (N, B, 4, 4) that returns the height (N,) of the lowest skin point,
+                metres.
         """
         plain = replace(world, speed=1.0)
         length = plain.cycle_length

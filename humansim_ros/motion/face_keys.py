@@ -18,7 +18,7 @@ class FaceKey:
     Attributes:
         time: Seconds of the scene.
         expression: Name of an expression, and its ``strength`` from 0 to 1.
-        actions: Weights by action, beside the expression.
+        actions: Weights by action, next to the expression.
         gaze: Point (3,) in ``map``, name of a human or a camera, or :data:`AHEAD`.
         speak: Seconds for which the face speaks.
         blend: Seconds in which expression and actions change from those before.

@@ -3,7 +3,7 @@
 All of it is a function of the scene time and of a seed. A face travels with a motion as joints at its end:
 the angle in radians of ``face/<action>`` about x is the weight of the action, and ``face/gaze`` is at the
 point that the eyes see. Its angle is the share of the gaze: 0 where eyes are as their actions say, or 1.
-``face/head`` is at the point that the head turns to, more slowly; its angle is the share of that turn.
+``face/head`` is at the point that the head turns to, more slowly. Its angle is the share of that turn.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _BLINK = ((0.0, 0.0), (0.1, 1.0), (0.12, 1.0), (0.35, 0.0))
 _SACCADE, _SACCADE_DEGREE = 0.021, 0.0022
 #: Turns of the head take longer: seconds, and seconds for each degree of the gaze.
 _TURN, _TURN_DEGREE = 0.25, 0.004
-#: Mean size of glances, whose sizes are distributed exponentially [Lee 2002], and the largest; degrees.
+#: Mean size of glances, with sizes that are distributed exponentially [Lee 2002], and the largest; degrees.
 _GLANCE, _LARGEST_GLANCE = 6.9, 12.0
 #: Shortest and longest rest of the eyes between two glances, seconds.
 _FIXATION = (0.4, 3.0)
@@ -209,8 +209,8 @@ class Gaze:
     Attributes:
         time: Seconds of the scene.
         point: Point that the eyes look at; None for ahead.
-        towards: Point that the head turns to, if it is another one: where the eyes of somebody else were if
-            their head did not turn, so that two heads can turn to each other.
+        towards: Target of the head, if it differs: the other person's eyes before that person's head turns,
+            as if their head did not turn, so that two heads can turn to each other.
     """
 
     time: float

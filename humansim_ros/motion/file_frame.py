@@ -18,7 +18,7 @@ from humansim_ros.types import Array
 #: Angles (degrees) up to which trunk, legs, hips and shoulders count as a standing person's.
 _TRUNK_TO_LEGS, _LEG_TO_LEG, _HIPS_TO_SHOULDERS, _HIPS_TO_LEVEL = 35.0, 90.0, 35.0, 35.0
 
-#: Bones whose heads are the joints between which the lines go.
+#: Bones with heads that are the joints between which the lines go.
 _BONE_OF_ROLE = {
     f"{side}{part}": f"{side[0].lower()}_{part.lower()}"
     for side in ("Left", "Right")

@@ -204,7 +204,7 @@ def _target_names(gltf: Gltf, mesh: int) -> Mapping[int, str]:
 
 
 def _bound(gltf: Gltf, targets: Mapping[tuple[int, int], Track]) -> Iterator[_Weight]:
-    """Presets of a VRM avatar whose morph targets are moved and have no names of actions or presets."""
+    """Presets of a VRM avatar with morph targets that are moved and have no names of actions or presets."""
     meshes = {node: gltf.nodes[node].mesh for node, _ in targets}
     names = {node: {} if mesh is None else _target_names(gltf, mesh) for node, mesh in meshes.items()}
     for name, binds in _groups(gltf, meshes):
@@ -223,10 +223,8 @@ _Bind = tuple[tuple[int, int], float]
 
 
 def _groups(gltf: Gltf, meshes: Mapping[int, int | None]) -> Iterator[tuple[str, list[_Bind]]]:
-    """Presets of a VRM 1.0 avatar and blend shape groups of a VRM 0 avatar, with their binds.
-
-    ``meshes``: mesh by node, of nodes whose morph targets are moved.
-    """
+    """Presets of a VRM 1.0 avatar and blend shape groups of a VRM 0 avatar, with their binds. ``meshes``:
+    mesh by node, of nodes with morph targets that are moved."""
     extensions = gltf.document.extensions
     for name, content in _items(member(extensions, "VRMC_vrm", "expressions", "preset")):
         if name.lower() in _PRESETS:

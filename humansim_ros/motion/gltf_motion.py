@@ -76,7 +76,7 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
 
 
 def _with_offsets(gltf: Gltf, skeleton: GltfSkeleton) -> Gltf:
-    """VRM animation whose nodes have no translations, with the proportions of the general skeleton."""
+    """VRM animation with nodes that have no translations, with the proportions of the general skeleton."""
     warn_about(gltf.path, "its bones have no length: the proportions of the general skeleton are taken")
     places: list[Array] = []
     nodes = list(gltf.nodes)

@@ -172,7 +172,7 @@ class HandKeys:
     def add(self, poses: JointPoses, seconds: float, file_offset: float, delay: float = 0.0) -> JointPoses:
         """Poses (N = 1) of a motion at a time, with joints that carry the poses of the hands.
 
-        The rotation of such a joint is the rotation of its bone; its position is the first joint's.
+        The rotation of such a joint is the rotation of its bone. Its position is the first joint's.
 
         Args:
             poses: Joint poses of the motion.
@@ -205,7 +205,7 @@ class FreeFingers:
     """Moves the finger bones of a skeleton that no joint drives: by given rotations, else by the arm.
 
     A hand is relaxed. While its wrist is above the shoulder by more than a tenth of the length of the arm, it
-    opens; it is open, with fingers apart, above four tenths.
+    opens. It is open, with fingers apart, above four tenths.
 
     Attributes:
         skeleton: The skeleton.
@@ -228,10 +228,8 @@ class FreeFingers:
         return cls(skeleton, anatomy, np.array([bone[:-1] not in fingers for bone in FINGER_BONES]))
 
     def move(self, rotations: Array, heads: Array, hands: Mapping[str, Array]) -> None:
-        """Set rotations (N, B, 3, 3) and heads (N, B, 3), z up, of the bones that are not as they rest.
-
-        ``hands``: bone -> rotation (N, 4) xyzw in bone space.
-        """
+        """Set rotations (N, B, 3, 3) and heads (N, B, 3), z up, of finger bones that differ from the rest
+        pose. ``hands``: bone -> rotation (N, 4) xyzw in bone space."""
         turns: Array | None = None
         moved = np.zeros(len(FINGER_BONES), dtype=bool)
         opened = self._opened(heads)

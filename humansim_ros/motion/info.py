@@ -159,7 +159,7 @@ def describe_motion(
 
     Args:
         loaded: The motion and its warnings.
-        table, unit, up, facing, min_confidence: As of :func:`to_world`.
+        table, unit, up, facing, min_confidence: The same as in :func:`to_world`.
 
     Raises:
         MotionError: A given value does not fit the motion.

@@ -30,7 +30,7 @@ REQUIRED_BONES = (
 )
 #: Bones that a person may lack if there are no joints for them.
 ARM_BONES = ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
-#: A motion whose match has a lower confidence is refused: it is not a person's.
+#: A motion with a match that has a lower confidence is refused: it is not a person's.
 MIN_CONFIDENCE = 0.12
 #: Below this confidence, scenes and commands state it.
 LOW_CONFIDENCE = 0.7

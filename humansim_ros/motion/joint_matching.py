@@ -358,7 +358,7 @@ def match_names(
 
     Args:
         joint_names: Names of J joints.
-        table: Name of a built-in joint table, or a YAML file; None: the built-in table that fits best.
+        table: Name of a built-in joint table, or a YAML file. If None, the built-in table that fits best.
         path: File of the motion, for messages.
         parents: (J,) parent of each joint, where known. Joints that contradict the hierarchy do not match.
 

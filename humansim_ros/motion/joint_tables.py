@@ -124,7 +124,7 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
     return validated(JointTable, data, MotionError, path, tree)
 
 
-#: Names whose keys are held: the names of all tables and of some motions.
+#: Names with keys that are held: the names of all tables and of some motions.
 _MAX_KEYS = 1 << 13
 
 

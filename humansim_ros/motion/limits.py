@@ -1,7 +1,7 @@
 """Joint limits of a skeleton: measure poses by a table of ranges, report violations, clamp.
 
 Angles are anatomical: from the neutral standing position (arms hanging, palms to the thighs). They depend
-neither on the rest pose of the skeleton nor on its rolls; those of fingers and toes count from the axes of
+neither on the rest pose of the skeleton nor on its rolls. Those of fingers and toes count from the axes of
 their bones at rest. Hinges and the spine have three axes, one after the other [Grood 1983]: an axis of the
 bone above, a floating axis, and an axis of the bone itself. Shoulders and hips have a direction of the bone
 within a cone [Wilhelms 2001], and a twist from the shortest rotation out of the middle of the cone.
@@ -94,8 +94,8 @@ class JointRange(Section):
 
     ``along``: direction of the bone at zero; without it the zero is the rest pose. Either ``swing``,
     directions on the border of a cone, with ``zero``; or ``first`` and ``second``, ranges about the axes
-    before the ``twist``. ``twist_with``: bone whose twist is added. ``hinge``: the first axis is the x axis
-    of the bone, ``from`` of its first limit is along the bone, and other angles are zero at rest.
+    before the ``twist``. ``twist_with``: bone with a twist that is added. ``hinge``: the first axis is the x
+    axis of the bone, ``from`` of its first limit is along the bone, and other angles are zero at rest.
     """
 
     bone: str
@@ -309,7 +309,8 @@ class ConeCoordinates(JointCoordinates):
 
     @cached_property
     def border(self) -> tuple[Array, Array]:
-        """Azimuths and distances (P,) of the limits of the swing with the margin, degrees."""
+        """Border of the swing as azimuths (P,) and distances (P,) from the middle of the cone, degrees: the
+        limits, widened by ``margin``."""
         assert self.range.swing is not None
         return self._polar(np.stack([row.end_direction(self.side, self.margin) for row in self.range.swing]))
 
@@ -516,7 +517,7 @@ class JointLimits:
 
     @cached_property
     def _joints(self) -> tuple[tuple[JointCoordinates, JointCoordinates | None], ...]:
-        """Joints, parents first, each with the joint whose twist is added to its own."""
+        """Joints, parents first, each with the joint with a twist that is added to its own."""
         names = self.skeleton.names
         joints: dict[str, JointCoordinates] = {}
         rows = {bone: row for row in self.table.joints for bone in row.sides}

@@ -1,7 +1,7 @@
 """Motions of labelled points in TRC and C3D files: joints, or markers on the skin, from which joints follow.
 
 Hip centres follow the regression of [Harrington 2007]. A knee, an ankle or an elbow is midway between its
-markers, or half its width beside the lateral one. The shoulder is below the acromion. Limbs get the shortest
+markers, or half its width next to the lateral one. The shoulder is below the acromion. Limbs get the shortest
 rotation from their parent; their joints keep the places of the file. Without markers of arms or trunk, these
 are held at rest.
 """
@@ -147,9 +147,7 @@ def motion_of_points(path: str | os.PathLike[str], found: MarkerFile, person: st
 
 def _mirrored_axis(points: Points, kind: str) -> int | None:
     """Number of the axis to negate so that a mirrored person is right; None if the person is not mirrored.
-
-    Toes, the front of the pelvis and the nose are ahead; they must agree.
-    """
+    Toes, the front of the pelvis and the nose are ahead. They must agree."""
     hip, knee, ankle, shoulder = (
         ("ASIS", "KneeLateral", "AnkleLateral", "Acromion")
         if kind == "markers"
@@ -269,7 +267,7 @@ def _known_joints(points: Points) -> dict[str, Array]:
 
 
 def _raised(vectors: Array, left: Array, degrees: float) -> Array:
-    """Vectors (F, 3) that are turned backwards about the direction to the left (F, 3)."""
+    """Turn vectors (F, 3) backwards by ``degrees``, about the person's ``left`` (F, 3)."""
     axes = unit_vectors(perpendicular(left, unit_vectors(vectors)))
     return rotate(rotation_vector_to_matrix(-np.radians(degrees) * axes), vectors)
 
@@ -380,7 +378,7 @@ def _joint_centres(points: Points) -> tuple[dict[str, Array], Array]:
 
 
 def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, distance: float) -> Array:
-    """Centre (F, 3) of a joint below another: between two markers, or beside the lateral one."""
+    """Centre (F, 3) of a joint below another: between two markers, or next to the lateral one."""
     if medial is not None:
         return (lateral + medial) / 2
     limb = unit_vectors(lateral - above)
@@ -388,10 +386,8 @@ def _centre(lateral: Array, medial: Array | None, above: Array, inwards: Array, 
 
 
 def _hinge(lateral: Array, shoulder: Array, wrist: Array, sign: float) -> Array:
-    """Centre (F, 3) of an elbow: the marker is beside the plane in which shoulder, elbow and wrist are.
-
-    ``sign``: 1 for the left elbow, -1 for the right one.
-    """
+    """Centre (F, 3) of an elbow: the marker is next to the plane in which shoulder, elbow and wrist are.
+    ``sign``: 1 for the left elbow, -1 for the right one."""
     way = unit_vectors(wrist - shoulder)
     aside = perpendicular(lateral - shoulder, way)
     along = lateral - shoulder - aside
@@ -410,10 +406,8 @@ _ALL_JOINTS = {name.replace("Left", side) for name in _TREE for side in SIDES}
 
 
 def _motion(path: Path, joints: dict[str, Array], pelvis: Array | None, frame_time: float) -> Motion:
-    """Motion of joints (F, 3) with the rest pose of :data:`_TREE`.
-
-    ``pelvis``: axes (F, 3, 3) of the pelvis by its markers: left, up, forward; None if it has none.
-    """
+    """Motion of joints (F, 3) with the rest pose of :data:`_TREE`. ``pelvis``: axes (F, 3, 3) of the pelvis
+    by its markers: left, up, forward; or None."""
     joints = {**joints, "Chest": (joints["Hips"] + joints["Neck"]) / 2}
     names, parents, offsets = [], [], []
     trunk = joints["Neck"] - joints["Hips"]

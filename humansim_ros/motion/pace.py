@@ -11,8 +11,8 @@ from humansim_ros.motion.kinematics import Motion
 
 #: Fewest and most frames that are looked at, from the middle of a motion.
 _FRAMES = 8, 2000
-#: A hand or a foot moves if its spread about its mean place beside the hips is larger (RMS, metres). A person
-#: walks if the hips are in places that are farther apart, metres.
+#: A hand or a foot moves if its spread about its mean place next to the hips is larger (RMS, metres). A
+#: person walks if the hips are in places that are farther apart, metres.
 _MOVES, _WALKS = 0.04, 1.0
 #: Joints that show how a limb moves, the best first.
 _LEG, _ARM = ("Ankle", "Knee"), ("Wrist", "Elbow")

@@ -61,7 +61,7 @@ class Gait:
         standing: (J, 3) and (J, 4), the pose of somebody who stands.
         legs: Left and right leg.
         leg_lengths: Thigh and shin of both, metres.
-        stances: For each foot, (S, 2) phases at which it comes to the floor and leaves it; those at which it
+        stances: For each foot, (S, 2) phases at which it comes to the floor and leaves it. Those at which it
             leaves it may be above 1.
     """
 
@@ -247,7 +247,7 @@ def _headings(velocity: Array, step: float, facing: float) -> Array:
 
 @dataclass(frozen=True)
 class PathMotion(WorldMotion):
-    """A walk along a path on the floor. Its time is the time of the path; its size is the size of the person.
+    """A walk along a path on the floor. Its time is the time of the path. Its size is the size of the person.
 
     Attributes:
         gait: Walk on the spot.
@@ -290,7 +290,7 @@ def sample_together(motions: Sequence[PathMotion], times: Sequence[Array]) -> li
         times: File times of each, (N,) seconds, with the same N.
 
     Returns:
-        Poses of each with velocities, as of :meth:`PathMotion.sample_with_velocities`.
+        Poses of each with velocities, the same as in :meth:`PathMotion.sample_with_velocities`.
     """
     count = len(times[0])
     around = np.concatenate([[t - VELOCITY_STEP, t, t + VELOCITY_STEP] for t in times])

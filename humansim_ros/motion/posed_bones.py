@@ -127,8 +127,8 @@ def _order(rotations: Array, along: Array) -> str:
     """Order of the angles of a joint: the first that stays away from gimbal lock, else the best.
 
     With the middle axis b and the outer axes a and c, the element (a, c) of a rotation is the sine of the
-    middle angle. Blender turns the rotations to the axes of the bone, whose y axis is along it, before it
-    computes angles; there the outer axes are exchanged.
+    middle angle. Blender turns the rotations to the axes of the bone, with a y axis that is along it, before
+    it computes angles; there the outer axes are exchanged.
 
     ``rotations``: (N, 3, 3), from the rest pose. ``along``: (3,) direction of the bone at rest.
     """

@@ -37,10 +37,10 @@ _FINGERS_UP = 0.3
 _PRONATION = 0.75
 #: Share of that turn by which the elbow swings out, about the line from shoulder to wrist.
 _SWIVEL = 0.4
-#: Most steps in which a hand that follows its forearm is found, each of which leaves less than a third of the
-#: error; and largest change of its axes in the last step.
+#: Iteration limit of the wrist solver, and its tolerance: the largest change of the hand's axes in the last
+#: step. Each step leaves less than a third of the error.
 _STEPS, _FOUND = 16, 1e-7
-#: Passes for bodies whose limbs do not turn exactly as those of the motion: clamped ones, and swing only.
+#: Passes for bodies with limbs that do not turn exactly as those of the motion: clamped ones, and swing only.
 _REFINED = 5
 
 
@@ -50,8 +50,9 @@ class HandGoal:
 
     Attributes:
         place: Points that the skin of the palm touches, (N, 3).
-        palm: Directions that the palm faces, (N, 3); None: as the forearm turns it.
-        fingers: Directions of the fingers, (N, 3); None: along the forearm, or up where the palm allows it.
+        palm: Directions that the palm faces, (N, 3). If None, as the forearm turns it.
+        fingers: Directions of the fingers, (N, 3). If None, along the forearm, or up where the palm allows
+            it.
     """
 
     place: Array
@@ -164,7 +165,7 @@ class ReachingArm:
 
         Args:
             posed: Bone frames (N, B, 4, 4) without the reach.
-            goal: The goal, whose place is on the way to what is touched.
+            goal: The goal, with a place that is on the way to what is touched.
             shares: Share of its turn that the hand takes, (N,).
         """
         shoulder, elbow, wrist = (posed[:, bone, :3, 3] for bone in self.palm.bones)
@@ -193,7 +194,8 @@ class ReachingArm:
         return np.asarray((turn * unit_vectors(rotate(fore, forearm))).sum(axis=-1, keepdims=True))
 
     def _turned(self, hand: Array, goal: HandGoal) -> Array:
-        """Rotations (N, 3, 3) of the hand at its goal, nearest to its rotations there without directions."""
+        """Rotations (N, 3, 3) of the hand at its goal. Where the goal has no direction for palm or fingers,
+        they stay as near as possible to ``hand``, the rotations before."""
         fingers = hand[..., 1] if goal.fingers is None else unit_vectors(goal.fingers)
         if goal.palm is None:
             normal = unit_vectors(perpendicular(rotate(hand, self.palm.normal), fingers))
@@ -215,7 +217,7 @@ class Reaches:
     """All reaches of a human: corrections of the poses of its motion; pure functions of time.
 
     Attributes:
-        reaches: The reaches; those of one hand do not overlap.
+        reaches: The reaches. Those of one hand do not overlap.
         motion: Motion of a file.
         retargeter: Retargeting of the motion onto a skeleton.
     """

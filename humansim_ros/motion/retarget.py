@@ -324,8 +324,8 @@ class Retargeter:
         rest: (B, 3, 3) axes of the bones at joint rotation zero, for ``full``.
         positions_only: Do not use the rotations of the joints.
         clamp: Keep joints within their limits (docs/limits.md).
-        loose: Bones whose joints do not rotate as the lines between joints do, for ``full``. The rotations of
-            these joints are not used.
+        loose: Bones with joints that do not rotate as the lines between joints do, for ``full``. The
+            rotations of these joints are not used.
         rest_links: Bone -> direction of its link at rest, in the axes of the bone at rest. A bone of these, a
             collar, leaves its rest pose as its link does, instead of being parallel to it.
     """

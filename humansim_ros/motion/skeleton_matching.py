@@ -135,7 +135,7 @@ def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> Joint
 
     A motion has no person if the similarity to one is below ``min_confidence``.
 
-    ``confidence`` is the similarity to a person; it is lower where left and right are uncertain.
+    ``confidence`` is the similarity to a person. It is lower where left and right are uncertain.
     """
     tree = JointTree(motion)
     best: tuple[float, dict[str, int]] | None = None

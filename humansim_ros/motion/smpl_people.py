@@ -17,7 +17,7 @@ _THIGH_CHANGE = 0.1
 
 
 def people_of(tree: Any, names: Collection[str]) -> dict[str, Arrays]:
-    """Arrays of the people of a file, by the keys that lead to them; those in world axes if there are some.
+    """Arrays of the people of a file, by the keys that lead to them. Those in world axes if there are some.
 
     Args:
         tree: Content of the file: arrays, numbers, texts, lists and dictionaries.

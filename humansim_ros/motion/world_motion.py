@@ -55,11 +55,8 @@ def joint_path(motion: Motion, joint: int) -> Array:
 
 
 def find_jumps(path: Array, frame_time: float) -> tuple[Jump, ...]:
-    """Jumps of a joint that is at ``path`` (F, 3), metres.
-
-    A jump is a step that is too long for a person, and that neither the step before it nor the step after
-    it is like. A person in a car does not jump.
-    """
+    """Jumps of a joint that is at ``path`` (F, 3), metres. A jump is a step too long for a person and unlike
+    both neighbouring steps. A person in a car does not jump."""
     if len(path) < 2:
         return ()
     steps = np.diff(path, axis=0)
@@ -462,7 +459,8 @@ def playing_warnings(world: WorldMotion) -> list[str]:
 
 
 def posture_warnings(world: WorldMotion, poses: JointPoses) -> list[str]:
-    """Signs of a damaged file or a wrong axis in most frames: knees bend backwards, the trunk lies."""
+    """Warn if the file seems damaged or its up axis wrong: in most frames a knee bends backwards, or the
+    trunk is horizontal."""
     roles, points = world.match.roles, poses.positions
     hips = (points[:, roles["LeftHip"]] + points[:, roles["RightHip"]]) / 2
     across = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
